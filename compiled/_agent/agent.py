@@ -1,0 +1,339 @@
+"""The on-machine agent: starts one sample's processes, watches their timings, stops, and says what happened.
+
+Standard library only (Python 3.10 or newer); opens no port. It runs on every sampled machine:
+
+    python3 agent.py --out DIR [--steps N] --after SECONDS --warmup W --startup SECONDS
+                     [--precision P --statistic S] --process '<json argv>' [--process ...]
+
+The processes find the probe module on PYTHONPATH and append one JSON line a request to FOGSPEC_TIMINGS
+(DIR/timings.jsonl). DIR/outcome.json is written in every end that leaves the agent alive:
+state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s, duration_s, waited_s and counts.
+"""
+
+import argparse
+import contextlib
+import ctypes
+import itertools
+import json
+import math
+import os
+import re
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+POLL_S = 0.1
+LOG_LIMIT = 16 * 2**20
+TIMINGS_LIMIT = 256 * 2**20
+PR_SET_CHILD_SUBREAPER = 36
+MEMORY_WORDS = re.compile(r"MemoryError|bad_alloc|[Cc]annot allocate memory|[Oo]ut of memory")
+
+End = tuple[str, str | None, str | None, str | None]  # state, reason, detail, stopped_by
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one sample; exit code 0 when it was measured, 1 otherwise."""
+    options = parse(arguments)
+    asked: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, lambda got, _frame: asked.append(got))
+    begun = time.monotonic()
+    out = Path(options.out).absolute()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        reserve(out)
+        outcome = _Run(options, out, begun, asked).run()
+    except OSError as problem:
+        outcome = {"state": "failed", "reason": "setup", "detail": f"the agent could not work: {problem}"}
+    outcome["duration_s"] = time.monotonic() - begun
+    write_outcome(out, outcome)
+    return 0 if outcome["state"] == "ok" else 1
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """The options; exits with code 2 on a wrong command line."""
+    parser = argparse.ArgumentParser(prog="agent.py", allow_abbrev=False)
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--after", type=float, required=True)
+    parser.add_argument("--warmup", type=int, default=0)
+    parser.add_argument("--startup", type=float, required=True)
+    parser.add_argument("--precision", type=float)
+    parser.add_argument("--statistic", choices=("mean", "p50", "p95", "p99"), default="mean")
+    parser.add_argument("--process", type=json.loads, action="append", required=True)
+    options = parser.parse_args(arguments)
+    for argv in options.process:
+        if not isinstance(argv, list) or not argv or not all(isinstance(word, str) for word in argv):
+            parser.error("--process must be a JSON list of strings")
+    return options
+
+
+class _Run:
+    """One run of the processes, from their start to their end."""
+
+    def __init__(self, options: argparse.Namespace, out: Path, begun: float, asked: list[int]) -> None:
+        self.options, self.out, self.begun, self.asked = options, out, begun, asked
+        self.children: list[subprocess.Popen[bytes]] = []
+        self.timings = Timings(out / "timings.jsonl", options.warmup)
+        self.setup_s: float | None = None
+        self.last: float | None = None
+
+    def run(self) -> dict[str, Any]:
+        become_subreaper()
+        try:
+            state, reason, detail, stopped_by = self._start() or self._watch()
+        finally:
+            finish(self.children)
+        aborted = stopped_by in ("time", "signal") and self.last is not None
+        waited = time.monotonic() - self.last if aborted and self.last is not None else None
+        self.timings.read()
+        return {
+            "state": state, "reason": reason, "detail": detail, "stopped_by": stopped_by,
+            "exit_codes": [child.returncode for child in self.children], "setup_s": self.setup_s,
+            "waited_s": waited, "requests": self.timings.requests, "unreadable": self.timings.unreadable,
+        }  # fmt: skip
+
+    def _start(self) -> End | None:
+        path = os.pathsep.join(filter(None, [self._probe(), os.environ.get("PYTHONPATH")]))
+        environment = dict(os.environ, PYTHONPATH=path, FOGSPEC_TIMINGS=str(self.timings.path))
+        self.timings.path.write_bytes(b"")
+        for number, argv in enumerate(self.options.process):
+            # Appending lets a log be cut while its process goes on writing.
+            with open(self._log(number), "ab") as log:
+                try:
+                    self.children.append(subprocess.Popen(
+                        argv, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+                        env=environment, start_new_session=True))  # fmt: skip
+                except OSError as problem:
+                    return "failed", "setup", f"{argv[0]} cannot be started: {problem.strerror}", None
+        return None
+
+    def _log(self, number: int) -> Path:
+        return self.out / f"process-{number}.log"
+
+    def _probe(self) -> str:
+        # A folder of its own: beside the probe stands this file, which must not shadow somebody's `agent`.
+        folder = self.out / "python"
+        folder.mkdir(exist_ok=True)
+        source = Path(__file__).with_name("fogspec_probe.py")
+        if source.exists():
+            shutil.copy(source, folder / source.name)
+        return str(folder)
+
+    def _watch(self) -> End:
+        while True:
+            codes = [child.poll() for child in self.children]
+            self._read()
+            end = self._enough() or self._died(codes) or self._late(time.monotonic())
+            if end:
+                return end
+            for number in range(len(self.children)):
+                if self._log(number).stat().st_size > LOG_LIMIT:
+                    os.truncate(self._log(number), 0)
+            time.sleep(POLL_S)
+
+    def _read(self) -> None:
+        if self.timings.read():
+            self.last = time.monotonic()
+            self.setup_s = self.last - self.begun if self.setup_s is None else self.setup_s
+
+    def _enough(self) -> End | None:
+        options, timings = self.options, self.timings
+        if options.steps is not None and timings.requests >= options.steps + options.warmup:
+            return "ok", None, None, "steps"
+        if options.precision is not None and timings.precise(options.precision, options.statistic):
+            return "ok", None, None, "precision"
+        if timings.offset >= TIMINGS_LIMIT:
+            return "ok", None, f"the timings file reached {TIMINGS_LIMIT >> 20} MiB", "size"
+        return None
+
+    def _died(self, codes: list[int | None]) -> End | None:
+        if self.asked:
+            return "failed", "interrupted", f"ended by {signal_name(self.asked[0])}", "signal"
+        for number, code in enumerate(codes):
+            if code:
+                return self._crash(number, code)
+        if None in codes:
+            return None
+        self._read()
+        if not self.timings.requests:
+            return "failed", "no_response", "the processes ended without one timed request", "exit"
+        return "ok", None, None, "exit"
+
+    def _crash(self, number: int, code: int) -> End:
+        words = last_line(self._log(number))
+        how = f"was ended by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+        detail = f"{os.path.basename(self.options.process[number][0])} {how}" + (f": {words}" if words else "")
+        return "failed", "out_of_memory" if MEMORY_WORDS.search(words) else "crash", detail, "exit"
+
+    def _late(self, now: float) -> End | None:
+        if self.setup_s is None:
+            if now - self.begun < self.options.startup:
+                return None
+            detail = f"no timed request within {self.options.startup:g} s of the start"
+            return "failed", "no_response", detail, "startup"
+        if now - self.begun - self.setup_s < self.options.after:
+            return None
+        return "ok" if self.timings.valid else "timeout", None, None, "time"
+
+
+class Timings:
+    """The growing file of records; a partial last line is left until it is whole."""
+
+    def __init__(self, path: Path, warmup: int) -> None:
+        self.path, self.warmup = path, warmup
+        self.offset = self.requests = self.unreadable = self.next_look = 0
+        self.valid: list[float] = []
+        self.rest = b""
+
+    def read(self) -> bool:
+        """Read what is new; True when there was at least one whole record."""
+        before = self.requests
+        try:
+            with open(self.path, "rb") as file:
+                file.seek(self.offset)
+                new = file.read(max(0, TIMINGS_LIMIT - self.offset))
+        except FileNotFoundError:
+            return False
+        self.offset += len(new)
+        *lines, self.rest = (self.rest + new).split(b"\n")
+        for line in filter(None, lines):
+            self._take(line)
+        return self.requests > before
+
+    def _take(self, line: bytes) -> None:
+        try:
+            record = json.loads(line)
+            latency, ok = float(record["latency_s"]), record["ok"] is True
+            if not 0 <= latency < math.inf:
+                raise ValueError(latency)
+        except (ArithmeticError, ValueError, TypeError, KeyError, RecursionError):
+            self.unreadable += 1
+            return
+        self.requests += 1
+        if ok and self.requests > self.warmup:
+            self.valid.append(latency)
+
+    def precise(self, precision: float, statistic: str) -> bool:
+        """Whether the 95 % interval is narrower than ± precision; looked at rarely, since it is not free."""
+        if len(self.valid) < max(10, self.next_look):
+            return False
+        self.next_look = math.ceil(len(self.valid) * 1.05) + 1
+        value, half = interval(self.valid, statistic)
+        return half <= precision * value
+
+
+def interval(values: list[float], statistic: str) -> tuple[float, float]:
+    """The statistic of at least 10 values, and half the width of its 95 % interval.
+
+    Mean: Student's t (Cornish-Fisher expansion of its quantile), widened by the lag-1 autocorrelation, since
+    successive requests resemble each other. Quantiles: binomial order statistics; infinite while the upper
+    one does not exist.
+    """
+    n = len(values)
+    if statistic != "mean":
+        share = {"p50": 0.5, "p95": 0.95, "p99": 0.99}[statistic]
+        ordered, spread = sorted(values), 1.959964 * math.sqrt(n * share * (1 - share))
+        low, high = math.floor(n * share - spread), math.ceil(n * share + spread)
+        half = (ordered[high] - ordered[low]) / 2 if low >= 0 and high < n else math.inf
+        return ordered[math.floor(n * share)], half
+    mean = statistics.fmean(values)
+    square = math.fsum((value - mean) ** 2 for value in values)
+    if square == 0:
+        return mean, 0.0
+    lag = math.fsum((a - mean) * (b - mean) for a, b in itertools.pairwise(values)) / square
+    lag = min(max(lag, 0.0), 0.99)
+    z, v = 1.959964, n - 1
+    t = z + (z**3 + z) / (4 * v) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * v**2)
+    return mean, t * math.sqrt(square / v / n * (1 + lag) / (1 - lag))
+
+
+def finish(children: list[subprocess.Popen[bytes]]) -> None:
+    """End the processes and all they started: INT (what ROS nodes expect), TERM, KILL, each after a while."""
+    for number, patience in ((signal.SIGINT, 2.0), (signal.SIGTERM, 1.0), (signal.SIGKILL, 5.0)):
+        for pid in descendants():
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, number)
+        end = time.monotonic() + patience
+        while descendants() and time.monotonic() < end:
+            time.sleep(0.02)
+        for child in children:
+            child.poll()
+    # Whoever was adopted is buried too: not every machine's first process does that.
+    with contextlib.suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+
+
+def descendants() -> list[int]:
+    """The living processes below this one, zombies left out (Linux)."""
+    below: dict[int, list[int]] = {}
+    dead = set()
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        with contextlib.suppress(OSError):
+            state, parent = Path("/proc", entry, "stat").read_bytes().rsplit(b")", 1)[1].split()[:2]
+            below.setdefault(int(parent), []).append(int(entry))
+            if state in b"ZX":
+                dead.add(int(entry))
+    found, frontier = [], [os.getpid()]
+    while frontier:
+        frontier = [pid for parent in frontier for pid in below.get(parent, [])]
+        found += [pid for pid in frontier if pid not in dead]
+    return found
+
+
+def become_subreaper() -> None:
+    """Let processes that detach themselves stay below this one, so that they are ended too (Linux)."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def last_line(path: Path) -> str:
+    """The last line of a log that says something, without control characters, 300 characters at most."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(max(0, path.stat().st_size - 4096))
+            lines = file.read().decode("utf-8", "replace").splitlines()
+    except OSError:
+        return ""
+    words = [line.strip() for line in lines if line.strip()]
+    return "".join(c for c in words[-1] if c.isprintable())[:300] if words else ""
+
+
+def signal_name(number: int) -> str:
+    """SIGSEGV for 11."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def reserve(out: Path) -> None:
+    """Take the outcome's space now: a disk that the workload fills must not silence it."""
+    with open(out / "outcome.part", "wb") as file:
+        file.write(b" " * 16384)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def write_outcome(out: Path, outcome: dict[str, Any]) -> None:
+    """Write into the reserved space, then rename; on standard error when even that fails."""
+    text = json.dumps(outcome) + "\n"
+    try:
+        with open(out / "outcome.part", "r+b") as file:
+            file.write(text.encode())
+            file.truncate()
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(out / "outcome.part", out / "outcome.json")
+    except OSError as problem:
+        print(f"fogspec agent: {problem}; {text}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

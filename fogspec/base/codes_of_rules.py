@@ -1,0 +1,171 @@
+"""Stable codes of the rules that concern several fields: FS5xx."""
+
+from fogspec.base.codes import Code
+
+NODES = {
+    "FS501": Code(
+        "a node is a package and its executable, or a plain process",
+        "ROS 2 nodes are started with launch_ros' own words; anything else with cmd, a list of arguments.",
+        "cloud: [{package: planner}]",
+        "cloud: [{package: planner, executable: planner_node}]",
+    ),
+    "FS502": Code(
+        "a plain process has no ROS 2 words",
+        "Parameters and remappings are ROS 2's; give a plain process its arguments in cmd.",
+        "- {cmd: [python3, plan.py], parameters: {k: 1}}",
+        "- {cmd: [python3, plan.py, '--k', '1']}",
+    ),
+    "FS503": Code(
+        "ROS 2 nodes on the cloud need a ROS 2 environment",
+        "spec.ros says which distribution, and optionally which image, workspace and packages the machine gets.",
+        "cloud: [{package: a, executable: b}]",
+        "ros: {distro: jazzy}\ncloud: [{package: a, executable: b}]",
+    ),
+    "FS504": Code(
+        "two nodes must not have the same full name",
+        "In ROS 2 a name in a namespace belongs to one node.",
+        "- {package: a, executable: b, name: n}\n- {package: c, executable: d, name: n}",
+        "- {package: a, executable: b, name: n}\n- {package: c, executable: d, name: m}",
+    ),
+    "FS505": Code(
+        "topics and namespaces must have names that ROS 2 accepts",
+        "Letters, digits, '_' and '/', also ~ at the start; no part starts with a digit or is empty.",
+        "request: /camera/1/image",
+        "request: /camera/left/image",
+    ),
+    "FS506": Code(
+        "a ROS 2 parameter has one kind of value",
+        "true or false, a whole number, a number, a text, or a list of one of these; 1 is a whole number and "
+        "1.0 is not, and ROS 2 tells them apart.",
+        "gains: [1, 0.5]",
+        "gains: [1.0, 0.5]",
+    ),
+    "FS507": Code(
+        "files are named relative to the spec",
+        "Paths from the root of one computer mean nothing on another.",
+        "workspace: /home/me/ros2_ws",
+        "workspace: ros2_ws",
+    ),
+    "FS508": Code(
+        "a secret's value is in no file",
+        "spec.secrets names environment variables whose values are taken from your environment at launch.",
+        "secrets: [API_KEY]\ncloud: [{cmd: [plan], env: {API_KEY: abc}}]",
+        "secrets: [API_KEY]\ncloud: [{cmd: [plan]}]",
+    ),
+    "FS510": Code(
+        "each application has a name of its own",
+        "The name is that of its files, clusters and cloud labels, so two applications of one name would "
+        "overwrite one another.",
+    ),
+}
+
+MEASURING = {
+    "FS511": Code(
+        "a probe is of exactly one kind",
+        "Latency is response minus request of two topics, or of a service call, an action, a callback in the "
+        "code, or a recorded bag.",
+        "probe: {}",
+        "probe: {callback: plan}",
+    ),
+    "FS512": Code(
+        "a request needs its response",
+        "Latency is the difference between the two.",
+        "probe: {request: /image}",
+        "probe: {request: /image, response: /pose}",
+    ),
+    "FS513": Code(
+        "request and response are different topics",
+        "A message on one topic cannot be told from its own answer.",
+        "probe: {request: /image, response: /image}",
+        "probe: {request: /image, response: /pose}",
+    ),
+    "FS514": Code(
+        "match is for topics",
+        "It says how a response finds its request; a callback knows by itself.",
+        "probe: {callback: plan, match: stamp}",
+        "probe: {callback: plan}",
+    ),
+    "FS515": Code(
+        "a metric is a topic's field, or a callback's keyword",
+        "One of the two, whole.",
+        "path_length: {topic: /plan}",
+        "path_length: {callback: path_length}",
+    ),
+    "FS516": Code(
+        "a callback metric needs a callback probe",
+        "The value is handed to fogspec_probe.stop, which ends the request that the probe times.",
+        "probe: {request: /a, response: /b}\nmetrics: {m: {callback: m}}",
+        "probe: {callback: plan}\nmetrics: {m: {callback: m}}",
+    ),
+    "FS517": Code(
+        "a metric that is named must exist",
+        "Objective and limits name metrics of spec.metrics. Latency and cost are always there and have fields "
+        "of their own.",
+        "objective: {metric: path}",
+        "metrics: {path: {callback: path}}\nobjective: {metric: path}",
+    ),
+    "FS518": Code(
+        "provisioned billing goes with a rate",
+        "The cost of one request is then the hour's price divided by the requests of an hour. Busy billing "
+        "pays for the seconds of a request, whatever the rate.",
+        "objective: {billing: provisioned}",
+        "objective: {billing: provisioned, rate: 10/s}",
+    ),
+    "FS519": Code(
+        "the latency limit must leave time for the request",
+        "The network's allowance is taken off the limit.",
+        "constraints: {latency: 50ms, network: 60ms}",
+        "constraints: {latency: 100ms, network: 60ms}",
+    ),
+    "FS520": Code(
+        "a sample must outlast one request",
+        "With a limit on latency above stop.after, a machine that meets the limit could not be measured.",
+        "constraints: {latency: 10min}",
+        "constraints: {latency: 10min}\nbenchmark: {stop: {after: 30min}}",
+    ),
+    "FS521": Code(
+        "a sample must measure more requests than it throws away",
+        "The first warmup requests do not count.",
+        "benchmark: {warmup: 10, stop: {steps: 10}}",
+        "benchmark: {warmup: 10, stop: {steps: 100}}",
+    ),
+    "FS522": Code(
+        "measuring needs a budget",
+        "It is refused before when the plan would cost more, and stopped during. Only local samples need none.",
+        "benchmark: {sampler: grid}",
+        "benchmark: {sampler: grid, budget: $2.50}",
+    ),
+}
+
+MACHINES = {
+    "FS531": Code(
+        "infra is cloud, cloud/region or cloud/region/zone",
+        "In SkyPilot's words.",
+        "infra: [us-east-1]",
+        "infra: [aws/us-east-1]",
+    ),
+    "FS532": Code(
+        "a GPU is named as SkyPilot names it",
+        "A name that no machine has would rule out all of them. The count is not part of the name.",
+        "gpus: [t4]",
+        "gpus: [T4]",
+    ),
+    "FS533": Code(
+        "an entry is there once",
+        "The second was meant to be something else, or contradicts the first.",
+        "gpus: [T4, T4]",
+        "gpus: [none, T4]",
+    ),
+    "FS534": Code(
+        "a sampled machine is one instance type, or a shape of this host",
+        "Patterns choose what is admissible; a list of samples names each.",
+        "machines: [c6i.*]",
+        "machines: [c6i.large, local/2cpu-4gib]",
+    ),
+    "FS535": Code(
+        "some machine must be possible",
+        "The ranges of cpus, memory and memory_per_cpu contradict each other.",
+        "hardware: {cpus: 64.., memory: ..64GiB, memory_per_cpu: 2GiB..}",
+        "hardware: {cpus: 64.., memory: ..256GiB, memory_per_cpu: 2GiB..}",
+    ),
+}

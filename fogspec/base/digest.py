@@ -1,0 +1,19 @@
+"""Digests over values, not over their spelling: the same content gives the same digest."""
+
+import hashlib
+import json
+from typing import Any
+
+
+def of_bytes(content: bytes) -> str:
+    """`sha256:<hex>` of the bytes."""
+    return f"sha256:{hashlib.sha256(content).hexdigest()}"
+
+
+def of_value(value: Any) -> str:
+    """`sha256:<hex>` of a JSON-able value's canonical form: sorted keys, no spaces, no NaN.
+
+    Raises ValueError for a value that JSON cannot carry exactly.
+    """
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return of_bytes(text.encode())

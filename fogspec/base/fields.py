@@ -1,0 +1,79 @@
+"""Field types of the spec: floats in base units, read from and written as text with a unit."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, ValidationInfo, WithJsonSchema
+
+from fogspec.base import units
+from fogspec.base.units import Range
+
+
+class Strict(BaseModel):
+    """A mapping of the language: unknown keys are errors, `x-` keys are accepted and dropped before."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=False)
+
+    if not TYPE_CHECKING:
+
+        def __init__(self, **values: Any) -> None:
+            """Made by the program, a quantity is a float in base units; read from a document, it is a text."""
+            self.__pydantic_validator__.validate_python(values, self_instance=self, context=BASE_UNITS)
+
+        # Without this mark pydantic would read documents through __init__ too, and bare numbers would pass.
+        __init__.__pydantic_base_init__ = True
+
+
+BASE_UNITS = {"base_units": True}
+
+
+Parts = tuple[BeforeValidator, PlainSerializer, WithJsonSchema]
+
+
+def _quantity(parse: Callable[[Any], float], fmt: Callable[[float], str], pattern: str, example: str) -> Parts:
+    def read(value: Any, info: ValidationInfo) -> float:
+        bare = info.context is not None and type(value) in (int, float) and info.context.get("base_units")
+        return float(value) if bare else parse(value)
+
+    return (
+        BeforeValidator(read),
+        PlainSerializer(fmt, return_type=str),
+        WithJsonSchema({"type": "string", "pattern": rf"^\s*{pattern}\s*$", "examples": [example]}),
+    )
+
+
+def _range(
+    parse: Callable[[Any], float], fmt: Callable[[float], str], end: str, example: str, number: bool = False
+) -> Parts:
+    schema: dict[str, Any] = {
+        "type": "string",
+        "pattern": rf"^\s*({end}|{end}\s*\.\.\s*({end})?|\.\.\s*{end})\s*$",
+        "examples": [example],
+    }
+    if number:
+        schema |= {"type": ["string", "number"], "minimum": 0}
+    return (
+        BeforeValidator(lambda value: value if isinstance(value, Range) else units.parse_range(value, parse)),
+        PlainSerializer(lambda value: units.format_range(value, fmt), return_type=str),
+        WithJsonSchema(schema),
+    )
+
+
+_N = r"(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?"
+_D = rf"{_N}\s*(ns|us|ms|s|min|h)"
+_M = rf"{_N}\s*(MiB|GiB|TiB|MB|GB|TB)"
+_USD = rf"(\$\s*{_N}|{_N}\s*(cents?|¢))"
+_COST = rf"{_USD}\s*/\s*({_N})?\s*requests?"
+_RATE = rf"{_N}\s*(Hz|(requests?)?\s*/\s*(s|min|h))"
+
+Duration = Annotated[float, *_quantity(units.parse_duration_s, units.format_duration, _D, "1.5s")]
+Memory = Annotated[float, *_quantity(units.parse_memory_gib, units.format_memory, _M, "64GiB")]
+Money = Annotated[float, *_quantity(units.parse_money_usd, units.format_money, _USD, "$2.50")]
+Cost = Annotated[float, *_quantity(units.parse_cost_usd_per_request, units.format_cost, _COST, "$0.001/request")]
+Price = Annotated[
+    float, *_quantity(units.parse_price_usd_per_hour, units.format_price, rf"{_USD}\s*/\s*(h|hour)", "$0.526/h")
+]
+Rate = Annotated[float, *_quantity(units.parse_rate_per_s, units.format_rate, _RATE, "10/s")]
+Percent = Annotated[float, *_quantity(units.parse_percent, units.format_percent, rf"{_N}\s*%", "5%")]
+CountRange = Annotated[Range, *_range(units.parse_count, units.format_number, _N, "2..64", number=True)]
+MemoryRange = Annotated[Range, *_range(units.parse_memory_gib, units.format_memory, _M, "4GiB..512GiB")]

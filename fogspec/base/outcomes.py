@@ -1,0 +1,48 @@
+"""Ends of a command other than success: an exit code, what happened in one line, and what to do next."""
+
+
+class Outcome(Exception):
+    """Ends the command with `exit_code`; `message` is one line, `hints` are lines under it."""
+
+    exit_code = 1
+
+    def __init__(self, message: str, *hints: str) -> None:
+        super().__init__(message)
+        self.message = message
+        self.hints = hints
+
+
+class WrongFile(Outcome):
+    """A file is wrong and has no better place than its name."""
+
+    exit_code = 1
+
+
+class WrongCommand(Outcome):
+    """The command line is wrong."""
+
+    exit_code = 2
+
+
+class Differs(Outcome):
+    """Something is stale, edited or drifted."""
+
+    exit_code = 3
+
+
+class NothingMeets(Outcome):
+    """No configuration meets the constraints: an answer, not a crash."""
+
+    exit_code = 4
+
+
+class Refused(Outcome):
+    """Over the budget, or no confirmation."""
+
+    exit_code = 5
+
+
+class CloudFailed(Outcome):
+    """Quota, capacity, network: safe to run again."""
+
+    exit_code = 6

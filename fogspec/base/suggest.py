@@ -1,0 +1,32 @@
+"""Did you mean: the known word nearest to one that is not known."""
+
+import difflib
+import re
+from collections.abc import Iterable
+
+SYNONYMS = {
+    "cpu": "cpus", "vcpus": "cpus", "cores": "cpus", "ram": "memory", "mem": "memory", "gpu": "gpus", "accelerators": "gpus",
+    "instancetypes": "machines", "instances": "machines", "instance": "machines", "region": "infra", "regions": "infra",
+    "cloudprovider": "infra", "params": "parameters", "remap": "remappings", "args": "arguments", "environment": "env",
+    "paramsfile": "parameter_files", "exec": "executable", "pkg": "package", "ns": "namespace", "maxlatency": "latency",
+    "maxcost": "cost", "timeout": "after", "limit": "constraints", "limits": "constraints", "command": "cmd",
+    "docker": "image", "container": "image", "weight": "alpha", "hardwares": "hardware", "bench": "benchmark",
+}  # fmt: skip
+
+
+def closest(word: str, known: Iterable[str]) -> str | None:
+    """The known word that was most likely meant, or None."""
+    plain = {_plain(one): one for one in known}
+    meant = _plain(word)
+    if meant in plain:
+        return plain[meant]
+    if SYNONYMS.get(meant) in plain.values():
+        return SYNONYMS[meant]
+    if near := difflib.get_close_matches(meant, plain, n=1, cutoff=0.6):
+        return plain[near[0]]
+    starts = [one for one in plain if len(meant) >= 3 and (one.startswith(meant) or meant.startswith(one))]
+    return plain[starts[0]] if len(starts) == 1 else None
+
+
+def _plain(word: str) -> str:
+    return re.sub(r"[-_\s]", "", word).lower()

@@ -1,0 +1,260 @@
+"""Quantities as people write them: a number and its unit in one string, kept as a float in base units.
+
+Base units: seconds, GiB, USD, USD per request, USD per hour, requests per second. Every parser raises
+`UnitError`, whose message says what must hold and whose `fix` is the text to write instead. Every formatter
+writes the shortest text that its parser reads back to the same float.
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
+
+
+class UnitError(ValueError):
+    """A quantity that cannot be read: `message` goes after the field's name, `fix` is what to write instead."""
+
+    def __init__(self, message: str, fix: str | None = None, code: str = "FS204") -> None:
+        super().__init__(message)
+        self.message = message
+        self.fix = fix
+        self.code = code
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """A closed interval in base units; `None` is unbounded on that side."""
+
+    low: float | None
+    high: float | None
+
+    def holds(self, value: float) -> bool:
+        """Whether `value` lies in the interval, ends included."""
+        return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
+
+
+NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+DURATION_S = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+MEMORY_GIB = {
+    "MiB": 2.0**-10, "GiB": 1.0, "TiB": 1024.0,
+    "MB": 1e6 / 2**30, "GB": 1e9 / 2**30, "TB": 1e12 / 2**30,
+}  # fmt: skip
+
+SPELLINGS = {
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms",
+    "m": "min", "mins": "min", "minute": "min", "minutes": "min", "hour": "h", "hours": "h", "hr": "h", "µs": "us",
+    "g": "GiB", "gi": "GiB", "mi": "MiB", "ti": "TiB", "t": "TiB", "gig": "GiB",
+}  # fmt: skip
+
+
+def parse_duration_s(text: Any) -> float:
+    """Seconds from `1.5s`, `50ms`, `5min`, `2h`."""
+    return _parse_scaled(text, DURATION_S, "a duration", "s")
+
+
+def parse_memory_gib(text: Any) -> float:
+    """GiB from `64GiB`, `512MiB`, `16GB`."""
+    return _parse_scaled(text, MEMORY_GIB, "a memory size", "GiB")
+
+
+def parse_money_usd(text: Any) -> float:
+    """USD from `$2.50` or `40 cent`."""
+    body = _body(text)
+    if match := re.fullmatch(rf"\$\s*({NUMBER})", body):
+        return _finite(match[1])
+    if match := re.fullmatch(rf"({NUMBER})\s*(?:cents?|¢)", body):
+        return _finite(match[1]) / 100
+    if re.fullmatch(NUMBER, body):
+        raise UnitError("must say its currency", f"${body}", "FS202")
+    match = re.fullmatch(rf"(?:USD|usd)?\s*({NUMBER})\s*(?:USD|usd|dollars?|\$)?", body)
+    raise UnitError("must be an amount such as $2.50 or 40 cent", f"${match[1]}" if match else None)
+
+
+def parse_cost_usd_per_request(text: Any) -> float:
+    """USD per request from `$0.001/request`, `$2/1000 requests`, `0.01 cent/request`."""
+    amount, slash, per = _body(text).partition("/")
+    amount = f"${amount.strip()}" if re.fullmatch(NUMBER, amount.strip()) else amount.strip()
+    match = re.fullmatch(rf"\s*({NUMBER})?\s*requests?\s*", per)
+    if not slash or not match:
+        number = re.search(NUMBER, amount)
+        raise UnitError("must say per what", f"{amount}/request" if number else "$0.001/request", "FS201")
+    count = _finite(match[1]) if match[1] else 1.0
+    if count < 1:
+        raise UnitError("must be per at least one request", f"{amount}/request")
+    if _body(text).partition("/")[0].strip() != amount:
+        raise UnitError("must say its currency", f"{amount}/{per.strip()}", "FS202")
+    return parse_money_usd(amount) / count
+
+
+def parse_price_usd_per_hour(text: Any) -> float:
+    """USD per hour from `$0.526/h`."""
+    amount, slash, per = _body(text).partition("/")
+    if not slash or per.strip() not in {"h", "hour"}:
+        number = re.search(NUMBER, amount)
+        raise UnitError("must say per hour", f"${number[0]}/h" if number else "$0.50/h", "FS201")
+    try:
+        return parse_money_usd(amount)
+    except UnitError as wrong:
+        raise UnitError(wrong.message, f"{wrong.fix}/h" if wrong.fix else None, wrong.code) from None
+
+
+def parse_rate_per_s(text: Any) -> float:
+    """Requests per second from `10/s`, `6/min`, `1000/h`, or `2Hz`."""
+    body = _body(text)
+    if match := re.fullmatch(rf"({NUMBER})\s*Hz", body):
+        return _finite(match[1])
+    if match := re.fullmatch(rf"({NUMBER})\s*(?:requests?)?\s*/\s*(s|min|h)", body):
+        return _finite(match[1]) / DURATION_S[match[2]]
+    if re.fullmatch(NUMBER, body):
+        raise UnitError("must say per what time", f"{body}/s", "FS201")
+    raise UnitError("must be a rate such as 10/s, 6/min or 2Hz")
+
+
+def parse_percent(text: Any) -> float:
+    """A fraction from `5%`."""
+    body = _body(text)
+    if match := re.fullmatch(rf"({NUMBER})\s*%", body):
+        return _finite(match[1]) / 100
+    if re.fullmatch(NUMBER, body):
+        value = _finite(body)
+        raise UnitError("must be a share in percent", f"{value * 100 if value <= 1 else value:g}%", "FS202")
+    raise UnitError("must be a share such as 5%")
+
+
+def parse_range(text: Any, parse: Callable[[Any], float]) -> Range:
+    """A closed interval from `2..64`, `2..`, `..64` or one value `4`; each end read by `parse`."""
+    body = _body(text)
+    if ".." not in body:
+        value = parse(text)
+        return Range(value, value)
+    low_text, _, high_text = (part.strip() for part in body.partition(".."))
+    if not low_text and not high_text:
+        raise UnitError("must have at least one end, such as 2.. or ..64")
+    low, low_fix, wrong = _end(low_text, parse)
+    high, high_fix, also_wrong = _end(high_text, parse)
+    if first := wrong or also_wrong:
+        fix = None if low_fix is None or high_fix is None else f"{low_fix}..{high_fix}"
+        raise UnitError(first.message, fix, first.code)
+    if low is not None and high is not None and low > high:
+        raise UnitError("must go from the smaller to the larger value", f"{high_text}..{low_text}", "FS205")
+    return Range(low, high)
+
+
+def parse_count(text: Any) -> float:
+    """A positive number without a unit, such as a vCPU count."""
+    body = _body(text)
+    if not re.fullmatch(NUMBER, body):
+        number = re.match(NUMBER, body)
+        raise UnitError("must be a number without a unit", number[0] if number else None)
+    return _finite(body)
+
+
+def _end(text: str, parse: Callable[[Any], float]) -> tuple[float | None, str | None, UnitError | None]:
+    """One end of a range: its value, how it should be written, and what is wrong with it."""
+    try:
+        return (parse(text) if text else None), text, None
+    except UnitError as wrong:
+        return None, wrong.fix, wrong
+
+
+def _body(text: Any) -> str:
+    """The text of a scalar; a number is written as it was most likely typed."""
+    if isinstance(text, bool) or not isinstance(text, (str, int, float)):
+        raise UnitError("must be written as one text, such as 2s, 4GiB or $2.50", None, "FS303")
+    return format_number(text) if isinstance(text, (int, float)) else text.strip()
+
+
+def _finite(number: str, scale: float = 1.0) -> float:
+    value = _exactly(number, scale)
+    if not math.isfinite(value):
+        raise UnitError("must be finite")
+    return value
+
+
+def format_number(value: float) -> str:
+    """The shortest decimal text that reads back to the same float, without an exponent where that is short."""
+    if value == int(value) and abs(value) < 1e15:
+        return str(int(value))
+    text = repr(float(value))
+    if "e-" in text and value > 1e-12:
+        text = f"{value:.20f}".rstrip("0")
+        if float(text) != value:
+            text = repr(float(value))
+    return text
+
+
+def format_duration(seconds: float) -> str:
+    """`1.5s`, `50ms`, `5min`: seconds are split where they are below one, gathered where that is shorter."""
+    if 0 < seconds < 1:
+        unit, places = ("ms", 3) if seconds >= 1e-3 else ("us", 6)
+        text = format(Decimal(repr(float(seconds))).scaleb(places), "f")
+        return f"{text.rstrip('0').rstrip('.') if '.' in text else text}{unit}"
+    return _format_scaled(seconds, {"h": 3600.0, "min": 60.0, "s": 1.0}, "s")
+
+
+def format_memory(gib: float) -> str:
+    """`64GiB`, `512MiB`."""
+    return _format_scaled(gib, {"GiB": 1.0, "MiB": 2.0**-10}, "GiB")
+
+
+def format_money(usd: float) -> str:
+    """`$2.5`."""
+    return f"${format_number(usd)}"
+
+
+def format_cost(usd_per_request: float) -> str:
+    """`$0.001/request`."""
+    return f"${format_number(usd_per_request)}/request"
+
+
+def format_price(usd_per_hour: float) -> str:
+    """`$0.526/h`."""
+    return f"${format_number(usd_per_hour)}/h"
+
+
+def format_rate(per_s: float) -> str:
+    """`10/s`."""
+    return f"{format_number(per_s)}/s"
+
+
+def format_percent(share: float) -> str:
+    """`5%`."""
+    text = format_number(round(share * 100, 12))
+    return f"{text}%" if float(text) / 100 == share else f"{format_number(share * 100)}%"
+
+
+def format_range(value: Range, fmt: Callable[[float], str]) -> str:
+    """`2..64`, with each end written by `fmt`."""
+    low = "" if value.low is None else fmt(value.low)
+    high = "" if value.high is None else fmt(value.high)
+    return low if low and low == high else f"{low}..{high}"
+
+
+def _parse_scaled(text: Any, units: Mapping[str, float], what: str, usual: str) -> float:
+    body = _body(text)
+    if re.fullmatch(NUMBER, body):
+        raise UnitError("must have its unit", f"{body}{usual}", "FS202")
+    match = re.fullmatch(rf"({NUMBER})\s*([A-Za-zµ]+)", body)
+    if not match:
+        raise UnitError(f"must be {what} with its unit, such as 2{usual}")
+    scale = units.get(match[2])
+    if scale is None:
+        known, name = ", ".join(units), match[2].lower()
+        close = SPELLINGS.get(name) or next((unit for unit in units if unit.lower() == name), None)
+        close = close if close in units else usual
+        raise UnitError(f"must be in one of {known}", f"{match[1]}{close}", "FS203")
+    return _finite(match[1], scale)
+
+
+def _format_scaled(value: float, units: Mapping[str, float], usual: str) -> str:
+    texts = [f"{format_number(value / scale)}{unit}" for unit, scale in units.items()
+             if value and _exactly(format_number(value / scale), scale) == value]  # fmt: skip
+    best = min(texts, key=len, default=None)
+    return best if best is not None else f"{format_number(value)}{usual}"
+
+
+def _exactly(number: str, scale: float) -> float:
+    """number x scale without binary rounding in between, so that 41.3ms is the same float as 0.0413s."""
+    return float(Decimal(number) * Decimal(repr(float(scale))))

@@ -1,0 +1,73 @@
+"""The command line: a file a verb, loaded only when the verb is called."""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+import click
+
+from fogspec import __version__
+from fogspec.base.diagnostics import Problems
+from fogspec.base.outcomes import Outcome
+
+VERBS = {
+    "validate": "check specs and say every mistake at once",
+    "explain": "explain a field, an error code, or a choice",
+    "config": "print a spec merged with its overlays, defaults filled in",
+    "compile": "write the plan and tasks; once measured, models, menu and manifest",
+    "bench": "measure the plan's samples",
+    "menu": "the choices on offer, also under other constraints",
+}
+
+
+class _Verbs(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in VERBS:
+            return None
+        module = importlib.import_module(f"fogspec.cli.{name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Verbs"):
+            formatter.write_dl(list(VERBS.items()))
+
+
+@click.command(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="fogspec")
+def fogspec() -> None:
+    """From a short spec to the right cloud machine for a robot's ROS 2 nodes, with the proof."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and leave the process with the documented exit code."""
+    try:
+        ended = fogspec.main(args=list(arguments) if arguments is not None else None, standalone_mode=False)
+        code = ended if isinstance(ended, int) else 0
+    except click.ClickException as wrong:
+        wrong.show()
+        code = 2
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted", err=True)
+        code = 130
+    except Problems as problems:
+        from fogspec.effects.report import show_diagnostics
+
+        show_diagnostics(problems.diagnostics)
+        code = 1
+    except Outcome as outcome:
+        click.echo("\n  ".join([outcome.message, *outcome.hints]), err=True)
+        code = outcome.exit_code
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except Exception as bug:
+        from fogspec.effects.report import bug_paragraph
+
+        click.echo(bug_paragraph(bug), err=True)
+        code = 70
+    sys.exit(code)

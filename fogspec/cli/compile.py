@@ -1,0 +1,37 @@
+"""`fogspec compile`: the plan and its tasks; once measured, models, menu and manifest."""
+
+import json
+
+import click
+
+from fogspec.base.outcomes import Differs, NothingMeets
+from fogspec.cli.options import CATALOG, OUTPUT, SPECS, catalog_for
+
+
+@click.command()
+@SPECS
+@CATALOG
+@OUTPUT
+@click.option("--check", is_flag=True, help="write nothing; exit 3 when something differs from what would be written")
+def command(specs: tuple[str, ...], catalog_path: str | None, output: str, check: bool) -> None:
+    """Write all that can be derived now, and say what is missing for the rest."""
+    from fogspec.effects import summarising
+    from fogspec.effects.compiling import compile_application
+    from fogspec.effects.specfiles import load
+
+    loaded = load(list(specs))
+    catalog = catalog_for([one.application for one in loaded], catalog_path)
+    compiled = [compile_application(one.application, one.path, catalog) for one in loaded]
+    changed = [path for one in compiled for path in (one.differing() if check else one.write())]
+    if output == "json":
+        click.echo(json.dumps([summarising.facts(one) for one in compiled], indent=2, ensure_ascii=False))
+    else:
+        click.echo("\n\n".join(summarising.summary(one) for one in compiled))
+    if check and changed:
+        again = f"fogspec compile {' '.join(specs)}"
+        raise Differs(
+            f"{len(changed)} files differ from what compile would write", *map(str, changed), f"write them: {again}"
+        )
+    if none := [one for one in compiled if one.chosen is not None and one.chosen.manifest is None]:
+        names = ", ".join(one.layout.name for one in none)
+        raise NothingMeets(f"{names}: no machine meets the limits", *(f"see {one.layout.menu}" for one in none))

@@ -1,0 +1,56 @@
+"""`fogspec config`: a spec merged with its overlays, every default filled in."""
+
+import json
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import click
+
+from fogspec.cli.options import OUTPUT, SPECS
+
+if TYPE_CHECKING:
+    from fogspec.effects.specfiles import LoadedSpec
+
+
+@click.command()
+@SPECS
+@click.option(
+    "-f",
+    "--overlay",
+    "overlays",
+    multiple=True,
+    metavar="FILE",
+    help="merge this partial spec into each; later ones win",
+)
+@click.option("--origins", is_flag=True, help="say behind each value which line set it, or that it is the default")
+@OUTPUT
+def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, output: str) -> None:
+    """Print the applications of SPECS as fogspec reads them.
+
+    Maps merge, lists whose items have names merge by name, other lists replace; null takes a value away.
+    """
+    from fogspec.base.written import written
+    from fogspec.effects.specfiles import load
+
+    loaded = load(specs, overlays)
+    if output == "json":
+        click.echo(json.dumps([written(one.application) for one in loaded], indent=2, ensure_ascii=False))
+    else:
+        click.echo("\n---\n".join("\n".join(_lines(one, origins)) for one in loaded))
+
+
+def _lines(loaded: "LoadedSpec", origins: bool) -> Iterator[str]:
+    from fogspec.base.flow import block
+    from fogspec.base.nodes import find
+    from fogspec.base.written import written
+
+    lines = list(block(written(loaded.application)))
+    width = min(60, max(len(line) for line, _ in lines))
+    places = loaded.places
+    for line, path in lines:
+        if not origins or line.endswith(":"):
+            yield line
+            continue
+        node = find(loaded.node, path)
+        origin = f"{places[path].path}:{places[path].line}" if node is not None else "default"
+        yield f"{line:<{width}}  # {origin}"

@@ -1,0 +1,116 @@
+"""`fogspec explain`: a field of the language, a diagnostic's code, or why a machine was chosen."""
+
+import json
+import os
+from typing import TYPE_CHECKING
+
+import click
+
+from fogspec.base.outcomes import WrongCommand
+from fogspec.cli.options import CATALOG, OUTPUT, catalog_for
+
+if TYPE_CHECKING:
+    from fogspec.base.fieldbook import FieldPage
+
+
+@click.command()
+@click.argument("what")
+@click.argument("spec", required=False)
+@CATALOG
+@OUTPUT
+def command(what: str, spec: str | None, catalog_path: str | None, output: str) -> None:
+    """Explain WHAT: a field such as constraints.cost, a code such as FS201, or the choice for a spec or application.
+
+    With a field, SPEC is a spec that is searched for where the field is set.
+    """
+    if what.upper().startswith("FS") and what[2:].isdigit():
+        _code(what.upper(), output)
+    elif os.path.exists(what) or what.endswith((".yaml", ".yml")) or "/" in what:
+        _choices(what, None, catalog_path, output)
+    elif _field(what, spec, output):
+        return
+    elif path := _spec_of(what):
+        _choices(path, what, catalog_path, output)
+    else:
+        _nothing(what)
+
+
+def _choices(path: str, name: str | None, catalog_path: str | None, output: str) -> None:
+    from fogspec.effects import explaining
+    from fogspec.effects.compiling import compile_application
+    from fogspec.effects.specfiles import load
+
+    loaded = [one for one in load([path]) if name in (None, one.application.metadata.name)]
+    catalog = catalog_for([one.application for one in loaded], catalog_path)
+    compiled = [compile_application(one.application, one.path, catalog) for one in loaded]
+    if output == "json":
+        click.echo(json.dumps([explaining.facts(one) for one in compiled], indent=2, ensure_ascii=False))
+    else:
+        click.echo("\n\n".join(explaining.explain(one) for one in compiled))
+
+
+def _spec_of(name: str) -> str | None:
+    """The spec in specs/ that has an application of this name."""
+    from fogspec.effects.finding import find_specs
+    from fogspec.effects.specfiles import examine
+
+    if not os.path.isdir("specs"):
+        return None
+    loaded, _ = examine(find_specs(["specs"]))
+    return next((one.path for one in loaded if one.application.metadata.name == name), None)
+
+
+def _code(name: str, output: str) -> None:
+    from fogspec.base.codebook import CODES
+    from fogspec.base.suggest import closest
+    from fogspec.effects.pages import code_text
+
+    if name not in CODES:
+        near = closest(name, CODES)
+        raise WrongCommand(
+            f"there is no code {name}", *([f"did you mean {near}?"] if near else []), f"codes: {', '.join(CODES)}"
+        )
+    click.echo(json.dumps({"code": name, **CODES[name]._asdict()}, indent=2) if output == "json" else code_text(name))
+
+
+def _field(name: str, spec: str | None, output: str) -> bool:
+    """Explain the fields of this name; whether there are any."""
+    from fogspec.base.fieldbook import matching, pages
+    from fogspec.effects.pages import field_data, field_text
+    from fogspec.effects.where import where_set
+    from fogspec.spec import Application
+
+    known = pages(Application)
+    found = matching(known, name)
+    places = where_set(spec, [page.path for page in found]) if spec and found else {}
+    if found and output == "json":
+        click.echo(
+            json.dumps([field_data(page, places.get(page.path, [])) for page in found], indent=2, ensure_ascii=False)
+        )
+    elif found:
+        click.echo(
+            "\n\n".join([*(field_text(page, places.get(page.path, [])) for page in found), *_below(known, found)])
+        )
+    return bool(found)
+
+
+def _nothing(name: str) -> None:
+    from fogspec.base.fieldbook import pages
+    from fogspec.base.suggest import closest
+    from fogspec.spec import Application
+
+    near = closest(name.rpartition(".")[2], [page.path.rpartition(".")[2] for page in pages(Application)])
+    hint = f"did you mean {near}?" if near else "all fields: fogspec explain spec"
+    raise WrongCommand(f"the language has no field {name}, and specs/ no application", hint)
+
+
+def _below(known: list["FieldPage"], found: list["FieldPage"]) -> list[str]:
+    """The fields under a field, when it is the only one."""
+    if len(found) != 1:
+        return []
+    inside = [
+        page for page in known if page.path.startswith((f"{found[0].path}.", f"{found[0].path}[", f"{found[0].path}.<"))
+    ]
+    rows = [(page.path.removeprefix(found[0].path).lstrip("."), page.meaning) for page in inside]
+    width = max((len(name) for name, _ in rows), default=0)
+    return ["fields:\n" + "\n".join(f"  {name:<{width}}  {meaning}" for name, meaning in rows)] if rows else []

@@ -1,0 +1,41 @@
+"""`fogspec menu`: what is on offer, also under other constraints, from the fitted models."""
+
+import json
+
+import click
+
+from fogspec.base.outcomes import NothingMeets, WrongCommand
+from fogspec.base.units import UnitError
+from fogspec.cli.options import CATALOG, OUTPUT, SPEC, catalog_for
+
+
+@click.command()
+@SPEC
+@click.option("--alpha", type=click.FloatRange(0, 1), help="1 = only latency counts, 0 = only cost counts")
+@click.option("--latency", metavar="2s", help="another limit on the latency of one request")
+@click.option("--cost", metavar="'$0.001/request'", help="another limit on the cost of one request")
+@click.option("--name", help="the application, where the file has several")
+@CATALOG
+@OUTPUT
+def command(
+    spec: str, alpha: float | None, latency: str | None, cost: str | None, name: str | None, catalog_path: str | None,
+    output: str,
+) -> None:  # fmt: skip
+    """Show the choices and the Pareto front; nothing is measured anew and nothing is written."""
+    from fogspec.effects.menus import menu_of, show
+    from fogspec.effects.specfiles import load
+
+    loaded = [one for one in load([spec]) if name is None or one.application.metadata.name == name]
+    if not loaded:
+        raise WrongCommand(f"{spec} has no application named {name}")
+    catalog = catalog_for([one.application for one in loaded], catalog_path)
+    try:
+        menus = [menu_of(one.application, one.path, catalog, alpha, latency, cost) for one in loaded]
+    except UnitError as wrong:
+        raise WrongCommand(str(wrong), *([f"write {wrong.fix}"] if wrong.fix else [])) from None
+    if output == "json":
+        click.echo(json.dumps([menu.model_dump(mode="json") for menu in menus], indent=2, ensure_ascii=False))
+    else:
+        click.echo("\n\n".join(show(menu) for menu in menus))
+    if none := [menu.metadata.name for menu in menus if menu.spec.balanced is None]:
+        raise NothingMeets(f"{', '.join(none)}: no machine meets the limits")

@@ -1,0 +1,38 @@
+"""`fogspec validate`: every mistake in every spec at once."""
+
+from typing import Any
+
+import click
+
+
+def _color(_context: Any, _parameter: Any, when: str) -> bool | None:
+    return {"always": True, "never": False}.get(when)
+
+
+@click.command()
+@click.argument("files", nargs=-1)
+@click.option("-f", "--overlay", "overlays", multiple=True, metavar="FILE", help="merge this partial spec into each")
+@click.option(
+    "-o", "--output", type=click.Choice(["text", "json", "github"]), default="text", help="form of the answer"
+)
+@click.option("--color", type=click.Choice(["auto", "always", "never"]), default="auto", callback=_color,
+              help="auto: on a terminal, unless NO_COLOR is set")  # fmt: skip
+def command(files: tuple[str, ...], overlays: tuple[str, ...], output: str, color: bool | None) -> None:
+    """Check FILES, or the specs in folders, or those that patterns match; without any, those in specs/."""
+    from fogspec.effects.finding import find_specs
+    from fogspec.effects.report import show_diagnostics
+    from fogspec.effects.specfiles import examine
+
+    paths = find_specs(files or ("specs",))
+    loaded, diagnostics = examine(paths, overlays)
+    show_diagnostics(diagnostics, output, color)
+    if any(one.severity == "error" for one in diagnostics):
+        raise click.exceptions.Exit(1)
+    if output == "text":
+        names = ", ".join(one.application.metadata.name for one in loaded[:10])
+        more = f" and {len(loaded) - 10} more" if len(loaded) > 10 else ""
+        click.echo(f"{_count(len(loaded), 'application')} in {_count(len(paths), 'file')} valid: {names}{more}")
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"

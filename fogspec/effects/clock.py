@@ -1,0 +1,40 @@
+"""Time for whoever waits: seconds that never jump, comparable between processes of one boot."""
+
+import time
+from pathlib import Path
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """A monotonic clock; two readings may be subtracted if and only if their `boot` is the same."""
+
+    def now_s(self) -> float:
+        """Seconds since some moment of this boot."""
+        ...
+
+    def boot(self) -> str:
+        """Names the boot of this machine."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        ...
+
+
+class SystemClock:
+    """The kernel's clock since boot: time asleep counts, changes of the wall clock do not."""
+
+    def __init__(self) -> None:
+        self._boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+
+    def now_s(self) -> float:
+        """Seconds since this machine was started."""
+        return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+    def boot(self) -> str:
+        """The kernel's own name of this boot."""
+        return self._boot
+
+    def sleep(self, seconds: float) -> None:
+        """Wait; a signal's handler runs at once, the wait goes on after it."""
+        time.sleep(seconds)

@@ -1,0 +1,97 @@
+"""Where an application's files are: beside the folder `specs/`, whatever the working directory."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Paths of one application; `root` is the folder that compiled tasks' relative paths are relative to."""
+
+    root: Path
+    spec: Path
+    name: str
+
+    @classmethod
+    def of(cls, spec_path: str | os.PathLike[str], name: str) -> "Layout":
+        """The layout for a spec: the root is the parent of its folder `specs`, else the spec's own folder."""
+        spec = Path(spec_path)
+        folder = spec.parent
+        root = folder.parent if folder.absolute().name == "specs" else folder
+        if str(folder) == "." and folder.absolute().name == "specs":
+            root = Path("..")
+        return cls(root, spec, name)
+
+    @property
+    def compiled(self) -> Path:
+        """Folder of what is derived and reviewed."""
+        return self.root / "compiled" / self.name
+
+    @property
+    def plan(self) -> Path:
+        """The sampling plan."""
+        return self.compiled / "plan.yaml"
+
+    @property
+    def tasks(self) -> Path:
+        """Folder of the compiled tasks."""
+        return self.compiled / "tasks"
+
+    def task(self, sample: str) -> Path:
+        """The compiled task of a sample."""
+        return self.tasks / f"{sample}.sky.yaml"
+
+    @property
+    def agent(self) -> Path:
+        """Folder of what is sent to every machine; no application can have this name."""
+        return self.root / "compiled" / "_agent"
+
+    @property
+    def models(self) -> Path:
+        """The fitted models."""
+        return self.compiled / "models.yaml"
+
+    @property
+    def menu(self) -> Path:
+        """The menu of choices."""
+        return self.compiled / "menu.yaml"
+
+    @property
+    def picture(self) -> Path:
+        """The menu as a picture."""
+        return self.compiled / "menu.svg"
+
+    @property
+    def manifest(self) -> Path:
+        """The pinned manifest."""
+        return self.compiled / "manifest.yaml"
+
+    @property
+    def deploy(self) -> Path:
+        """The task that runs the cloud nodes."""
+        return self.compiled / "deploy.sky.yaml"
+
+    @property
+    def robot(self) -> Path:
+        """The launch file of what stays on the robot."""
+        return self.compiled / "robot.launch.py"
+
+    @property
+    def results(self) -> Path:
+        """What was measured."""
+        return self.root / "results" / f"{self.name}.yaml"
+
+    @property
+    def timings(self) -> Path:
+        """Folder of raw timings."""
+        return self.root / "results" / self.name / "timings"
+
+    @property
+    def state(self) -> Path:
+        """Live state, journals and locks; not in git."""
+        return self.root / ".fogspec" / self.name
+
+    def relative(self, path: Path) -> str:
+        """A path as written into files: relative to the root, with forward slashes."""
+        return Path(os.path.relpath(path, self.root)).as_posix()

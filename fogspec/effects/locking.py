@@ -1,0 +1,54 @@
+"""One bench of an application at a time: a lock that the kernel drops with the process that held it."""
+
+import contextlib
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from fogspec.base.outcomes import Refused
+
+
+def start_ticks(pid: int) -> int | None:
+    """When a living process was started, in clock ticks since boot; None when there is no such process.
+
+    Together with the pid this names a process: pids are used again.
+    """
+    try:
+        fields = Path("/proc", str(pid), "stat").read_bytes().rsplit(b")", 1)[1].split()
+    except (OSError, IndexError):
+        return None
+    return None if fields[0] in (b"Z", b"X") else int(fields[19])
+
+
+@contextlib.contextmanager
+def held(path: Path, what: str) -> Iterator[None]:
+    """Hold the lock at `path`; raises Refused, naming the holder, when another process has it.
+
+    The file stays: removing it would let two processes lock two files of one name. What stands in it is for
+    people; the kernel's lock decides, so that a holder that was killed leaves nothing to clean up.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise Refused(
+                f"{what} is already running{_holder(path)}", "wait for it, or stop it with Ctrl-C there"
+            ) from None
+        file.truncate(0)
+        json.dump({"pid": os.getpid(), "start_ticks": start_ticks(os.getpid()), "host": os.uname().nodename}, file)
+        file.flush()
+        try:
+            yield
+        finally:
+            file.truncate(0)
+
+
+def _holder(path: Path) -> str:
+    try:
+        holder = json.loads(path.read_text(encoding="utf-8"))
+        return f" (process {holder['pid']} on {holder['host']})"
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

@@ -1,0 +1,141 @@
+"""The one reporter: the same diagnostics as text for people, as JSON for programs, as annotations for GitHub."""
+
+import json
+import os
+import platform
+import sys
+import traceback
+import unicodedata
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import click
+
+from fogspec import __version__
+from fogspec.base.diagnostics import Diagnostic
+
+Output = Literal["text", "json", "github"]
+
+MOST_SHOWN = 50
+MOST_COLUMNS = 160
+
+
+def show_diagnostics(diagnostics: Sequence[Diagnostic], output: str = "text", color: bool | None = None) -> None:
+    """Print every diagnostic: text on stderr, JSON and GitHub's annotations on stdout.
+
+    `color` None: only on a terminal, and never where NO_COLOR is set.
+    """
+    if output == "json":
+        click.echo(json.dumps([as_data(one) for one in diagnostics], ensure_ascii=False, indent=2))
+    elif output == "github":
+        for one in diagnostics:
+            click.echo(annotation(one))
+    else:
+        if color is None:
+            color = sys.stderr.isatty() and not os.environ.get("NO_COLOR")
+        for one in diagnostics[:MOST_SHOWN]:
+            click.echo(as_text(one, color) + "\n", err=True, color=color)
+        if len(diagnostics) > MOST_SHOWN:
+            click.echo(
+                f"... and {len(diagnostics) - MOST_SHOWN} more: `fogspec validate -o json` shows all\n", err=True
+            )
+        if diagnostics:
+            click.echo(summary(diagnostics), err=True)
+
+
+def as_text(one: Diagnostic, color: bool = False) -> str:
+    """The diagnostic with its line and a caret under what is meant; the message alone says it all."""
+    place, hue = one.place, "red" if one.severity == "error" else "yellow"
+
+    def paint(text: str, **style: Any) -> str:
+        return click.style(text, **style) if color else text
+
+    head = paint(f"{one.severity}[{one.code}]", fg=hue, bold=True) + paint(f": {_clean(one.message)}", bold=True)
+    where = f"{_clean(place.path)}:{place.line}:{place.column}"
+    if one.source_line is None:
+        tail = [f" = {_clean(one.fix)}"] if one.fix else []
+        return "\n".join([head, f" --> {where}", *tail])
+    number = str(place.line)
+    gutter = " " * len(number)
+    line, before, width = _window(one.source_line, place.column - 1, place.width)
+    carets = paint("^" * width + (f" {_clean(one.fix)}" if one.fix else ""), fg=hue)
+    return "\n".join(
+        [
+            head,
+            f"{gutter}--> {where}",
+            f"{gutter} |",
+            f"{number} | {line}".rstrip(),
+            f"{gutter} | {' ' * before}{carets}",
+        ]
+    )
+
+
+def as_data(one: Diagnostic) -> dict[str, Any]:
+    """The diagnostic as JSON has it; lines and columns count from 1."""
+    return {
+        "severity": one.severity, "code": one.code, "message": one.message, "fix": one.fix, "path": one.place.path,
+        "line": one.place.line, "column": one.place.column, "width": one.place.width,
+    }  # fmt: skip
+
+
+def annotation(one: Diagnostic) -> str:
+    """A GitHub workflow command, which marks the line in a pull request."""
+    place = one.place
+    end = place.column + place.width - 1
+    where = f"file={_property(place.path)},line={place.line},endLine={place.line},col={place.column},endColumn={end}"
+    said = f"{one.message}; {one.fix}" if one.fix else one.message
+    return f"::{one.severity} {where},title={_property(one.code)}::{_data(said)}"
+
+
+def summary(diagnostics: Sequence[Diagnostic]) -> str:
+    """`2 errors, 1 warning in 1 file; `fogspec explain FS201` says more`."""
+    count = Counter(one.severity for one in diagnostics)
+    files = len({one.place.path for one in diagnostics})
+    said = [f"{number} {word}{'' if number == 1 else 's'}" for word, number in sorted(count.items())]
+    return f"{', '.join(said)} in {files} file{'' if files == 1 else 's'}; `fogspec explain {diagnostics[0].code}` says more"
+
+
+def bug_paragraph(bug: BaseException) -> str:
+    """One paragraph to paste into an issue: no paths, no values, only where in fogspec it happened."""
+    frames = traceback.extract_tb(bug.__traceback__)
+    ours = [frame for frame in frames if f"{os.sep}fogspec{os.sep}" in frame.filename] or frames
+    steps = " < ".join(
+        f"{frame.filename.rpartition(f'{os.sep}fogspec{os.sep}')[2]}:{frame.lineno} {frame.name}"
+        for frame in reversed(ours[-4:])
+    )
+    return (
+        f"fogspec has a bug, and nothing is wrong with your files: {type(bug).__name__} at {steps or 'an unknown place'} "
+        f"(fogspec {__version__}, Python {platform.python_version()}, {platform.system()}). Please report this paragraph, "
+        f"with the message if it holds nothing private: {_clean(str(bug))[:300]}"
+    )
+
+
+def _window(line: str, start: int, width: int) -> tuple[str, int, int]:
+    """The part of a line to show, the cells before the caret, and the cells under it."""
+    start = min(start, len(line))
+    left = max(0, start - MOST_COLUMNS // 2) if len(line) > MOST_COLUMNS else 0
+    shown = line[left : left + MOST_COLUMNS]
+    marked = shown[start - left : start - left + width]
+    lead, trail = "…" if left else "", "…" if left + MOST_COLUMNS < len(line) else ""
+    before = _cells(_clean(shown[: start - left])) + len(lead)
+    return lead + _clean(shown) + trail, before, max(1, _cells(_clean(marked)))
+
+
+def _cells(text: str) -> int:
+    """How many cells of a terminal the text takes."""
+    wide = sum(1 for one in text if unicodedata.east_asian_width(one) in "WF")
+    return len(text) + wide - sum(1 for one in text if unicodedata.combining(one))
+
+
+def _clean(text: str | None) -> str:
+    """The text without anything that a terminal would obey."""
+    return "".join(one if one.isprintable() else " " if one in "\t\n" else "�" for one in text or "")
+
+
+def _data(text: str) -> str:
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    return _data(text).replace(":", "%3A").replace(",", "%2C")

@@ -1,0 +1,296 @@
+"""The pinned manifest: the machine a human approves, what is expected of it, and where every figure came from."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pydantic import field_serializer
+
+from fogspec import __version__
+from fogspec.base import units
+from fogspec.base.fields import Cost, Duration, Memory, Price, Strict
+from fogspec.choice import Choice, latency_limit_s
+from fogspec.menu import LEVEL, Entry, entry_of, rounded, scale_texts, weights
+from fogspec.models import Model, Models
+from fogspec.plan import CatalogRef, Count, GpuShape, PlanMetadata, TaskRef
+from fogspec.spec import Application, Billing, Connectivity, Node, Statistic
+
+
+class Pinned(Strict):
+    """What will run: one machine, its image, its nodes, and the reviewed task that starts them."""
+
+    infra: str
+    instance: str
+    cpus: Count
+    memory: Memory
+    gpu: GpuShape | None
+    spot: bool
+    price: Price
+    image: str | None
+    image_pinned: bool | None
+    cloud: list[Node]
+    robot: list[Node]
+    connectivity: Connectivity
+    task: TaskRef
+    robot_launch: TaskRef | None
+
+    @field_serializer("cloud", "robot")
+    def _only_what_is_set(self, nodes: list[Node]) -> list[dict[str, Any]]:
+        return [node.model_dump(mode="json", exclude_defaults=True) for node in nodes]
+
+
+class ExpectedLatency(Strict):
+    """Latency of one request: predicted, its interval at `level`, and the probability that the limit is met."""
+
+    statistic: Statistic
+    predicted: Duration
+    interval: tuple[Duration, Duration] | None
+    level: float
+    limit: Duration | None
+    network: Duration
+    probability_met: float | None
+    measured: bool
+    extrapolated: bool
+
+
+class ExpectedCost(Strict):
+    """Cost of one request, and what the machine costs while it is up."""
+
+    predicted: Cost
+    limit: Cost | None
+    billing: Billing
+    hour: Price
+    month: str
+
+
+class ExpectedMetric(Strict):
+    """A measure of the application, predicted."""
+
+    name: str
+    predicted: float
+    limit: float | None
+    unit: str | None
+
+
+class ExpectedObjective(Strict):
+    """The weighed sum, with its weights and scales written down."""
+
+    alpha: float
+    words: str
+    latency_weight: float
+    cost_weight: float
+    scale: dict[str, str]
+    value: float
+
+
+class Expected(Strict):
+    """What the models say of the pinned machine."""
+
+    latency: ExpectedLatency
+    cost: ExpectedCost
+    metric: ExpectedMetric | None
+    objective: ExpectedObjective
+
+
+class Alternative(Strict):
+    """A machine that was not chosen, and why."""
+
+    role: str
+    infra: str
+    instance: str
+    latency: Duration
+    cost: Cost
+    price: Price
+    why_not: str
+
+
+class FileRef(Strict):
+    """An input of this manifest: path beside it and digest over what was read of it."""
+
+    path: str
+    digest: str
+
+
+class ModelRef(Strict):
+    """The fitted model behind the prediction."""
+
+    path: str
+    digest: str
+    gpu: str | None
+    family: str
+    formula: str
+    coefficients: dict[str, float]
+    n: int
+    p: int
+    r2: float | None
+    loo_median_error: float | None
+    loo_max_error: float | None
+
+
+class Builder(Strict):
+    """The program that wrote the file."""
+
+    name: Literal["fogspec"] = "fogspec"
+    version: str
+
+
+class Provenance(Strict):
+    """Where every figure came from."""
+
+    application: FileRef
+    catalog: CatalogRef
+    plan: FileRef
+    results: FileRef
+    models: ModelRef
+    builder: Builder
+
+
+class Manifest(Strict):
+    """`kind: DeploymentManifest`; the name is no Kubernetes kind, so that no controller tries to apply it."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
+    kind: Literal["DeploymentManifest"] = "DeploymentManifest"
+    metadata: PlanMetadata
+    spec: Pinned
+    expected: Expected
+    warnings: list[str]
+    alternatives: list[Alternative]
+    provenance: Provenance
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """The files that a manifest is made from, and those that stand beside it."""
+
+    application: FileRef
+    catalog: CatalogRef
+    plan: FileRef
+    results: FileRef
+    models: FileRef
+    task: TaskRef
+    robot_launch: TaskRef | None
+
+
+def make_manifest(
+    application: Application, choice: Choice, models: Models, sources: Sources, warnings: list[str]
+) -> Manifest:
+    """The manifest of the chosen machine. Raises ValueError when nothing was chosen."""
+    if choice.chosen is None:
+        raise ValueError("there is no manifest without a choice")
+    entry = entry_of(choice, choice.chosen)
+    return Manifest(
+        metadata=PlanMetadata(name=application.metadata.name),
+        spec=_pinned(application, entry, sources),
+        expected=_expected(application, choice, entry),
+        warnings=warnings,
+        alternatives=alternatives(choice),
+        provenance=Provenance(
+            application=sources.application, catalog=sources.catalog, plan=sources.plan, results=sources.results,
+            models=_model_ref(models, entry, sources.models), builder=Builder(version=__version__),
+        ),
+    )  # fmt: skip
+
+
+def _pinned(application: Application, entry: Entry, sources: Sources) -> Pinned:
+    spec = application.spec
+    image = spec.ros.image if spec.ros else None
+    return Pinned(
+        infra=entry.infra, instance=entry.instance, cpus=entry.cpus, memory=entry.memory, gpu=entry.gpu,
+        spot=entry.spot, price=entry.price, image=image,
+        image_pinned=None if image is None else "@sha256:" in image,
+        cloud=spec.cloud, robot=spec.robot, connectivity=spec.connectivity,
+        task=sources.task, robot_launch=sources.robot_launch,
+    )  # fmt: skip
+
+
+def _expected(application: Application, choice: Choice, entry: Entry) -> Expected:
+    spec, row = application.spec, choice.chosen
+    assert row is not None
+    limit, objective = latency_limit_s(application), spec.objective
+    probability = None if limit is None else choice.latency.probability_below(row, limit)
+    metric = None
+    if objective.metric:
+        metric = ExpectedMetric(
+            name=objective.metric, predicted=entry.metrics[objective.metric],
+            limit=spec.constraints.metrics.get(objective.metric), unit=spec.metrics[objective.metric].unit,
+        )  # fmt: skip
+    return Expected(
+        latency=ExpectedLatency(
+            statistic=spec.constraints.statistic, predicted=entry.latency, interval=entry.interval, level=LEVEL,
+            limit=spec.constraints.latency, network=spec.constraints.network,
+            probability_met=None if probability is None else round(probability, 3),
+            measured=entry.measured, extrapolated=entry.extrapolated,
+        ),
+        cost=ExpectedCost(
+            predicted=entry.cost, limit=spec.constraints.cost, billing=objective.billing, hour=entry.price,
+            month=entry.month,
+        ),
+        metric=metric,
+        objective=ExpectedObjective(
+            alpha=objective.alpha, words=weights(application), latency_weight=objective.alpha,
+            cost_weight=round(1 - objective.alpha, 12), scale=scale_texts(application, choice), value=entry.objective,
+        ),
+    )  # fmt: skip
+
+
+def alternatives(choice: Choice) -> list[Alternative]:
+    """The other named choices, the runner-up, and the nearest machine that a limit rules out."""
+    named = {
+        "cheapest": choice.cheapest,
+        "fastest": choice.fastest,
+        "runner-up": _second(choice),
+        "ruled out": _ruled_out(choice),
+    }
+    found: list[Alternative] = []
+    seen = {choice.chosen}
+    for role, row in named.items():
+        if row is None or row in seen:
+            continue
+        seen.add(row)
+        entry = entry_of(choice, row)
+        found.append(Alternative(
+            role=role, infra=entry.infra, instance=entry.instance, latency=entry.latency, cost=entry.cost,
+            price=entry.price, why_not=entry.why_not or _lost_on(choice, row),
+        ))  # fmt: skip
+    return found
+
+
+def _second(choice: Choice) -> int | None:
+    """The best feasible machine of another instance type than the chosen one."""
+    assert choice.chosen is not None
+    other = choice.feasible & (choice.offers.instance != choice.offers.instance[choice.chosen])
+    rows = other.nonzero()[0]
+    return int(rows[choice.objective[rows].argmin()]) if len(rows) else None
+
+
+def _ruled_out(choice: Choice) -> int | None:
+    """The machine with the best objective among those that break a limit."""
+    rows = (choice.eligible & ~choice.feasible).nonzero()[0]
+    return int(rows[choice.objective[rows].argmin()]) if len(rows) else None
+
+
+def _lost_on(choice: Choice, row: int) -> str:
+    assert choice.chosen is not None
+    mine, best = rounded(float(choice.objective[row])), rounded(float(choice.objective[choice.chosen]))
+    if mine == best:
+        return "equal objective; ties go by cost, latency, name"
+    return f"objective {units.format_number(mine)} against {units.format_number(best)}"
+
+
+def _model_ref(models: Models, entry: Entry, file: FileRef) -> ModelRef:
+    model = model_for(models, entry)
+    return ModelRef(
+        path=file.path, digest=file.digest, gpu=model.gpu, family=f"{model.cpu_family} + {model.memory_family}",
+        formula=model.formula, coefficients={k: rounded(v) for k, v in model.coefficients.items()},
+        n=model.n, p=model.p, r2=_maybe(model.r2), loo_median_error=_maybe(model.loo_median_error),
+        loo_max_error=_maybe(model.loo_max_error),
+    )  # fmt: skip
+
+
+def model_for(models: Models, entry: Entry) -> Model:
+    """The latency model of the entry's GPU type. Raises StopIteration where none was fitted."""
+    key = None if entry.gpu is None else f"{entry.gpu.name}:{entry.gpu.count:g}"
+    return next(m for m in models.spec.models if m.gpu == key and m.target == "latency")
+
+
+def _maybe(value: float | None) -> float | None:
+    return None if value is None else rounded(value)

@@ -1,0 +1,87 @@
+"""Sampling designs: which of n machines to measure. Arrays in, row numbers out."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Level = Literal["smallest", "median", "largest"]
+LEVELS: tuple[Level, ...] = ("smallest", "median", "largest")
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One cell of the grid: its vCPUs, the memory that was asked for and the memory of the nearest row, in GiB.
+
+    `row` is the cheapest row there; `levels` name the row and column of the grid, and `same_as` is the position
+    in the grid of an earlier cell that took the same row, None for a cell that adds a machine.
+    """
+
+    vcpus: float
+    asked_gib: float
+    memory_gib: float
+    levels: tuple[Level, Level]
+    row: int
+    same_as: int | None
+
+    @property
+    def snapped(self) -> bool:
+        """Whether no machine has the memory that the cell asks for."""
+        return self.memory_gib != self.asked_gib
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The cells of a grid, row by row, and the vCPU levels that were skipped because an earlier level is the same."""
+
+    cells: tuple[Cell, ...]
+    skipped: tuple[Level, ...]
+
+
+def upper_median(values: Floats) -> float:
+    """The upper median of the distinct values: 16 of 2, 4, 8, 16, 32, 64. Raises ValueError for no values."""
+    distinct = np.unique(values)
+    if not len(distinct):
+        raise ValueError("the median of nothing")
+    return float(distinct[len(distinct) // 2])
+
+
+def edge_grid(vcpus: Floats, memory_gib: Floats, order: NDArray[np.intp]) -> Grid:
+    """The edge cases of a set of machines (FogROS2-Config, section 2.A and Table I), as ADR 0007 settles them.
+
+    `vcpus` and `memory_gib` have shape (n,), n > 0; `order` lists the n rows from the most to the least
+    preferred. vCPU levels are the smallest, the upper median and the largest of the distinct counts; for each,
+    memory levels are the smallest, the median and the largest distinct size on offer there. A median between two
+    sizes snaps to the larger one, for both are equally near. Every cell takes its most preferred row.
+    """
+    cells: list[Cell] = []
+    levels = _levels(vcpus, upper_median(vcpus))
+    for cpu_level, cpus in levels.items():
+        here = np.flatnonzero(vcpus == cpus)
+        sizes = memory_gib[here]
+        median = float(np.median(np.unique(sizes)))
+        for memory_level, asked in zip(LEVELS, (float(sizes.min()), median, float(sizes.max())), strict=True):
+            near = _nearest(sizes, asked)
+            taken = order[np.isin(order, here[sizes == near])][0]
+            same = next((i for i, cell in enumerate(cells) if cell.row == taken), None)
+            cells.append(Cell(cpus, asked, near, (cpu_level, memory_level), int(taken), same))
+    skipped = tuple(level for level in LEVELS if level not in levels)
+    return Grid(tuple(cells), skipped)
+
+
+def _levels(values: Floats, median: float) -> dict[Level, float]:
+    """Distinct levels, the outer ones first in what they claim."""
+    low, high = float(values.min()), float(values.max())
+    found: dict[Level, float] = {"smallest": low}
+    if low < median < high:
+        found["median"] = median
+    if high > low:
+        found["largest"] = high
+    return found
+
+
+def _nearest(sizes: Floats, asked: float) -> float:
+    distance = np.abs(sizes - asked)
+    return float(sizes[distance == distance.min()].max())

@@ -1,0 +1,187 @@
+"""The sampling plan: which machines are measured, what each costs, and why each is there."""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field, PlainSerializer
+
+from fogspec import sampling, stages
+from fogspec.admissible import admit
+from fogspec.base.fields import Duration, Memory, Money, Price, Strict
+from fogspec.base.hardware import Offer
+from fogspec.catalog import About, Catalog
+from fogspec.spec import Application, Hardware
+
+
+def _whole(value: float) -> int | float:
+    return int(value) if value == int(value) else value
+
+
+Count = Annotated[float, PlainSerializer(_whole, return_type=int | float)]
+
+
+class GpuShape(Strict):
+    """Accelerators of a machine: name and count."""
+
+    name: str
+    count: Count = 1
+
+
+class MachineRef(Strict):
+    """A machine by its infra and instance type, with the shape and price that the catalog gave for it.
+
+    A shape of this host has infra `local`, instance `<n>cpu-<m>gib` and price 0.
+    """
+
+    infra: str
+    instance: str
+    cpus: Count
+    memory: Memory
+    gpu: GpuShape | None = None
+    spot: bool = False
+    price: Price
+
+
+class TaskRef(Strict):
+    """A compiled task beside the plan: relative path and sha256 of its bytes."""
+
+    path: str
+    digest: str
+
+
+class Sample(Strict):
+    """One machine to measure; `id` is unique in the plan and names its cluster, task and files."""
+
+    id: str
+    machine: MachineRef
+    reason: str
+    task: TaskRef | None = None
+
+
+class CatalogRef(Strict):
+    """Which catalog a file was made from."""
+
+    source: str
+    revision: str
+    date: str
+    digest: str
+
+
+class ApplicationRef(Strict):
+    """Which spec a file was made from; the digest is over what the stage reads of it, not over its bytes.
+
+    In a plan, `reads` has a short digest of each field that measuring depends on, so that a change can be named.
+    """
+
+    path: str
+    digest: str
+    reads: dict[str, str] = Field({})
+
+
+class Estimate(Strict):
+    """What the plan will cost at most, and how long it will take with all samples at once."""
+
+    measuring: Money
+    setup: Money
+    total: Money
+    wall: Duration
+
+
+class PlanBody(Strict):
+    """What the plan says; `hardware` and `infra` are the search box that it was made for."""
+
+    application: ApplicationRef
+    catalog: CatalogRef
+    hardware: Hardware
+    infra: list[str]
+    sampler: Literal["grid", "adaptive", "list"]
+    steps: int | None
+    after: Duration
+    warmup: int
+    setup: Duration
+    budget: Money | None
+    estimate: Estimate
+    samples: list[Sample]
+    notes: list[str]
+
+
+class PlanMetadata(Strict):
+    """Names the application."""
+
+    name: str
+
+
+class Plan(Strict):
+    """`kind: SamplingPlan`: what `compile` writes before a benchmark and `bench` runs."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
+    kind: Literal["SamplingPlan"] = "SamplingPlan"
+    metadata: PlanMetadata
+    spec: PlanBody
+
+
+LIFETIME_SLACK_S = 300.0
+
+
+def make_plan(application: Application, path: str, catalog: Catalog) -> Plan:
+    """The sampling plan of a spec at `path` (as written into the plan), without its tasks.
+
+    Pure: it depends on the values of the spec and the content of the catalog, not on the order of either. Raises
+    NothingMeets when no machine on offer is admissible, WrongFile for a listed machine that is not on offer. The
+    budget is compared where money would be spent.
+    """
+    spec = application.spec
+    admissible = admit(catalog, spec.hardware, spec.infra)
+    found = sampling.pick(spec, catalog, admissible)
+    samples = [Sample(id=pick.id, machine=machine_ref(pick.offer), reason=pick.reason) for pick in found.picks]
+    sampler: Literal["grid", "adaptive", "list"] = "list" if spec.benchmark.machines else spec.benchmark.sampler
+    return assemble(application, path, catalog.about, sampler, samples, found.notes)
+
+
+def assemble(
+    application: Application, path: str, about: About, sampler: Literal["grid", "adaptive", "list"],
+    samples: Sequence[Sample], notes: Sequence[str],
+) -> Plan:  # fmt: skip
+    """A plan of these samples, with what it costs at most."""
+    spec = application.spec
+    stop = spec.benchmark.stop
+    body = PlanBody(
+        application=ApplicationRef(
+            path=path, digest=stages.planned_digest(application), reads=stages.measured_fields(application)
+        ),
+        catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
+        hardware=spec.hardware,
+        infra=spec.infra,
+        sampler=sampler,
+        steps=stop.steps,
+        after=stop.after,
+        warmup=spec.benchmark.warmup,
+        setup=spec.benchmark.setup,
+        budget=spec.benchmark.budget,
+        estimate=estimate(samples, stop.after, spec.benchmark.setup),
+        samples=list(samples),
+        notes=list(notes),
+    )
+    return Plan(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+
+
+def machine_ref(offer: Offer) -> MachineRef:
+    """The machine as files name it."""
+    gpu = GpuShape(name=offer.gpu.name, count=offer.gpu.count) if offer.gpu else None
+    return MachineRef(
+        infra=offer.infra, instance=offer.instance, cpus=offer.vcpus, memory=offer.memory_gib, gpu=gpu,
+        spot=offer.spot, price=offer.price_usd_per_hour,
+    )  # fmt: skip
+
+
+def estimate(samples: Sequence[Sample], after_s: float, setup_s: float) -> Estimate:
+    """What the samples cost in USD if each measures for `after_s` and none is ready before `setup_s`."""
+    usd_per_s = math.fsum(sample.machine.price for sample in samples) / 3600
+    measuring, setup = round(usd_per_s * after_s, 6), round(usd_per_s * setup_s, 6)
+    return Estimate(measuring=measuring, setup=setup, total=round(measuring + setup, 6), wall=after_s + setup_s)
+
+
+def lifetime_s(after_s: float, setup_s: float) -> float:
+    """After how long a sampled machine ends itself though nobody ends it, in whole minutes."""
+    return math.ceil((setup_s + after_s + LIFETIME_SLACK_S) / 60) * 60.0

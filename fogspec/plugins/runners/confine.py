@@ -1,0 +1,181 @@
+"""Confining a process tree on this host: CPUs by affinity, memory by cgroup v2 where it is writable, else by rlimit.
+
+Affinity is inherited by every descendant, so a sample of n CPUs runs on n CPUs of this host, whatever it starts;
+`nproc`, OpenMP and the like see n. A cgroup bounds the memory of the whole tree. RLIMIT_DATA, the fallback, bounds
+the private memory of each process by itself, so a tree of several processes may use more.
+"""
+
+import contextlib
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+CGROUPS = Path("/sys/fs/cgroup")
+MemoryBy = Literal["cgroup", "rlimit"]
+
+# Runs between fork and exec, in a process of its own: affinity and limits must not touch the caller.
+LAUNCHER = """
+import os, resource, sys
+cpus, data_bytes, group = sys.argv[1:4]
+if group:
+    with open(os.path.join(group, "cgroup.procs"), "w") as file:
+        file.write(str(os.getpid()))
+os.sched_setaffinity(0, set(map(int, cpus.split(","))))
+if data_bytes:
+    resource.setrlimit(resource.RLIMIT_DATA, (int(data_bytes), int(data_bytes)))
+os.execvp(sys.argv[4], sys.argv[4:])
+"""
+
+
+@dataclass(slots=True)
+class Confined:
+    """A confined process tree that was started here."""
+
+    process: "subprocess.Popen[bytes]"
+    cpus: tuple[int, ...]
+    memory_by: MemoryBy
+    group: Path | None
+
+    def poll(self) -> int | None:
+        """The exit code of the first process, None while it runs."""
+        return self.process.poll()
+
+    def outcome(self) -> Literal["out_of_memory"] | None:
+        """Whether the kernel ended one of its processes for want of memory, where a cgroup can tell."""
+        return "out_of_memory" if _events(self.group).get("oom_kill", 0) else None
+
+    def end(self, grace_s: float) -> None:
+        """Ask it to end, then make it: the first process, then all of its session and cgroup."""
+        if self.poll() is None:
+            self.process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(grace_s)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.process.pid, 9)
+        if self.process.poll() is None:
+            self.process.wait(5)
+        self._remove_group()
+
+    def _remove_group(self) -> None:
+        if self.group is None or not self.group.is_dir():
+            return
+        with contextlib.suppress(OSError):
+            (self.group / "cgroup.kill").write_text("1")
+        for _ in range(50):
+            with contextlib.suppress(OSError):
+                self.group.rmdir()
+                return
+            time.sleep(0.05)
+
+
+def start(
+    argv: Sequence[str], *, cpus: int, memory_gib: float, cwd: Path, env: Mapping[str, str], stdout_path: Path,
+    stderr_path: Path,
+) -> Confined:  # fmt: skip
+    """Start `argv` on `cpus` CPUs with `memory_gib` of memory; raises OSError when it cannot be started.
+
+    Raises ValueError when this host has fewer CPUs.
+    """
+    chosen = pick_cpus(cpus)
+    limit_bytes = math.floor(memory_gib * 2**30)
+    group = _new_group(limit_bytes)
+    data_bytes = "" if group else str(limit_bytes)
+    words = [sys.executable, "-S", "-c", LAUNCHER, ",".join(map(str, chosen)), data_bytes, str(group or ""), *argv]
+    with open(stdout_path, "ab") as out, open(stderr_path, "ab") as err:
+        process = subprocess.Popen(
+            words, cwd=cwd, env=dict(env), stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
+        )
+    return Confined(process, chosen, "cgroup" if group else "rlimit", group)
+
+
+def pick_cpus(count: int) -> tuple[int, ...]:
+    """So many of the CPUs this process may use, one of each physical core first; raises ValueError for too many."""
+    usable = sorted(os.sched_getaffinity(0))
+    if count > len(usable):
+        raise ValueError(f"{count} CPUs were asked for, this process may use {len(usable)}")
+    cores: dict[str, int] = {}
+    turn = {}
+    for cpu in usable:
+        core = _core(cpu)
+        turn[cpu] = cores.get(core, 0)
+        cores[core] = turn[cpu] + 1
+    return tuple(sorted(sorted(usable, key=lambda cpu: (turn[cpu], cpu))[:count]))
+
+
+def host_capacity() -> tuple[int, float]:
+    """CPUs and GiB that a sample on this host can have at most, container limits included."""
+    cpus = float(len(os.sched_getaffinity(0)))
+    memory_bytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for quota in _quotas():
+        cpus = min(cpus, quota)
+    for name in ("memory.max", "memory/memory.limit_in_bytes"):
+        limit = _text(CGROUPS / name)
+        if limit.isdigit():
+            memory_bytes = min(memory_bytes, int(limit))
+    return max(1, math.floor(cpus)), memory_bytes / 2**30
+
+
+def memory_by() -> MemoryBy:
+    """How memory would be bounded on this host."""
+    group = _new_group(2**30)
+    if group is None:
+        return "rlimit"
+    with contextlib.suppress(OSError):
+        group.rmdir()
+    return "cgroup"
+
+
+def _quotas() -> list[float]:
+    """CPUs' worth of time that a container's limits allow, version 2 and version 1."""
+    found = []
+    quota, _, period = _text(CGROUPS / "cpu.max").partition(" ")
+    if quota.isdigit() and period.isdigit():
+        found.append(int(quota) / int(period))
+    old, span = (_text(CGROUPS / "cpu" / f"cpu.cfs_{name}_us") for name in ("quota", "period"))
+    if old.isdigit() and span.isdigit():
+        found.append(int(old) / int(span))
+    return found
+
+
+def _core(cpu: int) -> str:
+    return _text(Path(f"/sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list")) or str(cpu)
+
+
+def _new_group(limit_bytes: int) -> Path | None:
+    """A cgroup of its own with this limit, below the one that this process is in; None where that cannot be had."""
+    own = next((line[3:] for line in _text(Path("/proc/self/cgroup")).splitlines() if line.startswith("0::")), None)
+    if own is None:
+        return None
+    group = CGROUPS / own.strip("/") / f"fogspec-{os.getpid()}-{time.monotonic_ns()}"
+    try:
+        group.mkdir()
+    except OSError:
+        return None
+    try:
+        if not (group / "memory.max").exists():  # not a cgroup at all, or one without the memory controller
+            raise FileNotFoundError
+        (group / "memory.max").write_text(str(limit_bytes))
+        with contextlib.suppress(OSError):
+            (group / "memory.swap.max").write_text("0")
+    except OSError:
+        group.rmdir()
+        return None
+    return group
+
+
+def _events(group: Path | None) -> dict[str, int]:
+    rows = (line.split() for line in _text(group / "memory.events").splitlines()) if group else ()
+    return {row[0]: int(row[1]) for row in rows if len(row) == 2 and row[1].isdigit()}
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii", errors="replace").strip()
+    except OSError:
+        return ""

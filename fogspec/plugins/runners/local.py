@@ -1,0 +1,183 @@
+"""Samples on this host: one process tree at a time, confined to the sample's CPUs and memory."""
+
+import contextlib
+import json
+import math
+import os
+import re
+import signal
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import fogspec.probe
+from fogspec.plugins.runners import confine
+from fogspec.results import Reason
+from fogspec.seams import CannotStart, Job, LostContact, Progress
+
+MARK = "FOGSPEC_SAMPLE"
+GRACE_S = 10.0
+OUTCOME_LIMIT = 64 * 2**10
+# What the user's shell knows and a workload need not: names a task asks for come back in.
+CREDENTIALS = re.compile(
+    r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_KEY|PRIVATE_KEY|^AWS_|^AZURE_|^GOOGLE_|^SSH_AUTH"
+)
+
+
+class LocalRunner:
+    """Runs the task's `run` script with bash; every process of a sample carries its name in its environment."""
+
+    name = "local"
+    at_once = 1
+    poll_s = 0.2
+    costs: Literal["nothing"] = "nothing"
+
+    def __init__(self) -> None:
+        cpus, memory_gib = confine.host_capacity()
+        self._capacity = (cpus, memory_gib)
+        self._own: dict[str, confine.Confined] = {}
+        self.source = (
+            f"measured on one host ({_processor()}, {cpus} CPUs, {memory_gib:.0f} GiB), each sample confined to its CPUs by "
+            f"affinity and to its memory by {confine.memory_by()}: clock, turbo, caches and neighbours are that host's, "
+            "not those of a machine of that shape"
+        )
+
+    def start(self, job: Job) -> None:
+        """Start the job in a new folder; raises CannotStart when this host is too small for it."""
+        machine, (cpus, memory_gib) = job.sample.machine, self._capacity
+        if machine.gpu is not None:
+            raise CannotStart("capacity", f"the local runner has no accelerators: {machine.gpu.name} is not here")
+        if machine.cpus > cpus or machine.memory > memory_gib:
+            here = f"this host has {cpus} CPUs and {memory_gib:.1f} GiB"
+            raise CannotStart("capacity", f"needs {machine.cpus:g} CPUs and {machine.memory:g} GiB; {here}")
+        environment = _environment(job)
+        try:
+            (job.folder / "out").mkdir(parents=True)
+            script = job.folder / "run.sh"
+            script.write_text(str(job.task.get("run") or ""), encoding="utf-8")
+            log = job.folder / "run.log"
+            self._own[job.name] = confine.start(
+                ["bash", str(script.absolute())], cpus=max(1, math.ceil(machine.cpus)), memory_gib=machine.memory,
+                cwd=job.root / str(job.task.get("workdir") or "."), env=environment, stdout_path=log, stderr_path=log,
+            )  # fmt: skip
+        except OSError as problem:
+            raise CannotStart("setup", f"cannot be started: {problem}") from problem
+
+    def look(self, job: Job) -> Progress:
+        """What its folder and its processes say; `lost` when it ended without saying how."""
+        own = self._own.get(job.name)
+        alive = own.poll() is None if own is not None else bool(_marked(job.name))
+        out, machine = job.folder / "out", job.sample.machine
+        timings = out / "timings.jsonl"
+        measured_on = f"local/{math.ceil(machine.cpus)}cpu-{machine.memory:g}gib"
+        if alive:
+            ready = timings.is_file() and timings.stat().st_size > 0
+            return Progress(running=True, timings=timings, ready=ready, measured_on=measured_on)
+        outcome = _outcome(out / "outcome.json")
+        killed = own is not None and own.outcome() == "out_of_memory"
+        if outcome is None and own is None:
+            return Progress(running=False, lost=True, measured_on=measured_on, detail="it ended with its controller")
+        if outcome is None:
+            outcome = {"reason": "crash" if timings.exists() else "setup", "detail": _ended_early(own, job.folder)}
+        if killed:
+            limit = f"needs more than {machine.memory:g} GiB"
+            outcome |= {
+                "reason": "out_of_memory",
+                "detail": limit + (f": {outcome['detail']}" if outcome.get("detail") else ""),
+            }
+        said = outcome.get
+        return Progress(
+            running=False, timings=timings, measured_on=measured_on, reason=said("reason"), detail=said("detail"),
+            setup_s=said("setup_s"), stopped_by=said("stopped_by"), waited_s=said("waited_s"),
+        )  # fmt: skip
+
+    def end(self, job: Job) -> None:
+        """TERM, which the agent passes on and answers with an outcome; then KILL for all that bears the name."""
+        own = self._own.get(job.name)
+        if own is not None:
+            own.end(grace_s=GRACE_S)
+        for number, patience_s in ((signal.SIGTERM, GRACE_S), (signal.SIGKILL, 5.0)):
+            if not _signal(_marked(job.name), number):
+                return
+            until = time.monotonic() + patience_s
+            while _marked(job.name) and time.monotonic() < until:
+                time.sleep(0.05)
+        if left := _marked(job.name):
+            raise LostContact(f"processes {', '.join(map(str, left))} do not end")
+
+
+def _environment(job: Job) -> dict[str, str]:
+    secrets = _mapping(job.task.get("secrets"))
+    if missing := [name for name in secrets if name not in os.environ]:
+        raise CannotStart("setup", f"the environment does not have {', '.join(sorted(missing))}")
+    kept = {k: v for k, v in os.environ.items() if k in secrets or not CREDENTIALS.search(k.upper())}
+    given = {key: str(value) for key, value in _mapping(job.task.get("envs")).items()}
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+    agent = Path(next(iter(fogspec.probe.__path__))) / "agent.py"
+    ours = {
+        "PATH": path,
+        MARK: job.name,
+        "FOGSPEC_AGENT": str(agent),
+        "FOGSPEC_OUT": str((job.folder / "out").absolute()),
+    }
+    return {**kept, **given, **ours}
+
+
+def _mapping(value: object) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def _marked(name: str) -> list[int]:
+    """The living processes of a sample, whoever their parents are."""
+    mark, found = f"{MARK}={name}".encode(), []
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        with contextlib.suppress(OSError):
+            # A zombie's environment is empty.
+            if mark in Path("/proc", entry, "environ").read_bytes().split(b"\0"):
+                found.append(int(entry))
+    return found
+
+
+def _signal(pids: Iterable[int], number: int) -> int:
+    count = 0
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, number)
+            count += 1
+    return count
+
+
+def _outcome(path: Path) -> dict[str, Any] | None:
+    """The agent's outcome, as far as its values are of the right kind."""
+    try:
+        with open(path, "rb") as file:
+            said = json.loads(file.read(OUTCOME_LIMIT))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(said, dict):
+        return None
+    checked: dict[str, Any] = {"reason": said.get("reason") if said.get("reason") in get_args(Reason) else None}
+    for key in ("setup_s", "waited_s"):
+        value = said.get(key)
+        checked[key] = float(value) if isinstance(value, (int, float)) and 0 <= value < 1e9 else None
+    for key in ("detail", "stopped_by"):
+        value = said.get(key)
+        checked[key] = value[:500] if isinstance(value, str) else None
+    return checked
+
+
+def _ended_early(own: confine.Confined | None, folder: Path) -> str:
+    lines = (folder / "run.log").read_text(encoding="utf-8", errors="replace")[-4096:].splitlines()
+    said = next(("".join(c for c in line if c.isprintable()) for line in reversed(lines) if line.strip()), "")
+    code = own.poll() if own is not None else None
+    return f"the run script ended with exit code {code}" + (f": {said.strip()[:300]}" if said else "")
+
+
+def _processor() -> str:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return os.uname().machine

@@ -1,0 +1,31 @@
+"""What all tests share: where shared data may be, and that CI skips nothing."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SHARED = Path(os.environ.get("FOGSPEC_SHARED", ROOT.parent / "shared"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]):
+    """With CI=true a skipped test is a failure: whatever it needs must have been installed."""
+    report = yield
+    if os.environ.get("CI") == "true" and report.skipped and not hasattr(report, "wasxfail"):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+        report.outcome = "failed"
+        report.longrepr = f"skipped in CI, where nothing may be: {reason}"
+    return report
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of development data that is not part of this repository."""
+    data = SHARED / "data"
+    if not data.is_dir():
+        pytest.skip(
+            f"needs the development data, which is not in this repository: set FOGSPEC_SHARED (looked in {SHARED})"
+        )
+    return data

@@ -1,0 +1,282 @@
+"""A cloud that fails, under a virtual clock: machines, their bills, and a controller that is killed anywhere.
+
+The journal, the campaign and the collecting of timings are the real ones; only machines, time and the results'
+disk are made up. Nothing that a killed controller does afterwards has any effect.
+"""
+
+import json
+import os
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fogspec.effects import collecting
+from fogspec.effects.collecting import finished
+from fogspec.effects.journal import Journal
+from fogspec.effects.sampling import Campaign, Order
+from fogspec.plan import MachineRef, Sample
+from fogspec.results import Measured
+from fogspec.seams import CannotStart, Job, LostContact, Progress
+
+SETUP_S, AFTER_S, SLACK_S = 120.0, 300.0, 120.0
+RULES = collecting.Rules(warmup=1, valid=0.9, statistic="mean")
+
+
+class Killed(BaseException):
+    """kill -9: whoever raises this does nothing any more."""
+
+
+@dataclass
+class Machine:
+    """A simulated machine; times are the world's. `fate`: finishes, hangs, crashes, vanishes, writes nonsense."""
+
+    sample: str
+    price: float
+    started: float
+    lifetime: float
+    fate: str
+    ready: float
+    done: float
+    ended: float | None = None
+    fetched: bool = False
+
+    def up(self, now: float) -> bool:
+        return self.ended is None and now < self.started + self.lifetime
+
+    def bill(self, now: float) -> float:
+        end = min(now if self.ended is None else self.ended, self.started + self.lifetime)
+        return self.price * (end - self.started) / 3600
+
+
+@dataclass
+class World:
+    """Everything that survives a controller. `chances` are probabilities of faults, `kills` when to kill."""
+
+    seed: int
+    folder: Path
+    faults: bool = True
+    kills: set[int] = field(default_factory=set)
+    now: float = 0.0
+    boot: int = 0
+    boot_at: float = 0.0
+    steps: int = 0
+    controller: int = 0
+    machines: dict[str, Machine] = field(default_factory=dict)
+    disk: dict[str, Any] = field(default_factory=lambda: {"spent": 0.0, "samples": {}})
+    trail: list[str] = field(default_factory=list)
+    misdeeds: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.chance = random.Random(self.seed)
+
+    def happens(self, probability: float) -> bool:
+        return self.faults and self.chance.random() < probability
+
+    def step(self, controller: int, what: str) -> None:
+        """A point where the controller may be killed; raises Killed, for a dead one always."""
+        if controller != self.controller:
+            raise Killed
+        self.steps += 1
+        if self.steps in self.kills:
+            self.trail.append(f"killed at {what}")
+            self.controller += 1
+            raise Killed
+
+    @property
+    def bill(self) -> float:
+        return sum(machine.bill(self.now) for machine in self.machines.values())
+
+
+@dataclass
+class VirtualClock:
+    """The host's clock; it starts anew with each boot, and a host may be suspended while it waits."""
+
+    world: World
+    controller: int
+
+    def now_s(self) -> float:
+        return self.world.now - self.world.boot_at
+
+    def boot(self) -> str:
+        return f"boot {self.world.boot}"
+
+    def sleep(self, seconds: float) -> None:
+        self.world.step(self.controller, "sleep")
+        self.world.now += seconds + (self.world.chance.uniform(100, 2000) if self.world.happens(0.002) else 0)
+
+
+@dataclass
+class FaultyRunner:
+    """Machines that fail in every way the seam knows, and a network that fails beside them."""
+
+    world: World
+    controller: int
+    name: str = "simulated"
+    source: str | None = None
+    at_once: int = 4
+    poll_s: float = 10.0
+    costs: str = "real"
+
+    def start(self, job: Job) -> None:
+        world = self.world
+        world.step(self.controller, "before launch")
+        if job.name in world.machines:
+            world.misdeeds.append(f"{job.name} was started twice")
+        if world.happens(0.15):
+            raise CannotStart("capacity", "no such machine left", again=world.happens(0.7))
+        fate = world.chance.choices(
+            ["finishes", "hangs", "never ready", "crashes", "vanishes", "partial"], [70, 6, 6, 6, 6, 6]
+        )[0]
+        now, life = world.now, job.lifetime_s
+        ready = now + world.chance.uniform(20, 100)
+        fate = fate if world.faults else "finishes"
+        done = ready + world.chance.uniform(5, AFTER_S) if fate not in ("hangs", "never ready") else now + 1e9
+        world.machines[job.name] = Machine(
+            job.sample.id, job.sample.machine.price, now, life, fate,
+            ready if fate != "never ready" else now + 1e9, done,
+        )  # fmt: skip
+        world.step(self.controller, "after launch")
+        if world.happens(0.05):
+            raise LostContact("the answer to the launch was lost")
+
+    def look(self, job: Job) -> Progress:
+        world = self.world
+        world.step(self.controller, "look")
+        timings = job.folder / "timings.jsonl"
+        machine = world.machines.get(job.name)
+        if machine is not None and machine.fetched:
+            return self._finished(machine, timings)
+        if world.happens(0.1):
+            raise LostContact("no route to host")
+        if machine is None or not machine.up(world.now) or (machine.fate == "vanishes" and world.now >= machine.done):
+            return Progress(running=False, lost=True, detail="the machine is not there")
+        if world.now < machine.done:
+            return Progress(running=True, ready=world.now >= machine.ready, measured_on="simulated")
+        job.folder.mkdir(parents=True, exist_ok=True)
+        write_timings(timings, machine)
+        machine.fetched = True
+        world.step(self.controller, "fetched")
+        return self._finished(machine, timings)
+
+    def _finished(self, machine: Machine, timings: Path) -> Progress:
+        reason = "crash" if machine.fate == "crashes" else None
+        return Progress(running=False, timings=timings, reason=reason, measured_on="simulated")
+
+    def end(self, job: Job) -> None:
+        world = self.world
+        world.step(self.controller, "before end")
+        if world.happens(0.1):
+            raise LostContact("no route to host")
+        machine = world.machines.get(job.name)
+        if machine is not None and machine.ended is None:
+            machine.ended = min(world.now, machine.started + machine.lifetime)
+        world.step(self.controller, "after end")
+        if world.happens(0.05):
+            raise LostContact("ended, but nobody said so")
+
+
+def write_timings(path: Path, machine: Machine) -> None:
+    """Ten requests, whose latency tells machines apart; a partial file ends in the middle of a line."""
+    latency = machine.started + 1.0
+    line = json.dumps({"name": "plan", "start_s": 0, "latency_s": latency, "ok": True, "metrics": {}, "reason": None})
+    text = "\n".join([line] * 10) + "\n"
+    path.write_text(text[: len(text) - 25] if machine.fate == "partial" else text)
+
+
+@dataclass
+class SimulatedLedger:
+    """The results' disk: a write happens whole or not at all."""
+
+    world: World
+    controller: int
+
+    def keep(self, record: Measured, timings: Path | None) -> Measured:
+        self.world.step(self.controller, "keep timings")
+        return record
+
+    def put(self, record: Measured, spent_usd: float) -> None:
+        world = self.world
+        world.step(self.controller, "before results")
+        if world.happens(0.005):
+            raise OSError(28, "No space left on device")
+        before = world.disk["samples"].get(record.id)
+        if before is not None and finished(before) and before != record:
+            world.misdeeds.append(f"{record.id} was measured again")
+        world.disk = {"spent": spent_usd, "samples": {**world.disk["samples"], record.id: record}}
+        world.step(self.controller, "after results")
+
+
+class MortalJournal(Journal):
+    """The real journal; the controller may be killed before, in the middle of and after a write."""
+
+    def __init__(self, path: Path, world: World, controller: int) -> None:
+        self._world, self._controller = world, controller
+        super().__init__(path, sync=lambda _fd: world.step(controller, "sync") if world.machines else None)
+
+    def append(self, **entry: Any) -> None:
+        world = self._world
+        try:
+            world.step(self._controller, f"before journal {entry['do']}")
+        except Killed:
+            # Half a line may be on disk.
+            line = json.dumps(entry, sort_keys=True)
+            if world.controller == self._controller + 1 and world.chance.random() < 0.7:
+                self._file.write(line[: world.chance.randrange(len(line))].encode())
+            raise
+        if world.happens(0.005):
+            raise OSError(28, "No space left on device")
+        super().append(**entry)
+        world.step(self._controller, f"after journal {entry['do']}")
+
+
+def samples(count: int) -> list[Sample]:
+    return [
+        Sample(
+            id=f"s{n}", reason="",
+            machine=MachineRef(infra="sim", instance=f"m{n}", cpus="2", memory="4GiB", price=f"${0.1 * (n + 1):.1f}/h"),
+        )
+        for n in range(count)
+    ]  # fmt: skip
+
+
+def bench(world: World, budget_usd: float | None, count: int, check: Callable[[World], None]) -> int:
+    """Run benches, each after the other was killed, until one comes to its end; returns how many it took."""
+    for number in range(1, 1000):
+        controller = world.controller
+        try:
+            _one(world, controller, budget_usd, samples(count), check)
+        except Killed:
+            world.now += world.chance.uniform(0, 900)
+            if world.chance.random() < 0.3:
+                world.boot, world.boot_at = world.boot + 1, world.now
+        except OSError:
+            world.trail.append("disk full")
+        else:
+            return number
+    raise AssertionError(f"seed {world.seed} never ends: {world.trail[-20:]}")
+
+
+def _one(
+    world: World, controller: int, budget: float | None, wanted: list[Sample], check: Callable[[World], None]
+) -> None:
+    journal = MortalJournal(world.folder / "journal.jsonl", world, controller)
+    order = Order(
+        application="a", plan="p", rules=RULES, budget_usd=budget, deadline_s=SETUP_S + AFTER_S,
+        lifetime_s=SETUP_S + AFTER_S + SLACK_S, tasks={s.id: {} for s in wanted}, root=world.folder,
+        attempts=world.folder / "attempts", token=f"{controller}x{os.urandom(2).hex()}",
+    )  # fmt: skip
+    campaign = Campaign(
+        order, FaultyRunner(world, controller), journal, SimulatedLedger(world, controller),
+        VirtualClock(world, controller), tell=lambda _event: check(world),
+    )  # fmt: skip
+    try:
+        running = campaign.recover()
+        journal.begin("simulated", "a", "p", world.disk["spent"])
+        done = {name for name, record in world.disk["samples"].items() if finished(record)}
+        campaign.run([s for s in wanted if s.id not in running | done])
+        if campaign.left:
+            world.misdeeds.append(f"left: {campaign.left}")
+    finally:
+        journal.close()

@@ -1,0 +1,90 @@
+"""Every figure that README and docs quote: `make figures`.
+
+Whole processes are timed from outside, one warm-up and then the median of several runs, with its range. Figures
+depend on the machine; ratios within one run are what to compare.
+"""
+
+import compileall
+import json
+import os
+import platform
+import resource
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAPER_SPECS = ("grasp-planning", "vslam", "motion-planning")
+RUNS = 9
+
+
+def main() -> None:
+    """Print one line a figure."""
+    print(f"machine: {platform.machine()}, {os.cpu_count()} CPUs, Python {platform.python_version()}")
+    compileall.compile_dir(ROOT / "fogspec", quiet=1)
+    with tempfile.TemporaryDirectory() as scratch:
+        here = Path(scratch)
+        for folder in ("specs", "results"):
+            shutil.copytree(ROOT / folder, here / folder, ignore=shutil.ignore_patterns("lidar*", "planner*"))
+        for spec in PAPER_SPECS:
+            for verb in ("validate", "compile"):
+                print(_timed(f"{verb} specs/{spec}.yaml", [*_fogspec(), verb, f"specs/{spec}.yaml"], here))
+    _choosing()
+    _install_size()
+
+
+def _fogspec() -> list[str]:
+    return [sys.executable, "-m", "fogspec"]
+
+
+def _timed(name: str, argv: Sequence[str], cwd: Path) -> str:
+    walls = []
+    for run in range(RUNS + 1):
+        start = time.perf_counter()
+        done = subprocess.run(argv, cwd=cwd, capture_output=True, text=True, check=False)
+        if run:
+            walls.append(time.perf_counter() - start)
+        if done.returncode:
+            raise SystemExit(f"{' '.join(argv)} ended with {done.returncode}:\n{done.stderr}")
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    return (f"{name}: median {statistics.median(walls):.3f} s (min {min(walls):.3f}, max {max(walls):.3f}, "
+            f"{RUNS} runs, whole process); largest process so far {peak:.0f} MiB")  # fmt: skip
+
+
+def _choosing() -> None:
+    subprocess.run([sys.executable, "-m", "tests.bench_choice"], cwd=ROOT, check=True)
+
+
+def _install_size() -> None:
+    """Bytes of the installed packages of `requirements/run.lock`, and of SkyPilot's on top."""
+    site = Path(sys.prefix)
+    listing = json.loads(subprocess.run(
+        [sys.executable, "-m", "pip", "inspect", "--local"], check=True, capture_output=True, text=True
+    ).stdout)["installed"]  # fmt: skip
+    sizes = {
+        item["metadata"]["name"].lower().replace("_", "-").replace(".", "-"): _size(site, item) for item in listing
+    }
+    runtime = {line.split("==")[0].strip() for line in (ROOT / "requirements/run.lock").read_text().splitlines()
+               if "==" in line and not line.startswith(" ")}  # fmt: skip
+    known = [sizes.get(name.lower().replace("_", "-").replace(".", "-"), 0) for name in runtime]
+    package = sum(
+        f.stat().st_size for f in (ROOT / "fogspec").rglob("*") if f.is_file() and "__pycache__" not in f.parts
+    )
+    print(f"install: runtime packages {sum(known) / 1e6:.0f} MB, fogspec itself {package / 1e6:.1f} MB")
+
+
+def _size(site: Path, item: dict[str, object]) -> int:
+    record = Path(str(item["metadata_location"])) / "RECORD"
+    if not record.is_file():
+        return 0
+    rows = (line.rsplit(",", 2) for line in record.read_text().splitlines())
+    return sum(int(row[2]) for row in rows if len(row) == 3 and row[2].isdigit())
+
+
+if __name__ == "__main__":
+    main()

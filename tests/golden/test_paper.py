@@ -1,0 +1,140 @@
+"""What the paper's own figures must give: Table II, the rounding trap, Listing 1, the T4 rerun, SLAM's optimum."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fogspec.numerics import fitting, relaxed
+from fogspec.numerics.families import fit_all
+
+ROOT = Path(__file__).resolve().parents[2]
+SPECS = ("grasp-planning", "vslam", "motion-planning")
+C6I, M6I, R6I = (0.0425, 2.0), (0.048, 4.0), (0.063, 8.0)  # us-east-1: USD per hour and vCPU, GiB per vCPU
+SIZES = {"large": 2, "xlarge": 4, "2xlarge": 8, "4xlarge": 16, "8xlarge": 32, "12xlarge": 48, "16xlarge": 64}
+FULL = [
+    *("m6i.large", "r6i.large", "c6i.16xlarge", "m6i.16xlarge"),
+    *(f"{family}.{size}" for family in ("c6i", "m6i", "r6i") for size in ("xlarge", "4xlarge", "8xlarge", "12xlarge")),
+]
+DEXNET_CPU = [
+    (2, 16, 16.3131), (2, 8, 16.1040), (2, 4, 16.4477), (16, 64, 2.3149), (16, 32, 2.2774), (16, 128, 2.3121),
+    (64, 256, 1.9963), (64, 512, 1.9966), (64, 128, 1.9975),
+]  # fmt: skip
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """The paper's specs and measurements in an empty folder."""
+    for folder in ("specs", "results"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("lidar*", "planner*"))
+    return tmp_path
+
+
+def fogspec(cwd: Path, *words: str, code: int = 0) -> str:
+    ended = subprocess.run(
+        [sys.executable, "-m", "fogspec", *words], cwd=cwd, capture_output=True, text=True, timeout=120
+    )
+    assert ended.returncode == code, ended.stderr + ended.stdout
+    return ended.stdout
+
+
+def compiled(cwd: Path, spec: str) -> dict[str, dict]:
+    answers = json.loads(fogspec(cwd, "compile", f"specs/{spec}.yaml", "-o", "json"))
+    return {answer["name"]: answer for answer in answers}
+
+
+def with_machines(cwd: Path, spec: str, machines: list[str]) -> None:
+    path = cwd / "specs" / f"{spec}.yaml"
+    text = path.read_text().replace("  benchmark:\n", f"  benchmark:\n    machines: [{', '.join(machines)}]\n")
+    text = text.replace("budget: $2.50", "budget: $5")
+    path.write_text(text)
+
+
+def test_table_2_sampling_the_apartment_costs_104_892_cents(checkout):
+    found = compiled(checkout, "motion-planning")["motion-planning-apartment"]
+    assert found["samples"] == 9
+    assert found["estimate_usd"]["measuring"] == pytest.approx(1.04892, abs=5e-6)
+    assert "104.892 cents" in fogspec(checkout, "compile", "specs/motion-planning.yaml")
+
+
+@pytest.mark.parametrize(
+    ("machines", "usd"),
+    [
+        ([f"{f}.{s}" for f in ("c6i", "m6i", "r6i") for s in ("large", "4xlarge", "16xlarge")], 1.04892),
+        ([f"{f}.{s}" for f in ("c6i", "m6i", "r6i") for s in ("large", "4xlarge", "16xlarge")
+          if (f, s) != ("r6i", "large")], 1.03842),
+        (FULL, 1.78033),
+        ([*FULL, "c6i.large"], 1.78742),
+    ],
+    ids=["apartment sampling", "cubicles sampling", "cubicles full", "apartment full"],
+)  # fmt: skip
+def test_table_2_from_catalog_prices(checkout, machines, usd):
+    with_machines(checkout, "motion-planning", machines)
+    found = compiled(checkout, "motion-planning")["motion-planning-apartment"]
+    assert found["samples"] == len(machines)
+    assert found["estimate_usd"]["measuring"] == pytest.approx(usd, abs=5e-6)
+
+
+def test_rounding_to_a_neighbour_is_checked_again():
+    cpus, memory, latency = (np.array(column, float) for column in zip(*DEXNET_CPU, strict=True))
+    fit = next(f for f in fit_all(cpus, memory, latency) if (f.shape.cpu, f.shape.memory) == ("hyperbolic", "power"))
+    types = [(f"{name}.{size}", n, n * ratio, n * usd)
+             for name, (usd, ratio) in (("c6i", C6I), ("m6i", M6I), ("r6i", R6I)) for size, n in SIZES.items()]  # fmt: skip
+    vcpus, gib, price = (np.array(column, float) for column in list(zip(*types, strict=True))[1:])
+    surface = relaxed.price_surface(vcpus, gib, price)
+    limit_s = 3.5
+    optimum = relaxed.minimise(
+        lambda c, m: surface(c, m) * fit.predict(c, m), lambda c, m: fit.predict(c, m) <= limit_s,
+        relaxed.box_of(vcpus, gib),
+    )  # fmt: skip
+    assert optimum is not None
+    assert (optimum.vcpus, optimum.memory_gib) == (pytest.approx(10.02, abs=0.01), pytest.approx(20.03, abs=0.02))
+    near = relaxed.neighbours(optimum, vcpus, gib)
+    predicted = {types[row][0]: float(fit.predict(vcpus[row], gib[row])) for row in near}
+    assert types[near[0]][0] == "c6i.2xlarge"
+    assert predicted["c6i.2xlarge"] == pytest.approx(4.272, abs=0.001)
+    meets = [name for name, seconds in predicted.items() if seconds <= limit_s]
+    assert meets == ["c6i.4xlarge"]
+    assert predicted["c6i.4xlarge"] == pytest.approx(2.393, abs=0.001)
+
+
+def test_listing_1_is_infeasible_and_says_by_how_much(checkout):
+    words = ("--latency", "0.01s", "--cost", "0.01 cent/request")
+    out = fogspec(checkout, "menu", "specs/grasp-planning.yaml", *words, "-o", "json", code=4)
+    [menu] = json.loads(out)
+    missed = {miss["limit"]: miss for miss in menu["spec"]["missed"]}
+    assert missed["latency"]["factor"] == pytest.approx(164.9, abs=0.1)
+    assert missed["cost"]["factor"] == pytest.approx(2.41, abs=0.01)
+    assert menu["spec"]["balanced"] is None
+    assert menu["spec"]["nearest"]["instance"] == "g4dn.xlarge"
+
+
+@pytest.mark.parametrize(("latency", "r2"), [((1.6494, 1.6657, 1.7078), 0.9965), ((1.7162, 1.7005, 1.7151), 0.0161)])
+def test_r2_of_three_t4_machines_says_nothing(latency, r2):
+    fits = fit_all(np.array([4.0, 8, 16]), np.array([16.0, 32, 64]), np.array(latency))
+    line = next(f for f in fits if (f.shape.cpu, f.shape.memory) == ("linear", "constant"))
+    assert line.r2 == pytest.approx(r2, abs=1e-4)
+    assert not line.eligible
+    assert fitting.select(fits).shape.parameters == 1
+
+
+def test_the_t4_model_is_flagged(checkout):
+    [answer] = compiled(checkout, "grasp-planning").values()
+    warnings = answer["menu"]["warnings"]
+    assert any("with T4:1" in text and "R²" in text and "3 samples" in text for text in warnings)
+    assert answer["menu"]["balanced"]["instance"] == "g4dn.xlarge"
+
+
+@pytest.mark.parametrize("alpha", ["0", "0.5", "1"])
+def test_slam_runs_best_on_16_vcpus(checkout, alpha):
+    out = fogspec(checkout, "menu", "specs/vslam.yaml", "--alpha", alpha, "-o", "json")
+    [menu] = json.loads(out)
+    assert menu["spec"]["balanced"]["cpus"] == 16
+
+
+def test_what_is_committed_is_what_compile_writes():
+    fogspec(ROOT, "compile", *(f"specs/{spec}.yaml" for spec in SPECS), "--check")

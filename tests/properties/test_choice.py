@@ -1,0 +1,130 @@
+"""Laws of the choice: limits are hard, the objective is monotone, irrelevant machines do not matter."""
+
+import dataclasses
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fogspec.admissible import Admissible, Funnel
+from fogspec.choice import choose
+from fogspec.models import Models, fit
+from fogspec.plan import MachineRef, PlanMetadata
+from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.spec import Application
+from tests.bench_choice import application, offers
+
+
+def measured(scale: float = 1.0, hurt: float = 0.0) -> Models:
+    """Nine samples of a workload that halves with every doubling, and loses `hurt` a vCPU."""
+    records = [
+        Measured(id=f"s{c:g}-{m:g}", machine=MachineRef(infra="aws/r", instance=f"s{c:g}-{m:g}", cpus=c, memory=m, price=0.1),
+                 measured_on="x", state="ok", requests=9, latency=LatencySummary(mean=scale * (0.5 + 8 / c + hurt * c)),
+                 duration=9.0, spent=0.0)
+        for c in (2.0, 16.0, 128.0) for m in (2 * c, 4 * c, 8 * c)
+    ]  # fmt: skip
+    body = ResultsBody(application="", plan=None, runner="x", spent=0.0, samples=records)
+    return fit(application(), sealed(PlanMetadata(name="made-up"), body))
+
+
+MODELS = measured()
+HURT = measured(hurt=0.02)
+
+
+def with_limits(latency: float | None, cost: float | None, alpha: float) -> Application:
+    app = application()
+    scale = app.spec.objective.scale.model_copy(update={"latency": 1.0, "cost": 1e-3})
+    spec = app.spec.model_copy(update={
+        "constraints": app.spec.constraints.model_copy(update={"latency": latency, "cost": cost}),
+        "objective": app.spec.objective.model_copy(update={"alpha": alpha, "scale": scale}),
+    })  # fmt: skip
+    return app.model_copy(update={"spec": spec})
+
+
+def among(seed: int, count: int = 60) -> Admissible:
+    return Admissible(offers(count, seed), Funnel(count, ()))
+
+
+seeds = st.integers(0, 200)
+alphas = st.floats(0, 1)
+limits = st.one_of(st.none(), st.floats(0.3, 10))
+costs = st.one_of(st.none(), st.floats(1e-5, 1e-2))
+
+
+@given(seeds, limits, costs, alphas, st.sampled_from([MODELS, HURT]))
+def test_the_choice_meets_every_limit_and_nothing_feasible_is_better(seed, latency, cost, alpha, models):
+    found = choose(with_limits(latency, cost, alpha), models, among(seed))
+    if found.chosen is None:
+        assert not found.feasible.any()
+        assert found.misses or not found.eligible.any()
+        return
+    assert latency is None or found.latency.value[found.chosen] <= latency
+    assert cost is None or found.cost_usd_per_request[found.chosen] <= cost
+    best = found.objective[found.feasible].min()
+    assert found.objective[found.chosen] <= best + 1e-12 * abs(best)
+
+
+@given(seeds, limits, costs, st.floats(0.01, 0.99))
+def test_the_choice_is_on_the_front(seed, latency, cost, alpha):
+    found = choose(with_limits(latency, cost, alpha), MODELS, among(seed))
+    if found.chosen is not None:
+        on_front = {(found.x[r], found.cost_usd_per_request[r]) for r in found.front}
+        assert (found.x[found.chosen], found.cost_usd_per_request[found.chosen]) in on_front
+
+
+@given(seeds, limits, costs, alphas, alphas)
+def test_more_alpha_never_gives_more_latency(seed, latency, cost, one, other):
+    low, high = sorted((one, other))
+    first, second = (choose(with_limits(latency, cost, a), MODELS, among(seed)) for a in (low, high))
+    if first.chosen is not None and second.chosen is not None:
+        assert second.latency.value[second.chosen] <= first.latency.value[first.chosen] * (1 + 1e-9)
+
+
+@given(seeds, st.floats(0.3, 10), st.floats(1, 5), costs, alphas)
+def test_a_tighter_limit_never_gives_a_better_score(seed, latency, wider, cost, alpha):
+    tight, loose = (choose(with_limits(x, cost, alpha), MODELS, among(seed)) for x in (latency, latency * wider))
+    if tight.chosen is not None:
+        assert loose.chosen is not None
+        assert tight.objective[tight.chosen] >= loose.objective[loose.chosen] - 1e-12
+
+
+@given(seeds, alphas)
+def test_a_machine_that_is_worse_in_everything_never_changes_the_choice(seed, alpha):
+    app = application()
+    without_scales = app.model_copy(update={"spec": app.spec.model_copy(update={
+        "objective": app.spec.objective.model_copy(update={"alpha": alpha})})})  # fmt: skip
+    few = offers(40, seed)
+    before = choose(without_scales, MODELS, Admissible(few, Funnel(40, ())))
+    assert before.chosen is not None or not before.feasible.any()
+    if before.chosen is None:
+        return
+    dear = few.price_usd_per_hour.copy()
+    worst = int(np.argmax(before.objective))
+    dear[worst] *= 100
+
+    after = choose(
+        without_scales, MODELS, Admissible(dataclasses.replace(few, price_usd_per_hour=dear), Funnel(40, ()))
+    )
+    if worst != before.chosen:
+        assert after.chosen == before.chosen
+
+
+@given(seeds, alphas, st.floats(0.01, 100), st.floats(0.01, 100))
+def test_units_do_not_matter(seed, alpha, seconds, dollars):
+    """Scaling all latencies and prices, with the limits, changes nothing."""
+
+    few = offers(40, seed)
+    priced = dataclasses.replace(few, price_usd_per_hour=few.price_usd_per_hour * dollars)
+    base = with_limits(3.0, 0.01, alpha)
+    spec = base.spec
+    scaled = base.model_copy(update={"spec": spec.model_copy(update={
+        "constraints": spec.constraints.model_copy(update={"latency": 3.0 * seconds, "cost": 0.01 * seconds * dollars}),
+        "objective": spec.objective.model_copy(update={"scale": spec.objective.scale.model_copy(
+            update={"latency": seconds, "cost": 1e-3 * seconds * dollars})}),
+    })})  # fmt: skip
+    one = choose(base, MODELS, Admissible(few, Funnel(40, ())))
+    other = choose(scaled, measured(seconds), Admissible(priced, Funnel(40, ())))
+    if one.chosen is None or other.chosen is None:
+        assert one.chosen == other.chosen
+    else:
+        assert np.isclose(one.objective[one.chosen], other.objective[other.chosen], rtol=1e-5)

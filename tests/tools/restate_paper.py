@@ -1,0 +1,79 @@
+"""Restates the paper's own measurements as results files: `python -m tests.tools.restate_paper PAPER_FOLDER`.
+
+PAPER_FOLDER holds `measured.csv`, the sampled runs that the authors published with their code (KeplerC/FogROS2-sky,
+Apache-2.0, branch feature/gpu_mem_cpu_optimization, 2023-09), as one table. Figures are restated, nothing is added: a
+latency is the authors' mean seconds a step, its spread was not published.
+"""
+
+import csv
+import re
+import sys
+from pathlib import Path
+
+from fogspec import stages
+from fogspec.effects.files import write_yaml
+from fogspec.effects.layout import Layout
+from fogspec.effects.specfiles import load
+from fogspec.plan import GpuShape, MachineRef, PlanMetadata
+from fogspec.results import LatencySummary, Measured, Results, ResultsBody, sealed
+
+ROOT = Path(__file__).resolve().parents[2]
+APPLICATIONS = {
+    "dexnet": "grasp-planning",
+    "slam": "vslam",
+    "mp_cubicles": "motion-planning-cubicles",
+    "mp_apartment": "motion-planning-apartment",
+}
+SOURCE = (
+    "measured by the authors of FogROS2-Config (Chen et al., ICRA 2024, arXiv 2311.05600) in September 2023 and published "
+    "with their code (KeplerC/FogROS2-sky, Apache-2.0, branch feature/gpu_mem_cpu_optimization): mean seconds a step; "
+    "AWS on-demand machines, us-east-1 prices; durations given as below one second are restated as one second"
+)
+
+
+def main(folder: Path) -> None:
+    """Write one results file for each of the paper's applications."""
+    with open(folder / "measured.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    specs = [ROOT / "specs" / f"{name}.yaml" for name in ("grasp-planning", "vslam", "motion-planning")]
+    applications = {one.application.metadata.name: one for one in load(specs)}
+    for app, name in APPLICATIONS.items():
+        loaded = applications[name]
+        results = restated(name, stages.measured_digest(loaded.application), [r for r in rows if r["app"] == app])
+        layout = Layout.of(ROOT / "specs" / Path(loaded.path).name, name)
+        made = "python -m tests.tools.restate_paper PAPER_FOLDER"
+        write_yaml(layout.results, results.model_dump(mode="json", exclude_none=True), made)
+        print(f"{layout.relative(layout.results)}: {len(results.spec.samples)} samples")
+
+
+def restated(name: str, application_digest: str, rows: list[dict[str, str]]) -> Results:
+    """The rows of one application as results."""
+    samples = [_record(row) for row in sorted(rows, key=lambda r: (r["gpu"], float(r["vcpus"]), r["instance"]))]
+    body = ResultsBody(
+        application=application_digest, plan=None, runner="recorded", source=SOURCE,
+        spent=round(sum(s.spent for s in samples), 6), samples=samples,
+    )  # fmt: skip
+    return sealed(PlanMetadata(name=name), body)
+
+
+def _record(row: dict[str, str]) -> Measured:
+    machine = MachineRef(
+        infra="aws/us-east-1", instance=row["instance"], cpus=float(row["vcpus"]), memory=float(row["memory_gb"]),
+        gpu=GpuShape(name=row["gpu"], count=1) if row["gpu"] else None, price=float(row["usd_per_hour_us_east_1"]),
+    )  # fmt: skip
+    latency = LatencySummary(mean=float(row["sec_per_step"])) if row["sec_per_step"] else None
+    return Measured(
+        id=f"aws-us-east-1-{row['instance'].replace('.', '-')}", machine=machine, measured_on=f"aws/{row['instance']}",
+        state="ok" if latency else "insufficient",
+        detail=None if latency else "one step ended within the window: the authors report no latency",
+        requests=int(row["steps"]), latency=latency, duration=_seconds(row["duration"]), spent=float(row["spent_usd"]),
+    )  # fmt: skip
+
+
+def _seconds(text: str) -> float:
+    minutes, seconds = (re.search(rf"(\d+){unit}", text) for unit in "ms")
+    return 60.0 * int(minutes[1] if minutes else 0) + int(seconds[1] if seconds else 0)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

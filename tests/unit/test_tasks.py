@@ -1,0 +1,123 @@
+"""Compiled tasks: what is in them, and that everything in them is quoted for its language."""
+
+import json
+import subprocess
+
+import pytest
+
+from fogspec.effects.templates import render
+from fogspec.plan import GpuShape, MachineRef, Sample
+from fogspec.spec import Application, Node
+from fogspec.tasks import command, deploy_task, measured_processes, parameter, ros_environment, sample_task
+
+NASTY = """it's "$(touch owned)" `x` \\ $HOME ; & | é"""
+
+
+def application(**spec) -> Application:
+    base = {"cloud": [{"package": "p", "executable": "e"}], "probe": {"callback": "x"}, "infra": ["aws/us-east-1"]}
+    return Application.model_validate(
+        {"apiVersion": "fogspec.dev/v1alpha1", "kind": "Application", "metadata": {"name": "app"}, "spec": base | spec}
+    )
+
+
+def sample(**machine) -> Sample:
+    shape = {"infra": "aws/us-east-1", "instance": "g4dn.xlarge", "cpus": 4.0, "memory": 16.0, "price": 0.526}
+    return Sample(id="one", machine=MachineRef(**(shape | machine)), reason="because")
+
+
+def task_of(app: Application, one: Sample, run: str = "true") -> dict:
+    return sample_task(app, one, 601.0, workdir="specs", agent="compiled/app/agent", setup=None, run=run)
+
+
+def test_every_task_ends_its_machine_by_itself():
+    resources = task_of(application(), sample())["resources"]
+    assert resources["autostop"] == {"idle_minutes": 11, "down": True, "wait_for": "none"}
+    deployed = deploy_task(application(), sample().machine, workdir=".", agent="a", setup=None, run="true")
+    assert deployed["resources"]["autostop"]["down"] is True
+
+
+def test_the_machine_is_pinned_with_its_accelerators_spot_and_image():
+    app = application(ros={"image": "docker.io/library/ros:jazzy"})
+    resources = task_of(app, sample(gpu=GpuShape(name="T4"), spot=True))["resources"]
+    assert (resources["infra"], resources["instance_type"]) == ("aws/us-east-1", "g4dn.xlarge")
+    assert (resources["accelerators"], resources["use_spot"]) == ("T4:1", True)
+    assert resources["image_id"] == "docker:docker.io/library/ros:jazzy"
+
+
+def test_a_local_shape_has_no_infra_but_its_size():
+    resources = task_of(application(), sample(infra="local", instance="2cpu-1gib", cpus=2.0, memory=1.0, price=0.0))[
+        "resources"
+    ]
+    assert (resources["cpus"], resources["memory"]) == ("2", "1")
+    assert "infra" not in resources
+
+
+def test_secrets_are_names_only():
+    assert task_of(application(secrets=["HF_TOKEN"]), sample())["secrets"] == {"HF_TOKEN": None}
+
+
+def test_files_are_sent_only_when_something_names_them():
+    assert "workdir" not in task_of(application(), sample())
+    assert task_of(application(cloud=[{"cmd": ["./x"]}]), sample())["workdir"] == "specs"
+
+
+def test_ros_words_become_ros_arguments():
+    node = Node(package="p", executable="e", name="n", namespace="/a", arguments=["--fast"], env={"B": "2", "A": "1"},
+                parameters={"gain": 38.0, "n": 3, "deep": {"on": True}, "text": "7"}, parameter_files=["p.yaml"],
+                remappings={"/x": "/y"})  # fmt: skip
+    assert command(node) == [
+        "env", "A=1", "B=2", "ros2", "run", "p", "e", "--fast", "--ros-args", "-r", "__node:=n", "-r", "__ns:=/a",
+        "--params-file", "p.yaml", "-p", "deep.on:=true", "-p", "gain:=38.0", "-p", "n:=3", "-p", 'text:="7"', "-r", "/x:=/y",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(38.0, "38.0"), (38, "38"), (True, "true"), ("7", '"7"'), ([1.0, 2.0], "[1.0, 2.0]")]
+)
+def test_parameters_keep_their_type(value, text):
+    assert parameter(value) == text
+
+
+def test_topics_are_listened_to_by_a_process_of_their_own():
+    app = application(probe={"request": "/in", "response": "/out"})
+    first = measured_processes(app.spec)[0]
+    assert first == ["python3", "-m", "fogspec_topics", "--request", "/in", "--response", "/out", "--match", "stamp"]
+
+
+def rendered_sample(app: Application) -> str:
+    return render("run_sample.sh.j2", **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=600.0,
+                  processes=measured_processes(app.spec))  # fmt: skip
+
+
+def test_hostile_words_reach_the_process_unchanged(tmp_path):
+    app = application(cloud=[{"cmd": ["printf", "%s", NASTY]}])
+    fake = tmp_path / "agent.py"
+    fake.write_text("import json, sys\nprint(json.dumps(sys.argv))")
+    run = subprocess.run(["bash", "-c", rendered_sample(app)], capture_output=True, text=True, cwd=tmp_path,
+                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake)})  # fmt: skip
+    words = json.loads(run.stdout)
+    assert json.loads(words[words.index("--process") + 1]) == ["printf", "%s", NASTY]
+    assert not (tmp_path / "owned").exists()
+
+
+def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_path):
+    processes = [["sh", "-c", 'printf %s "$1" > said', "x", NASTY], ["sleep", "60"]]
+    script = render("run_deploy.sh.j2", **ros_environment(application().spec), processes=processes)
+    subprocess.run(
+        ["bash", "-c", script], cwd=tmp_path, timeout=20, check=True, env={"PATH": "/usr/bin:/bin", "HOME": "/"}
+    )
+    assert (tmp_path / "said").read_text() == NASTY
+
+
+@pytest.mark.parametrize("template", ["run_sample.sh.j2", "run_deploy.sh.j2", "setup_ros2.sh.j2"])
+def test_scripts_pass_shellcheck(tmp_path, template):
+    app = application(ros={"workspace": "ros2_ws", "apt": ["x y"], "setup": ["echo hello"]}, cloud=[{"cmd": [NASTY]}])
+    script = tmp_path / "script.sh"
+    script.write_text(render(template, **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=9.0,
+                             processes=measured_processes(app.spec)))  # fmt: skip
+    try:
+        checked = subprocess.run(["shellcheck", "-s", "bash", "-S", "warning", "-e", "SC1091,SC2016", str(script)],
+                                 capture_output=True, text=True)  # fmt: skip
+    except FileNotFoundError:
+        pytest.skip("needs shellcheck: apt-get install shellcheck")
+    assert checked.returncode == 0, checked.stdout
