@@ -5,7 +5,7 @@ families, chosen by leave-one-out error (ADR 0008). A machine that was measured 
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.fields import Strict
-from fogspec.catalog import Catalog, Floats
+from fogspec.catalog import Catalog, Floats, Texts
 from fogspec.numerics import curves, fitting
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.plan import MachineRef, PlanMetadata
@@ -336,5 +336,5 @@ def _same_gpu(machine: MachineRef, offers: Catalog, row: int) -> bool:
     )
 
 
-def _positions(column: Iterable[str], wanted: set[str]) -> list[int]:
-    return [row for row, text in enumerate(column) if text in wanted]
+def _positions(column: Texts, wanted: set[str]) -> list[int]:
+    return [row for row, text in enumerate(column.tolist()) if text in wanted]

@@ -95,7 +95,8 @@ def warnings_of(application: Application, models: Models, choice: Choice) -> lis
     found = []
     if models.spec.measured_on_local:
         found.append(
-            "extrapolated: measured on one host's CPUs and memory, not on machines of the catalog, whose CPUs differ"
+            "extrapolated: measured on one host's CPUs and memory, not on machines of the catalog, whose CPUs differ: the ranking "
+            "is a guess, and how far off it is cannot be said"
         )
     row = choice.chosen
     if row is not None:
@@ -111,7 +112,7 @@ def warnings_of(application: Application, models: Models, choice: Choice) -> lis
                 f"the latency limit is met with probability {probability:.2f}, below constraints.confidence {confidence:g}: "
                 "measure this machine (benchmark.machines) before relying on it"
             )
-        if choice.latency.interval(row, LEVEL) is None:
+        if choice.latency.interval(row, LEVEL) is None and not models.spec.measured_on_local:
             found.append("the samples are too few to say how sure the prediction is")
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
