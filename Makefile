@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types floors generated unit figures lock clean
+.PHONY: help demo test lint types floors generated unit figures mutants lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -50,11 +50,18 @@ generated: .venv/dev.stamp  ## committed schemas, reference pages and compiled s
 	$(BIN)/python -m fogspec.effects.schemas --check
 	$(FOGSPEC) compile specs/grasp-planning.yaml specs/vslam.yaml specs/motion-planning.yaml --check
 
-unit: .venv/dev.stamp  ## tests with coverage
+# The language server that editors run; without npm its tests skip.
+tests/editor/node_modules/.stamp: tests/editor/package-lock.json
+	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@; fi
+
+unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## tests with coverage
 	$(BIN)/python -m pytest $(TEST_ARGS) --cov --cov-report=term:skip-covered
 
 figures: .venv/dev.stamp  ## print every figure that README and docs quote
 	$(BIN)/python -m tests.figures
+
+mutants: .venv/dev.stamp  ## 100,000 damaged specs: what the diagnostics say of them (minutes)
+	$(BIN)/python -m tests.mutation.survey
 
 lock: .venv/dev.stamp  ## write the lock files anew from pyproject.toml
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --all-extras pyproject.toml -o requirements/dev.lock

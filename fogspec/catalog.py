@@ -1,6 +1,6 @@
 """The catalog: every machine on offer, column by column, and where the table came from."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -55,12 +55,30 @@ class Catalog:
 
     def in_order(self) -> "Catalog":
         """Sorted by spot, cloud, region, instance, accelerators, zone, and what is left of a row."""
-        names = (
-            "family", "arch", "clock_ghz", "physical_cores", "gpu_memory_gib", "burstable", "memory_gib", "vcpus",
-            "price_usd_per_hour", "zone", "gpu_count", "gpu", "instance", "region", "cloud", "spot",
-        )  # fmt: skip
-        keys = [getattr(self, name) for name in names]
-        return self.take(np.lexsort([ranks(key) if key.dtype == object else key for key in keys]))
+        key = self._names()
+        order = np.argsort(key, kind="stable")
+        same = key[order][1:] == key[order][:-1]
+        if same.any():
+            tied = np.flatnonzero(np.append(same, False) | np.append(False, same))
+            rest = (
+                "family", "arch", "clock_ghz", "physical_cores", "gpu_memory_gib", "burstable", "memory_gib", "vcpus",
+                "price_usd_per_hour",
+            )  # fmt: skip
+            rows = order[tied]
+            columns = [getattr(self, name)[rows] for name in rest]
+            within = np.lexsort([*(ranks(one) if one.dtype == object else one for one in columns), key[rows]])
+            order[tied] = rows[within]
+        return self.take(order)
+
+    def _names(self) -> NDArray[np.int64]:
+        """One number a row that sorts as spot, cloud, region, instance, accelerators and zone do."""
+        key = self.spot.astype(np.int64)
+        for column in (self.cloud, self.region, self.instance, self.gpu, self.gpu_count, self.zone):
+            rank = ranks(column)
+            key = key * (int(rank.max(initial=0)) + 1) + rank
+            if key.max(initial=0) > 1 << 40:
+                key = np.unique(key, return_inverse=True)[1].astype(np.int64)
+        return key
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> "Catalog":
         """The catalog of some of the rows: indices or a mask."""
@@ -93,13 +111,17 @@ class Catalog:
 
 def texts(values: Iterable[str]) -> Texts:
     """A column of texts."""
-    column = list(values)
-    array = np.empty(len(column), dtype=object)
-    array[:] = column
-    return array
+    return np.fromiter(values, dtype=np.object_)
 
 
-def ranks(column: Texts) -> NDArray[np.int32]:
-    """Each row's rank among the column's distinct texts, in code point order."""
+def concatenated(catalogs: Sequence[Catalog], about: About) -> Catalog:
+    """Catalogs one after the other, where those are in order and their clouds too: on-demand rows of all, then spot."""
+    parts = [*(one.take(~one.spot) for one in catalogs), *(one.take(one.spot) for one in catalogs)]
+    names = [f.name for f in fields(Catalog) if f.name != "about"]
+    return Catalog(about=about, **{name: np.concatenate([getattr(one, name) for one in parts]) for name in names})
+
+
+def ranks(column: Texts | Floats) -> NDArray[np.int32]:
+    """Each row's rank among the column's distinct texts, in code point order, or numbers, none of them NaN."""
     rank = {word: i for i, word in enumerate(sorted(set(column.tolist())))}
     return np.fromiter(map(rank.__getitem__, column.tolist()), np.int32, len(column))

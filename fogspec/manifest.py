@@ -12,6 +12,7 @@ from fogspec.choice import Choice, latency_limit_s
 from fogspec.menu import LEVEL, Entry, entry_of, rounded, scale_texts, weights
 from fogspec.models import Model, Models
 from fogspec.plan import CatalogRef, Count, GpuShape, PlanMetadata, TaskRef
+from fogspec.relaxing import Relaxed
 from fogspec.spec import Application, Billing, Connectivity, Node, Statistic
 
 
@@ -133,6 +134,17 @@ class Builder(Strict):
     version: str
 
 
+class PaperChoice(Strict):
+    """Where the paper's method would end: a continuous optimum, its nearest machine, and the one that meets the limits."""
+
+    cpus: float
+    memory: Memory
+    rounded: str
+    instance: str | None
+    infra: str | None
+    objective: float | None
+
+
 class Provenance(Strict):
     """Where every figure came from."""
 
@@ -141,6 +153,8 @@ class Provenance(Strict):
     plan: FileRef
     results: FileRef
     models: ModelRef
+    method: Literal["exhaustive", "relaxed"]
+    relaxed: PaperChoice | None
     builder: Builder
 
 
@@ -171,9 +185,14 @@ class Sources:
 
 
 def make_manifest(
-    application: Application, choice: Choice, models: Models, sources: Sources, warnings: list[str]
+    application: Application,
+    choice: Choice,
+    models: Models,
+    sources: Sources,
+    warnings: list[str],
+    relaxed: Relaxed | None = None,
 ) -> Manifest:
-    """The manifest of the chosen machine. Raises ValueError when nothing was chosen."""
+    """The manifest of the chosen machine, and where `relaxed` ends if elsewhere. Raises ValueError for no choice."""
     if choice.chosen is None:
         raise ValueError("there is no manifest without a choice")
     entry = entry_of(choice, choice.chosen)
@@ -185,8 +204,19 @@ def make_manifest(
         alternatives=alternatives(choice),
         provenance=Provenance(
             application=sources.application, catalog=sources.catalog, plan=sources.plan, results=sources.results,
-            models=_model_ref(models, entry, sources.models), builder=Builder(version=__version__),
+            models=_model_ref(models, entry, sources.models), method=application.spec.objective.method,
+            relaxed=None if relaxed is None or relaxed.row == choice.chosen else _paper_choice(choice, relaxed),
+            builder=Builder(version=__version__),
         ),
+    )  # fmt: skip
+
+
+def _paper_choice(choice: Choice, relaxed: Relaxed) -> PaperChoice:
+    end = None if relaxed.row is None else entry_of(choice, relaxed.row)
+    return PaperChoice(
+        cpus=rounded(relaxed.vcpus), memory=rounded(relaxed.memory_gib),
+        rounded=str(choice.offers.instance[relaxed.rounded]),
+        instance=end and end.instance, infra=end and end.infra, objective=end and end.objective,
     )  # fmt: skip
 
 

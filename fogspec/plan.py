@@ -1,16 +1,19 @@
 """The sampling plan: which machines are measured, what each costs, and why each is there."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Annotated, Literal
 
 from pydantic import Field, PlainSerializer
 
 from fogspec import sampling, stages
-from fogspec.admissible import admit
+from fogspec.admissible import Admissible, admit
+from fogspec.base import digest
 from fogspec.base.fields import Duration, Memory, Money, Price, Strict
 from fogspec.base.hardware import Offer
 from fogspec.catalog import About, Catalog
+from fogspec.lock import image_named
 from fogspec.spec import Application, Hardware
 
 
@@ -89,10 +92,16 @@ class Estimate(Strict):
 
 
 class PlanBody(Strict):
-    """What the plan says; `hardware` and `infra` are the search box that it was made for."""
+    """What the plan says; `hardware` and `infra` are the search box that its samples were picked for, from
+    the catalog with the digest `picked_from`; the spec's own box may have become smaller since, and prices may be new.
+
+    `pins` are the digests of what the spec only names, from the lock.
+    """
 
     application: ApplicationRef
+    pins: dict[str, str] = Field({})
     catalog: CatalogRef
+    picked_from: str
     hardware: Hardware
     infra: list[str]
     sampler: Literal["grid", "adaptive", "list"]
@@ -122,9 +131,16 @@ class Plan(Strict):
 
 
 LIFETIME_SLACK_S = 300.0
+NO_PINS: Mapping[str, str] = MappingProxyType({})
 
 
-def make_plan(application: Application, path: str, catalog: Catalog) -> Plan:
+def make_plan(
+    application: Application,
+    path: str,
+    catalog: Catalog,
+    pins: Mapping[str, str] = NO_PINS,
+    admissible: Admissible | None = None,
+) -> Plan:
     """The sampling plan of a spec at `path` (as written into the plan), without its tasks.
 
     Pure: it depends on the values of the spec and the content of the catalog, not on the order of either. Raises
@@ -132,16 +148,17 @@ def make_plan(application: Application, path: str, catalog: Catalog) -> Plan:
     budget is compared where money would be spent.
     """
     spec = application.spec
-    admissible = admit(catalog, spec.hardware, spec.infra)
+    if admissible is None:
+        admissible = admit(catalog, spec.hardware, spec.infra)
     found = sampling.pick(spec, catalog, admissible)
     samples = [Sample(id=pick.id, machine=machine_ref(pick.offer), reason=pick.reason) for pick in found.picks]
     sampler: Literal["grid", "adaptive", "list"] = "list" if spec.benchmark.machines else spec.benchmark.sampler
-    return assemble(application, path, catalog.about, sampler, samples, found.notes)
+    return assemble(application, path, catalog.about, sampler, samples, found.notes, pins)
 
 
 def assemble(
     application: Application, path: str, about: About, sampler: Literal["grid", "adaptive", "list"],
-    samples: Sequence[Sample], notes: Sequence[str],
+    samples: Sequence[Sample], notes: Sequence[str], pins: Mapping[str, str] = NO_PINS,
 ) -> Plan:  # fmt: skip
     """A plan of these samples, with what it costs at most."""
     spec = application.spec
@@ -150,7 +167,9 @@ def assemble(
         application=ApplicationRef(
             path=path, digest=stages.planned_digest(application), reads=stages.measured_fields(application)
         ),
+        pins=dict(pins),
         catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
+        picked_from=about.digest,
         hardware=spec.hardware,
         infra=spec.infra,
         sampler=sampler,
@@ -161,9 +180,14 @@ def assemble(
         budget=spec.benchmark.budget,
         estimate=estimate(samples, stop.after, spec.benchmark.setup),
         samples=list(samples),
-        notes=list(notes),
+        notes=[*notes, *_unpinned(application, pins)],
     )
     return Plan(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+
+
+def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
+    image = image_named(application)
+    return [] if image is None or "image" in pins else [f"image {image} is not pinned to a digest: fogspec lock"]
 
 
 def machine_ref(offer: Offer) -> MachineRef:
@@ -180,6 +204,11 @@ def estimate(samples: Sequence[Sample], after_s: float, setup_s: float) -> Estim
     usd_per_s = math.fsum(sample.machine.price for sample in samples) / 3600
     measuring, setup = round(usd_per_s * after_s, 6), round(usd_per_s * setup_s, 6)
     return Estimate(measuring=measuring, setup=setup, total=round(measuring + setup, 6), wall=after_s + setup_s)
+
+
+def digest_without_budget(plan: Plan) -> str:
+    """Digest over a plan's content but its budget, which decides whether it is measured and nothing that follows."""
+    return digest.of_value(plan.model_dump(mode="json", exclude={"spec": {"budget"}}))
 
 
 def lifetime_s(after_s: float, setup_s: float) -> float:

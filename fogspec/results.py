@@ -59,11 +59,14 @@ class ResultsBody(Strict):
     """Where the figures come from, and the samples.
 
     `application` is the digest over what measuring reads of the spec; `plan` the digest of the plan, None for
-    measurements that were recorded elsewhere, whose `source` cites them.
+    measurements that were recorded elsewhere, whose `source` cites them. `pins` are the plan's: digests of what the
+    spec only names; None where nothing was locked. `reads` are the plan's digests of what measuring reads of the spec.
     """
 
     application: str
     plan: str | None = None
+    pins: dict[str, str] | None = None
+    reads: dict[str, str] | None = None
     runner: str
     source: str | None = None
     budget: Money | None = None
@@ -92,4 +95,5 @@ def intact(results: Results) -> bool:
 
 
 def _seal(metadata: PlanMetadata, body: ResultsBody) -> str:
-    return digest.of_value([metadata.model_dump(mode="json"), body.model_dump(mode="json")])
+    unused = {name for name in ("pins", "reads") if getattr(body, name) is None}
+    return digest.of_value([metadata.model_dump(mode="json"), body.model_dump(mode="json", exclude=unused)])

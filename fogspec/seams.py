@@ -18,6 +18,14 @@ class CatalogSource(Protocol):
         ...
 
 
+class ImageRegistry(Protocol):
+    """Where container images come from."""
+
+    def digest(self, name: str) -> str:
+        """The digest that an image's name stands for now; raises an Outcome when that cannot be said."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """What a runner runs: the compiled task as it was reviewed, never the plan.

@@ -151,6 +151,11 @@ class Objective(Strict):
     metric: Identifier | None = Field(
         None, description="a metric of the application, in place of latency", examples=["path_length"]
     )
+    method: Literal["exhaustive", "relaxed"] = Field(
+        "exhaustive",
+        description="exhaustive: the best of all machines; relaxed: the paper's optimum and its neighbours",
+        examples=["relaxed"],
+    )
     scale: Scale = Field(
         Scale(),
         description="what latency and cost are divided by",
@@ -229,7 +234,21 @@ class Benchmark(Strict):
     workload: Workload = Field(
         Workload(), description="what sends the requests", examples=[{"node": {"cmd": ["python3", "client.py"]}}]
     )
+    scenarios: dict[Identifier, Annotated[float, Field(gt=0)]] = Field(
+        {},
+        description="kinds of request and how often each occurs in use; the workload names them: stop(…, scenario=…)",
+        examples=[{"open_space": 3, "narrow_door": 1}],
+    )
     valid: Percent = Field(0.95, description="smallest share of requests that must succeed", examples=["99%"])
+
+
+class CatalogAge(Strict):
+    """What is asked of the catalog."""
+
+    max_age: Duration = Field(
+        365 * 86400.0, gt=0, description="a catalog that is older makes every command that reads it say so",
+        examples=["30d"],
+    )  # fmt: skip
 
 
 class Connectivity(Strict):
@@ -278,6 +297,9 @@ class Spec(Strict):
         min_length=1,
         description="cloud, cloud/region or cloud/region/zone, as SkyPilot writes it",
         examples=[["aws/us-east-1"]],
+    )
+    catalog: CatalogAge = Field(
+        CatalogAge(), description="what is asked of the catalog of machines and prices", examples=[{"max_age": "30d"}]
     )
     benchmark: Benchmark = Field(Benchmark(), description="how machines are sampled", examples=[{"budget": "$2.50"}])
     connectivity: Connectivity = Field(

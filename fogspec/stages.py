@@ -1,5 +1,6 @@
 """What each stage reads of a spec: a change elsewhere leaves the stage's files fresh (LANGUAGE: what makes what stale)."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from fogspec.base import digest
@@ -10,7 +11,9 @@ def measured_part(application: Application) -> dict[str, Any]:
     """What a measurement depends on: nodes, environment, probe, metrics, workload."""
     body = application.spec.model_dump(mode="json")
     benchmark = body["benchmark"]
+    scenarios = {"scenarios": benchmark["scenarios"]} if benchmark["scenarios"] else {}
     return {
+        **scenarios,
         "cloud": body["cloud"],
         "ros": body["ros"],
         "probe": body["probe"],
@@ -44,6 +47,11 @@ def chosen_part(application: Application) -> dict[str, Any]:
 def measured_fields(application: Application) -> dict[str, str]:
     """A short digest of each part of `measured_part`, so that a later change can be named."""
     return {name: digest.of_value(value)[7:19] for name, value in measured_part(application).items()}
+
+
+def other_pins(measured: Mapping[str, str] | None, now: Mapping[str, str]) -> list[str]:
+    """What was pinned when it was measured, and is pinned to something else now: what was not pinned is not known."""
+    return sorted(name for name, one in (measured or {}).items() if now.get(name, one) != one)
 
 
 def measured_digest(application: Application) -> str:

@@ -8,10 +8,13 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from fogspec.base import digest
 from fogspec.plan import MachineRef, Sample
 from fogspec.spec import Application, Node, Spec
 
 DEPLOYMENT_IDLE_MINUTES = 30
+# Places without containers and spot machines: SkyPilot refuses a task that asks for them (docs.skypilot.co, "Slurm").
+BARE = ("slurm", "ssh")
 AGENT_FOLDER = "~/.fogspec/agent"
 ROS_APT_SOURCE = "1.1.0"  # release of ros-infrastructure/ros-apt-source that sets up the ROS 2 package source
 
@@ -72,13 +75,29 @@ def _resources(
         resources: dict[str, Any] = {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
     else:
         resources = {"infra": machine.infra, "instance_type": machine.instance}
+    if machine.price > 0:
+        # SkyPilot looks at it only when it chooses the machine itself: runners compare the price of a pinned one.
+        resources["max_hourly_cost"] = math.ceil(round(machine.price * 1e4, 6)) / 1e4
     if machine.gpu is not None:
         resources["accelerators"] = f"{machine.gpu.name}:{machine.gpu.count:g}"
-    if machine.spot:
+    bare = machine.infra.partition("/")[0] in BARE
+    if machine.spot and not bare:
         resources["use_spot"] = True
-    if spec.ros is not None and spec.ros.image is not None:
+    if spec.ros is not None and spec.ros.image is not None and not bare:
         resources["image_id"] = f"docker:{spec.ros.image}"
     return {**resources, "autostop": dict(autostop), "labels": dict(labels)}
+
+
+def left_out(spec: Spec, machine: MachineRef) -> list[str]:
+    """What a task for this machine leaves out of the spec, because SkyPilot cannot have it there."""
+    cloud = machine.infra.partition("/")[0]
+    if cloud not in BARE:
+        return []
+    image = spec.ros.image if spec.ros else None
+    found = (
+        [] if image is None else [f"image {image} is left out in {cloud}: ROS 2 is installed with apt, if it is absent"]
+    )
+    return [*found, *([f"spot is left out in {cloud}, which has none"] if machine.spot else [])]
 
 
 def _needs_files(spec: Spec) -> bool:
@@ -155,5 +174,6 @@ def ros_environment(spec: Spec) -> dict[str, Any]:
         "workspace": ros.workspace if ros else None,
         "apt": ros.apt if ros else [],
         "setup": ros.setup if ros else [],
+        "setup_digest": digest.of_value(ros.setup if ros else [])[7:19],
         "apt_source": {"version": ROS_APT_SOURCE},
     }

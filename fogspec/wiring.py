@@ -1,15 +1,20 @@
 """Which plugin has which name: the only file that knows concrete plugins, loaded when used."""
 
 import importlib
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fogspec.catalog import Catalog
+from fogspec.seams import ImageRegistry
 
 CATALOGS = {
     "snapshot": "fogspec.plugins.catalogs.snapshot:Snapshot",
+    "skypilot": "fogspec.plugins.catalogs.skypilot:SkyPilot",
+    "folder": "fogspec.plugins.catalogs.skypilot:Folder",
     "csv": "fogspec.plugins.catalogs.csv_file:CsvFile",
 }
+REGISTRIES = {"distribution": "fogspec.plugins.registries.distribution:Registry"}
 RUNNERS = {
     "local": "fogspec.plugins.runners.local:LocalRunner",
     "replay": "fogspec.plugins.runners.replay:ReplayRunner",
@@ -23,9 +28,19 @@ def load(registry: Mapping[str, str], name: str) -> Any:
 
 
 def catalog(path: str | None, clouds: Sequence[str]) -> Catalog:
-    """The catalog in the CSV file at `path`, else the bundled snapshot; `clouds` are those that the spec names."""
-    source = load(CATALOGS, "csv" if path else "snapshot")
+    """The catalog `snapshot` or `skypilot`, else that in the folder or CSV file at `path`; the snapshot without one.
+
+    `clouds` are those that the spec names. Raises Problems or WrongFile.
+    """
+    kind = path if path in (None, "snapshot", "skypilot") else "folder" if os.path.isdir(path) else "csv"
+    source = load(CATALOGS, kind or "snapshot")
     found: Catalog = source(path or "", clouds).load()
+    return found
+
+
+def registry() -> ImageRegistry:
+    """The registry client."""
+    found: ImageRegistry = load(REGISTRIES, "distribution")()
     return found
 
 

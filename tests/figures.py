@@ -35,6 +35,7 @@ def main() -> None:
             for verb in ("validate", "compile"):
                 print(_timed(f"{verb} specs/{spec}.yaml", [*_fogspec(), verb, f"specs/{spec}.yaml"], here))
     _choosing()
+    subprocess.run([sys.executable, "-m", "tests.bench_catalog"], cwd=ROOT, check=True)
     _install_size()
 
 

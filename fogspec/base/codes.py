@@ -1,7 +1,7 @@
 """Stable codes of diagnostics: what each means, why it is so, what is wrong and what is right.
 
 A code is never given a second meaning. FS1xx: the text as YAML; FS2xx: quantities; FS3xx: single fields; FS4xx: catalogs
-and data; FS5xx: rules between fields; FS7xx: generated files; FS9xx: this version's limits.
+and data; FS5xx: rules between fields; FS7xx: generated files; FS8xx: launch files; FS9xx: this version's limits.
 """
 
 from typing import NamedTuple
@@ -106,6 +106,12 @@ TEXT = {
         "constraints:\n",
         "constraints:\n  latency: 2s",
     ),
+    "FS116": Code(
+        "a line must be indented under its key",
+        "The line stands at the level of the key that it belongs to, and that key has nothing behind it.",
+        "metadata:\nname: arm",
+        "metadata:\n  name: arm",
+    ),
 }
 
 QUANTITIES = {
@@ -207,6 +213,19 @@ GENERATED = {
     "FS701": Code(
         "a generated file must be as it was written",
         "Its first line has the command that makes it again.",
+    ),
+}
+
+LAUNCHES = {
+    "FS801": Code(
+        "the launch file cannot be read",
+        "`init --from-launch` reads Python by its syntax tree, XML without DOCTYPE and entities, and YAML with a list under "
+        "'launch:'. It never runs a launch file.",
+    ),
+    "FS802": Code(
+        "a part of the launch file was not taken over",
+        "A launch file is a program. What only running it would tell, and what a spec has no place for, is said and left out; "
+        "check it by hand.",
     ),
 }
 

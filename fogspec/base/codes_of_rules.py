@@ -135,6 +135,18 @@ MEASURING = {
         "benchmark: {sampler: grid}",
         "benchmark: {sampler: grid, budget: $2.50}",
     ),
+    "FS524": Code(
+        "weighted scenarios need a callback probe",
+        "Which kind a request is of only the workload knows: it says so to fogspec_probe.stop. Topics do not tell.",
+        "probe: {request: /image, response: /pose}\nbenchmark: {scenarios: {easy: 3, hard: 1}}",
+        "probe: {callback: plan}\nbenchmark: {scenarios: {easy: 3, hard: 1}}",
+    ),
+    "FS523": Code(
+        "the topics are still those that init made up",
+        "A sample would wait for a response that never comes, and the machine would be paid for. This is a warning.",
+        "probe: {request: /request, response: /response}",
+        "probe: {request: /camera/image, response: /pose}",
+    ),
 }
 
 MACHINES = {

@@ -60,7 +60,7 @@ def _range(
 
 
 _N = r"(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?"
-_D = rf"{_N}\s*(ns|us|ms|s|min|h)"
+_D = rf"{_N}\s*(ns|us|ms|s|min|h|d)"
 _M = rf"{_N}\s*(MiB|GiB|TiB|MB|GB|TB)"
 _USD = rf"(\$\s*{_N}|{_N}\s*(cents?|¢))"
 _COST = rf"{_USD}\s*/\s*({_N})?\s*requests?"

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from fogspec.base.nodes import Path
-from fogspec.base.scalars import resolve
+from fogspec.base.scalars import HIDDEN, resolve
 
 PLAIN = re.compile(r"[A-Za-z0-9_/$.~](?:[-A-Za-z0-9_./$%+=*@ ]|:(?=[^\s,\]}]))*(?<! )")
 
@@ -19,7 +19,9 @@ def flow(value: Any) -> str:
         return "[" + ", ".join(map(flow, value)) + "]"
     if isinstance(value, str):
         plain = PLAIN.fullmatch(value) and resolve(value) == value and isinstance(resolve(value), str)
-        return value if plain else json.dumps(value, ensure_ascii=True)
+        return (
+            value if plain else HIDDEN.sub(lambda one: f"\\u{ord(one[0]):04x}", json.dumps(value, ensure_ascii=False))
+        )
     return json.dumps(value)
 
 

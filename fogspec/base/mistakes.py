@@ -4,8 +4,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from fogspec.base.diagnostics import Diagnostic
 from fogspec.base.fields import Strict
-from fogspec.base.language import annotation_at, fields_of, home_of, part
-from fogspec.base.nodes import Node, Path, dotted, find, key_place, place_of
+from fogspec.base.language import annotation_at, part
+from fogspec.base.nodes import Node, Path, dotted, find, place_of
 from fogspec.base.suggest import closest
 from fogspec.base.units import UnitError
 
@@ -23,8 +23,6 @@ def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
     found = find(node, path)
     if kind == "missing":
         return Diagnostic("FS302", f"{name} is missing", place, f"add '{path[-1]}: …'")
-    if kind == "extra_forbidden":
-        return _unknown(model, node, path)
     if kind == "value_error" and isinstance(context.get("error"), UnitError):
         wrong = context["error"]
         return Diagnostic(wrong.code, f"{name} {wrong.message}", place, f"write '{wrong.fix}'" if wrong.fix else None)
@@ -43,21 +41,6 @@ def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
     if kind in KINDS:
         return Diagnostic("FS303", f"{name} must be {KINDS[kind]}, not {_what(found)}", place, _retyped(kind, found))
     return Diagnostic("FS303", f"{name}: {error['msg'].lower()}", place)
-
-
-def _unknown(model: Any, node: Node, path: Path) -> Diagnostic:
-    key, place = str(path[-1]), key_place(node, path) or place_of(node, path)
-    around = fields_of(annotation_at(model, path[:-1]))
-    parent = find(node, path[:-1])
-    present = set(parent.value) if parent and isinstance(parent.value, dict) else set()
-    name = closest(key, [field for field in around if field not in present]) or closest(key, list(around))
-    if name:
-        fix = f"write '{name}'" if name not in present else f"'{name}' is there already: remove one of the two"
-    elif home := home_of(model, key, path[:-1]):
-        fix = f"move it to '{dotted(home)}'"
-    else:
-        fix = f"known here: {', '.join(around)}; a key of your own starts with 'x-'"
-    return Diagnostic("FS301", f"{dotted(path)} is not a field of the language", place, fix)
 
 
 def _choice(model: Any, path: Path, name: str, place: Any, found: Node | None) -> Diagnostic:

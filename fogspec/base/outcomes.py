@@ -46,3 +46,9 @@ class CloudFailed(Outcome):
     """Quota, capacity, network: safe to run again."""
 
     exit_code = 6
+
+
+class Interrupted(Outcome):
+    """The user stopped it: safe to run again."""
+
+    exit_code = 130

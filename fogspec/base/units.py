@@ -36,7 +36,7 @@ class Range:
 
 
 NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
-DURATION_S = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+DURATION_S = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 MEMORY_GIB = {
     "MiB": 2.0**-10, "GiB": 1.0, "TiB": 1024.0,
     "MB": 1e6 / 2**30, "GB": 1e9 / 2**30, "TB": 1e12 / 2**30,
@@ -44,7 +44,8 @@ MEMORY_GIB = {
 
 SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms",
-    "m": "min", "mins": "min", "minute": "min", "minutes": "min", "hour": "h", "hours": "h", "hr": "h", "µs": "us",
+    "m": "min", "mins": "min", "minute": "min", "minutes": "min", "hour": "h", "hours": "h", "hr": "h",
+    "day": "d", "days": "d", "µs": "us",
     "g": "GiB", "gi": "GiB", "mi": "MiB", "ti": "TiB", "t": "TiB", "gig": "GiB",
 }  # fmt: skip
 
@@ -116,10 +117,10 @@ def parse_percent(text: Any) -> float:
     """A fraction from `5%`."""
     body = _body(text)
     if match := re.fullmatch(rf"({NUMBER})\s*%", body):
-        return _finite(match[1]) / 100
+        return _finite(str(Decimal(match[1]) / 100))
     if re.fullmatch(NUMBER, body):
         value = _finite(body)
-        raise UnitError("must be a share in percent", f"{value * 100 if value <= 1 else value:g}%", "FS202")
+        raise UnitError("must be a share in percent", format_percent(value if value <= 1 else value / 100), "FS202")
     raise UnitError("must be a share such as 5%")
 
 
@@ -191,7 +192,7 @@ def format_duration(seconds: float) -> str:
         unit, places = ("ms", 3) if seconds >= 1e-3 else ("us", 6)
         text = format(Decimal(repr(float(seconds))).scaleb(places), "f")
         return f"{text.rstrip('0').rstrip('.') if '.' in text else text}{unit}"
-    return _format_scaled(seconds, {"h": 3600.0, "min": 60.0, "s": 1.0}, "s")
+    return _format_scaled(seconds, {"d": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0}, "s")
 
 
 def format_memory(gib: float) -> str:
@@ -221,8 +222,9 @@ def format_rate(per_s: float) -> str:
 
 def format_percent(share: float) -> str:
     """`5%`."""
-    text = format_number(round(share * 100, 12))
-    return f"{text}%" if float(text) / 100 == share else f"{format_number(share * 100)}%"
+    percent = Decimal(repr(float(share))) * 100
+    text = format(percent, "f")
+    return f"{text.rstrip('0').rstrip('.') if '.' in text else text}%"
 
 
 def format_range(value: Range, fmt: Callable[[float], str]) -> str:

@@ -12,10 +12,14 @@ from fogspec.base.diagnostics import Problems
 from fogspec.base.outcomes import Outcome
 
 VERBS = {
+    "init": "write a commented, valid spec",
     "validate": "check specs and say every mistake at once",
     "explain": "explain a field, an error code, or a choice",
     "config": "print a spec merged with its overlays, defaults filled in",
+    "migrate": "bring specs to the newest apiVersion",
     "compile": "write the plan and tasks; once measured, models, menu and manifest",
+    "lock": "pin catalog, images, workspace and workload to digests",
+    "status": "which stage is fresh or stale and why, and what was spent",
     "bench": "measure the plan's samples",
     "menu": "the choices on offer, also under other constraints",
 }

@@ -40,6 +40,9 @@ def command(spec: str, runner_name: str, recorded: str | None, only: str, dry_ru
         prepared = prepare(one.application, one.path, names)
         _check_place(prepared, runner)
         click.echo(_price(prepared, runner), err=True)
+        if prepared.outdated:
+            kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
+            click.echo(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)
         if dry_run:
             continue
         results = bench(prepared, runner, lambda campaign, p=prepared: _watcher(campaign, p, output))  # type: ignore[misc]

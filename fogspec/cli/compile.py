@@ -5,7 +5,7 @@ import json
 import click
 
 from fogspec.base.outcomes import Differs, NothingMeets
-from fogspec.cli.options import CATALOG, OUTPUT, SPECS, catalog_for
+from fogspec.cli.options import CATALOG, OUTPUT, SPECS, catalogs_for
 
 
 @click.command()
@@ -20,8 +20,10 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, check
     from fogspec.effects.specfiles import load
 
     loaded = load(list(specs))
-    catalog = catalog_for([one.application for one in loaded], catalog_path)
-    compiled = [compile_application(one.application, one.path, catalog) for one in loaded]
+    catalogs = catalogs_for(loaded, catalog_path)
+    compiled = [
+        compile_application(one.application, one.path, catalog) for one, catalog in zip(loaded, catalogs, strict=True)
+    ]
     changed = [path for one in compiled for path in (one.differing() if check else one.write())]
     if output == "json":
         click.echo(json.dumps([summarising.facts(one) for one in compiled], indent=2, ensure_ascii=False))

@@ -7,14 +7,23 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.outcomes import WrongCommand
-from fogspec.cli.options import CATALOG, OUTPUT, catalog_for
+from fogspec.cli.options import CATALOG, OUTPUT, catalogs_for
 
 if TYPE_CHECKING:
     from fogspec.base.fieldbook import FieldPage
 
 
+def _completions(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[str]:
+    """Fields and codes that begin like this, for the shell."""
+    from fogspec.base.codebook import CODES
+    from fogspec.base.fieldbook import pages
+    from fogspec.spec import Application
+
+    return [one for one in (*(page.path for page in pages(Application)), *CODES) if one.startswith(begun)]
+
+
 @click.command()
-@click.argument("what")
+@click.argument("what", shell_complete=_completions)
 @click.argument("spec", required=False)
 @CATALOG
 @OUTPUT
@@ -41,8 +50,10 @@ def _choices(path: str, name: str | None, catalog_path: str | None, output: str)
     from fogspec.effects.specfiles import load
 
     loaded = [one for one in load([path]) if name in (None, one.application.metadata.name)]
-    catalog = catalog_for([one.application for one in loaded], catalog_path)
-    compiled = [compile_application(one.application, one.path, catalog) for one in loaded]
+    catalogs = catalogs_for(loaded, catalog_path)
+    compiled = [
+        compile_application(one.application, one.path, catalog) for one, catalog in zip(loaded, catalogs, strict=True)
+    ]
     if output == "json":
         click.echo(json.dumps([explaining.facts(one) for one in compiled], indent=2, ensure_ascii=False))
     else:

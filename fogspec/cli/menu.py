@@ -6,7 +6,7 @@ import click
 
 from fogspec.base.outcomes import NothingMeets, WrongCommand
 from fogspec.base.units import UnitError
-from fogspec.cli.options import CATALOG, OUTPUT, SPEC, catalog_for
+from fogspec.cli.options import CATALOG, OUTPUT, SPEC, catalogs_for
 
 
 @click.command()
@@ -28,9 +28,12 @@ def command(
     loaded = [one for one in load([spec]) if name is None or one.application.metadata.name == name]
     if not loaded:
         raise WrongCommand(f"{spec} has no application named {name}")
-    catalog = catalog_for([one.application for one in loaded], catalog_path)
+    catalogs = catalogs_for(loaded, catalog_path)
     try:
-        menus = [menu_of(one.application, one.path, catalog, alpha, latency, cost) for one in loaded]
+        menus = [
+            menu_of(one.application, one.path, catalog, alpha, latency, cost)
+            for one, catalog in zip(loaded, catalogs, strict=True)
+        ]
     except UnitError as wrong:
         raise WrongCommand(str(wrong), *([f"write {wrong.fix}"] if wrong.fix else [])) from None
     if output == "json":

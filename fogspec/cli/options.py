@@ -1,30 +1,99 @@
 """Options and steps that several verbs share."""
 
+import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
 
+from fogspec.base.outcomes import Differs
+
 if TYPE_CHECKING:
     from fogspec.catalog import Catalog
-    from fogspec.spec import Application
+    from fogspec.effects.layout import Layout
+    from fogspec.effects.specfiles import LoadedSpec
+    from fogspec.lock import Pins
 
 SPECS = click.argument("specs", nargs=-1, required=True, type=click.Path(path_type=str))
 SPEC = click.argument("spec", type=click.Path(path_type=str))
 OUTPUT = click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="form of the answer")
 CATALOG = click.option(
-    "--catalog", "catalog_path", type=click.Path(path_type=str), metavar="FILE.csv",
-    help="machines and prices in SkyPilot's columns, instead of the bundled snapshot",
+    "--catalog", "catalog_path", type=click.Path(path_type=str), metavar="FROM",
+    help="machines and prices: snapshot (bundled), skypilot (SkyPilot's own, as it fetched them), a folder in "
+    "SkyPilot's layout, or a CSV file in its columns; otherwise what fogspec.lock says, or the snapshot",
 )  # fmt: skip
 
 
-def catalog_for(applications: Sequence["Application"], path: str | None) -> "Catalog":
-    """The catalog that the command line asks for."""
+def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> list["Catalog"]:
+    """Each application's catalog: what the command line asks for, else what the lock says, else the snapshot.
+
+    Raises Differs when the catalog is no longer the one that was locked, WrongFile or Problems when it cannot be read.
+    Says what was left out of a catalog that was asked for, and that a catalog is older than a spec allows.
+    """
+    from fogspec.effects.layout import Layout
+    from fogspec.effects.pinning import read_pins
+
+    known: dict[tuple[str | None, tuple[str, ...]], Catalog] = {}
+    said: dict[str, None] = {}
+    found = []
+    for one in loaded:
+        layout = Layout.of(one.path, one.application.metadata.name)
+        pins = read_pins(layout)
+        origin = path or (located(pins.catalog.origin, layout) if pins else None)
+        key = (origin, clouds_of(one))
+        if key not in known:
+            known[key] = load_catalog(*key)
+        catalog = known[key]
+        if pins is not None and path is None:
+            catalog = _as_locked(catalog, pins, layout)
+        said |= dict.fromkeys([*(f"{path}: {note}" for note in catalog.about.notes if path), *_age(one, catalog)])
+        found.append(catalog)
+    for line in said:
+        click.echo(line, err=True)
+    return found
+
+
+def load_catalog(origin: str | None, clouds: tuple[str, ...]) -> "Catalog":
+    """The catalog from there, for these clouds."""
     from fogspec import wiring
 
-    clouds = sorted({entry.split("/")[0] for application in applications for entry in application.spec.infra})
-    catalog = wiring.catalog(path, clouds)
-    if path:
-        for note in catalog.about.notes:
-            click.echo(f"{path}: {note}", err=True)
-    return catalog
+    return wiring.catalog(origin, clouds)
+
+
+def clouds_of(one: "LoadedSpec") -> tuple[str, ...]:
+    """The clouds that a spec names."""
+    return tuple(sorted({entry.split("/")[0] for entry in one.application.spec.infra}))
+
+
+def located(origin: str, layout: "Layout") -> str:
+    """What `--catalog` would be given for the origin that a lock names."""
+    return origin if origin in ("snapshot", "skypilot") else os.path.normpath(layout.root / origin)
+
+
+def _as_locked(catalog: "Catalog", pins: "Pins", layout: "Layout") -> "Catalog":
+    from dataclasses import replace
+
+    pin = pins.catalog
+    if catalog.about.digest != pin.digest:
+        raise Differs(
+            f"{layout.name}: the catalog {pin.origin} is not the one that {layout.lock} pins",
+            f"fogspec lock {layout.spec} --upgrade catalog",
+        )
+    about = replace(catalog.about, source=pin.source, revision=pin.revision, date=pin.date)
+    return replace(catalog, about=about)
+
+
+def _age(one: "LoadedSpec", catalog: "Catalog") -> list[str]:
+    """That the catalog is older than the spec allows."""
+    from datetime import UTC, date, datetime
+
+    dated, most_s = catalog.about.date, one.application.spec.catalog.max_age
+    if not dated:
+        return []
+    days = (datetime.now(UTC).date() - date.fromisoformat(dated)).days
+    if days * 86400 <= most_s:
+        return []
+    return [
+        f"warning: {catalog.about.source}: prices are of {dated}, {days} days old; spec.catalog.max_age allows "
+        f"{most_s / 86400:g}: see --catalog"
+    ]

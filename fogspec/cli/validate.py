@@ -23,7 +23,7 @@ def command(files: tuple[str, ...], overlays: tuple[str, ...], output: str, colo
     from fogspec.effects.report import show_diagnostics
     from fogspec.effects.specfiles import examine
 
-    paths = find_specs(files or ("specs",))
+    paths = find_specs(files)
     loaded, diagnostics = examine(paths, overlays)
     show_diagnostics(diagnostics, output, color)
     if any(one.severity == "error" for one in diagnostics):

@@ -10,15 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from fogspec import stages
-from fogspec.base.outcomes import CloudFailed, Refused
+from fogspec.base import digest
+from fogspec.base.outcomes import CloudFailed, Interrupted, Refused, WrongFile
 from fogspec.effects import watching
 from fogspec.effects.clock import SystemClock
 from fogspec.effects.collecting import Rules
 from fogspec.effects.journal import Journal
+from fogspec.effects.layout import Layout
 from fogspec.effects.locking import held
+from fogspec.effects.orders import Order
 from fogspec.effects.preparing import Prepared
 from fogspec.effects.recording import ResultsFile
-from fogspec.effects.sampling import Campaign, Order
+from fogspec.effects.sampling import Campaign
 from fogspec.plan import lifetime_s
 from fogspec.results import Results
 from fogspec.seams import Runner
@@ -43,26 +46,44 @@ def bench(prepared: Prepared, runner: Runner, watch: Callable[[Campaign], watchi
     """Measure what is to be measured, and return the results as they are on disk.
 
     Raises Refused when another bench of this application runs, CloudFailed for machines that could not be
-    verified gone, KeyboardInterrupt when the user stopped it; results are on disk in every case.
+    verified gone, Interrupted when the user stopped it, WrongFile for a disk that cannot be written; results are on
+    disk in every case.
     """
-    layout = prepared.layout
-    with held(layout.state / "lock", f"a bench of {layout.name}"), interruptible() as interrupt:
-        journal = Journal(layout.state / "journal.jsonl")
-        try:
-            campaign, ledger = _campaign(prepared, runner, journal, interrupt)
-            with watch(campaign) as watcher:
-                campaign.tell = watcher
-                running_on = campaign.recover()
-                campaign.run([sample for sample in prepared.todo if sample.id not in running_on])
-        finally:
-            journal.close()
-    if campaign.left:
-        raise CloudFailed(
-            "these machines could not be verified gone", *campaign.left, f"run the bench of {layout.name} again"
-        )
+    layout, left = prepared.layout, list[str]()
+    again = f"run the bench of {layout.name} again: it goes on where this one stopped"
+    try:
+        with held(layout.state / "lock", f"a bench of {layout.name}"), interruptible() as interrupt:
+            results = _measure(prepared, runner, watch, interrupt, left)
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted at once", *map("may still run: {}".format, left), again) from None
+    except BrokenPipeError:
+        raise
+    except OSError as problem:
+        said = f"{problem.filename or layout.state}: {problem.strerror or problem}"
+        raise WrongFile(said, *map("may still run: {}".format, left), again) from None
+    if left:
+        raise CloudFailed("these machines could not be verified gone", *left, again)
     if interrupt.asked:
-        raise KeyboardInterrupt
-    return ledger.results()
+        raise Interrupted("interrupted: nothing runs any more", again)
+    return results
+
+
+def _measure(
+    prepared: Prepared, runner: Runner, watch: Callable[[Campaign], watching.Watcher], interrupt: Interrupt,
+    left: list[str],
+) -> Results:  # fmt: skip
+    """Run the campaign; `left` gets the names of machines that are not known to be gone, also when this raises."""
+    journal = Journal(prepared.layout.state / "journal.jsonl")
+    try:
+        campaign, ledger = _campaign(prepared, runner, journal, interrupt)
+        campaign.left = left
+        with watch(campaign) as watcher:
+            campaign.tell = watcher
+            running_on = campaign.recover()
+            campaign.run([sample for sample in prepared.todo if sample.id not in running_on])
+        return ledger.results()
+    finally:
+        journal.close()
 
 
 def _campaign(
@@ -73,16 +94,19 @@ def _campaign(
     ledger = ResultsFile(
         layout, application, prepared.plan_digest, runner.name, runner.source, body.budget,
         [sample.id for sample in body.samples], redactor(prepared.application.spec.secrets),
+        body.pins or None, body.application.reads,
     )  # fmt: skip
     if prepared.outdated:
-        set_aside(layout.results)
+        set_aside(layout)
     if prepared.results is not None:
         check_same_runner(prepared.results, runner)
         ledger.take(prepared.results)
-    journal.begin(runner.name, application, prepared.plan_digest, ledger.spent_usd)
+    # A sample that runs on from before must have been started by a task with the same pins.
+    measures = digest.of_value([application, body.pins])
+    journal.begin(runner.name, measures, prepared.plan_digest, ledger.spent_usd)
     life = lifetime_s(body.after, body.setup)
     order = Order(
-        application=application, plan=prepared.plan_digest, rules=Rules.of(prepared.application), budget_usd=body.budget,
+        application=measures, plan=prepared.plan_digest, rules=Rules.of(prepared.application), budget_usd=body.budget,
         deadline_s=life - DEADLINE_BEFORE_END_S, lifetime_s=life, tasks=prepared.tasks, root=layout.root,
         attempts=layout.state / "attempts", token=secrets.token_hex(4),
     )  # fmt: skip
@@ -98,13 +122,16 @@ def check_same_runner(results: Results, runner: Runner) -> None:
         )
 
 
-def set_aside(results: Path) -> Path:
-    """Keep results that measured something else under another name: they were paid for."""
-    number = 1
-    while (kept := results.with_name(f"{results.stem}.old-{number}.yaml")).exists():
+def set_aside(layout: Layout) -> Path:
+    """Keep results that measured something else, with their raw timings, in another folder: they were paid for."""
+    number, beside = 1, layout.results.parent
+    while (folder := beside / f"{layout.name}.old-{number}").exists():
         number += 1
-    os.rename(results, kept)
-    return kept
+    timings = folder / layout.timings.relative_to(beside)
+    timings.parent.mkdir(parents=True)
+    if layout.timings.is_dir():
+        os.rename(layout.timings, timings)
+    return layout.results.rename(folder / layout.results.name)
 
 
 def redactor(names: list[str]) -> Callable[[str], str]:

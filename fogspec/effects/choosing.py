@@ -14,10 +14,12 @@ from fogspec.effects import picture
 from fogspec.effects.files import yaml_text
 from fogspec.effects.layout import Layout
 from fogspec.effects.templates import render
+from fogspec.lock import image_named, is_pinned
 from fogspec.manifest import FileRef, Manifest, Sources, make_manifest
 from fogspec.menu import LEVEL, Menu, make_menu, thinned, weights
 from fogspec.models import Models, fit
 from fogspec.plan import CatalogRef, TaskRef, machine_ref
+from fogspec.relaxing import Relaxed, chosen_by_relaxing, relax
 from fogspec.results import Results
 from fogspec.spec import Application
 from fogspec.tasks import command, deploy_task, ros_environment
@@ -42,7 +44,7 @@ def choose_files(
     """Fit, choose, and lay out what is written of it."""
     source = layout.relative(layout.spec)
     models = fit(application, results)
-    choice = choose(application, models, admissible)
+    choice, relaxed = decide(application, models, admissible)
     warnings = warnings_of(application, models, choice)
     menu = make_menu(application, choice, warnings)
     files = {layout.models: _yaml(models, source), layout.menu: _yaml(menu, source)}
@@ -60,9 +62,18 @@ def choose_files(
             models=FileRef(path=layout.models.relative_to(beside).as_posix(), digest=digest.of_bytes(files[layout.models])),
             task=task, robot_launch=robot,
         )  # fmt: skip
-        manifest = make_manifest(application, choice, models, sources, warnings)
+        manifest = make_manifest(application, choice, models, sources, warnings, relaxed)
         files[layout.manifest] = _yaml(manifest, source)
     return Chosen(models, choice, menu, manifest, files)
+
+
+def decide(application: Application, models: Models, admissible: Admissible) -> tuple[Choice, Relaxed | None]:
+    """The choice by the method that the spec asks for, and where the paper's method ends."""
+    choice = choose(application, models, admissible)
+    relaxed = relax(application, models, choice)
+    if application.spec.objective.method == "relaxed":
+        choice = chosen_by_relaxing(choice, relaxed)
+    return choice, relaxed
 
 
 def _deployment_files(
@@ -95,8 +106,8 @@ def warnings_of(application: Application, models: Models, choice: Choice) -> lis
     found = []
     if models.spec.measured_on_local:
         found.append(
-            "extrapolated: measured on one host's CPUs and memory, not on machines of the catalog, whose CPUs differ: the ranking "
-            "is a guess, and how far off it is cannot be said"
+            "extrapolated: measured on one host's CPUs and memory, not on machines of the catalog, whose CPUs differ: "
+            "the ranking is a guess, and how far off it is cannot be said"
         )
     row = choice.chosen
     if row is not None:
@@ -114,10 +125,17 @@ def warnings_of(application: Application, models: Models, choice: Choice) -> lis
             )
         if choice.latency.interval(row, LEVEL) is None and not models.spec.measured_on_local:
             found.append("the samples are too few to say how sure the prediction is")
+    elif choice.feasible.any():
+        found.append(
+            "the relaxed method ends beside no machine that meets the limits, though there are some: use exhaustive"
+        )
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
         found += [f"model of {model.target}{beside}: {text}" for text in model.warnings]
     found += [f"sample {one.id} does not count: {one.why}" for one in models.spec.unusable]
+    image = image_named(application)
+    if image is not None and not is_pinned(image):
+        found.append(f"image {image} is not pinned to a digest: what is deployed may differ from what was measured")
     unpredicted = len(choice.offers) - int(choice.eligible.sum())
     if unpredicted:
         found.append(f"{unpredicted} admissible machines cannot be predicted: no usable sample of their GPU type")

@@ -4,22 +4,21 @@ import gzip
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeGuard
 
 from fogspec.base import digest
+from fogspec.effects.statistics import NEEDED, summary, weights
 from fogspec.plan import Sample
-from fogspec.results import LatencySummary, Measured, Reason, State, Timings
+from fogspec.results import Measured, Reason, State, Timings
 from fogspec.seams import Progress
 from fogspec.spec import Application
 
 SIZE_LIMIT = 256 * 2**20
 LINE_LIMIT = 64 * 2**10
-QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
-# A quantile is said when on average one request lies beyond it; a mean is a mean from the first request on.
-NEEDED = {"mean": 1, "p50": 2, "p95": 20, "p99": 100}
+NAMES_SAID = 5
 # Nothing that a second try could change came of these, or nobody had the chance to try.
 UNFINISHED = {"quota", "capacity", "interrupted", "budget"}
 
@@ -33,6 +32,7 @@ class Rules:
     statistic: str
     callback: str | None = None
     metrics: dict[str, str] = field(default_factory=dict)
+    scenarios: dict[str, float] = field(default_factory=dict)
 
     @staticmethod
     def of(application: Application) -> "Rules":
@@ -42,60 +42,60 @@ class Rules:
             warmup=spec.benchmark.warmup, valid=spec.benchmark.valid, statistic=spec.constraints.statistic,
             callback=spec.probe.callback,
             metrics={name: metric.callback or name for name, metric in spec.metrics.items()},
+            scenarios=spec.benchmark.scenarios,
         )  # fmt: skip
 
 
 @dataclass(slots=True)
 class Requests:
-    """Requests after warm-up: latencies in seconds and metrics of those that succeeded, and what did not."""
+    """Requests after warm-up: latencies in seconds and metrics of those that succeeded, and what did not.
+
+    `kinds` has the scenario of each latency; `metrics` are (value, scenario).
+
+    `seen` counts warm-up and failures too. `others` are names that were timed beside the one asked for, in the order they came.
+    """
 
     latencies_s: list[float] = field(default_factory=list)
-    metrics: dict[str, list[float]] = field(default_factory=dict)
+    kinds: list[str] = field(default_factory=list)
+    metrics: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
+    seen: int = 0
     failed: int = 0
     unreadable: int = 0
+    unweighed: int = 0
     first_failure: str | None = None
+    others: list[str] = field(default_factory=list)
 
 
 def read(path: Path | None, rules: Rules) -> Requests:
     """The requests of a timings file; lines that are no records are counted, never guessed at."""
     requests = Requests()
-    seen = 0
     for line in _lines(path):
         record = _record(line)
         if record is None:
             requests.unreadable += 1
             continue
-        name, latency_s, ok, metrics, reason = record
+        name, latency_s, ok, metrics, reason, kind = record
         if rules.callback is not None and name != rules.callback:
+            if name not in requests.others and len(requests.others) < NAMES_SAID:
+                requests.others.append(name)
             continue
-        seen += 1
-        if seen <= rules.warmup:
+        requests.seen += 1
+        if requests.seen <= rules.warmup:
             continue
         if not ok:
             requests.failed += 1
             requests.first_failure = requests.first_failure or reason
             continue
+        if rules.scenarios and kind not in rules.scenarios:
+            requests.unweighed += 1
+            continue
         requests.latencies_s.append(latency_s)
+        requests.kinds.append(kind)
         for metric, key in rules.metrics.items():
             value = metrics.get(key)
             if _number(value):
-                requests.metrics.setdefault(metric, []).append(float(value))
+                requests.metrics.setdefault(metric, []).append((float(value), kind))
     return requests
-
-
-def summary(latencies_s: Sequence[float]) -> LatencySummary | None:
-    """Mean, standard deviation (n - 1) and quantiles (linear between order statistics), in seconds."""
-    n = len(latencies_s)
-    if not n:
-        return None
-    mean = math.fsum(latencies_s) / n
-    sd = math.sqrt(math.fsum((x - mean) ** 2 for x in latencies_s) / (n - 1)) if n > 1 else None
-    ordered = sorted(latencies_s)
-    known = {name: _quantile(ordered, q) for name, q in QUANTILES.items() if n >= NEEDED[name]}
-    # Field types read text with units; these are numbers already.
-    return LatencySummary.model_construct(
-        mean=mean, sd=sd, p50=known.get("p50"), p95=known.get("p95"), p99=known.get("p99")
-    )
 
 
 def judge(requests: Requests, progress: Progress, rules: Rules) -> tuple[State, Reason | None, str | None]:
@@ -105,16 +105,24 @@ def judge(requests: Requests, progress: Progress, rules: Rules) -> tuple[State, 
     must not win. Then it is the number of valid requests that counts.
     """
     n, failed = len(requests.latencies_s), requests.failed
+    if not requests.seen and requests.others and progress.reason in (None, "no_response"):
+        named = f"no request named {rules.callback!r} was timed, only {', '.join(map(repr, requests.others))}"
+        return "failed", "no_response", f"{named}: compare spec.probe.callback with the workload's calls of start"
     if progress.reason is not None:
         return "failed", progress.reason, progress.detail
     if failed and n < rules.valid * (n + failed):
         why = f": {requests.first_failure}" if requests.first_failure else ""
         return "failed", "check", f"{failed} of {n + failed} requests failed their check{why}"
+    if not n and requests.unweighed:
+        named = ", ".join(rules.scenarios)
+        return "failed", "no_response", f"no request says that it is of a scenario in spec.benchmark.scenarios: {named}"
     if not n:
         return "timeout", None, progress.detail or "no request was answered after warm-up in the time allowed"
+    if missing := [name for name in rules.scenarios if name not in requests.kinds]:
+        return "insufficient", None, f"no valid request of scenario {', '.join(missing)}"
     if n < NEEDED[rules.statistic]:
         return "insufficient", None, f"{n} requests; {rules.statistic} needs {NEEDED[rules.statistic]}"
-    unreadable = f"{requests.unreadable} lines of the timings could not be read" if requests.unreadable else None
+    unreadable = f"unreadable lines in the timings: {requests.unreadable}" if requests.unreadable else None
     return "ok", None, progress.detail or unreadable
 
 
@@ -134,9 +142,9 @@ def measured(sample: Sample, progress: Progress, rules: Rules, duration_s: float
     return Measured.model_construct(
         id=sample.id, machine=sample.machine, measured_on=progress.measured_on, state=state, reason=reason,
         detail=detail, requests=len(requests.latencies_s), failed_requests=requests.failed,
-        latency=summary(requests.latencies_s),
+        latency=summary(requests.latencies_s, weights(requests.kinds, rules.scenarios)),
         waited=progress.waited_s if state in ("timeout", "insufficient") else None,
-        metrics={name: math.fsum(values) / len(values) for name, values in requests.metrics.items()},
+        metrics={name: _average(values, rules.scenarios) for name, values in requests.metrics.items()},
         duration=duration_s, spent=spent_usd,
     )  # fmt: skip
 
@@ -172,7 +180,7 @@ def _lines(path: Path | None) -> Iterator[bytes]:
                 yield b""
 
 
-def _record(line: bytes) -> tuple[str, float, bool, dict[str, object], str | None] | None:
+def _record(line: bytes) -> tuple[str, float, bool, dict[str, object], str | None, str] | None:
     try:
         entry = json.loads(line)
         latency_s, ok = entry["latency_s"], entry["ok"]
@@ -183,7 +191,7 @@ def _record(line: bytes) -> tuple[str, float, bool, dict[str, object], str | Non
     if not sound:
         return None
     text = "".join(c for c in reason if c.isprintable())[:200] if isinstance(reason, str) else None
-    return str(entry.get("name", "")), float(latency_s), ok, metrics, text
+    return str(entry.get("name", "")), float(latency_s), ok, metrics, text, str(entry.get("scenario") or "")
 
 
 def _number(value: object) -> TypeGuard[float]:
@@ -191,8 +199,6 @@ def _number(value: object) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
-def _quantile(ordered: Sequence[float], share: float) -> float:
-    place = share * (len(ordered) - 1)
-    below = math.floor(place)
-    above = min(below + 1, len(ordered) - 1)
-    return ordered[below] + (ordered[above] - ordered[below]) * (place - below)
+def _average(values: Sequence[tuple[float, str]], scenarios: Mapping[str, float]) -> float:
+    shares = weights([kind for _, kind in values], scenarios)
+    return math.fsum(value * share for (value, _), share in zip(values, shares, strict=True))

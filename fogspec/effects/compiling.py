@@ -3,26 +3,35 @@
 What compile writes is a function of these three: files that no longer follow are removed, and a check is a comparison.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import fogspec.probe
 from fogspec import stages
 from fogspec.admissible import Admissible, admit
 from fogspec.base import digest, units
+from fogspec.base.diagnostics import Problems
 from fogspec.base.outcomes import Refused
+from fogspec.budget import bill, cents_up, cheapest_ways, fits
 from fogspec.catalog import Catalog
-from fogspec.effects.choosing import Chosen, choose_files
+from fogspec.effects.collecting import finished
 from fogspec.effects.files import write_bytes, yaml_text
 from fogspec.effects.layout import Layout
 from fogspec.effects.measured import read_results
+from fogspec.effects.pinning import read_pins
+from fogspec.effects.specfiles import read_document
 from fogspec.effects.templates import render
-from fogspec.plan import Plan, Sample, TaskRef, lifetime_s, make_plan
+from fogspec.keeping import kept
+from fogspec.lock import pinned, pins_of_measurement
+from fogspec.plan import Plan, Sample, TaskRef, digest_without_budget, lifetime_s, make_plan
 from fogspec.results import Results
 from fogspec.spec import Application
-from fogspec.tasks import measured_processes, ros_environment, sample_task
+from fogspec.tasks import left_out, measured_processes, ros_environment, sample_task
+
+if TYPE_CHECKING:
+    from fogspec.effects.choosing import Chosen
 
 PROBE_FILES = ("agent.py", "fogspec_probe.py", "fogspec_topics.py")
 
@@ -41,7 +50,7 @@ class Compiled:
     removed: tuple[Path, ...]
     results: Results | None = None
     stale: str | None = None
-    chosen: Chosen | None = field(default=None)
+    chosen: "Chosen | None" = field(default=None)
 
     def differing(self) -> list[Path]:
         """Files on disk that are not what compile would write, and those that should not be there."""
@@ -67,32 +76,66 @@ def compile_application(application: Application, spec_path: str | Path, catalog
     """
     layout = Layout.of(spec_path, application.metadata.name)
     source = layout.relative(layout.spec)
-    bare = make_plan(application, source, catalog)
-    check_budget(bare)
-    files = dict(_agent_files(layout))
-    plan = _with_tasks(application, bare, layout, files)
-    files[layout.plan] = _yaml(plan.model_dump(mode="json"), source)
+    pins = read_pins(layout)
+    exact = pinned(application, pins)
+    depends = pins_of_measurement(application, pins)
+    results, stale = _usable_results(application, layout, depends)
     admissible = admit(catalog, application.spec.hardware, application.spec.infra)
-    results, stale = _usable_results(application, layout)
+    bare = _kept_plan(application, layout, catalog, depends, results)
+    if bare is None:
+        bare = make_plan(application, source, catalog, depends, admissible)
+    check_budget(application, bare, admissible, results)
+    files = dict(_agent_files(layout))
+    plan = _with_tasks(exact, bare, layout, files)
+    files[layout.plan] = _yaml(plan.model_dump(mode="json"), source)
     chosen = None
     if results is not None:
-        plan_digest = digest.of_bytes(files[layout.plan])
-        chosen = choose_files(application, layout, catalog.about, admissible, results, plan_digest)
+        from fogspec.effects.choosing import choose_files
+
+        plan_digest = digest_without_budget(plan)
+        chosen = choose_files(exact, layout, catalog.about, admissible, results, plan_digest)
         files |= chosen.files
     return Compiled(layout, plan, admissible, files, tuple(_leftover(layout, files)), results, stale, chosen)
 
 
-def check_budget(plan: Plan) -> None:
-    """Raises Refused when the plan may cost more than its budget."""
+def _kept_plan(
+    application: Application, layout: Layout, catalog: Catalog, pins: Mapping[str, str], results: Results | None
+) -> Plan | None:
+    """The plan on disk, where all of it is measured, it still serves, and the spec's box or the prices are new."""
+    if results is None or not layout.plan.is_file():
+        return None
+    try:
+        plan = read_document(layout.plan, Plan)
+    except Problems:
+        return None
+    body, spec = plan.spec, application.spec
+    if (body.hardware, body.infra, body.picked_from) == (spec.hardware, spec.infra, catalog.about.digest):
+        return None
+    if not {sample.id for sample in body.samples} <= done(results):
+        return None
+    return kept(application, plan, catalog, pins)
+
+
+def done(results: Results | None) -> frozenset[str]:
+    """The ids of samples that need not be measured again."""
+    return frozenset(record.id for record in results.spec.samples if finished(record)) if results else frozenset()
+
+
+def check_budget(application: Application, plan: Plan, admissible: Admissible, results: Results | None) -> None:
+    """Raises Refused when what is still to be measured may cost more than the budget leaves."""
     body = plan.spec
-    if body.budget is None or body.estimate.total <= body.budget:
+    due = bill(plan, done(results), results.spec.spent if results else 0.0)
+    if fits(plan, due):
         return
-    needed = units.format_money(-(-body.estimate.total * 100 // 1) / 100)
+    assert body.budget is not None
+    before = f", {money(due.spent_usd)} of it spent already" if due.spent_usd else ""
     raise Refused(
-        f"{plan.metadata.name}: the plan may cost {money(body.estimate.total)}, the budget is {money(body.budget)}: "
+        f"{plan.metadata.name}: the plan may cost {money(due.total_usd)}{before}, the budget is {money(body.budget)}: "
         "nothing was written",
-        f"{len(body.samples)} samples: measuring {money(body.estimate.measuring)}, set-up {money(body.estimate.setup)}",
-        f"raise spec.benchmark.budget to {needed}, or lower spec.benchmark.stop.after, setup, or hardware",
+        f"{len(due.todo)} samples to measure: measuring {money(due.estimate.measuring)}, set-up {money(due.estimate.setup)}",
+        "ways to make it fit, those that lose least first:",
+        *(f"- {way.line()}" for way in cheapest_ways(application, plan, due, admissible)),
+        f"- raise spec.benchmark.budget to {units.format_money(cents_up(due.total_usd))}: loses nothing",
     )
 
 
@@ -116,7 +159,9 @@ def _with_tasks(application: Application, plan: Plan, layout: Layout, files: dic
         files[path] = _yaml(task_of(application, plan, sample, layout), source)
         reference = TaskRef(path=path.relative_to(layout.compiled).as_posix(), digest=digest.of_bytes(files[path]))
         samples.append(sample.model_copy(update={"task": reference}))
-    return plan.model_copy(update={"spec": plan.spec.model_copy(update={"samples": samples})})
+    said = dict.fromkeys(note for sample in samples for note in left_out(application.spec, sample.machine))
+    notes = [*plan.spec.notes, *(note for note in said if note not in plan.spec.notes)]
+    return plan.model_copy(update={"spec": plan.spec.model_copy(update={"samples": samples, "notes": notes})})
 
 
 def task_of(application: Application, plan: Plan, sample: Sample, layout: Layout) -> dict[str, Any]:
@@ -145,13 +190,17 @@ def _limits(application: Application, plan: Plan) -> list[str]:
     words += ["--startup", units.format_number(body.setup)]
     if body.steps is not None:
         words += ["--steps", str(body.steps)]
+    if application.spec.probe.callback is not None:
+        words += ["--callback", application.spec.probe.callback]
     if stop.precision is not None:
         statistic = application.spec.constraints.statistic
         words += ["--precision", units.format_number(stop.precision), "--statistic", statistic]
     return words
 
 
-def _usable_results(application: Application, layout: Layout) -> tuple[Results | None, str | None]:
+def _usable_results(
+    application: Application, layout: Layout, pins: Mapping[str, str]
+) -> tuple[Results | None, str | None]:
     """Results that measure what the spec says now, or why those on disk do not count."""
     results = read_results(layout)
     if results is None:
@@ -161,6 +210,8 @@ def _usable_results(application: Application, layout: Layout) -> tuple[Results |
             f"{layout.results} measured something else: nodes, environment, probe, metrics, workload, or how it is "
             "driven has changed since"
         )
+    if others := stages.other_pins(results.spec.pins, pins):
+        return None, f"{layout.results} measured something else: {', '.join(others)} changed since"
     return results, None
 
 

@@ -7,14 +7,16 @@ from collections.abc import Sequence
 from fogspec.base.outcomes import WrongFile
 
 
-def find_specs(arguments: Sequence[str]) -> list[str]:
+def find_specs(arguments: Sequence[str] = ()) -> list[str]:
     """The files named, those in folders (`*.yaml`, `*.yml`, at any depth), and those that patterns match, each once.
 
-    In a folder, hidden files, files without a word of fogspec, and files that fogspec wrote are left out. Raises
-    WrongFile when an argument leads to nothing.
+    Without arguments those in specs/. In a folder, hidden files, files without a word of fogspec, and files that
+    fogspec wrote are left out. Raises WrongFile when an argument leads to nothing.
     """
+    if not arguments and not os.path.isdir("specs"):
+        raise WrongFile("there is no folder specs here", "name files, folders or patterns, or begin with: fogspec init")
     found: dict[str, None] = {}
-    for argument in arguments:
+    for argument in arguments or ("specs",):
         if os.path.isdir(argument):
             here = _specs_in(argument)
             nothing = "has no spec"

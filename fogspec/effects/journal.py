@@ -51,6 +51,11 @@ class Book:
     campaign: dict[str, Any] | None = None
     attempts: int = 0
 
+    @property
+    def committed_usd(self) -> float:
+        """The most that the machines not known to be gone can cost."""
+        return sum(started.commitment_usd for started in self.open.values())
+
     def take(self, entry: dict[str, Any]) -> None:
         """Add one entry; raises KeyError, TypeError or ValueError for one that nobody wrote like this."""
         kind = entry["do"]

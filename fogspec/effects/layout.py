@@ -29,6 +29,11 @@ class Layout:
         return self.root / "compiled" / self.name
 
     @property
+    def lock(self) -> Path:
+        """The lock of all applications with this root."""
+        return self.root / "fogspec.lock"
+
+    @property
     def plan(self) -> Path:
         """The sampling plan."""
         return self.compiled / "plan.yaml"

@@ -22,7 +22,7 @@ def check_seal(results: Results, path: str | Path) -> None:
     """Raises Problems when the file says something else than what was measured."""
     if not intact(results):
         raise Problems([Diagnostic(
-            "FS301", "the results were changed after they were measured: their seal does not hold",
+            "FS701", "the results were changed after they were measured: their seal does not hold",
             Place(str(path), 1, 1),
             f"restore the file (git checkout -- {path}), or move it away and measure again",
         )])  # fmt: skip

@@ -8,8 +8,7 @@ from fogspec.admissible import admit
 from fogspec.base import units
 from fogspec.base.outcomes import Differs
 from fogspec.catalog import Catalog
-from fogspec.choice import choose
-from fogspec.effects.choosing import warnings_of
+from fogspec.effects.choosing import decide, warnings_of
 from fogspec.effects.layout import Layout
 from fogspec.effects.measured import read_results
 from fogspec.effects.summarising import entry_words, no_words
@@ -34,7 +33,7 @@ def menu_of(
         raise Differs(f"{layout.name} {what}: there is no menu", f"fogspec bench {layout.spec}")
     application = changed(application, alpha, latency, cost)
     models = fit(application, results)
-    choice = choose(application, models, admit(catalog, application.spec.hardware, application.spec.infra))
+    choice, _ = decide(application, models, admit(catalog, application.spec.hardware, application.spec.infra))
     return make_menu(application, choice, warnings_of(application, models, choice))
 
 

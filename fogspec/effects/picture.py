@@ -5,6 +5,7 @@ the reader's light or dark setting, and is legible at 600 px.
 """
 
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -12,7 +13,7 @@ from typing import Literal
 from fogspec.effects.templates import render
 
 WIDTH, HEIGHT = 760, 480
-LEFT, RIGHT, TOP, BOTTOM = 78, 20, 82, 62
+LEFT, RIGHT, TOP, BOTTOM = 78, 20, 82, 76
 LABEL_HEIGHT = 17
 
 
@@ -54,13 +55,18 @@ class _Axis:
         share = (math.log10(value) - self.low) / (self.high - self.low)
         return round(self.start + share * (self.end - self.start), 1)
 
+    def within(self, value: float | None) -> float | None:
+        """Where a limit is drawn; None for no limit, and for one beyond everything that is shown."""
+        return None if value is None or math.log10(value) > self.high else self.clipped(value)
+
     def clipped(self, value: float) -> float:
+        """Where a value is drawn, at the frame's edge if it lies outside."""
         low, high = sorted((self.start, self.end))
         return min(max(self.at(value), low), high)
 
     def ticks(self) -> list[float]:
         """1, 2 and 5 of each decade, thinned so that the labels do not touch."""
-        for steps in ((1, 2, 5), (1, 3), (1,)):
+        for steps in ((1, 1.5, 2, 3, 4, 5, 7), (1, 2, 5), (1, 3), (1,)):
             found = [m * 10.0**d for d in range(math.floor(self.low), math.ceil(self.high) + 1) for m in steps
                      if self.low <= math.log10(m * 10.0**d) <= self.high]  # fmt: skip
             if len(found) <= 8:
@@ -82,9 +88,9 @@ def draw(chart: Chart) -> str:
         dots=[_dot(p, x, y) for p in points],
         staircase=_staircase([p for p in points if p.on_front], x, y),
         labels=_labels([p for p in points if p.role], x, y),
-        limit_y=None if chart.latency_limit_s is None else y.clipped(chart.latency_limit_s),
-        limit_x=None if chart.cost_limit_usd_per_request is None else x.clipped(chart.cost_limit_usd_per_request),
-        summary=_summary(chart),
+        limit_y=y.within(chart.latency_limit_s),
+        limit_x=x.within(chart.cost_limit_usd_per_request),
+        summary=_summary(chart), warning=textwrap.wrap(chart.warning or "", 118)[:2],
     )  # fmt: skip
 
 

@@ -11,7 +11,9 @@ from fogspec.base.outcomes import Differs, WrongCommand
 from fogspec.effects import collecting
 from fogspec.effects.layout import Layout
 from fogspec.effects.measured import read_results
+from fogspec.effects.pinning import drift, read_pins
 from fogspec.effects.specfiles import read_document
+from fogspec.lock import pins_of_measurement
 from fogspec.plan import Plan, Sample
 from fogspec.results import Results
 from fogspec.spec import Application
@@ -48,9 +50,17 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
     plan = read_document(layout.plan, Plan)
     if plan.spec.application.digest != stages.planned_digest(application):
         raise Differs(f"{layout.plan} is stale: {_changed(application, plan)} changed since it was compiled", again)
+    pins = read_pins(layout)
+    if drifted := drift(application, layout, pins):
+        raise Differs(f"{', '.join(drifted)}: not what {layout.lock} pins", f"fogspec lock {layout.spec}", again)
+    if plan.spec.pins != pins_of_measurement(application, pins):
+        raise Differs(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
     tasks = {sample.id: _task(layout, sample, again) for sample in plan.spec.samples}
     results = read_results(layout)
-    outdated = results is not None and results.spec.application != stages.measured_digest(application)
+    outdated = results is not None and (
+        results.spec.application != stages.measured_digest(application)
+        or bool(stages.other_pins(results.spec.pins, plan.spec.pins))
+    )
     counting = None if outdated else results
     return Prepared(
         application, layout, plan, digest.of_bytes(layout.plan.read_bytes()), tasks, counting, outdated,

@@ -5,84 +5,21 @@ anything its start is in the journal; after it is verified gone its record is. S
 between any two steps, and the next one goes on from the journal.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Protocol
 
 from fogspec.base.outcomes import Refused
 from fogspec.effects import collecting
+from fogspec.effects.attempt import Attempt
 from fogspec.effects.clock import Clock
 from fogspec.effects.journal import Journal, Started
+from fogspec.effects.orders import Event, Ledger, Order
 from fogspec.plan import Sample
 from fogspec.results import Measured
 from fogspec.seams import CannotStart, Job, LostContact, Progress, Runner
 
 TRIES = 3
 BACKOFF_S = (5.0, 30.0)
-END_BACKOFF_S = 30.0
-END_PATIENCE_S = 900.0
-SILENCE_S = 120.0
-
-
-@dataclass(frozen=True, slots=True)
-class Order:
-    """What a campaign is to do. Digests name what is measured; `tasks` are the reviewed tasks, parsed.
-
-    A sample is ended by its controller after `deadline_s`, and by itself after `lifetime_s`. `token` makes the
-    names of this campaign's machines differ from all others', also when the journal is gone.
-    """
-
-    application: str
-    plan: str
-    rules: collecting.Rules
-    budget_usd: float | None
-    deadline_s: float
-    lifetime_s: float
-    tasks: Mapping[str, Mapping[str, object]]
-    root: Path
-    attempts: Path
-    token: str
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """What happens to a sample now, for whoever watches, and what the campaign has spent."""
-
-    sample: Sample
-    what: str
-    spent_usd: float
-    committed_usd: float
-    progress: Progress | None = None
-    record: Measured | None = None
-    detail: str | None = None
-
-
-class Ledger(Protocol):
-    """Where records go."""
-
-    def keep(self, record: Measured, timings: Path | None) -> Measured:
-        """Keep the raw timings safe and name them in the record."""
-        ...
-
-    def put(self, record: Measured, spent_usd: float) -> None:
-        """Write the results with this record in place; `spent_usd` is what all of them cost."""
-        ...
-
-
-@dataclass(slots=True)
-class _Attempt:
-    started: Started
-    job: Job
-    since_s: float
-    same_boot: bool
-    ending: Progress | None = None
-    again: bool = False
-    last: Progress | None = None
-    silent_s: float | None = None
-    end_after_s: float = 0.0
-    give_up_s: float | None = None
-    ends: int = 0
 
 
 @dataclass(slots=True)
@@ -96,7 +33,7 @@ class Campaign:
     clock: Clock
     tell: Callable[[Event], None] = lambda _event: None
     stopping: Callable[[], bool] = lambda: False
-    running: dict[str, _Attempt] = field(default_factory=dict)
+    running: dict[str, Attempt] = field(default_factory=dict)
     tries: dict[str, int] = field(default_factory=dict)
     left: list[str] = field(default_factory=list)
 
@@ -136,17 +73,12 @@ class Campaign:
             self._end_all()
             raise
 
-    @property
-    def committed_usd(self) -> float:
-        """The most that the machines not known to be gone can cost."""
-        return sum(self._price(s.sample) * s.lifetime_s / 3600 for s in self.journal.book.open.values())
-
     def _price(self, sample: Sample) -> float:
         return 0.0 if self.runner.costs == "nothing" else sample.machine.price
 
-    def _adopted(self, started: Started) -> _Attempt:
+    def _adopted(self, started: Started) -> Attempt:
         same_boot = started.boot == self.clock.boot()
-        attempt = _Attempt(
+        attempt = Attempt(
             started, self._job(started.name, started.sample, started.lifetime_s),
             since_s=started.at_s if same_boot else self.clock.now_s(), same_boot=same_boot,
         )  # fmt: skip
@@ -168,7 +100,7 @@ class Campaign:
                 continue
             commitment = self._price(sample) * self.order.lifetime_s / 3600
             book, budget = self.journal.book, self.order.budget_usd
-            if budget is not None and book.spent_usd + self.committed_usd + commitment > budget * (1 + 1e-12):
+            if budget is not None and book.spent_usd + book.committed_usd + commitment > budget * (1 + 1e-12):
                 if not self.running:
                     waiting.remove(entry)
                     self._unaffordable(sample, commitment)
@@ -184,7 +116,7 @@ class Campaign:
             self.order.lifetime_s, now, self.clock.boot(),
         )  # fmt: skip
         self.journal.start(started)
-        attempt = _Attempt(started, self._job(name, sample, started.lifetime_s), now, same_boot=True)
+        attempt = Attempt(started, self._job(name, sample, started.lifetime_s), now, same_boot=True)
         self.running[name] = attempt
         self.tries[sample.id] = self.tries.get(sample.id, 0) + 1
         self._say(sample, "starts")
@@ -196,65 +128,47 @@ class Campaign:
         except LostContact as lost:
             self._say(sample, "lost contact", detail=str(lost))
 
-    def _advance(self, attempt: _Attempt, waiting: list[tuple[float, Sample]]) -> None:
+    def _advance(self, attempt: Attempt, waiting: list[tuple[float, Sample]]) -> None:
         if attempt.ending is None:
             attempt.ending = self._look(attempt)
         if attempt.ending is not None and self.clock.now_s() >= attempt.end_after_s and self._ended(attempt):
             self._finish(attempt, attempt.ending, waiting)
 
-    def _look(self, attempt: _Attempt) -> Progress | None:
+    def _look(self, attempt: Attempt) -> Progress | None:
         """How the sample ended, or None while it runs."""
-        sample = attempt.started.sample
+        sample, now = attempt.started.sample, self.clock.now_s()
         try:
             progress = self.runner.look(attempt.job)
         except LostContact as lost:
             self._say(sample, "lost contact", detail=str(lost))
-            progress = None
-            attempt.silent_s = self.clock.now_s() if attempt.silent_s is None else attempt.silent_s
-        if progress is not None:
-            attempt.last, attempt.silent_s = progress, None
+            attempt.unheard(now)
+        else:
+            attempt.heard(progress)
             if not progress.running:
                 return progress
             self._say(sample, "measures" if progress.ready else "sets up", progress=progress)
         if self.stopping():
-            return replace(self._so_far(attempt), reason="interrupted", detail="stopped by its user")
-        now = self.clock.now_s()
-        # Silence at the wrong moment is not the end: what was measured may still be fetched.
-        patient = attempt.silent_s is not None and now - attempt.silent_s < SILENCE_S
-        return self._overdue(attempt) if now - attempt.since_s >= self.order.deadline_s and not patient else None
+            return attempt.interrupted()
+        return attempt.overdue(self.clock.now_s(), self.order.deadline_s)
 
-    def _so_far(self, attempt: _Attempt) -> Progress:
-        return replace(attempt.last or Progress(running=False), running=False)
-
-    def _overdue(self, attempt: _Attempt) -> Progress:
-        so_far, limit = self._so_far(attempt), f"{self.order.deadline_s:g} s"
-        if attempt.last is None:
-            return replace(so_far, reason="no_response", detail=f"nothing was heard of the machine for {limit}")
-        if not so_far.ready:
-            return replace(so_far, reason="setup", detail=f"not ready after {limit}")
-        return replace(so_far, detail=f"ended by force after {limit}")
-
-    def _ended(self, attempt: _Attempt) -> bool:
+    def _ended(self, attempt: Attempt) -> bool:
         try:
             self.runner.end(attempt.job)
         except LostContact as lost:
-            now = self.clock.now_s()
             self._say(attempt.started.sample, "cannot be ended yet", detail=str(lost))
-            if attempt.give_up_s is None:
-                attempt.give_up_s = max(now, attempt.since_s + attempt.started.lifetime_s) + END_PATIENCE_S
-            if now >= attempt.give_up_s:
+            if attempt.not_ended(self.clock.now_s()):
                 # It stays open in the journal: the next bench asks again, and its bill stays committed.
                 self.left.append(attempt.started.name)
                 del self.running[attempt.started.name]
-            attempt.ends += 1
-            attempt.end_after_s = now + min(END_BACKOFF_S, 2.0**attempt.ends)
             return False
         return True
 
-    def _finish(self, attempt: _Attempt, end: Progress, waiting: list[tuple[float, Sample]]) -> None:
+    def _finish(self, attempt: Attempt, end: Progress, waiting: list[tuple[float, Sample]]) -> None:
         started, sample = attempt.started, attempt.started.sample
-        billed_s = self._billed_s(attempt, end)
-        spent_usd = started.price_usd_per_hour * billed_s / 3600
+        billed_s = attempt.billed_s(end, self.clock.now_s())
+        # What was recorded was paid then, at that time's prices and rounding.
+        recorded = end.recorded
+        spent_usd = started.price_usd_per_hour * billed_s / 3600 if recorded is None else recorded.spent
         wanted = started.application == self.order.application and sample.id in self.order.tasks
         tries = self.tries.get(sample.id, 1)
         if not wanted or ((attempt.again or end.lost) and tries < TRIES and not self.stopping()):
@@ -272,13 +186,6 @@ class Campaign:
             self.journal.end(started.name, spent_usd, record)
             self._write(started.name, record)
         del self.running[started.name]
-
-    def _billed_s(self, attempt: _Attempt, end: Progress) -> float:
-        if end.billed_s is not None:
-            return end.billed_s
-        lifetime_s = attempt.started.lifetime_s
-        # Over a restart of this host nothing tells how long the machine ran: the most it can be is billed.
-        return min(self.clock.now_s() - attempt.since_s, lifetime_s) if attempt.same_boot else lifetime_s
 
     def _write(self, name: str, record: Measured) -> None:
         self.ledger.put(record, self.journal.book.spent_usd)
@@ -310,4 +217,5 @@ class Campaign:
         record: Measured | None = None,
         detail: str | None = None,
     ) -> None:
-        self.tell(Event(sample, what, self.journal.book.spent_usd, self.committed_usd, progress, record, detail))
+        book = self.journal.book
+        self.tell(Event(sample, what, book.spent_usd, book.committed_usd, progress, record, detail))

@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 KINDS = {
     "Application": "fogspec.spec:Application",
     "SamplingPlan": "fogspec.plan:Plan",
+    "Lock": "fogspec.lock:Lock",
     "Results": "fogspec.results:Results",
     "Models": "fogspec.models:Models",
     "Menu": "fogspec.menu:Menu",
@@ -63,8 +64,11 @@ def _models(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
 def _with_defaults(model: type[BaseModel], definition: dict[str, Any]) -> None:
     """Write defaults with their units; leave out those that say nothing, and titles that repeat the name."""
     defaults = model.model_construct().model_dump(mode="json", by_alias=True, warnings=False)
+    by_key = {field.alias or name: field for name, field in model.model_fields.items()}
     for name, declared in definition.get("properties", {}).items():
         declared.pop("title", None)
+        if any(getattr(mark, "gt", None) == 0 for mark in by_key[name].metadata) and declared.get("type") == "string":
+            declared["gt"] = 0
         if "default" in declared:
             declared["default"] = defaults.get(name)
             if declared["default"] in (None, [], {}) or "$ref" in declared:

@@ -1,11 +1,11 @@
-"""Reading specs and fogspec's own files: every mistake at once, each at its place, or the typed documents."""
+"""Loading specs and fogspec's own files: every mistake at once, each at its place, or the typed documents."""
 
 import dataclasses
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import BaseModel
 
@@ -15,33 +15,13 @@ from fogspec.base.nodes import Node, key_place, place_of, places
 from fogspec.base.nodes import Path as Steps
 from fogspec.base.outcomes import WrongFile
 from fogspec.base.shape import Checked, check
-from fogspec.effects import yamltext
 from fogspec.effects.overlays import merge
+from fogspec.effects.reading import Texts, documents_in, documents_of
 from fogspec.spec import Application
 
 M = TypeVar("M", bound=BaseModel)
 
 MOST_BYTES_OF_OUR_OWN = 64 << 20
-
-
-@dataclass
-class Texts:
-    """The lines of every file that was read, so that a diagnostic can show them."""
-
-    lines: dict[str, list[str]] = field(default_factory=dict)
-
-    def shown(self, diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
-        """The diagnostics with their source lines, each file's in the order of its lines, errors first at a place."""
-        found = [dataclasses.replace(one, source_line=self.line(one.place)) for one in diagnostics]
-        files = list(self.lines)
-        return sorted(
-            found, key=lambda one: (_rank(files, one.place.path), one.place.line, one.place.column, one.severity)
-        )
-
-    def line(self, place: Place) -> str | None:
-        """The line that a place is on, where its file was read."""
-        lines = self.lines.get(place.path, [])
-        return lines[place.line - 1] if 0 < place.line <= len(lines) else None
 
 
 @dataclass(frozen=True)
@@ -88,22 +68,36 @@ def examine(
 ) -> tuple[list[LoadedSpec], list[Diagnostic]]:
     """The applications that are right, and every mistake and warning about those that are not."""
     texts, wrong = Texts(), list[Diagnostic]()
-    layers = [(os.fspath(path), *_documents(path, texts, wrong)) for path in overlays]
+    layers = [documents_of(path, texts, wrong)[0] for path in overlays]
+    files = [(os.fspath(path), *documents_of(path, texts, wrong)) for path in paths]
+    return _examined(files, layers, texts, wrong)
+
+
+def examine_text(content: bytes, path: str) -> tuple[list[LoadedSpec], list[Diagnostic]]:
+    """The same of a file's content that is not, or not yet, at `path`."""
+    texts, wrong = Texts(), list[Diagnostic]()
+    return _examined([(path, *documents_in(content, path, texts, wrong))], [], texts, wrong)
+
+
+def _examined(
+    files: Sequence[tuple[str, list[Node], bool]], layers: Sequence[list[Node]], texts: Texts, wrong: list[Diagnostic]
+) -> tuple[list[LoadedSpec], list[Diagnostic]]:
     found: list[tuple[str, int, Node, Checked[Application]]] = []
-    for path in paths:
-        nodes, clean = _documents(path, texts, wrong)
+    refused = {one.place for one in wrong}
+    for path, nodes, clean in files:
         if not nodes and clean:
-            wrong.append(Diagnostic("FS114", "the file must have a document", Place(os.fspath(path), 1, 1)))
+            wrong.append(Diagnostic("FS114", "the file must have a document", Place(path, texts.last_line(path), 1)))
         for index, node in enumerate(nodes):
-            merged = merge(node, [layer for _, layer, _ in layers])
+            merged = merge(node, layers)
             checked = check(Application, merged)
-            said = {one.place for one in wrong}
-            wrong.extend(one for one in (*checked.wrong, *rules.judge(checked, merged)) if one.place not in said)
-            found.append((os.fspath(path), index, merged, checked))
+            said = [one for one in (*checked.wrong, *rules.judge(checked)) if one.place not in refused]
+            wrong.extend(texts.at_the_cut(said) if index == len(nodes) - 1 else said)
+            found.append((path, index, merged, checked))
     wrong.extend(rules.judge_together([(node, checked) for _, _, node, checked in found]))
     shown = texts.shown(wrong)
+    warnings = [one for one in shown if one.severity == "warning"]
     loaded = [
-        LoadedSpec(checked.value, path, index, node, texts, _warnings(shown, path))
+        LoadedSpec(checked.value, path, index, node, texts, tuple(one for one in warnings if one.place.path == path))
         for path, index, node, checked in found
         if checked.value is not None
     ]
@@ -118,7 +112,7 @@ def read_document(path: str | os.PathLike[str], model: type[M]) -> M:
     name, texts, wrong = os.fspath(path), Texts(), list[Diagnostic]()
     if not Path(path).is_file():
         raise WrongFile(f"{name}: there is no such file")
-    nodes, clean = _documents(path, texts, wrong, MOST_BYTES_OF_OUR_OWN)
+    nodes, clean = documents_of(path, texts, wrong, MOST_BYTES_OF_OUR_OWN)
     if clean and len(nodes) != 1:
         wrong.append(Diagnostic("FS701", "the file must have one document", Place(name, 1, 1)))
     checked = check(model, nodes[0], strict=False) if clean and len(nodes) == 1 else None
@@ -128,45 +122,19 @@ def read_document(path: str | os.PathLike[str], model: type[M]) -> M:
     return checked.value
 
 
-def read_nodes(path: str | os.PathLike[str]) -> tuple[list[Node], Texts]:
-    """The documents of a file as trees, right or wrong; raises Problems when it is no YAML."""
+def read_nodes(path: str | os.PathLike[str], content: bytes | None = None) -> tuple[list[Node], Texts]:
+    """The documents of a file as trees, right or wrong; raises Problems when it is no YAML.
+
+    `content` is what the file will be, where that is not what it is.
+    """
     texts, wrong = Texts(), list[Diagnostic]()
-    nodes, clean = _documents(path, texts, wrong)
+    if content is None:
+        nodes, clean = documents_of(path, texts, wrong)
+    else:
+        nodes, clean = documents_in(content, os.fspath(path), texts, wrong)
     if not clean:
         raise Problems(texts.shown(wrong))
     return nodes, texts
-
-
-def _documents(
-    path: str | os.PathLike[str], texts: Texts, wrong: list[Diagnostic], most_bytes: int = yamltext.MOST_BYTES
-) -> tuple[list[Node], bool]:
-    """The documents of a file, and whether the file could be read to its end."""
-    name = os.fspath(path)
-    if name in texts.lines:
-        wrong.append(Diagnostic("FS101", "the file must be named only once", Place(name, 1, 1)))
-        return [], False
-    texts.lines[name] = []
-    try:
-        content = _content(Path(path), most_bytes)
-    except OSError as problem:
-        wrong.append(
-            Diagnostic(
-                "FS101", f"the file cannot be read: {(problem.strerror or str(problem)).lower()}", Place(name, 1, 1)
-            )
-        )
-        return [], False
-    text, problems = yamltext.decode(content, name, most_bytes)
-    texts.lines[name] = text.split("\n")
-    nodes: list[Node] = []
-    if not problems:
-        nodes, problems = yamltext.documents(text, name)
-    wrong.extend(problems)
-    return [node for node in nodes if not node.empty], not problems
-
-
-def _content(path: Path, most_bytes: int) -> bytes:
-    with path.open("rb") as file:
-        return file.read(most_bytes + 1)
 
 
 def _remade(one: Diagnostic, texts: Texts) -> Diagnostic:
@@ -174,11 +142,3 @@ def _remade(one: Diagnostic, texts: Texts) -> Diagnostic:
     first = texts.lines.get(one.place.path, [""])[0]
     command = first.partition("Make it again: ")[2].strip()
     return dataclasses.replace(one, fix=f"make it again: {command}") if command else one
-
-
-def _warnings(shown: list[Diagnostic], path: str) -> tuple[Diagnostic, ...]:
-    return tuple(one for one in shown if one.severity == "warning" and one.place.path == path)
-
-
-def _rank(files: list[str], path: str) -> Any:
-    return files.index(path) if path in files else len(files)

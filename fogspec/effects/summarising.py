@@ -1,10 +1,12 @@
 """What compile says when it is done: what was derived, what it means, and what to run next."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fogspec.base import units
 from fogspec.effects.compiling import Compiled, money
-from fogspec.menu import Entry, Menu
+
+if TYPE_CHECKING:
+    from fogspec.menu import Entry, Menu
 
 NOTES = 3
 
@@ -55,8 +57,11 @@ def _plan_words(compiled: Compiled) -> str:
             f"{count} on this host, free, at most {units.format_duration(body.after * len(body.samples))} of measuring"
         )
     budget = "" if body.budget is None else f" of a budget of {money(body.budget)}"
+    wall = f"{units.format_duration(estimate.wall)} if all run at once"
     cents = f"{estimate.measuring * 100:.3f}".rstrip("0").rstrip(".")
-    return f"{count}; measuring costs at most {cents} cents, with set-up at most {money(estimate.total)}{budget}"
+    return (
+        f"{count}; measuring costs at most {cents} cents, with set-up at most {money(estimate.total)}{budget}; {wall}"
+    )
 
 
 def _unmeasured(compiled: Compiled) -> list[str]:
@@ -71,12 +76,12 @@ def _unmeasured(compiled: Compiled) -> list[str]:
     ]
 
 
-def _menu_words(menu: Menu) -> str:
+def _menu_words(menu: "Menu") -> str:
     body = menu.spec
     return f"{body.meet} of {body.predicted} machines meet the limits"
 
 
-def entry_words(entry: Entry) -> str:
+def entry_words(entry: "Entry") -> str:
     """`g4dn.xlarge in aws/us-east-1, $0.526/h: 1.65s [1.58s, 1.73s], $0.000241/request`."""
     interval = ""
     if entry.interval is not None:
@@ -91,7 +96,7 @@ def entry_words(entry: Entry) -> str:
     )
 
 
-def no_words(menu: Menu) -> list[str]:
+def no_words(menu: "Menu") -> list[str]:
     """Why no machine meets the limits, in lines."""
     body = menu.spec
     lines = ["  no machine meets the limits:"]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from fogspec.base import units
-from fogspec.effects.sampling import Event
+from fogspec.effects.orders import Event
 from fogspec.plan import Sample
 from fogspec.results import Measured
 

@@ -10,23 +10,13 @@ from typing import Any
 
 from fogspec.base.diagnostics import Diagnostic, Place
 from fogspec.base.nodes import Node
-from fogspec.base.scalars import Refusal, resolve
+from fogspec.base.scalars import HIDDEN, Refusal, resolve
+from fogspec.effects.blame import blame
 
 MOST_BYTES = 1 << 20
 MOST_NODES = 100_000
 DEEPEST = 64
-FORBIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufeff\ufffe\uffff]")
-SYNTAX = (
-    (re.compile(r"unexpected end of stream"), "the quote must be closed", "close the quote that starts here"),
-    (re.compile(r"mapping values are not allowed"), "a ':' cannot stand here",
-     "put quotes around a text that holds ': ', or indent the line like its neighbours"),
-    (re.compile(r"expected ',' or"), "the bracket must be closed", "close the bracket that starts here"),
-    (re.compile(r"character '(.)' that cannot start"), "a plain text cannot start with this character",
-     "put quotes around the text"),
-    (re.compile(r"could not find expected ':'"), "a key must be followed by ':'", "add ': ' and a value, or remove the line"),
-    (re.compile(r"expected <block end>"), "the line must be indented like its neighbours", "align it with the lines above"),
-    (re.compile(r"undefined alias"), "the anchor must be defined before it is used", None),
-)  # fmt: skip
+UNUSABLE = re.compile("[\x00\ud800-\udfff]")
 
 
 class _Stop(Exception):
@@ -36,8 +26,8 @@ class _Stop(Exception):
 def decode(content: bytes, path: str, most_bytes: int = MOST_BYTES) -> tuple[str, list[Diagnostic]]:
     """The text of a file in UTF-8, or why it is none; line ends become LF."""
     if len(content) > most_bytes:
-        message = f"a file may have at most {most_bytes >> 20} MiB, this one has {len(content) / 2**20:.1f}"
-        return "", [Diagnostic("FS112", message, Place(path, 1, 1))]
+        fix = "keep data in files of their own"
+        return "", [Diagnostic("FS112", f"a file may have at most {most_bytes >> 20} MiB", Place(path, 1, 1), fix)]
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as wrong:
@@ -49,7 +39,7 @@ def decode(content: bytes, path: str, most_bytes: int = MOST_BYTES) -> tuple[str
         message = f"the file must be in UTF-8, byte 0x{content[wrong.start]:02x} is not"
         return "", [Diagnostic("FS102", message, place, fix)]
     text = text.replace("\r\n", "\n")
-    found = FORBIDDEN.search(text)
+    found = HIDDEN.search(text)
     if not found:
         return text, []
     before, character = text[: found.start()], ord(found[0])
@@ -101,22 +91,10 @@ class _Composer:
             raise _Stop from None
 
     def _syntax(self, wrong: Any) -> None:
-        problem = str(wrong.problem or wrong.context or "")
-        mark = wrong.problem_mark or wrong.context_mark
-        line_text = self.text.split("\n")[mark.line] if mark else ""
-        if mark and "\t" in line_text[: len(line_text) - len(line_text.lstrip())]:
-            place = Place(self.path, mark.line + 1, line_text.index("\t") + 1)
-            self._refuse("FS105", "indentation must be spaces, not tabs", place, "replace the tab with spaces")
-            return
-        message, fix = f"the text must be YAML: {problem}", None
-        for pattern, said, mend in SYNTAX:
-            if pattern.search(problem):
-                message, fix = said, mend
-                break
-        if wrong.context_mark and ("quoted" in str(wrong.context) or "flow" in str(wrong.context)):
-            mark = wrong.context_mark
-        place = Place(self.path, mark.line + 1, mark.column + 1) if mark else Place(self.path, 1, 1)
-        self._refuse("FS104", message, place, fix)
+        found = blame(self.text.split("\n"), wrong)
+        self._refuse(
+            found.code, found.message, Place(self.path, found.line + 1, found.column + 1, found.width), found.fix
+        )
 
     def _refuse(self, code: str, message: str, place: Place, fix: str | None = None) -> None:
         self.wrong.append(Diagnostic(code, message, place, fix))
@@ -165,6 +143,11 @@ class _Composer:
         return node
 
     def _scalar(self, event: Any, place: Place) -> Node:
+        if found := UNUSABLE.search(event.value):
+            self._refuse(
+                "FS103", f"the character U+{ord(found[0]):04X} is not text", place, "remove its escape sequence"
+            )
+            return Node("", place, quoted=True)
         if event.style is not None or not event.implicit[0]:
             return Node(event.value, place, text=event.value, quoted=True)
         value = resolve(event.value)

@@ -1,5 +1,6 @@
 """Sampling designs: which of n machines to measure. Arrays in, row numbers out."""
 
+import statistics
 from dataclasses import dataclass
 from typing import Literal
 
@@ -42,8 +43,8 @@ class Grid:
 
 def upper_median(values: Floats) -> float:
     """The upper median of the distinct values: 16 of 2, 4, 8, 16, 32, 64. Raises ValueError for no values."""
-    distinct = np.unique(values)
-    if not len(distinct):
+    distinct = sorted(set(values.tolist()))
+    if not distinct:
         raise ValueError("the median of nothing")
     return float(distinct[len(distinct) // 2])
 
@@ -57,14 +58,17 @@ def edge_grid(vcpus: Floats, memory_gib: Floats, order: NDArray[np.intp]) -> Gri
     sizes snaps to the larger one, for both are equally near. Every cell takes its most preferred row.
     """
     cells: list[Cell] = []
+    place = np.empty(len(order), dtype=np.intp)
+    place[order] = np.arange(len(order))
     levels = _levels(vcpus, upper_median(vcpus))
     for cpu_level, cpus in levels.items():
         here = np.flatnonzero(vcpus == cpus)
         sizes = memory_gib[here]
-        median = float(np.median(np.unique(sizes)))
+        median = statistics.median(set(sizes.tolist()))
         for memory_level, asked in zip(LEVELS, (float(sizes.min()), median, float(sizes.max())), strict=True):
             near = _nearest(sizes, asked)
-            taken = order[np.isin(order, here[sizes == near])][0]
+            rows = here[sizes == near]
+            taken = rows[place[rows].argmin()]
             same = next((i for i, cell in enumerate(cells) if cell.row == taken), None)
             cells.append(Cell(cpus, asked, near, (cpu_level, memory_level), int(taken), same))
     skipped = tuple(level for level in LEVELS if level not in levels)

@@ -3,7 +3,7 @@
 Standard library only (Python 3.10 or newer); opens no port. It runs on every sampled machine:
 
     python3 agent.py --out DIR [--steps N] --after SECONDS --warmup W --startup SECONDS
-                     [--precision P --statistic S] --process '<json argv>' [--process ...]
+                     [--precision P --statistic S] [--callback NAME] --process '<json argv>' [--process ...]
 
 The processes find the probe module on PYTHONPATH and append one JSON line a request to FOGSPEC_TIMINGS
 (DIR/timings.jsonl). DIR/outcome.json is written in every end that leaves the agent alive:
@@ -30,7 +30,9 @@ from typing import Any
 POLL_S = 0.1
 LOG_LIMIT = 16 * 2**20
 TIMINGS_LIMIT = 256 * 2**20
+READ_BYTES = 2**18
 PR_SET_CHILD_SUBREAPER = 36
+VMSTAT = Path("/proc/vmstat")
 MEMORY_WORDS = re.compile(r"MemoryError|bad_alloc|[Cc]annot allocate memory|[Oo]ut of memory")
 
 End = tuple[str, str | None, str | None, str | None]  # state, reason, detail, stopped_by
@@ -65,6 +67,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--startup", type=float, required=True)
     parser.add_argument("--precision", type=float)
     parser.add_argument("--statistic", choices=("mean", "p50", "p95", "p99"), default="mean")
+    parser.add_argument("--callback", help="count requests of this name only; without it, all")
     parser.add_argument("--process", type=json.loads, action="append", required=True)
     options = parser.parse_args(arguments)
     for argv in options.process:
@@ -79,16 +82,26 @@ class _Run:
     def __init__(self, options: argparse.Namespace, out: Path, begun: float, asked: list[int]) -> None:
         self.options, self.out, self.begun, self.asked = options, out, begun, asked
         self.children: list[subprocess.Popen[bytes]] = []
-        self.timings = Timings(out / "timings.jsonl", options.warmup)
+        self.timings = Timings(out / "timings.jsonl", options.warmup, options.callback)
         self.setup_s: float | None = None
         self.last: float | None = None
 
     def run(self) -> dict[str, Any]:
-        become_subreaper()
+        # Processes that detach themselves stay below this one, so that they are ended too (Linux).
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        kills = memory_kills()
         try:
             state, reason, detail, stopped_by = self._start() or self._watch()
         finally:
+            killed = memory_kills() > kills
             finish(self.children)
+        if stopped_by not in (None, "exit"):
+            self.timings.cut()
+        # One of several processes may be gone and the others wait for it, or say something else.
+        if killed and (state == "timeout" or reason in ("crash", "no_response")):
+            said = "the kernel ended a process for want of memory"
+            state, reason, detail = "failed", "out_of_memory", f"{detail}; {said}" if detail else said
         aborted = stopped_by in ("time", "signal") and self.last is not None
         waited = time.monotonic() - self.last if aborted and self.last is not None else None
         self.timings.read()
@@ -117,11 +130,10 @@ class _Run:
         return self.out / f"process-{number}.log"
 
     def _probe(self) -> str:
-        # A folder of its own: beside the probe stands this file, which must not shadow somebody's `agent`.
+        # A folder of its own: beside the probes stands this file, which must not shadow somebody's `agent`.
         folder = self.out / "python"
         folder.mkdir(exist_ok=True)
-        source = Path(__file__).with_name("fogspec_probe.py")
-        if source.exists():
+        for source in Path(__file__).parent.glob("fogspec_*.py"):
             shutil.copy(source, folder / source.name)
         return str(folder)
 
@@ -154,7 +166,7 @@ class _Run:
 
     def _died(self, codes: list[int | None]) -> End | None:
         if self.asked:
-            return "failed", "interrupted", f"ended by {signal_name(self.asked[0])}", "signal"
+            return "failed", "interrupted", f"ended by {named(self.asked[0])}", "signal"
         for number, code in enumerate(codes):
             if code:
                 return self._crash(number, code)
@@ -162,31 +174,35 @@ class _Run:
             return None
         self._read()
         if not self.timings.requests:
-            return "failed", "no_response", "the processes ended without one timed request", "exit"
+            return "failed", "no_response", f"the processes ended without one timed request{self._garbage()}", "exit"
         return "ok", None, None, "exit"
 
     def _crash(self, number: int, code: int) -> End:
-        words = last_line(self._log(number))
-        how = f"was ended by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
-        detail = f"{os.path.basename(self.options.process[number][0])} {how}" + (f": {words}" if words else "")
-        return "failed", "out_of_memory" if MEMORY_WORDS.search(words) else "crash", detail, "exit"
+        words, program = last_line(self._log(number)), os.path.basename(self.options.process[number][0])
+        how = f"was ended by {named(-code)}" if code < 0 else f"ended with exit code {code}"
+        reason = "out_of_memory" if MEMORY_WORDS.search(words) else "crash"
+        return "failed", reason, f"{program} {how}" + (f": {words}" if words else ""), "exit"
 
     def _late(self, now: float) -> End | None:
         if self.setup_s is None:
             if now - self.begun < self.options.startup:
                 return None
-            detail = f"no timed request within {self.options.startup:g} s of the start"
+            detail = f"no timed request within {self.options.startup:g} s of the start{self._garbage()}"
             return "failed", "no_response", detail, "startup"
         if now - self.begun - self.setup_s < self.options.after:
             return None
         return "ok" if self.timings.valid else "timeout", None, None, "time"
 
+    def _garbage(self) -> str:
+        count = self.timings.unreadable
+        return f"; unreadable lines in its timings: {count}" if count else ""
+
 
 class Timings:
     """The growing file of records; a partial last line is left until it is whole."""
 
-    def __init__(self, path: Path, warmup: int) -> None:
-        self.path, self.warmup = path, warmup
+    def __init__(self, path: Path, warmup: int, callback: str | None = None) -> None:
+        self.path, self.warmup, self.callback = path, warmup, callback
         self.offset = self.requests = self.unreadable = self.next_look = 0
         self.valid: list[float] = []
         self.rest = b""
@@ -194,17 +210,20 @@ class Timings:
     def read(self) -> bool:
         """Read what is new; True when there was at least one whole record."""
         before = self.requests
-        try:
-            with open(self.path, "rb") as file:
-                file.seek(self.offset)
-                new = file.read(max(0, TIMINGS_LIMIT - self.offset))
-        except FileNotFoundError:
-            return False
-        self.offset += len(new)
-        *lines, self.rest = (self.rest + new).split(b"\n")
-        for line in filter(None, lines):
-            self._take(line)
+        with contextlib.suppress(FileNotFoundError), open(self.path, "rb") as file:
+            file.seek(self.offset)
+            # Python takes the space of what it is asked to read, which is the workload's.
+            while new := file.read(min(READ_BYTES, TIMINGS_LIMIT - self.offset)):
+                self.offset += len(new)
+                *lines, self.rest = (self.rest + new).split(b"\n")
+                for line in filter(None, lines):
+                    self._take(line)
         return self.requests > before
+
+    def cut(self) -> None:
+        """Drop what was written after the last look: a request that was broken off by ending it did not fail."""
+        with contextlib.suppress(OSError):
+            os.truncate(self.path, min(self.offset - len(self.rest), self.path.stat().st_size))
 
     def _take(self, line: bytes) -> None:
         try:
@@ -214,6 +233,8 @@ class Timings:
                 raise ValueError(latency)
         except (ArithmeticError, ValueError, TypeError, KeyError, RecursionError):
             self.unreadable += 1
+            return
+        if self.callback is not None and record.get("name") != self.callback:
             return
         self.requests += 1
         if ok and self.requests > self.warmup:
@@ -287,10 +308,11 @@ def descendants() -> list[int]:
     return found
 
 
-def become_subreaper() -> None:
-    """Let processes that detach themselves stay below this one, so that they are ended too (Linux)."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+def memory_kills() -> int:
+    """How often the kernel ended a process for want of memory, here or in a cgroup, since this machine began (Linux)."""
+    with contextlib.suppress(OSError):
+        return sum(map(int, re.findall(rb"^oom_kill (\d+)$", VMSTAT.read_bytes(), re.MULTILINE)))
+    return 0
 
 
 def last_line(path: Path) -> str:
@@ -305,12 +327,9 @@ def last_line(path: Path) -> str:
     return "".join(c for c in words[-1] if c.isprintable())[:300] if words else ""
 
 
-def signal_name(number: int) -> str:
-    """SIGSEGV for 11."""
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
+def named(number: int) -> str:
+    """A signal in words."""
+    return f"signal {number} ({signal.strsignal(number)})"
 
 
 def reserve(out: Path) -> None:

@@ -34,9 +34,9 @@ STAND_INS: dict[Path, Any] = {
 }
 
 
-def judge(checked: Checked[Application], node: Node) -> Iterator[Diagnostic]:
+def judge(checked: Checked[Application]) -> Iterator[Diagnostic]:
     """What is wrong with one document beyond its single fields."""
-    application = checked.value or _lenient(checked)
+    application, node = checked.value or _lenient(checked), checked.node
     if application is None:
         return
     for rule in RULES:

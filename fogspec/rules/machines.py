@@ -13,7 +13,7 @@ from fogspec.spec import Application
 # SkyPilot's names: of clouds as of version 0.14, of the accelerators that the large clouds rent.
 CLOUDS = (
     "aws", "gcp", "azure", "oci", "ibm", "lambda", "runpod", "nebius", "cudo", "paperspace", "do", "fluidstack", "vast",
-    "vsphere", "scp", "kubernetes", "hyperbolic", "primeintellect", "seeweb", "shadeform", "local",
+    "vsphere", "scp", "kubernetes", "hyperbolic", "primeintellect", "seeweb", "shadeform", "slurm", "ssh", "local",
 )  # fmt: skip
 GPUS = (
     "none", "T4", "T4g", "L4", "L40", "L40S", "A10", "A10G", "A100", "A100-80GB", "H100", "H100-MEGA", "H200", "B200",

@@ -8,6 +8,7 @@ from fogspec.base.units import format_duration
 from fogspec.rules.finding import Finding
 from fogspec.spec import Application
 
+PLACEHOLDER_TOPICS = ("/request", "/response")
 PROBES = ("request and response", "service", "action", "callback", "bag")
 
 
@@ -54,6 +55,14 @@ def kind_of_metric(application: Application) -> Iterator[Finding]:
         elif metric.callback is not None and application.spec.probe.callback is None:
             yield Finding("FS516", (*path, "callback"), f"{dotted((*path, 'callback'))} needs a callback probe",
                           "add a callback to spec.probe", (("spec", "probe"),))  # fmt: skip
+
+
+def scenarios(application: Application) -> Iterator[Finding]:
+    """Kinds of request are told apart by the workload's own code."""
+    spec, at = application.spec, ("spec", "benchmark", "scenarios")
+    if spec.benchmark.scenarios and spec.probe.callback is None:
+        yield Finding("FS524", at, "spec.benchmark.scenarios needs a callback probe", "add a callback to spec.probe",
+                      (("spec", "probe"),))  # fmt: skip
 
 
 def metrics_that_exist(application: Application) -> Iterator[Finding]:
@@ -139,4 +148,24 @@ def budget(application: Application) -> Iterator[Finding]:
                       (("spec", "benchmark", "machines"),))  # fmt: skip
 
 
-RULES = (kind_of_probe, kind_of_metric, metrics_that_exist, billing, latency_limit, stop, budget)
+def placeholders(application: Application) -> Iterator[Finding]:
+    """Topics that `init` made up would be waited for in vain, at a price."""
+    probe = application.spec.probe
+    if (probe.request, probe.response) == PLACEHOLDER_TOPICS:
+        yield Finding(
+            "FS523", ("spec", "probe", "request"), "spec.probe still has the topics that init made up",
+            "name the topics of your own nodes", (("spec", "probe", "response"),), severity="warning",
+        )  # fmt: skip
+
+
+RULES = (
+    kind_of_probe,
+    kind_of_metric,
+    scenarios,
+    metrics_that_exist,
+    billing,
+    latency_limit,
+    stop,
+    budget,
+    placeholders,
+)

@@ -10,6 +10,8 @@ import argparse
 import math
 import multiprocessing
 import os
+import signal
+import sys
 
 import fogspec_probe
 import numpy as np
@@ -23,13 +25,14 @@ BODY = np.array([[-0.6, 0, 0], [0, 0, 0], [0.6, 0, 0], [0.6, 0.45, 0], [0.6, 0.9
 RADIUS_M = 0.25
 TURN_WEIGHT_M = 0.8  # how many metres half a turn counts as, in the roadmap's metric
 CHECKS = 11  # poses checked on the way between two neighbours
+BLOCK = 128  # edges checked at once: their poses stay in a core's own cache
 DOOR_M = 2.6
 START = np.array([1.5, 1.5, 1.5, 1, 0, 0, 0])
 GOAL = np.array([18.5, 14.5, 1.5, 1, 0, 0, 0])
 
 
 def cubicles() -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corners of the walls: partitions with doors, desks within the rooms."""
+    """Lower and upper corners (boxes, 3, 1) of partitions with doors, and of desks within the rooms."""
     boxes = []
     for x, doors in ((5.0, (2.0, 9.0)), (10.0, (6.0, 13.0)), (15.0, (3.0, 10.0))):
         edges = [0.0, *(edge for door in doors for edge in (door, door + DOOR_M)), SIZE_M[1]]
@@ -39,7 +42,7 @@ def cubicles() -> tuple[np.ndarray, np.ndarray]:
         boxes += [(a, y, 0, b, y + 0.2, 3) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     boxes += [(x, y, 0, x + 1.2, y + 0.8, 1.0) for x in (0.3, 6.0, 11.5, 16.5) for y in (3.6, 8.4, 12.4)]
     corners = np.array(boxes)
-    return corners[:, :3], corners[:, 3:]
+    return corners[:, :3, None].astype(np.float32), corners[:, 3:, None].astype(np.float32)
 
 
 LOW, HIGH = cubicles()
@@ -55,12 +58,15 @@ def rotated(quaternions: np.ndarray, points: np.ndarray) -> np.ndarray:
 def free(poses: np.ndarray) -> np.ndarray:
     """Which poses (n, 7) touch neither a wall nor the bounds."""
     centres = rotated(poses[:, 3:], BODY) + poses[:, None, :3]
-    inside = ((centres >= RADIUS_M) & (centres <= SIZE_M - RADIUS_M)).all(axis=(1, 2))
-    clear = np.ones(len(poses), bool)
+    found = ((centres >= RADIUS_M) & (centres <= SIZE_M - RADIUS_M)).all(axis=(1, 2))
+    # What leaves the bounds need not be held against the walls.
+    points = centres[found].reshape(-1, 3).T.astype(np.float32)
+    clear = np.ones(points.shape[1], bool)
     for low, high in zip(LOW, HIGH, strict=True):
-        gap = np.maximum(np.maximum(low - centres, centres - high), 0)
-        clear &= ((gap**2).sum(axis=2) > RADIUS_M**2).all(axis=1)
-    return inside & clear
+        gap = np.maximum(np.maximum(low - points, points - high), 0)
+        clear &= gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2 > RADIUS_M**2
+    found[found] = clear.reshape(-1, len(BODY)).all(axis=1)
+    return np.asarray(found)
 
 
 def between(a: np.ndarray, b: np.ndarray, shares: np.ndarray) -> np.ndarray:
@@ -74,8 +80,12 @@ def between(a: np.ndarray, b: np.ndarray, shares: np.ndarray) -> np.ndarray:
 
 def edges_free(pairs: np.ndarray) -> np.ndarray:
     """Which straight ways between two poses (n, 2, 7) are free at CHECKS poses between them."""
-    way = between(pairs[:, 0], pairs[:, 1], np.linspace(0, 1, CHECKS + 2)[1:-1])
-    return np.asarray(free(way.reshape(-1, 7)).reshape(len(pairs), -1).all(axis=1))
+    shares = np.linspace(0, 1, CHECKS + 2)[1:-1]
+    found = []
+    for part in np.array_split(pairs, math.ceil(len(pairs) / BLOCK) or 1):
+        way = between(part[:, 0], part[:, 1], shares)
+        found.append(free(way.reshape(-1, 7)).reshape(-1, CHECKS).all(axis=1))
+    return np.concatenate(found)
 
 
 def random_poses(count: int, random: np.random.Generator) -> np.ndarray:
@@ -87,7 +97,7 @@ def random_poses(count: int, random: np.random.Generator) -> np.ndarray:
 
 
 def spread(pool: "multiprocessing.pool.Pool | None", check, items: np.ndarray, workers: int) -> np.ndarray:  # type: ignore[no-untyped-def]
-    """`check` over all items, on every worker."""
+    """`check` over all items (n, ...), on every worker."""
     if pool is None:
         return np.asarray(check(items))
     return np.concatenate(pool.map(check, np.array_split(items, 4 * workers)))
@@ -101,9 +111,9 @@ def plan(
     nodes = np.vstack([START, GOAL, poses[spread(pool, free, poses, workers)]])
     # Opposite quaternions are one orientation: half of them are turned over, so that neighbours are near.
     nodes[nodes[:, 3] < 0, 3:] *= -1
-    k = math.ceil(math.e * (1 + 1 / 6) * math.log(len(nodes)))
+    k = min(math.ceil(math.e * (1 + 1 / 6) * math.log(len(nodes))), len(nodes) - 1)
     metric = np.concatenate([nodes[:, :3], nodes[:, 3:] * TURN_WEIGHT_M], axis=1)
-    _, near = cKDTree(metric).query(metric, k=k + 1)
+    _, near = cKDTree(metric).query(metric, k=k + 1, workers=workers)
     a, b = np.repeat(np.arange(len(nodes)), k), near[:, 1:].ravel()
     once = np.unique(np.sort(np.column_stack([a, b]), axis=1), axis=0)
     once = once[spread(pool, edges_free, nodes[once], workers)]
@@ -122,12 +132,15 @@ def main() -> None:
     """Plan again and again, until stopped or until so many requests are done."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--samples", type=int, default=3000, help="random poses of one roadmap")
+    parser.add_argument("--samples", type=int, default=6000, help="random poses of one roadmap")
     parser.add_argument("--requests", type=int, help="stop after so many; else go on until interrupted")
     options = parser.parse_args()
     workers = len(os.sched_getaffinity(0))
-    with multiprocessing.get_context("fork").Pool(workers) as made:
+    # Whoever ends this program signals every process of it: the workers leave it to their parent to end them.
+    with multiprocessing.get_context("fork").Pool(workers, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as made:
         pool = made if workers > 1 else None
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: sys.exit(0))
         print(f"{len(LOW)} boxes, {workers} workers", flush=True)
         done = 0
         while options.requests is None or done < options.requests:

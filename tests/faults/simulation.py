@@ -15,7 +15,8 @@ from typing import Any
 from fogspec.effects import collecting
 from fogspec.effects.collecting import finished
 from fogspec.effects.journal import Journal
-from fogspec.effects.sampling import Campaign, Order
+from fogspec.effects.orders import Order
+from fogspec.effects.sampling import Campaign
 from fogspec.plan import MachineRef, Sample
 from fogspec.results import Measured
 from fogspec.seams import CannotStart, Job, LostContact, Progress

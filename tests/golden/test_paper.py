@@ -138,3 +138,16 @@ def test_slam_runs_best_on_16_vcpus(checkout, alpha):
 
 def test_what_is_committed_is_what_compile_writes():
     fogspec(ROOT, "compile", *(f"specs/{spec}.yaml" for spec in SPECS), "--check")
+
+
+def test_the_relaxed_method_is_in_the_manifest_where_it_ends_elsewhere(checkout):
+    spec = checkout / "specs" / "grasp-planning.yaml"
+    text = spec.read_text().replace("gpus: [none, T4]", "gpus: [none]").replace("latency: 2s", "latency: 5s")
+    spec.write_text(text.replace("alpha: 0.7", "alpha: 0"))
+    manifest = checkout / "compiled/grasp-planning/manifest.yaml"
+    fogspec(checkout, "compile", "specs/grasp-planning.yaml")
+    exhaustive = manifest.read_text()
+    assert "method: exhaustive" in exhaustive
+    spec.write_text(spec.read_text().replace("alpha: 0", "alpha: 0\n    method: relaxed"))
+    fogspec(checkout, "compile", "specs/grasp-planning.yaml")
+    assert "method: relaxed" in manifest.read_text()

@@ -67,12 +67,35 @@ def test_a_crash_says_how(tmp_path):
 def test_one_process_of_two_that_crashes_ends_both(tmp_path):
     outcome = run(tmp_path, "time.sleep(600)", "import ctypes; ctypes.string_at(0)")
     assert outcome["reason"] == "crash"
-    assert "SIGSEGV" in outcome["detail"]
+    assert "ended by signal 11 (Segmentation fault)" in outcome["detail"]
     assert None not in outcome["exit_codes"]
 
 
 def test_memory_that_runs_out_is_told_from_a_crash(tmp_path):
     assert run(tmp_path, "raise MemoryError")["reason"] == "out_of_memory"
+
+
+@pytest.mark.parametrize(
+    "script", ["time.sleep(600)", "raise SystemExit('a worker is gone')", "say(1.0); time.sleep(600)"]
+)
+def test_the_kernel_s_kills_for_want_of_memory_explain_what_came_of_them(tmp_path, monkeypatch, script):
+    # Running a whole machine out of memory is no test's business: the counter is what it would be.
+    kills = iter([7])
+    monkeypatch.setattr(agent, "memory_kills", lambda: next(kills, 8))
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    arguments = ["--out", str(tmp_path), "--after", "0.3", "--startup", "0.5", "--warmup", "1"]
+    assert agent.main([*arguments, "--process", json.dumps([sys.executable, "-c", TIMED + script])]) == 1
+    outcome = json.loads((tmp_path / "outcome.json").read_text())
+    assert (outcome["state"], outcome["reason"]) == ("failed", "out_of_memory")
+    assert "the kernel ended a process for want of memory" in outcome["detail"]
+
+
+def test_the_kernel_s_counter_is_read(tmp_path, monkeypatch):
+    assert agent.memory_kills() >= 0
+    monkeypatch.setattr(agent, "VMSTAT", tmp_path / "vmstat")
+    assert agent.memory_kills() == 0
+    (tmp_path / "vmstat").write_text("pgfault 12\noom_kill 3\nnr_x 1\n")
+    assert agent.memory_kills() == 3
 
 
 def test_a_program_that_is_not_there(tmp_path):
@@ -139,7 +162,7 @@ def test_term_is_answered_with_an_outcome(tmp_path):
     started.send_signal(signal.SIGTERM)
     assert started.wait(10) == 1
     outcome = json.loads((tmp_path / "outcome.json").read_text())
-    assert (outcome["reason"], outcome["detail"]) == ("interrupted", "ended by SIGTERM")
+    assert (outcome["reason"], outcome["detail"]) == ("interrupted", "ended by signal 15 (Terminated)")
     assert outcome["requests"] >= 1
 
 
@@ -149,8 +172,9 @@ def test_logs_are_kept_small(tmp_path, monkeypatch):
     assert (tmp_path / "out" / "process-0.log").stat().st_size < 2 * agent.LOG_LIMIT
 
 
-def test_the_probe_is_importable_and_this_file_shadows_nobodys_agent(tmp_path):
-    outcome = run(tmp_path, "import importlib.util as u\nassert u.find_spec('agent') is None\nsay(1.0)", warmup=0)
+def test_the_probes_are_importable_and_this_file_shadows_nobodys_agent(tmp_path):
+    looks = "import fogspec_probe, fogspec_topics, importlib.util as u\nassert u.find_spec('agent') is None\nsay(1.0)"
+    outcome = run(tmp_path, looks, warmup=0)
     assert outcome["state"] == "ok"
 
 
@@ -203,3 +227,14 @@ def test_successive_requests_that_resemble_each_other_widen_the_interval():
 def test_equal_latencies_are_known_exactly_and_rare_quantiles_not_at_all():
     assert agent.interval([0.5] * 10, "mean") == (0.5, 0.0)
     assert agent.interval([0.5] * 50, "p99")[1] == float("inf")
+
+
+def test_only_requests_of_the_callback_count(tmp_path):
+    script = """
+other = lambda: open(os.environ["FOGSPEC_TIMINGS"], "a").write('{"name": "inner", "latency_s": 9, "ok": true}\\n')
+while True: [other() for _ in range(5)]; say(0.01); time.sleep(0.02)
+"""
+    outcome = run(tmp_path, script, steps=4, warmup=1, extra=["--callback", "plan"])
+    assert (outcome["stopped_by"], outcome["unreadable"]) == ("steps", 0)
+    lines = (tmp_path / "out" / "timings.jsonl").read_text().splitlines()
+    assert sum('"plan"' in line for line in lines) >= 5

@@ -8,7 +8,7 @@ import pytest
 from fogspec.effects.templates import render
 from fogspec.plan import GpuShape, MachineRef, Sample
 from fogspec.spec import Application, Node
-from fogspec.tasks import command, deploy_task, measured_processes, parameter, ros_environment, sample_task
+from fogspec.tasks import command, deploy_task, left_out, measured_processes, parameter, ros_environment, sample_task
 
 NASTY = """it's "$(touch owned)" `x` \\ $HOME ; & | é"""
 
@@ -94,7 +94,8 @@ def test_hostile_words_reach_the_process_unchanged(tmp_path):
     fake = tmp_path / "agent.py"
     fake.write_text("import json, sys\nprint(json.dumps(sys.argv))")
     run = subprocess.run(["bash", "-c", rendered_sample(app)], capture_output=True, text=True, cwd=tmp_path,
-                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake)})  # fmt: skip
+                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake),
+                              "FOGSPEC_OUT": str(tmp_path / "out")})  # fmt: skip
     words = json.loads(run.stdout)
     assert json.loads(words[words.index("--process") + 1]) == ["printf", "%s", NASTY]
     assert not (tmp_path / "owned").exists()
@@ -121,3 +122,86 @@ def test_scripts_pass_shellcheck(tmp_path, template):
     except FileNotFoundError:
         pytest.skip("needs shellcheck: apt-get install shellcheck")
     assert checked.returncode == 0, checked.stdout
+
+
+AGENT = """import json, os, sys
+out = sys.argv[sys.argv.index("--out") + 1]
+os.makedirs(out)
+with open(out + "/outcome.json", "w") as file:
+    file.write(json.dumps({"omp": os.environ.get("OMP_NUM_THREADS", "")}) + "\\n")
+with open(out + "/timings.jsonl", "w") as file:
+    file.write('{"latency_s": 1.5}\\n' * 2)
+sys.exit(3)
+"""
+
+
+def test_without_a_runner_that_reads_folders_the_lines_are_in_the_log(tmp_path):
+    fake = tmp_path / "agent.py"
+    fake.write_text(AGENT)
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake)}
+    for more, omp in (({}, "1"), ({"SKYPILOT_TASK_ID": "x"}, "")):
+        run = subprocess.run(["bash", "-c", rendered_sample(application())], capture_output=True, text=True, cwd=tmp_path,
+                             env=environment | {"OMP_NUM_THREADS": "1"} | more)  # fmt: skip
+        assert run.returncode == 3, run.stderr
+        assert run.stdout.splitlines() == [
+            "=== fogspec begin outcome.json ===", json.dumps({"omp": omp}), "=== fogspec end outcome.json ===",
+            "=== fogspec begin timings.jsonl ===", *['{"latency_s": 1.5}'] * 2, "=== fogspec end timings.jsonl ===",
+        ]  # fmt: skip
+
+
+def test_slurm_has_neither_images_nor_spot_and_it_is_said():
+    app = application(ros={"image": "docker.io/library/ros:jazzy"})
+    one = sample(infra="slurm/lab", instance="4CPU--16GB", spot=True)
+    resources = task_of(app, one)["resources"]
+    assert not {"image_id", "use_spot", "ports"} & resources.keys()
+    assert [text.split(" is")[0] for text in left_out(app.spec, one.machine)] == [
+        "image docker.io/library/ros:jazzy", "spot"
+    ]  # fmt: skip
+    assert left_out(app.spec, sample().machine) == []
+
+
+FAKES = {
+    "apt-get": 'echo "apt-get $*" >> "$HOME/said"',
+    "curl": 'while [ "$1" != -o ]; do shift; done; : > "$2"; echo "curl" >> "$HOME/said"',
+    "rosdep": 'echo "rosdep $*" >> "$HOME/said"',
+    "colcon": 'echo "colcon $* in $PWD" >> "$HOME/said"; mkdir -p install; echo "export BUILT=1" > install/setup.bash',
+    "sudo": '[ "$1" = -E ] && shift; "$@"',
+}
+
+
+def test_setting_up_twice_installs_builds_and_logs_and_runs_its_own_lines_once(tmp_path):
+    """The real script in a real bash; only the programs that would change this host are stand-ins."""
+    home, tools, ros = tmp_path / "home", tmp_path / "bin", tmp_path / "ros"
+    workspace = "my ws $(touch owned) '\""
+    for folder in (home, tools, tmp_path / workspace / "src", ros / "jazzy"):
+        folder.mkdir(parents=True)
+    for name, body in FAKES.items():
+        (tools / name).write_text(f"#!/bin/sh\n{body}\n")
+        (tools / name).chmod(0o755)
+    app = application(ros={"workspace": workspace, "apt": ["ros-jazzy-x", "a b"], "setup": ["echo mine >> ~/said"]})
+    script = render("setup_ros2.sh.j2", **ros_environment(app.spec))
+    script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:")
+    (ros / "jazzy" / "setup.bash").write_text("export ROS_DISTRO=jazzy; : $UNBOUND")
+    for _ in range(2):
+        subprocess.run(["bash", "-c", script], cwd=tmp_path, check=True, capture_output=True, text=True, timeout=60,
+                       env={"PATH": "/usr/bin:/bin", "HOME": str(home)})  # fmt: skip
+    said = (home / "said").read_text()
+    assert said.count("mine") == 1
+    assert said.count("apt-get update") == 2, "once each time"
+    assert "apt-get install -qq -y --no-install-recommends -- ros-jazzy-x a b" in said
+    assert said.count(f"in {tmp_path / workspace}") == 2
+    assert "curl" not in said, "ROS 2 is there already"
+    assert "ROS 2 jazzy is ready" in (home / ".fogspec" / "setup.log").read_text()
+    assert not list(tmp_path.rglob("owned"))
+
+
+def test_a_set_up_that_fails_says_so_and_stops(tmp_path):
+    for name, body in FAKES.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{'exit 7' if name == 'apt-get' else body}\n")
+        (tmp_path / name).chmod(0o755)
+    script = render("setup_ros2.sh.j2", **ros_environment(application(ros={}).spec))
+    script = script.replace("export PATH=", f"export PATH={tmp_path}:")
+    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
+    assert run.returncode == 7
+    assert "is ready" not in run.stdout

@@ -3,10 +3,12 @@
 import gzip
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from fogspec.base.outcomes import WrongFile
 from fogspec.catalog import About, Catalog
+from fogspec.plugins.catalogs.cache import cached
 from fogspec.plugins.catalogs.table import read
 
 # SkyPilot's names (docs.skypilot.co, "Cloud providers")
@@ -28,8 +30,7 @@ class CsvFile:
 
     def load(self) -> Catalog:
         """The catalog; raises Problems for a wrong table, WrongFile for one that cannot be read."""
-        about = About(source=Path(self.path).name, revision="", date="", digest="")
-        return read(content(self.path), self.path, self._cloud(), about)
+        return table(self.path, self._cloud(), About(source=Path(self.path).name, revision="", date="", digest=""))
 
     def _cloud(self) -> str | None:
         path = Path(self.path)
@@ -38,11 +39,24 @@ class CsvFile:
         return named or (self.clouds[0] if len(set(self.clouds)) == 1 else None)
 
 
-def content(path: str | Path) -> bytes:
-    """The bytes of a file, unpacked where its name ends in .gz; raises WrongFile."""
+def table(path: str | Path, cloud: str | None, about: About, shown: str | None = None) -> Catalog:
+    """The table in a file, which is called `shown` where something is wrong with it; raises Problems or WrongFile."""
+    raw, name = _bytes(path), shown or str(path)
+    nobody = About("", "", "", "")
+    catalog = cached(raw, name, cloud, lambda: read(_unpacked(raw, path), name, cloud, nobody))
+    found = replace(about, digest=catalog.about.digest, notes=(*about.notes, *catalog.about.notes))
+    return replace(catalog, about=found)
+
+
+def _bytes(path: str | Path) -> bytes:
     try:
-        raw = Path(path).read_bytes()
+        return Path(path).read_bytes()
+    except OSError as problem:
+        raise WrongFile(f"{path}: the catalog cannot be read: {problem.strerror}") from None
+
+
+def _unpacked(raw: bytes, path: str | Path) -> bytes:
+    try:
         return gzip.decompress(raw) if str(path).endswith(".gz") else raw
-    except (OSError, EOFError, zlib.error) as problem:
-        reason = getattr(problem, "strerror", None) or "it is no whole gzip file"
-        raise WrongFile(f"{path}: the catalog cannot be read: {reason}") from None
+    except (OSError, EOFError, zlib.error):
+        raise WrongFile(f"{path}: the catalog cannot be read: it is no whole gzip file") from None

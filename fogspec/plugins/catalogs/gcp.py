@@ -9,10 +9,13 @@ Source: cloud.google.com/compute/docs/gpus. Hosts that cannot be had without acc
 import re
 from collections import defaultdict
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from fogspec.catalog import Catalog, Floats, texts
+
+Card = tuple[str, float]  # accelerator and count
 
 # accelerators -> largest vCPUs and GiB of an N1 host
 N1_LIMITS: dict[str, dict[int, tuple[float, float]]] = {
@@ -40,44 +43,46 @@ def joined(catalog: Catalog, spot: Floats) -> tuple[Catalog, Floats]:
     `spot` has one spot price a row, NaN where there is none; returns the machines and their spot prices.
     """
     host = catalog.instance != ""
-    at: dict[tuple[str, str, str, str, float], int] = {}
-    for row in np.flatnonzero(~host).tolist():
-        at[(catalog.cloud[row], catalog.region[row], catalog.zone[row], catalog.gpu[row],
-            float(catalog.gpu_count[row]))] = row  # fmt: skip
-    if not at:
+    if host.all():
         return catalog, spot
-    by_zone: dict[tuple[str, str, str], list[tuple[str, float]]] = defaultdict(list)
-    for cloud, region, zone, gpu, count in at:
-        by_zone[cloud, region, zone].append((gpu, count))
+    at: dict[tuple[str, str, str], dict[Card, int]] = defaultdict(dict)
+    for row in np.flatnonzero(~host).tolist():
+        at[_place(catalog, row)][catalog.gpu[row], float(catalog.gpu_count[row])] = row
     alone, hosts, cards = [], [], []
     for row in np.flatnonzero(host).tolist():
-        name, place = catalog.instance[row], (catalog.cloud[row], catalog.region[row], catalog.zone[row])
+        name, place = catalog.instance[row], _place(catalog, row)
         if place[0] != "gcp" or catalog.gpu[row]:
             alone.append(row)
             continue
-        if not ACCELERATED.match(name):
+        may_stand_alone, carried = _machine(name, float(catalog.vcpus[row]), float(catalog.memory_gib[row]))
+        if may_stand_alone:
             alone.append(row)
-        for gpu, count in _carried(name, catalog.vcpus[row], catalog.memory_gib[row], by_zone.get(place, [])):
-            hosts.append(row)
-            cards.append(at[(*place, gpu, count)])
+        here = at.get(place)
+        found = [here[card] for card in carried if card in here] if here else []
+        hosts += [row] * len(found)
+        cards += found
     rows = np.array(alone + hosts, dtype=np.intp)
     machines, spots = catalog.take(rows), spot[rows].copy()
     _add_cards(machines, spots, catalog, spot, len(alone), np.array(cards, dtype=np.intp))
     return replace(machines, gpu=texts(machines.gpu.tolist())), spots
 
 
-def _carried(name: str, vcpus: float, memory_gib: float, offered: list[tuple[str, float]]) -> list[tuple[str, float]]:
-    """Which of the zone's accelerators the host carries."""
-    own = _own(name, vcpus)
-    if own is not None:
-        return [own] if own in offered else []
+def _place(catalog: Catalog, row: int) -> tuple[str, str, str]:
+    return catalog.cloud[row], catalog.region[row], catalog.zone[row]
+
+
+@cache
+def _machine(name: str, vcpus: float, memory_gib: float) -> tuple[bool, tuple[Card, ...]]:
+    """Whether the host can be had without accelerators, and which it carries where they are offered."""
+    if own := _own(name, vcpus):
+        return not ACCELERATED.match(name), (own,)
     if not N1.match(name):
-        return []
-    limits = ((gpu, count, N1_LIMITS.get(gpu, {}).get(int(count))) for gpu, count in offered)
-    return [(gpu, count) for gpu, count, top in limits if top and vcpus <= top[0] and memory_gib <= top[1]]
+        return not ACCELERATED.match(name), ()
+    limits = ((gpu, float(count), top) for gpu, tops in N1_LIMITS.items() for count, top in tops.items())
+    return True, tuple((gpu, count) for gpu, count, top in limits if vcpus <= top[0] and memory_gib <= top[1])
 
 
-def _own(name: str, vcpus: float) -> tuple[str, float] | None:
+def _own(name: str, vcpus: float) -> Card | None:
     for pattern, gpu in OWN:
         if match := pattern.match(name):
             return gpu, float(match[1])

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from fogspec.base.diagnostics import Diagnostic, Place, Problems
-from fogspec.catalog import Floats
+from fogspec.catalog import Floats, Texts
 
 AT_MOST = 20  # mistakes told of one column, and of one file
 UNKNOWN = ("", "nan")
@@ -46,15 +46,25 @@ class Rows:
 
     def numbers(self, name: str) -> Floats:
         """The numbers of a column, NaN where its text is empty; texts that are no number become problems."""
-        texts = self.column(name)
+        if name not in self.columns:
+            return np.full(self.size, np.nan)
+        texts = self.columns[name]
         try:
-            found = np.array([float(text) if text else math.nan for text in texts], dtype=np.float64)
+            known = {text: float(text) if text else math.nan for text in set(texts)}
         except ValueError:
-            found = np.array([_number(text) for text in texts], dtype=np.float64)
-        odd = np.flatnonzero(~(np.isfinite(found) & (found >= 0))).tolist()
-        for row in [row for row in odd if texts[row].strip().lower() not in UNKNOWN][:AT_MOST]:
+            known = {text: _number(text) for text in set(texts)}
+        odd = {text for text, number in known.items()
+               if not 0 <= number < math.inf and text.strip().lower() not in UNKNOWN}  # fmt: skip
+        for row in [row for row, text in enumerate(texts) if text in odd][:AT_MOST] if odd else ():
             self.problem(row, name, f"{name} must be a number that is not negative, not {texts[row]!r}")
-        return found
+        return np.fromiter(map(known.__getitem__, texts), np.float64, len(texts))
+
+    def shared(self, name: str) -> Texts:
+        """The texts of a column, equal ones being one object."""
+        if name not in self.columns:
+            return np.full(self.size, "", dtype=np.object_)
+        texts = self.columns[name]
+        return np.fromiter(map({text: text for text in texts}.__getitem__, texts), np.object_, len(texts))
 
     def problem(self, row: int, name: str, message: str) -> None:
         """Remember a mistake in one field."""
@@ -89,7 +99,8 @@ def parse(content: bytes, path: str, required: Sequence[str]) -> Rows:
     head = [name.strip() for name in rows[0]] if rows else []
     _check_header(head, path, required)
     width = len(head)
-    if ragged := next((i for i, row in enumerate(rows) if len(row) != width), None):
+    if set(map(len, rows)) != {width}:
+        ragged = next(i for i, row in enumerate(rows) if len(row) != width)
         message = f"a row must have {width} fields like the header, not {len(rows[ragged])}"
         raise _problems(path, lines[ragged], message)
     if len(rows) == 1:
@@ -98,19 +109,18 @@ def parse(content: bytes, path: str, required: Sequence[str]) -> Rows:
     return Rows(path, columns, lines[1:], text)
 
 
-def _records(text: str, path: str) -> tuple[list[list[str]], list[int]]:
+def _records(text: str, path: str) -> tuple[list[list[str]], Sequence[int]]:
     """Every record that is not an empty line, and the line on which it ends."""
-    rows: list[list[str]] = []
-    lines: list[int] = []
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
-        for row in reader:
-            if row:
-                rows.append(row)
-                lines.append(reader.line_num)
+        rows = list(reader)
+        if reader.line_num == len(rows) and [] not in rows:
+            return rows, range(1, len(rows) + 1)
+        reader = csv.reader(io.StringIO(text, newline=""))
+        numbered = [(row, reader.line_num) for row in reader if row]
     except csv.Error as wrong:
         raise _problems(path, reader.line_num or 1, f"this is no CSV: {wrong}") from None
-    return rows, lines
+    return [row for row, _ in numbered], [line for _, line in numbered]
 
 
 def _check_header(head: Sequence[str], path: str, required: Sequence[str]) -> None:

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from fogspec.base.outcomes import WrongFile
 from fogspec.catalog import About, Catalog
-from fogspec.plugins.catalogs.csv_file import content
-from fogspec.plugins.catalogs.table import read
+from fogspec.plugins.catalogs.csv_file import table
 
 TABLE = Path(__file__).with_name("snapshot.csv.gz")
 ABOUT = Path(__file__).with_name("snapshot.json")
@@ -23,7 +22,7 @@ class Snapshot:
         """The whole snapshot."""
         known = json.loads(ABOUT.read_text(encoding="utf-8"))
         about = About(known["source"], known["revision"], known["date"], digest="", notes=tuple(known["notes"]))
-        catalog = read(content(TABLE), TABLE.name, None, about)
+        catalog = table(TABLE, None, about, shown=TABLE.name)
         if catalog.about.digest != known["digest"]:
             raise WrongFile(
                 f"{TABLE.name} is not the bundled catalog that {ABOUT.name} describes: install fogspec again"

@@ -87,10 +87,15 @@ def start(
     group = _new_group(limit_bytes)
     data_bytes = "" if group else str(limit_bytes)
     words = [sys.executable, "-S", "-c", LAUNCHER, ",".join(map(str, chosen)), data_bytes, str(group or ""), *argv]
-    with open(stdout_path, "ab") as out, open(stderr_path, "ab") as err:
-        process = subprocess.Popen(
-            words, cwd=cwd, env=dict(env), stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
-        )
+    try:
+        with open(stdout_path, "ab") as out, open(stderr_path, "ab") as err:
+            process = subprocess.Popen(
+                words, cwd=cwd, env=dict(env), stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
+            )
+    except OSError:
+        if group:
+            group.rmdir()
+        raise
     return Confined(process, chosen, "cgroup" if group else "rlimit", group)
 
 
@@ -109,15 +114,16 @@ def pick_cpus(count: int) -> tuple[int, ...]:
 
 
 def host_capacity() -> tuple[int, float]:
-    """CPUs and GiB that a sample on this host can have at most, container limits included."""
+    """CPUs and GiB that a sample on this host can have at most, limits of containers and slices included."""
     cpus = float(len(os.sched_getaffinity(0)))
-    memory_bytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    for quota in _quotas():
-        cpus = min(cpus, quota)
-    for name in ("memory.max", "memory/memory.limit_in_bytes"):
-        limit = _text(CGROUPS / name)
-        if limit.isdigit():
-            memory_bytes = min(memory_bytes, int(limit))
+    memory_bytes: float = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for folder in _limiting(""):
+        cpus = min(cpus, _share(*_text(folder / "cpu.max").partition(" ")[::2]))
+        memory_bytes = min(memory_bytes, _bytes(folder / "memory.max"))
+    for folder in _limiting("cpu"):
+        cpus = min(cpus, _share(_text(folder / "cpu.cfs_quota_us"), _text(folder / "cpu.cfs_period_us")))
+    for folder in _limiting("memory"):
+        memory_bytes = min(memory_bytes, _bytes(folder / "memory.limit_in_bytes"))
     return max(1, math.floor(cpus)), memory_bytes / 2**30
 
 
@@ -131,16 +137,25 @@ def memory_by() -> MemoryBy:
     return "cgroup"
 
 
-def _quotas() -> list[float]:
-    """CPUs' worth of time that a container's limits allow, version 2 and version 1."""
-    found = []
-    quota, _, period = _text(CGROUPS / "cpu.max").partition(" ")
-    if quota.isdigit() and period.isdigit():
-        found.append(int(quota) / int(period))
-    old, span = (_text(CGROUPS / "cpu" / f"cpu.cfs_{name}_us") for name in ("quota", "period"))
-    if old.isdigit() and span.isdigit():
-        found.append(int(old) / int(span))
-    return found
+def _own(controller: str) -> str | None:
+    """This process's cgroup of a version 1 controller, or with "" that of version 2; None where there is none."""
+    rows = (line.split(":", 2) for line in _text(Path("/proc/self/cgroup")).splitlines())
+    return next((path.strip("/") for _, names, path in rows if controller in names.split(",")), None)
+
+
+def _limiting(controller: str) -> list[Path]:
+    """The folders whose limits hold for this process: its cgroup and all above, up to the root that is seen here."""
+    root, own = CGROUPS / controller, _own(controller)
+    return [] if own is None else [root / own, *(root / own).parents[: len(Path(own).parts)]]
+
+
+def _share(quota: str, period: str) -> float:
+    return int(quota) / int(period) if quota.isdigit() and period.isdigit() else math.inf
+
+
+def _bytes(path: Path) -> float:
+    limit = _text(path)
+    return int(limit) if limit.isdigit() else math.inf
 
 
 def _core(cpu: int) -> str:
@@ -148,25 +163,33 @@ def _core(cpu: int) -> str:
 
 
 def _new_group(limit_bytes: int) -> Path | None:
-    """A cgroup of its own with this limit, below the one that this process is in; None where that cannot be had."""
-    own = next((line[3:] for line in _text(Path("/proc/self/cgroup")).splitlines() if line.startswith("0::")), None)
-    if own is None:
-        return None
-    group = CGROUPS / own.strip("/") / f"fogspec-{os.getpid()}-{time.monotonic_ns()}"
-    try:
-        group.mkdir()
-    except OSError:
-        return None
-    try:
-        if not (group / "memory.max").exists():  # not a cgroup at all, or one without the memory controller
-            raise FileNotFoundError
-        (group / "memory.max").write_text(str(limit_bytes))
+    """A new cgroup with this limit, that a child of this process may enter; None where that cannot be had.
+
+    Below this process's own one, or beside it: a cgroup that has processes cannot, save for the root, have cgroups
+    with limits below it.
+    """
+    for above in _limiting("")[:2]:
+        group = above / f"fogspec-{os.getpid()}-{time.monotonic_ns()}"
+        # To move a process takes the right to write where old and new cgroup meet.
+        if not os.access(above / "cgroup.procs", os.W_OK):
+            continue
         with contextlib.suppress(OSError):
-            (group / "memory.swap.max").write_text("0")
-    except OSError:
-        group.rmdir()
-        return None
-    return group
+            group.mkdir()
+            try:
+                _limit(group, limit_bytes)
+            except OSError:
+                group.rmdir()
+                continue
+            return group
+    return None
+
+
+def _limit(group: Path, limit_bytes: int) -> None:
+    # Opened without creating it: where it is missing, there is no memory controller.
+    with open(group / "memory.max", "r+") as file:
+        file.write(str(limit_bytes))
+    with contextlib.suppress(OSError), open(group / "memory.swap.max", "r+") as file:
+        file.write("0")
 
 
 def _events(group: Path | None) -> dict[str, int]:

@@ -19,11 +19,12 @@ from fogspec.seams import CannotStart, Job, LostContact, Progress
 
 MARK = "FOGSPEC_SAMPLE"
 GRACE_S = 10.0
+LOOKS = 4
 OUTCOME_LIMIT = 64 * 2**10
-# What the user's shell knows and a workload need not: names a task asks for come back in.
-CREDENTIALS = re.compile(
-    r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_KEY|PRIVATE_KEY|^AWS_|^AZURE_|^GOOGLE_|^SSH_AUTH"
-)
+# What the user's shell knows and a workload need not, or must not: a number of threads set there would hide the
+# sample's CPUs. Names a task asks for come back in.
+CREDENTIALS = r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_KEY|PRIVATE_KEY|^AWS_|^AZURE_|^GOOGLE_|^SSH_AUTH"
+WITHHELD = re.compile(CREDENTIALS + r"|_NUM_THREADS$|^OMP_THREAD_LIMIT$")
 
 
 class LocalRunner:
@@ -68,7 +69,7 @@ class LocalRunner:
     def look(self, job: Job) -> Progress:
         """What its folder and its processes say; `lost` when it ended without saying how."""
         own = self._own.get(job.name)
-        alive = own.poll() is None if own is not None else bool(_marked(job.name))
+        alive = own.poll() is None if own is not None else bool(_found(job.name))
         out, machine = job.folder / "out", job.sample.machine
         timings = out / "timings.jsonl"
         measured_on = f"local/{math.ceil(machine.cpus)}cpu-{machine.memory:g}gib"
@@ -76,17 +77,14 @@ class LocalRunner:
             ready = timings.is_file() and timings.stat().st_size > 0
             return Progress(running=True, timings=timings, ready=ready, measured_on=measured_on)
         outcome = _outcome(out / "outcome.json")
-        killed = own is not None and own.outcome() == "out_of_memory"
         if outcome is None and own is None:
             return Progress(running=False, lost=True, measured_on=measured_on, detail="it ended with its controller")
         if outcome is None:
-            outcome = {"reason": "crash" if timings.exists() else "setup", "detail": _ended_early(own, job.folder)}
-        if killed:
-            limit = f"needs more than {machine.memory:g} GiB"
-            outcome |= {
-                "reason": "out_of_memory",
-                "detail": limit + (f": {outcome['detail']}" if outcome.get("detail") else ""),
-            }
+            starved = own is not None and own.outcome() == "out_of_memory"
+            early = "crash" if timings.exists() else "setup"
+            outcome = {"reason": "out_of_memory" if starved else early, "detail": _ended_early(own, job.folder)}
+        if outcome["reason"] == "out_of_memory":
+            outcome["detail"] = f"{machine.memory:g} GiB were not enough: {outcome['detail']}"
         said = outcome.get
         return Progress(
             running=False, timings=timings, measured_on=measured_on, reason=said("reason"), detail=said("detail"),
@@ -99,7 +97,7 @@ class LocalRunner:
         if own is not None:
             own.end(grace_s=GRACE_S)
         for number, patience_s in ((signal.SIGTERM, GRACE_S), (signal.SIGKILL, 5.0)):
-            if not _signal(_marked(job.name), number):
+            if not _signal(_found(job.name), number):
                 return
             until = time.monotonic() + patience_s
             while _marked(job.name) and time.monotonic() < until:
@@ -112,7 +110,7 @@ def _environment(job: Job) -> dict[str, str]:
     secrets = _mapping(job.task.get("secrets"))
     if missing := [name for name in secrets if name not in os.environ]:
         raise CannotStart("setup", f"the environment does not have {', '.join(sorted(missing))}")
-    kept = {k: v for k, v in os.environ.items() if k in secrets or not CREDENTIALS.search(k.upper())}
+    kept = {k: v for k, v in os.environ.items() if k in secrets or not WITHHELD.search(k.upper())}
     given = {key: str(value) for key, value in _mapping(job.task.get("envs")).items()}
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
     agent = Path(next(iter(fogspec.probe.__path__))) / "agent.py"
@@ -138,6 +136,15 @@ def _marked(name: str) -> list[int]:
             if mark in Path("/proc", entry, "environ").read_bytes().split(b"\0"):
                 found.append(int(entry))
     return found
+
+
+def _found(name: str) -> list[int]:
+    """As `_marked`, but sure of it when there are none: in the middle of an exec a process shows no environment."""
+    for _ in range(LOOKS - 1):
+        if found := _marked(name):
+            return found
+        time.sleep(0.03)
+    return _marked(name)
 
 
 def _signal(pids: Iterable[int], number: int) -> int:

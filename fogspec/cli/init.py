@@ -1,0 +1,47 @@
+"""`fogspec init`: a commented, valid spec; from a ROS 2 launch file where one is given."""
+
+import os
+from pathlib import Path
+
+import click
+
+from fogspec.base.outcomes import WrongCommand
+
+
+@click.command()
+@click.argument("spec", required=False, type=click.Path(path_type=Path))
+@click.option("--from-launch", "launch", type=click.Path(path_type=str), metavar="FILE",
+              help="read nodes and constraints from this Python, XML or YAML launch file; it is not run")  # fmt: skip
+@click.option("--name", help="name of the application; that of the file unless said otherwise")
+def command(spec: Path | None, launch: str | None, name: str | None) -> None:
+    """Write SPEC, specs/NAME.yaml unless said otherwise, and the schema for the editor. Nothing is overwritten."""
+    from fogspec.effects.files import write_bytes
+    from fogspec.effects.launchfiles import read_launch
+    from fogspec.effects.report import show_diagnostics
+    from fogspec.effects.specfiles import examine
+    from fogspec.effects.starting import first_data, first_text, name_from
+    from fogspec.effects.templates import shipped
+
+    found = read_launch(launch) if launch else None
+    name = name or name_from((spec and spec.name) or (launch and os.path.basename(launch)) or Path.cwd().name)
+    spec = spec or Path("specs") / f"{name}.yaml"
+    if spec.exists():
+        raise WrongCommand(f"{spec} is there already", "name another file, or remove it")
+    root = spec.parent.parent if spec.absolute().parent.name == "specs" else spec.parent
+    schema = root / "schemas" / "Application.json"
+    notes = [f"From {os.path.basename(launch)}, which was read and not run."] if launch else []
+    if found and not found.cloud:
+        notes.append(
+            "The launch file says nothing of a cloud: all nodes are under cloud; move those that stay to robot."
+        )
+    if not schema.exists():
+        write_bytes(schema, (shipped("schemas") / "Application.json").read_bytes())
+        click.echo(f"{schema}: the language for your editor")
+    text = first_text(first_data(name, found), Path(os.path.relpath(schema, spec.parent)).as_posix(), notes)
+    write_bytes(spec, text.encode())
+    click.echo(f"{spec}: written; name your topics under probe, then: fogspec validate {spec}")
+    show_diagnostics(found.notes if found else [])
+    wrong = [one for one in examine([spec])[1] if one.severity == "error"]
+    if wrong:
+        show_diagnostics(wrong)
+        raise click.exceptions.Exit(1)

@@ -1,0 +1,68 @@
+"""`fogspec lock`: pins what a spec names that may change behind its name."""
+
+import json
+import os
+from pathlib import Path
+
+import click
+
+from fogspec.base.outcomes import Differs
+from fogspec.cli.options import CATALOG, OUTPUT, clouds_of, load_catalog, located
+
+
+@click.command()
+@click.argument("specs", nargs=-1, type=click.Path(path_type=str))
+@CATALOG
+@OUTPUT
+@click.option("--check", is_flag=True, help="write nothing and ask no registry; exit 3 when the lock is not complete")
+@click.option("--upgrade", multiple=True, metavar="X", help="ask again for: catalog, an image as a spec names it, all")
+def command(
+    specs: tuple[str, ...], catalog_path: str | None, output: str, check: bool, upgrade: tuple[str, ...]
+) -> None:
+    """Write fogspec.lock: catalog, image digests, and digests of workspace and workload. SPECS are those in specs/.
+
+    What is locked stays as it is, except for files beside the specs: these are read anew.
+    """
+    from fogspec import wiring
+    from fogspec.effects import relocking
+    from fogspec.effects.files import write_bytes
+    from fogspec.effects.finding import find_specs
+    from fogspec.effects.layout import Layout
+    from fogspec.effects.pinning import lock_text, read_lock, read_pins
+    from fogspec.effects.specfiles import load
+
+    wanted = []
+    for one in load(find_specs(specs)):
+        layout = Layout.of(one.path, one.application.metadata.name)
+        pins = read_pins(layout)
+        origin = _origin(catalog_path, layout.root) or (pins.catalog.origin if pins else "snapshot")
+        about = load_catalog(located(origin, layout), clouds_of(one)).about
+        wanted.append(relocking.Wanted(one.application, layout, origin, about))
+    ask = (lambda _name: "not asked for yet") if check else wiring.registry().digest
+    locks = relocking.relock(wanted, ask, ["catalog"] if check else upgrade, whole=not specs)
+    changes = {path: relocking.differences(read_lock(path), lock) for path, lock in locks.items()}
+    if not check:
+        for path, lock in locks.items():
+            if changes[path] or not path.is_file():
+                write_bytes(path, lock_text(lock).encode())
+    _say(changes, output)
+    if check and any(changes.values()):
+        count = sum(map(len, changes.values()))
+        raise Differs(
+            f"{count} {'thing is' if count == 1 else 'things are'} not as locked", "write the lock: fogspec lock"
+        )
+
+
+def _origin(catalog: str | None, root: os.PathLike[str]) -> str | None:
+    """The catalog as the lock names it: paths relative to the lock."""
+    if catalog in (None, "snapshot", "skypilot"):
+        return catalog
+    return os.path.relpath(catalog, root).replace(os.sep, "/")
+
+
+def _say(changes: dict[Path, list[str]], output: str) -> None:
+    if output == "json":
+        click.echo(json.dumps({str(path): lines for path, lines in changes.items()}, indent=2, ensure_ascii=False))
+        return
+    for path, lines in changes.items():
+        click.echo("\n  ".join([f"{path}: {len(lines)} changes" if lines else f"{path}: complete", *lines]))

@@ -1,0 +1,133 @@
+"""Which line to blame when a text is no YAML: the parser stops where it cannot go on, often after the mistake."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+KEYED = re.compile(r"^\s*(- )?\s*[^\s#][^#]*?:(\s|$)|^\s*-\s")
+
+
+SYNTAX = (
+    (re.compile(r"unexpected end of stream"), "the quote must be closed", "close the quote that starts here"),
+    (re.compile(r"mapping values are not allowed"), "a ':' cannot stand here",
+     "put quotes around a text that holds ': ', or indent the line like its neighbours"),
+    (re.compile(r"expected ',' or"), "the bracket must be closed", "close the bracket that starts here"),
+    (re.compile(r"character '(.)' that cannot start"), "a plain text cannot start with this character",
+     "put quotes around the text"),
+    (re.compile(r"could not find expected ':'"), "a key must be followed by ':'", "add ': ' and a value, or remove the line"),
+    (re.compile(r"expected <block end>"), "the line must be indented like its neighbours", "align it with the lines above"),
+    (re.compile(r"undefined alias"), "the anchor must be defined before it is used", None),
+)  # fmt: skip
+MISPLACED = ("mapping values are not allowed", "expected <block end>", "could not find expected ':'")
+
+
+@dataclass(frozen=True, slots=True)
+class Blamed:
+    """The place (from 0), what must hold there, and how to mend it."""
+
+    line: int
+    column: int
+    width: int
+    message: str
+    fix: str | None
+    code: str = "FS104"
+
+
+def blame(lines: Sequence[str], wrong: Any) -> Blamed:
+    """What the parser's error (ruamel.yaml's MarkedYAMLError) most likely comes from."""
+    problem, context = str(wrong.problem or wrong.context or ""), str(wrong.context or "")
+    mark = wrong.problem_mark or wrong.context_mark
+    if mark is None:
+        return Blamed(0, 0, 1, f"the text must be YAML: {problem}", None)
+    stop = min(mark.line, len(lines) - 1)
+    lead = lines[stop][: len(lines[stop]) - len(lines[stop].lstrip())]
+    if "\t" in lead:
+        column = lead.index("\t")
+        return Blamed(stop, column, 1, "indentation must be spaces, not tabs", "replace the tab with spaces", "FS105")
+    inside = "quoted" in context or "flow" in context
+    if not inside and any(known in problem for known in MISPLACED):
+        found = None if "simple key" in context else misplaced(lines, stop)
+        if found is not None:
+            line, message, fix = found
+            column = _indent(lines[line])
+            return Blamed(line, column, max(1, len(lines[line].rstrip()) - column), message, fix)
+    if wrong.context_mark and (inside or "simple key" in context):
+        mark = wrong.context_mark
+    said = next(((said, mend) for pattern, said, mend in SYNTAX if pattern.search(problem)), None)
+    message, fix_or_none = said or (f"the text must be YAML: {problem}", None)
+    return Blamed(min(mark.line, len(lines) - 1), mark.column, 1, message, fix_or_none)
+
+
+def misplaced(lines: Sequence[str], stop: int) -> tuple[int, str, str] | None:
+    """The line above `stop` (from 0) that explains why the parser could not go on there, what must hold, and the fix.
+
+    None when the line at `stop` itself is to blame.
+    """
+    before = _before(lines, stop)
+    if before is None or _blank(lines[stop]):
+        return None
+    if not KEYED.match(lines[before]) and _opens_text(lines, before):
+        return before, "a key must be followed by ': '", "add ':' and a space, or remove the line"
+    above = before
+    first = stop
+    while _indent(lines[above]) >= _indent(lines[stop]):
+        first, further = above, _before(lines, above)
+        if further is None:
+            return None
+        above = further
+    line = _odd_one(lines, stop, above, first, before)
+    if line is None:
+        return None
+    good = _indent(lines[stop]) if line != above or first != stop else _indent(lines[stop]) - _dash(lines[above])
+    return line, "the line must be indented like its neighbours", f"indent it with {good} spaces"
+
+
+def _odd_one(lines: Sequence[str], stop: int, above: int, first: int, before: int) -> int | None:
+    """Of the lines around a break in indentation, the one that does not fit.
+
+    `above` is the nearest line that is indented less than `stop`, `first` the first line of the block under it.
+    """
+    here, step = _indent(lines[stop]), _step(lines)
+    if here % step:
+        return None
+    if first == stop:
+        if _dash(lines[above]):
+            return above if here != _indent(lines[above]) + 2 else None
+        earlier = _before(lines, above)
+        slanted = _indent(lines[above]) % step != 0 and here % step == 0
+        between = earlier is not None and _indent(lines[earlier]) == here
+        return above if slanted or between else None
+    inner = _indent(lines[first])
+    if inner <= here:
+        return None
+    return above if inner - here == step and first != before and here - _indent(lines[above]) <= step else first
+
+
+def _step(lines: Sequence[str]) -> int:
+    """By how many spaces the file indents."""
+    return min((_indent(line) for line in lines if not _blank(line) and _indent(line) > 1), default=2)
+
+
+def _dash(line: str) -> int:
+    return 2 if line.lstrip().startswith("- ") else 0
+
+
+def _opens_text(lines: Sequence[str], line: int) -> bool:
+    """Whether a line without a key is not the continuation of a text that began above."""
+    above = _before(lines, line)
+    return above is None or not re.search(r"[|>][-+]?\s*(#.*)?$", lines[above])
+
+
+def _before(lines: Sequence[str], line: int) -> int | None:
+    """The line before that says something."""
+    return next((i for i in range(line - 1, -1, -1) if not _blank(lines[i])), None)
+
+
+def _blank(line: str) -> bool:
+    stripped = line.strip()
+    return not stripped or stripped.startswith("#") or stripped == "---"
+
+
+def _indent(line: str) -> int:
+    return len(line) - len(line.lstrip(" "))

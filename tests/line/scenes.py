@@ -1,0 +1,166 @@
+"""A tiny application in a folder of its own, and the command line on it, as a user has both."""
+
+import atexit
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+SPEC = """\
+apiVersion: fogspec.dev/v1alpha1
+kind: Application
+metadata: {name: tiny}
+spec:
+  cloud:
+    - cmd: [python3, work.py]
+  probe: {callback: work}
+  constraints: {latency: 1s, cost: $1/request}
+  hardware: {cpus: 1..4, memory: 1GiB..16GiB, machines: {allow: [c6i.*, m6i.*, c7i.*]}}
+  infra: [aws/us-east-1]
+  benchmark:
+    machines: [local/1cpu-1gib, local/2cpu-1gib]
+    warmup: 1
+    setup: 4s
+    stop: {steps: 10, after: 3s}
+"""
+WORK = """\
+import time
+import fogspec_probe
+while True:
+    fogspec_probe.start("work")
+    time.sleep(0.01)
+    fogspec_probe.stop("work")
+"""
+# Answers a few requests, then none until a file says that it may go on.
+HALTING = """\
+import os, time
+import fogspec_probe
+count = 0
+while True:
+    fogspec_probe.start("work")
+    while count == 3 and not os.path.exists("go"):
+        time.sleep(0.01)
+    time.sleep(0.01)
+    fogspec_probe.stop("work")
+    count += 1
+"""
+COMPILED: dict[str, Path] = {}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The files of one application."""
+
+    folder: Path
+    name: str = "tiny"
+
+    @classmethod
+    def made(cls, folder: Path, work: str | None = WORK, spec: str = SPEC) -> "Scene":
+        """Spec, compiled, and workload; what was compiled before is copied, for it is the same in every folder."""
+        if spec not in COMPILED:
+            first = cls(Path(tempfile.mkdtemp(prefix="fogspec-scene-")))
+            atexit.register(shutil.rmtree, first.folder, ignore_errors=True)
+            (first.folder / "specs").mkdir()
+            first.spec.write_text(spec)
+            assert first.run("compile").returncode == 0
+            COMPILED[spec] = first.folder
+        shutil.copytree(COMPILED[spec], folder)
+        if work is not None:
+            (folder / "specs" / "work.py").write_text(work)
+        return cls(folder)
+
+    @property
+    def spec(self) -> Path:
+        return self.folder / "specs" / f"{self.name}.yaml"
+
+    @property
+    def results(self) -> Path:
+        return self.folder / "results" / f"{self.name}.yaml"
+
+    def command(self, verb: str, *words: str) -> list[str]:
+        return [sys.executable, "-m", "fogspec", verb, f"specs/{self.name}.yaml", *words]
+
+    def run(self, verb: str, *words: str) -> "subprocess.CompletedProcess[str]":
+        """Run to the end; no command may ever show a traceback or leave half-written files."""
+        ended = subprocess.run(self.command(verb, *words), cwd=self.folder, capture_output=True, text=True, timeout=60)
+        assert "Traceback" not in ended.stdout + ended.stderr
+        assert not [path for path in self.folder.rglob(".*.yaml.*") if path.is_file()]
+        return ended
+
+    def bench(self, *words: str) -> "subprocess.CompletedProcess[str]":
+        return self.run("bench", "--runner", "local", *words)
+
+    def begin(self, *more: str) -> "subprocess.Popen[str]":
+        """Start a bench and do not wait for it."""
+        words = self.command("bench", "--runner", "local", *more)
+        pipe = subprocess.PIPE
+        return subprocess.Popen(words, cwd=self.folder, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+
+    def records(self) -> dict[str, dict[str, Any]]:
+        """What the results file says, by sample."""
+        if not self.results.exists():
+            return {}
+        return {record["id"]: record for record in self.document(self.results)["spec"]["samples"]}
+
+    def document(self, path: Path) -> Any:
+        return YAML(typ="safe", pure=True).load(path)
+
+    def events(self) -> list[dict[str, Any]]:
+        """The journal's entries."""
+        journal = self.folder / ".fogspec" / self.name / "journal.jsonl"
+        return [json.loads(line) for line in journal.read_text().splitlines()] if journal.exists() else []
+
+    def started(self) -> list[str]:
+        """The samples that were started so far, in order."""
+        return [event["sample"]["id"] for event in self.events() if event["do"] == "start"]
+
+    def names(self) -> list[str]:
+        return [event["name"] for event in self.events() if event["do"] == "start"]
+
+    def alive(self) -> list[int]:
+        """Living processes of any of its samples."""
+        marks = [f"FOGSPEC_SAMPLE={name}".encode() for name in self.names()]
+        return [pid for pid, words in environments() if any(mark in words for mark in marks)]
+
+    def requests(self) -> int:
+        """Requests of the latest attempt so far."""
+        names = self.names()
+        path = (
+            self.folder / ".fogspec" / self.name / "attempts" / names[-1] / "out" / "timings.jsonl" if names else None
+        )
+        return path.read_bytes().count(b"\n") if path is not None and path.exists() else 0
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Everything that a user keeps."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and ".fogspec" not in path.parts
+    }
+
+
+def environments() -> list[tuple[int, list[bytes]]]:
+    found = []
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            found.append((int(entry), Path("/proc", entry, "environ").read_bytes().split(b"\0")))
+        except OSError:
+            continue
+    return found
+
+
+def until(true: Any, patience_s: float = 20.0) -> None:
+    """Wait until a condition holds."""
+    end = time.monotonic() + patience_s
+    while not true():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)

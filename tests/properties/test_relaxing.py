@@ -1,0 +1,30 @@
+"""The paper's relaxed method against looking at every machine: never better, never over a limit."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fogspec.choice import choose
+from fogspec.relaxing import chosen_by_relaxing, relax
+from tests.properties.test_choice import HURT, MODELS, alphas, among, costs, limits, seeds, with_limits
+
+
+@given(seeds, limits, costs, alphas, st.sampled_from([MODELS, HURT]))
+def test_relaxing_never_beats_the_exhaustive_choice_and_never_breaks_a_limit(seed, latency, cost, alpha, models):
+    app = with_limits(latency, cost, alpha)
+    every = choose(app, models, among(seed))
+    found = relax(app, models, every)
+    chosen = chosen_by_relaxing(every, found).chosen
+    if chosen is None:
+        return
+    assert every.chosen is not None
+    assert every.feasible[chosen]
+    assert every.objective[chosen] >= every.objective[every.chosen] - 1e-12
+
+
+@given(seeds, alphas)
+def test_without_limits_relaxing_ends_somewhere(seed, alpha):
+    app = with_limits(None, None, alpha)
+    every = choose(app, MODELS, among(seed))
+    found = relax(app, MODELS, every)
+    assert found is not None
+    assert found.row is not None

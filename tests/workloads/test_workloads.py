@@ -1,0 +1,77 @@
+"""The workloads of specs/: real work, checked; a request that fails its check is a failed request, never a fast one."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PLANNER, LIDAR = (ROOT / "specs" / "workloads" / name for name in ("planner.py", "lidar_odometry.py"))
+
+
+def begin(tmp_path: Path, program: Path, *words: str) -> subprocess.Popen:
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT / "fogspec" / "probe"),
+        "FOGSPEC_TIMINGS": str(tmp_path / "timings"),
+    }
+    return subprocess.Popen([sys.executable, str(program), *words], env=environment, stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True, start_new_session=True)  # fmt: skip
+
+
+def run(tmp_path: Path, program: Path, *words: str) -> list[dict]:
+    (tmp_path / "timings").unlink(missing_ok=True)
+    started = begin(tmp_path, program, *words)
+    _, said = started.communicate(timeout=120)
+    assert (started.returncode, said) == (0, "")
+    return [json.loads(line) for line in (tmp_path / "timings").read_text().splitlines()]
+
+
+def test_odometry_follows_the_true_motion(tmp_path):
+    records = run(tmp_path, LIDAR, "--scans", "3", "--requests", "5")
+    assert [record["name"] for record in records] == ["scan"] * 5
+    assert all(record["ok"] and record["reason"] is None and record["latency_s"] > 0 for record in records)
+    # Noise of 1 cm on each range, averaged over thousands of points.
+    assert all(0 < record["metrics"]["drift_m"] < 0.005 for record in records)
+
+
+def test_odometry_that_drifts_is_a_failed_request(tmp_path):
+    records = run(tmp_path, LIDAR, "--scans", "2", "--requests", "2", "--noise", "2")
+    assert [record["ok"] for record in records] == [False, False]
+    assert all(record["reason"].startswith("drift of ") for record in records)
+
+
+def test_plans_have_a_path_at_least_as_long_as_the_straight_line_and_the_seed_decides(tmp_path):
+    words = ("--samples", "3000", "--requests", "2")
+    first, again = run(tmp_path, PLANNER, *words), run(tmp_path, PLANNER, *words)
+    other = run(tmp_path, PLANNER, *words, "--seed", "8")
+    lengths, repeated, others = ([r["metrics"]["path_length_m"] for r in found] for found in (first, again, other))
+    assert all(record["ok"] for record in first)
+    assert lengths == repeated
+    assert lengths != others
+    straight_m = (17**2 + 13**2) ** 0.5
+    assert all(straight_m < length < 35 for length in lengths + others)
+
+
+def test_no_path_is_a_failed_request(tmp_path):
+    records = run(tmp_path, PLANNER, "--samples", "20", "--requests", "2")
+    assert [(record["ok"], record["reason"], record["metrics"]) for record in records] == [(False, "no path", {})] * 2
+
+
+@pytest.mark.parametrize("program", [PLANNER, LIDAR])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_every_process_of_it_ends_it_quietly(tmp_path, program, number):
+    words = ("--samples", "500") if program == PLANNER else ("--scans", "2")
+    started = begin(tmp_path, program, *words)
+    while not (tmp_path / "timings").exists():
+        assert started.poll() is None
+    if number == signal.SIGINT:  # what the agent sends to every process; TERM comes to the first alone, from a shell
+        os.killpg(started.pid, number)
+    else:
+        started.terminate()
+    _, said = started.communicate(timeout=20)
+    assert (started.returncode, said) == (0, "")
