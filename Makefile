@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types floors generated unit figures mutants lock clean
+.PHONY: help demo test lint types floors generated unit figures evaluation mutants lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -59,6 +59,12 @@ unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## tests with coverage
 
 figures: .venv/dev.stamp  ## print every figure that README and docs quote
 	$(BIN)/python -m tests.figures
+
+# The development data are not in this repository; the layout is that of `fogspec evaluate --suite`.
+FOGSPEC_SHARED ?= ../shared
+evaluation: .venv/dev.stamp  ## every sampler and method over the development set, with priors and without (half an hour)
+	$(FOGSPEC) evaluate --all --suite $(FOGSPEC_SHARED)/data/dev --priors $(FOGSPEC_SHARED)/data/priors
+	$(FOGSPEC) evaluate --all --suite $(FOGSPEC_SHARED)/data/dev
 
 mutants: .venv/dev.stamp  ## 100,000 damaged specs: what the diagnostics say of them (minutes)
 	$(BIN)/python -m tests.mutation.survey

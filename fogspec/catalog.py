@@ -55,6 +55,10 @@ class Catalog:
 
     def in_order(self) -> "Catalog":
         """Sorted by spot, cloud, region, instance, accelerators, zone, and what is left of a row."""
+        return self.take(self.order())
+
+    def order(self) -> NDArray[np.intp]:
+        """The rows' numbers as `in_order` has them."""
         key = self._names()
         order = np.argsort(key, kind="stable")
         same = key[order][1:] == key[order][:-1]
@@ -68,7 +72,7 @@ class Catalog:
             columns = [getattr(self, name)[rows] for name in rest]
             within = np.lexsort([*(ranks(one) if one.dtype == object else one for one in columns), key[rows]])
             order[tied] = rows[within]
-        return self.take(order)
+        return order
 
     def _names(self) -> NDArray[np.int64]:
         """One number a row that sorts as spot, cloud, region, instance, accelerators and zone do."""

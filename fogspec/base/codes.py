@@ -207,6 +207,11 @@ DATA = {
         "A catalog is a CSV file in SkyPilot's columns. A price that is missing is no offer, and never $0; a "
         "price that is no number is a mistake.",
     ),
+    "FS402": Code(
+        "a suite of measurements must be whole and sound",
+        "machines.csv, latencies.csv and problems.jsonl belong together: every machine and workload that is named is "
+        "there, and latencies are positive and finite.",
+    ),
 }
 
 GENERATED = {

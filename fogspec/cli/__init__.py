@@ -22,6 +22,8 @@ VERBS = {
     "status": "which stage is fresh or stale and why, and what was spent",
     "bench": "measure the plan's samples",
     "menu": "the choices on offer, also under other constraints",
+    "evaluate": "replay sampling and choosing against full measurements",
+    "priors": "build a library of what machines do for other workloads",
 }
 
 

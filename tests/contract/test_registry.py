@@ -70,7 +70,7 @@ def send(method: str, url: str, body: bytes = b"", kind: str = "application/octe
     request = urllib.request.Request(url, data=body, method=method, headers={"Content-Type": kind})
     if user:
         request.add_header("Authorization", "Basic " + base64.b64encode(f"{USER}:{PASSWORD}".encode()).decode())
-    with urllib.request.urlopen(request, timeout=20) as answer:
+    with urllib.request.urlopen(request, timeout=120) as answer:
         return str(answer.headers.get("Location", ""))
 
 

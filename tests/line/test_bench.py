@@ -118,7 +118,7 @@ def test_a_sample_that_died_with_its_controller_is_measured_again(halting):
 def test_asked_to_stop_it_stops_cleanly(halting, number):
     scene, bench = halting
     bench.send_signal(number)
-    _, said = bench.communicate(timeout=20)
+    _, said = bench.communicate(timeout=120)
     assert bench.returncode == 130
     assert "Traceback" not in said
     record = scene.records()[FIRST]
@@ -134,7 +134,7 @@ def test_asked_twice_it_stops_at_once_and_the_next_one_cleans_up(halting):
     scene, bench = halting
     bench.send_signal(signal.SIGINT)
     bench.send_signal(signal.SIGINT)
-    _, said = bench.communicate(timeout=20)
+    _, said = bench.communicate(timeout=120)
     assert (bench.returncode, "Traceback" in said) == (130, False)
     if scene.alive():
         assert f"may still run: {scene.names()[0]}" in said
@@ -200,7 +200,7 @@ def test_measuring_again_and_stopping_keeps_what_was_measured(tmp_path):
     bench = scene.begin("--only", FIRST)
     until(lambda: len(scene.names()) == 2 and scene.requests() >= 3)
     bench.send_signal(signal.SIGINT)
-    bench.communicate(timeout=20)
+    bench.communicate(timeout=120)
     assert (bench.returncode, scene.alive()) == (130, [])
     assert tree(scene.results.parent) == before
 

@@ -100,7 +100,7 @@ def test_the_kernel_s_counter_is_read(tmp_path, monkeypatch):
 
 def test_a_program_that_is_not_there(tmp_path):
     limits = ["--after", "1", "--startup", "1", "--process", '["/no/such/program"]']
-    subprocess.run([sys.executable, str(AGENT), "--out", str(tmp_path), *limits], timeout=30)
+    subprocess.run([sys.executable, str(AGENT), "--out", str(tmp_path), *limits], timeout=120)
     outcome = json.loads((tmp_path / "outcome.json").read_text())
     assert (outcome["state"], outcome["reason"]) == ("failed", "setup")
     assert "/no/such/program cannot be started: No such file" in outcome["detail"]
@@ -190,7 +190,7 @@ def test_an_out_folder_that_cannot_be_written_is_said_on_standard_error(tmp_path
     (tmp_path / "out").write_text("a file")
     limits = ["--after", "1", "--startup", "1", "--process", '["true"]']
     ended = subprocess.run([sys.executable, str(AGENT), "--out", str(tmp_path / "out"), *limits],
-                           capture_output=True, text=True, timeout=30)  # fmt: skip
+                           capture_output=True, text=True, timeout=120)  # fmt: skip
     assert ended.returncode == 1
     assert "the agent could not work" in ended.stderr
     assert "Traceback" not in ended.stderr

@@ -12,6 +12,7 @@ from fogspec.cli import main
 CASES = Path(__file__).resolve().parents[1] / "cases" / "language"
 ELSEWHERE = {
     "FS401": "tests/unit/test_specfiles.py",
+    "FS402": "tests/unit/test_specfiles.py",
     "FS701": "tests/unit/test_specfiles.py",
     "FS801": "tests/unit/test_launchfiles.py",
     "FS802": "tests/unit/test_launchfiles.py",

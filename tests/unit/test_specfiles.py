@@ -101,9 +101,9 @@ BOMB = "b: &b0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
     ],
 )  # fmt: skip
 def test_hostile_files_end_soon(content: str, code: str) -> None:
-    start = time.perf_counter()
+    start = time.process_time()
     assert code in codes(content)
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 5
 
 
 def test_an_alias_repeats_what_its_anchor_marked() -> None:
@@ -222,3 +222,13 @@ def test_a_wrong_catalog_is_located(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "error[FS401]" in done.stderr
     assert f"{table}:1:" in done.stderr
+
+
+def test_a_wrong_suite_is_located(tmp_path: Path) -> None:
+    from fogspec.effects.suites import read_suite
+
+    (tmp_path / "machines.csv").write_text("Cloud,InstanceType,vCPUs,MemoryGiB,Price\naws,a,2,4,0.1\naws,a,2,4,0.1\n")
+    with pytest.raises(Problems) as problems:
+        read_suite(tmp_path)
+    (one,) = problems.value.diagnostics
+    assert (one.code, one.place.path, one.place.line) == ("FS402", str(tmp_path / "machines.csv"), 2)

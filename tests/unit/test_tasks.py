@@ -105,7 +105,7 @@ def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_p
     processes = [["sh", "-c", 'printf %s "$1" > said', "x", NASTY], ["sleep", "60"]]
     script = render("run_deploy.sh.j2", **ros_environment(application().spec), processes=processes)
     subprocess.run(
-        ["bash", "-c", script], cwd=tmp_path, timeout=20, check=True, env={"PATH": "/usr/bin:/bin", "HOME": "/"}
+        ["bash", "-c", script], cwd=tmp_path, timeout=120, check=True, env={"PATH": "/usr/bin:/bin", "HOME": "/"}
     )
     assert (tmp_path / "said").read_text() == NASTY
 

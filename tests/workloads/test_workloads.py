@@ -73,5 +73,5 @@ def test_a_signal_to_every_process_of_it_ends_it_quietly(tmp_path, program, numb
         os.killpg(started.pid, number)
     else:
         started.terminate()
-    _, said = started.communicate(timeout=20)
+    _, said = started.communicate(timeout=120)
     assert (started.returncode, said) == (0, "")

@@ -64,7 +64,7 @@ class Rows:
         if name not in self.columns:
             return np.full(self.size, "", dtype=np.object_)
         texts = self.columns[name]
-        return np.fromiter(map({text: text for text in texts}.__getitem__, texts), np.object_, len(texts))
+        return np.fromiter(map({text: text for text in set(texts)}.__getitem__, texts), np.object_, len(texts))
 
     def problem(self, row: int, name: str, message: str) -> None:
         """Remember a mistake in one field."""

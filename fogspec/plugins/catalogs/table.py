@@ -49,7 +49,7 @@ def _read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog
     machines, spot = _machines(rows, cloud or "", about), rows.numbers("SpotPrice")
     rows.check()
     _explain(rows, machines, spot)
-    offers = _priced(*gcp.joined(_unpriced(machines), spot)).in_order()
+    offers = _priced(*gcp.joined(_unpriced(machines), spot))
     once = offers.merged()
     if repeated := len(offers) - len(once):
         rows.notes.append(f"{path}: {repeated:,} offers are repeated: the highest price of each counts")
@@ -124,7 +124,9 @@ def _unpriced(machines: Catalog) -> Catalog:
 
 
 def _priced(machines: Catalog, spot: Floats) -> Catalog:
-    """On-demand and spot offers as rows of their own; rows without a name, shape or price fall out."""
+    """On-demand and spot offers as rows of their own, in order; rows without a name, shape or price fall out."""
+    order = machines.order()
+    machines, spot = machines.take(order), spot[order]
     whole = (machines.instance != "") & (machines.vcpus > 0) & (machines.memory_gib > 0)
     whole &= (machines.gpu == "") | (machines.gpu_count > 0)
     on_demand = machines.take(whole & (machines.price_usd_per_hour > 0))

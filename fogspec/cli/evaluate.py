@@ -1,0 +1,156 @@
+"""`fogspec evaluate`: replay sampling and choosing against full measurements."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fogspec.base.outcomes import WrongCommand
+from fogspec.cli.options import CATALOG, OUTPUT, catalogs_for
+
+if TYPE_CHECKING:
+    from fogspec.evaluation.running import Campaign
+
+SAMPLERS = ("adaptive", "grid", "random", "cherrypick", "full")
+METHODS = ("model", "verified", "r2", "paper", "measured")
+ROWS = (
+    ("paper: grid, best R², relaxed", "grid", "paper"),
+    ("grid, best R², exact price", "grid", "r2"),
+    ("grid, ours", "grid", None),
+    ("random 9, ours", "random", None),
+    ("CherryPick-like", "cherrypick", None),
+    ("adaptive", "adaptive", None),
+    ("full sweep", "full", None),
+)
+ALIASES = {"ours": None}
+
+
+@click.command()
+@click.argument("spec", required=False, type=click.Path(path_type=str))
+@click.option("--sweep", type=click.Path(path_type=Path), metavar="FILE", help="full measurements of SPEC: a CSV file")
+@click.option("--suite", type=click.Path(path_type=Path), metavar="DIR", help="machines, latencies and problems")
+@click.option("--priors", type=click.Path(path_type=Path), metavar="DIR|FILE", help="a machine library")
+@click.option("--kind", "kinds", multiple=True, metavar="KIND", help="only problems of this kind; may be repeated")
+@click.option("--sampler", type=click.Choice(SAMPLERS), default="adaptive", show_default=True)
+@click.option(
+    "--method", type=click.Choice([*ALIASES, *METHODS]), help="how samples are read; ours: the sampler's own (default)"
+)
+@click.option("--noise", type=click.Choice(["realistic", "none"]), default="realistic", show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--choices", type=click.Path(path_type=Path), metavar="FILE", help="write a line for every choice")
+@click.option("--all", "every", is_flag=True, help="a table of every sampler and method")
+@click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="processes")
+@CATALOG
+@OUTPUT
+def command(
+    spec: str | None, sweep: Path | None, suite: Path | None, priors: Path | None, kinds: tuple[str, ...],
+    sampler: str, method: str | None, noise: str, seed: int, choices: Path | None, every: bool, workers: int,
+    catalog_path: str | None, output: str,
+) -> None:  # fmt: skip
+    """Say how good choices from few samples are, where every machine was measured.
+
+    Either SPEC with a --sweep of its own, or a --suite of problems.
+    """
+    from fogspec.evaluation.running import Campaign
+
+    campaign = Campaign(sampler, ALIASES.get(method, method) if method else None, noise, seed)
+    if spec and sweep and not suite:
+        _of_sweep(spec, sweep, catalog_path, priors, campaign, output)
+    elif suite and not (spec or sweep):
+        campaigns = [Campaign(s, m, noise, seed) for _, s, m in ROWS] if every else [campaign]
+        _of_suite(suite, priors, kinds, campaigns, choices, workers, output)
+    else:
+        raise WrongCommand(
+            "evaluate needs SPEC --sweep FILE, or --suite DIR",
+            "fogspec evaluate specs/NAME.yaml --sweep sweep.csv",
+            "fogspec evaluate --suite DIR --priors DIR -o json",
+        )
+
+
+def _of_suite(
+    suite: Path, priors: Path | None, kinds: tuple[str, ...], campaigns: "list[Campaign]", choices: Path | None,
+    workers: int, output: str,
+) -> None:  # fmt: skip
+    from fogspec.effects.evaluating import evaluate
+    from fogspec.effects.files import write_bytes
+    from fogspec.evaluation.running import by_kind
+    from fogspec.evaluation.suite import KINDS
+
+    if unknown := set(kinds) - set(KINDS):
+        raise WrongCommand(f"--kind is one of {', '.join(KINDS)}, got {min(unknown)!r}")
+    done, digest = evaluate(suite, priors, kinds, campaigns, workers=workers)
+    if choices:
+        told = [json.dumps(one.line(), ensure_ascii=False) + "\n" for ended in done for one in ended]
+        write_bytes(choices, "".join(told).encode())
+    reports = []
+    for campaign, ended in zip(campaigns, done, strict=True):
+        rows, calibrations = by_kind(ended)
+        reports.append({**_about(campaign, digest), "by_kind": rows, "calibration": calibrations})
+    if output == "json":
+        click.echo(json.dumps(reports[0] if len(reports) == 1 else reports, indent=2))
+        return
+    titles = [name for name, _, _ in ROWS] if len(reports) > 1 else [""]
+    click.echo(
+        "\n".join([HEAD, *(line(t, row) for t, one in zip(titles, reports, strict=True) for row in one["by_kind"])])
+    )
+
+
+def _of_sweep(
+    spec: str, sweep: Path, catalog_path: str | None, priors: Path | None, campaign: "Campaign", output: str
+) -> None:
+    from fogspec.effects.libraries import read_library
+    from fogspec.effects.specfiles import load
+    from fogspec.effects.sweeps import read_sweep
+    from fogspec.evaluation.replay import Case, Noise
+    from fogspec.evaluation.sweeping import replayed
+    from fogspec.numerics.priors import prior_for
+
+    loaded = load([spec])
+    if len(loaded) != 1:
+        raise WrongCommand(f"{spec} has {len(loaded)} applications, a sweep is of one")
+    application = loaded[0].application
+    read = read_sweep(sweep, application, catalogs_for(loaded, catalog_path)[0])
+    library = read_library(priors) if priors else None
+    prior = prior_for(library, read.names, read.machines) if library else None
+    noise = Noise.of(read.problem, "none", 0) if campaign.noise == "none" else read.repeats
+    case = Case.of(read.problem, read.machines, prior, noise)
+    found = replayed(case, read.names, application.spec.benchmark.stop.after, campaign)
+    about = {"application": application.metadata.name, **_about(campaign, library.digest if prior and library else "")}
+    report = {**about, "not_admitted": list(read.left_out), **found}
+    if output == "json":
+        click.echo(json.dumps(report, indent=2))
+    else:
+        click.echo("\n".join(f"{name:18} {_shown(value)}" for name, value in report.items()))
+
+
+def _about(campaign: "Campaign", digest: str) -> dict[str, Any]:
+    return {
+        "sampler": campaign.sampler, "method": campaign.reads_with, "noise": campaign.noise, "seed": campaign.seed,
+        "priors": digest or None,
+    }  # fmt: skip
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, list):
+        return ", ".join(value) or "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+HEAD = (
+    f"{'':30} {'kind':10} {'problems':>8} {'ok1':>6} {'ok5':>6} {'ok10':>6} {'bench':>6} {'samples':>7} {'broken':>6} "
+    f"{'no':>5} {'regret p90':>10} {'mdape':>6} {'cover':>6} {'volume':>6}"
+)
+
+
+def line(title: str, row: dict[str, Any]) -> str:
+    """The scores of a kind of problem, shares in per cent."""
+    shares = [row["regret"]["p90"], row["mdape"], row["coverage90"], row["hypervolume"]]
+    known = ["-" if value is None else f"{100 * value:.1f}" for value in shares]
+    return (
+        f"{title:30} {row['kind']:10} {row['problems']:8d} {100 * row['ok1']:6.1f} {100 * row['ok5']:6.1f} "
+        f"{100 * row['ok10']:6.1f} {100 * row['bench']:6.2f} {row['samples']:7.1f} {100 * row['violation5']:6.2f} "
+        f"{100 * row['false_infeasible']:5.2f} {known[0]:>10} {known[1]:>6} {known[2]:>6} {known[3]:>6}"
+    )

@@ -1,0 +1,30 @@
+"""`fogspec priors`: libraries of what machines do for other workloads."""
+
+from pathlib import Path
+
+import click
+
+
+@click.group()
+def command() -> None:
+    """Build a machine library: with one, fewer samples suffice."""
+
+
+@command.command()
+@click.option(
+    "--from", "source", type=click.Path(path_type=Path), metavar="FROM",
+    help="a folder in the suite layout, or a database of sparecores-data; otherwise what sparecores-data has here",
+)  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), default=Path("priors.zip"), show_default=True, metavar="FILE")
+def build(source: Path | None, out: Path) -> None:
+    """Write a machine library for `--priors`."""
+    from fogspec.effects import sparecores
+    from fogspec.effects.libraries import read_library, rows_of, write_library
+
+    if source is not None and source.is_dir():
+        machines, latencies = rows_of(source)
+    else:
+        machines, latencies = sparecores.read(source or sparecores.database())
+    write_library(out, machines, latencies)
+    library = read_library(out)
+    click.echo(f"{out}: {len(library.workloads)} workloads on {len(library.names)} machines, {library.digest}")

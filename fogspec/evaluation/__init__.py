@@ -1,0 +1,1 @@
+"""Replaying campaigns against full measurements: pure, arrays and small types."""

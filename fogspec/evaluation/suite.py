@@ -1,0 +1,74 @@
+"""A suite: machines, their true latencies under workloads, and selection problems over them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from fogspec.numerics.acquisition import Objective, busy, provisioned
+from fogspec.numerics.features import Floats, Machines
+
+KINDS = ("family", "catalog", "multicloud", "gpu")
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One question about a problem: the weight of latency and the limits, None where there is none.
+
+    With a rate of requests whole hours are paid for (provisioned billing), without one busy seconds.
+    """
+
+    name: str
+    alpha: float
+    max_latency_s: float | None
+    max_cost_usd_per_request: float | None
+    requests_per_second: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Choose among machines (rows of the suite's table) for a workload; scales are the objective's denominators."""
+
+    id: str
+    kind: str
+    workload: str
+    suite: str
+    rows: np.ndarray
+    latency_s: Floats
+    scale_latency_s: float
+    scale_cost_usd: float
+    settings: tuple[Setting, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Machines by name (`cloud/type`)."""
+
+    names: tuple[str, ...]
+    machines: Machines
+    row: Mapping[str, int] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Suite:
+    """Machines and problems."""
+
+    table: Table
+    problems: tuple[Problem, ...]
+
+
+def objective_of(problem: Problem, setting: Setting, price: Floats, confidence: float, tolerance: float) -> Objective:
+    """The setting as an objective over the problem's machines, priced in USD per hour (N,)."""
+    rate = setting.requests_per_second
+    kind = busy if rate is None else partial(provisioned, requests_per_second=rate)
+    return kind(
+        price,
+        alpha=setting.alpha,
+        scale_latency_s=problem.scale_latency_s,
+        scale_cost_usd=problem.scale_cost_usd,
+        max_latency_s=setting.max_latency_s,
+        max_cost_usd=setting.max_cost_usd_per_request,
+        confidence=confidence,
+        tolerance=tolerance,
+    )

@@ -1,0 +1,229 @@
+"""Which machines to measure next, when to stop, and which one to choose."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fogspec.numerics.features import Floats
+from fogspec.numerics.surrogate import DEFAULT_NOISE, Posterior
+
+
+@dataclass(frozen=True, slots=True)
+class Objective:
+    """What is minimised, `slope * latency_s + offset` per machine (N,), and the latency each machine may have.
+
+    Latency and cost are both linear in latency, so every limit becomes one on latency: `limit_s` (N,), infinite
+    where nothing limits. `confidence` is the probability with which the limits must be met; with a `tolerance`
+    above 0 that is asked of limits wider by that share.
+    """
+
+    slope: Floats
+    offset: Floats
+    limit_s: Floats
+    confidence: float = 0.9
+    tolerance: float = 0.0
+
+    def value(self, latency_s: Floats) -> Floats:
+        """The objective at these latencies, (..., N)."""
+        return np.asarray(self.slope * latency_s + self.offset)
+
+
+def busy(
+    price_usd_per_hour: Floats,
+    *,
+    alpha: float,
+    scale_latency_s: float,
+    scale_cost_usd: float,
+    max_latency_s: float | None = None,
+    max_cost_usd: float | None = None,
+    confidence: float = 0.9,
+    tolerance: float = 0.0,
+) -> Objective:
+    """alpha * L / scale_L + (1 - alpha) * C / scale_C with C = price / 3600 * L: only busy seconds are paid."""
+    if not 0 <= alpha <= 1:
+        raise ValueError(f"alpha lies between 0 and 1, got {alpha}")
+    if not (scale_latency_s > 0 and scale_cost_usd > 0):
+        raise ValueError("scales must be positive")
+    per_second = price_usd_per_hour / 3600
+    limit = np.full(len(per_second), np.inf if max_latency_s is None else max_latency_s)
+    if max_cost_usd is not None:
+        limit = np.minimum(limit, max_cost_usd / per_second)
+    slope = alpha / scale_latency_s + (1 - alpha) * per_second / scale_cost_usd
+    return Objective(slope, np.zeros(len(slope)), limit, confidence, tolerance)
+
+
+def provisioned(
+    price_usd_per_hour: Floats,
+    *,
+    requests_per_second: float,
+    alpha: float,
+    scale_latency_s: float,
+    scale_cost_usd: float,
+    max_latency_s: float | None = None,
+    max_cost_usd: float | None = None,
+    confidence: float = 0.9,
+    tolerance: float = 0.0,
+) -> Objective:
+    """The same with C = price / 3600 / rate: the whole hour is paid, and a request may take at most 1 / rate."""
+    if not requests_per_second > 0:
+        raise ValueError("provisioned billing needs a positive request rate")
+    cost = price_usd_per_hour / 3600 / requests_per_second
+    base = busy(
+        price_usd_per_hour, alpha=alpha, scale_latency_s=scale_latency_s, scale_cost_usd=scale_cost_usd,
+        max_latency_s=max_latency_s, confidence=confidence,
+    )  # fmt: skip
+    limit = np.minimum(base.limit_s, 1 / requests_per_second)
+    if max_cost_usd is not None:
+        limit = np.where(cost <= max_cost_usd, limit, 0.0)
+    slope = np.full(len(cost), alpha / scale_latency_s)
+    return Objective(slope, (1 - alpha) * cost / scale_cost_usd, limit, confidence, tolerance)
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """How the sampler trades money for certainty.
+
+    A machine of mean price is worth measuring while it is expected to improve the objective by `worth` (relative),
+    one of another price in proportion; the most improvement per price comes first. `first` machines are measured
+    before the objective guides, `wave` at once, `most` samples in all.
+    """
+
+    worth: float = 0.006
+    first: int = 3
+    wave: int = 1
+    most: int = 30
+
+
+@dataclass(frozen=True, slots=True)
+class Wave:
+    """Machines to measure at once; none with the reason why sampling ends. `worth` is what each is expected to gain."""
+
+    machines: tuple[int, ...]
+    reason: str
+    worth: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The chosen machine, or None.
+
+    `probability_met` is the stated probability that it meets every limit; `verified` says whether it was measured,
+    `sure` whether the asked confidence is reached (for None: that none meets them).
+    """
+
+    machine: int | None
+    probability_met: float
+    verified: bool
+    sure: bool
+
+
+def choose(posterior: Posterior, objective: Objective, *, measured_only: bool = True) -> Chosen:
+    """The best machine by expected objective among those that meet the limits with the asked confidence.
+
+    Where none reaches it, the best of those that are more likely than not to meet them. With `measured_only` a
+    machine that was never measured is not chosen while a measured one qualifies.
+    """
+    met = posterior.probability_below(objective.limit_s)
+    within = posterior.probability_below(objective.limit_s * (1 + objective.tolerance))
+    value = objective.value(np.exp(posterior.mean))
+    pools = (posterior.measured, ~posterior.measured) if measured_only else (np.ones(len(met), bool),)
+    for floor in (objective.confidence, 0.5):
+        for pool in pools:
+            good = pool & (within >= floor)
+            if good.any():
+                best = int(np.argmin(np.where(good, value, np.inf)))
+                sure = bool(within[best] >= objective.confidence)
+                return Chosen(best, float(met[best]), bool(posterior.measured[best]), sure)
+    return Chosen(None, float(met.max()), False, bool(met.max() < 1 - objective.confidence))
+
+
+def next_wave(
+    posterior: Posterior,
+    objective: Objective,
+    *,
+    sample_cost: Floats,
+    left: float = np.inf,
+    policy: Policy | None = None,
+) -> Wave:
+    """The next machines to measure within the money left; `sample_cost` (N,) is what one sample of each costs.
+
+    The first wave spreads over what is uncertain (A-optimal design per price), later waves follow expected
+    improvement under the limits per price (Alipourfard et al., CherryPick, NSDI 2017; Gelbart et al., Bayesian
+    Optimization with Unknown Constraints, UAI 2014).
+    """
+    policy = policy or Policy()
+    tried = np.unique(posterior.observations.machine)
+    room = policy.most - len(posterior.observations.machine)
+    if room <= 0:
+        return Wave((), f"{policy.most} samples were taken, the most allowed")
+    untried = np.ones(len(sample_cost), dtype=bool)
+    untried[tried] = False
+    if not untried.any():
+        return Wave((), "every machine was measured")
+    if sample_cost[untried].min() > left:
+        return Wave((), f"the cheapest further sample costs {sample_cost[untried].min():.4g}, {left:.4g} is left")
+    if not posterior.measured.any() and len(tried) < 2 * policy.first:
+        return _spread(posterior, sample_cost, left, untried, min(policy.first, room))
+    return _improving(posterior, objective, sample_cost, left, untried, policy, min(policy.wave, room))
+
+
+def _spread(posterior: Posterior, cost: Floats, left: float, untried: np.ndarray, count: int) -> Wave:
+    """Greedy: the machine that takes most variance off all machines for its price, given those before it."""
+    draws = posterior.draws - posterior.draws.mean(0)
+    covariance = draws.T @ draws / len(draws)
+    chosen: list[int] = []
+    for _ in range(count):
+        usable = untried & (cost <= left)
+        if not usable.any():
+            break
+        variance = np.diag(covariance) + DEFAULT_NOISE**2
+        gain = (covariance**2).sum(0) / variance
+        best = int(np.argmax(np.where(usable, gain / cost, -1.0)))
+        chosen.append(best)
+        left -= float(cost[best])
+        untried[best] = False
+        covariance = covariance - np.outer(covariance[best], covariance[best]) / variance[best]
+    return Wave(tuple(chosen), "spread over what is uncertain")
+
+
+def _improving(
+    posterior: Posterior,
+    objective: Objective,
+    cost: Floats,
+    left: float,
+    untried: np.ndarray,
+    policy: Policy,
+    count: int,
+) -> Wave:
+    """By the expected gain of each machine over the best of those measured and of the wave before it."""
+    latency = np.exp(posterior.draws)
+    known = posterior.measured
+    limit = objective.limit_s * np.where(known, 1 + objective.tolerance, 1.0)
+    value = np.where(latency <= limit, objective.value(latency), np.inf)
+    best = np.min(value[:, known], axis=1, initial=np.inf)
+    asked = policy.worth * cost / cost.mean()
+    chosen: list[int] = []
+    worth: list[float] = []
+    for _ in range(count):
+        expected = _gain(value, best)
+        usable = untried & (cost <= left) & (expected >= asked)
+        if not usable.any():
+            break
+        pick = int(np.argmax(np.where(usable, expected / cost, -1.0)))
+        chosen.append(pick)
+        worth.append(float(expected[pick]))
+        left -= float(cost[pick])
+        untried[pick] = False
+        best = np.minimum(best, value[:, pick])
+    if not chosen:
+        return Wave(
+            (), f"no further machine is expected to improve the choice by {policy.worth:.1%} per mean price of a sample"
+        )
+    return Wave(tuple(chosen), "expected improvement per price", tuple(worth))
+
+
+def _gain(value: Floats, best: Floats) -> Floats:
+    """Expected relative gain (N,) of each machine over the best so far (draws,); the first to meet the limits gains 1."""
+    with np.errstate(invalid="ignore"):
+        over = np.where(np.isfinite(best)[:, None], 1 - value / best[:, None], 1.0)
+    return np.asarray(np.maximum(np.where(np.isfinite(value), over, 0.0), 0.0).mean(0))

@@ -1,0 +1,106 @@
+"""Machines as arrays, and the covariance components that say which machines behave alike.
+
+A component is a feature matrix F (N x r): it contributes F F' to the covariance of log-latencies. Low rank keeps
+a cloud's catalog of a thousand machines cheap, and joint draws come for free (F z with z ~ N(0, I)).
+"""
+
+from dataclasses import dataclass
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Machines:
+    """N machines, column by column.
+
+    Codes are those of `codes`, -1 where unknown (`gpu`: -1 = none); unknown
+    numbers are NaN. Raises ValueError where lengths differ or a vCPU count, memory or price is not positive.
+    """
+
+    vcpus: Floats
+    memory_gib: Floats
+    price_usd_per_hour: Floats
+    family: Ints
+    arch: Ints
+    cloud: Ints
+    cpu_model: Ints
+    gpu: Ints
+    gpu_count: Floats
+    gpu_memory_gib: Floats
+    physical_cores: Floats
+    clock_ghz: Floats
+    burstable: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        n = len(self.vcpus)
+        for name in self.__slots__:
+            if len(getattr(self, name)) != n:
+                raise ValueError(f"{name} has {len(getattr(self, name))} entries, vcpus has {n}")
+        for name in ("vcpus", "memory_gib", "price_usd_per_hour"):
+            column = getattr(self, name)
+            if not bool(np.all(np.isfinite(column) & (column > 0))):
+                raise ValueError(f"{name} must be positive and finite for every machine")
+
+    def __len__(self) -> int:
+        return len(self.vcpus)
+
+    def take(self, rows: NDArray[np.intp]) -> "Machines":
+        """The machines at these indices."""
+        return Machines(**{name: getattr(self, name)[rows] for name in self.__slots__})
+
+    @property
+    def cores(self) -> Floats:
+        """Physical cores; where unknown, vCPUs over the median of vCPUs per core among machines that say it."""
+        known = np.isfinite(self.physical_cores) & (self.physical_cores > 0)
+        ratio = float(np.median(self.vcpus[known] / self.physical_cores[known])) if known.any() else 1.0
+        return np.where(known, self.physical_cores, self.vcpus / ratio)
+
+
+def codes(names: list[str]) -> Ints:
+    """Integer codes of names, the same in every table (CRC-32 of the lower-case name); -1 for an empty name."""
+    return np.array([crc32(name.lower().encode()) if name else -1 for name in names], dtype=np.int64)
+
+
+def same(code: Ints) -> Floats:
+    """One column per value (N x values): machines of one code share a term; an unknown one shares it with none."""
+    values, column = np.unique(code, return_inverse=True)
+    matrix = np.zeros((len(code), len(values)))
+    matrix[np.arange(len(code)), column] = 1.0
+    return matrix[:, values >= 0]
+
+
+def matern(columns: Floats, lengths: Floats) -> Floats:
+    """Square root (N x distinct rows) of the Matérn-5/2 covariance of the rows of `columns` (N x d).
+
+    Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, eq. 4.17.
+    """
+    points, where = np.unique(np.round(columns / lengths, 6), axis=0, return_inverse=True)
+    distance = np.sqrt(5.0) * np.sqrt(((points[:, None, :] - points[None, :, :]) ** 2).sum(-1))
+    covariance = (1 + distance + distance**2 / 3) * np.exp(-distance)
+    root = np.linalg.cholesky(covariance + 1e-8 * np.eye(len(points)))
+    return np.asarray(root[np.asarray(where).ravel()])
+
+
+def spread(column: Floats) -> Floats:
+    """A column centred and scaled to unit standard deviation; unknown entries become 0, a constant all 0."""
+    known = np.isfinite(column)
+    if not known.any():
+        return np.zeros(len(column))
+    deviation = float(column[known].std())
+    centred = np.where(known, column, column[known].mean()) - column[known].mean()
+    return centred / deviation if deviation > 1e-9 else np.zeros(len(column))
+
+
+def interacted(matrix: Floats, column: Floats) -> Floats:
+    """Each column of `matrix` (N x r) times `column` (N)."""
+    return matrix * column[:, None]
+
+
+def stacked(*parts: Floats) -> Floats:
+    """Feature matrices side by side: the sum of their covariances."""
+    return np.concatenate([part if part.ndim == 2 else part[:, None] for part in parts], axis=1)

@@ -1,0 +1,57 @@
+"""Laws of the surrogate and of the choice, whatever was measured."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fogspec.numerics.acquisition import busy, choose, next_wave
+from fogspec.numerics.surrogate import observations, prepare
+from tests.unit.machines import family
+
+MACHINES = family()
+SPACE = prepare(MACHINES, draws=64)
+PRICE = MACHINES.price_usd_per_hour
+
+samples = st.lists(
+    st.tuples(st.integers(0, len(MACHINES) - 1), st.floats(1e-6, 1e6), st.booleans()), min_size=1, max_size=12
+)
+
+
+def fitted(rows):
+    at, latency, bound = zip(*rows, strict=True)
+    return SPACE.fit(observations(list(at), list(latency), None, list(bound)))
+
+
+@given(samples)
+def test_whatever_was_measured_predictions_are_finite_and_wide(rows):
+    posterior = fitted(rows)
+    assert np.isfinite(posterior.mean).all()
+    assert (posterior.sd > 0).all()
+    assert (posterior.quantile(0.05) <= posterior.quantile(0.95)).all()
+
+
+@given(samples, st.randoms())
+def test_the_order_of_samples_does_not_matter(rows, random):
+    shuffled = random.sample(rows, len(rows))
+    one, other = fitted(rows), fitted(shuffled)
+    assert np.allclose(one.mean, other.mean, rtol=1e-6, atol=1e-6)
+    assert np.allclose(one.sd, other.sd, rtol=1e-5, atol=1e-6)
+
+
+@given(samples, st.floats(0.01, 100))
+def test_the_unit_of_time_does_not_matter(rows, factor):
+    one, other = fitted(rows), fitted([(at, latency * factor, bound) for at, latency, bound in rows])
+    assert np.allclose(one.mean + np.log(factor), other.mean, atol=1e-5)
+
+
+@given(samples, st.floats(0, 1), st.floats(1e-4, 1e4))
+def test_what_is_chosen_meets_the_limits_more_likely_than_not(rows, alpha, limit_s):
+    posterior = fitted(rows)
+    objective = busy(PRICE, alpha=alpha, scale_latency_s=1.0, scale_cost_usd=1.0, max_latency_s=limit_s)
+    chosen = choose(posterior, objective)
+    if chosen.machine is not None:
+        assert chosen.probability_met >= 0.5 - 1e-9
+        assert not chosen.sure or chosen.probability_met >= objective.confidence
+    wave = next_wave(posterior, objective, sample_cost=PRICE)
+    assert not set(wave.machines) & {at for at, _, _ in rows}
+    assert bool(wave.machines) == bool(wave.worth) or not posterior.measured.any()
