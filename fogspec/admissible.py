@@ -13,6 +13,7 @@ from fogspec.catalog import Catalog, Floats, Texts
 from fogspec.spec import Hardware
 
 Mask = NDArray[np.bool_]
+PLACED = {"slurm"}  # clouds whose zones are places of their own
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +70,15 @@ def admit(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Admissi
     return Admissible(merged, Funnel(len(catalog), tuple(filters)))
 
 
+def parts(infra: str) -> list[str]:
+    """Cloud, region and zone of an infra, as far as it says them; the name of a Kubernetes context may have slashes."""
+    return infra.split("/", 1 if infra.startswith("kubernetes/") else 2)
+
+
 def matches_infra(catalog: Catalog, entry: str) -> Mask:
     """Which offers are in `cloud`, `cloud/region` or `cloud/region/zone`; `*` stands for any."""
     mask = np.ones(len(catalog), dtype=np.bool_)
-    for column, part in zip((catalog.cloud, catalog.region, catalog.zone), entry.split("/", 2), strict=False):
+    for column, part in zip((catalog.cloud, catalog.region, catalog.zone), parts(entry), strict=False):
         if part != "*":
             mask &= _equal(column, part.lower() if column is catalog.cloud else part)
     return mask
@@ -122,12 +128,13 @@ def _filters(hardware: Hardware, infra: Sequence[str]) -> list[tuple[str, Callab
 def merge_zones(offers: Catalog, infra: Sequence[str]) -> Catalog:
     """One offer for all zones of a region that `infra` does not name, at the highest of their prices.
 
-    `offers` are in the catalog's order, which puts the zones of one machine and region together.
+    `offers` are in the catalog's order, which puts the zones of one machine and region together. A partition of a
+    Slurm cluster, which SkyPilot calls its zone, is a place with machines and a price of its own: it stays.
     """
-    pinned = _any(offers, [matches_infra(offers, entry) for entry in infra if entry.count("/") == 2])
-    whole = _any(offers, [matches_infra(offers, entry) for entry in infra if entry.count("/") < 2])
+    pinned = _any(offers, [matches_infra(offers, entry) for entry in infra if len(parts(entry)) == 3])
+    whole = _any(offers, [matches_infra(offers, entry) for entry in infra if len(parts(entry)) < 3])
     zone = offers.zone.copy()
-    zone[whole | ~pinned] = ""
+    zone[(whole | ~pinned) & ~_within(offers.cloud, PLACED)] = ""
     return replace(offers, zone=zone).merged()
 
 

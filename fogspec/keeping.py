@@ -6,9 +6,21 @@ import numpy as np
 
 from fogspec import stages
 from fogspec.admissible import matches_infra
+from fogspec.base import units
 from fogspec.base.units import Range
 from fogspec.catalog import Catalog
-from fogspec.plan import NO_PINS, ApplicationRef, CatalogRef, MachineRef, Plan, PlanBody, Sample, estimate
+from fogspec.plan import (
+    NO_PINS,
+    ApplicationRef,
+    CatalogRef,
+    MachineRef,
+    Plan,
+    PlanBody,
+    Sample,
+    Sampling,
+    assemble,
+    estimate,
+)
 from fogspec.spec import Application, Hardware
 
 
@@ -38,6 +50,49 @@ def kept(application: Application, plan: Plan, catalog: Catalog, pins: Mapping[s
     return Plan(metadata=plan.metadata, spec=_with(application, body, catalog, samples))
 
 
+def recorded(
+    application: Application, path: str, catalog: Catalog, sampling: Sampling, pins: Mapping[str, str] = NO_PINS
+) -> Plan:
+    """The plan of an adaptive campaign: the machines that were asked for so far, at this catalog's prices.
+
+    Its search box is the one that they were asked for among, while that holds the spec's.
+    """
+    samples = [
+        Sample(id=one.id, machine=_repriced(one.machine, catalog), reason=one.reason)
+        for wave in sampling.waves
+        for one in wave.samples
+    ]
+    notes = [f"wave {number} ({len(wave.samples)}): {wave.reason}" for number, wave in enumerate(sampling.waves, 1)]
+    notes.append(
+        f"sampling ended: {sampling.ended}" if sampling.ended else "the next machines are asked for by fogspec bench"
+    )
+    plan = assemble(application, path, catalog.about, "adaptive", samples, notes, pins)
+    if not still_serves(application, sampling):
+        return plan
+    box = {"hardware": sampling.hardware, "infra": sampling.infra}
+    return plan.model_copy(update={"spec": plan.spec.model_copy(update=box)})
+
+
+def still_serves(application: Application, sampling: Sampling) -> bool:
+    """Whether the box that machines were asked for among holds the spec's box."""
+    return holds(sampling.hardware, sampling.infra, application.spec.hardware, application.spec.infra)
+
+
+def price_rises(samples: Sequence[Sample], catalog: Catalog) -> list[str]:
+    """What has become dearer than the plan says, or is no longer on offer; a line each."""
+    found = []
+    for sample in samples:
+        machine, now = sample.machine, price_now(sample.machine, catalog)
+        if machine.infra == "local":
+            continue
+        name = f"{sample.id}: {machine.infra} {machine.instance}"
+        if now is None:
+            found.append(f"{name} is not on offer in {catalog.about.source}")
+        elif now > machine.price * (1 + 1e-6):
+            found.append(f"{name} costs {units.format_price(now)}, the plan says {units.format_price(machine.price)}")
+    return found
+
+
 def _with(application: Application, body: PlanBody, catalog: Catalog, samples: Sequence[Sample]) -> PlanBody:
     about, benchmark = catalog.about, application.spec.benchmark
     return body.model_copy(
@@ -54,17 +109,19 @@ def _with(application: Application, body: PlanBody, catalog: Catalog, samples: S
 
 
 def _repriced(machine: MachineRef, catalog: Catalog) -> MachineRef:
-    """The machine at its price now: the highest among the zones of its region, as a plan has it."""
-    if machine.infra == "local":
-        return machine
+    """The machine at its price now; one that is no longer on offer keeps the price it had."""
+    price = None if machine.infra == "local" else price_now(machine, catalog)
+    return machine if price is None else machine.model_copy(update={"price": price})
+
+
+def price_now(machine: MachineRef, catalog: Catalog) -> float | None:
+    """USD per hour: the highest among the zones of its region, as a plan has it; None when it is not on offer."""
     rows = np.flatnonzero(catalog.instance == machine.instance)
     offers = catalog.take(rows)
     name, count = (machine.gpu.name, machine.gpu.count) if machine.gpu else ("", 0.0)
     fits = matches_infra(offers, machine.infra) & (offers.spot == machine.spot)
     fits &= np.asarray((offers.gpu == name) & (offers.gpu_count == count), dtype=np.bool_)
-    if not fits.any():
-        return machine
-    return machine.model_copy(update={"price": float(offers.price_usd_per_hour[fits].max())})
+    return float(offers.price_usd_per_hour[fits].max()) if fits.any() else None
 
 
 def holds(outer: Hardware, outer_infra: Sequence[str], inner: Hardware, inner_infra: Sequence[str]) -> bool:

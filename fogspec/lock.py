@@ -32,11 +32,19 @@ class ImagePin(Strict):
     digest: str
 
 
+class PriorsPin(Strict):
+    """The machine library that predictions are made with; `origin` is its path relative to the lock."""
+
+    origin: str
+    digest: str
+
+
 class Pins(Strict):
     """What one application's files are made with; `files` has a digest for each file or folder beside the spec."""
 
     catalog: CatalogPin
     image: ImagePin | None = None
+    priors: PriorsPin | None = None
     files: dict[str, str] = Field({})
 
 
@@ -117,7 +125,8 @@ def paths_named(application: Application) -> Iterator[str]:
     client = spec.benchmark.workload.node
     if spec.ros is not None and spec.ros.workspace is not None:
         yield spec.ros.workspace
-    yield from filter(None, (spec.benchmark.workload.bag, spec.probe.bag))
+    # The probe's bag is what a sample records, not what it reads.
+    yield from filter(None, [spec.benchmark.workload.bag])
     for node in [*spec.cloud, *([client] if client else [])]:
         yield from _of_node(node)
 

@@ -1,5 +1,6 @@
 """The pinned manifest: the machine a human approves, what is expected of it, and where every figure came from."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,13 +12,31 @@ from fogspec.base.fields import Cost, Duration, Memory, Price, Strict
 from fogspec.choice import Choice, latency_limit_s
 from fogspec.menu import LEVEL, Entry, entry_of, rounded, scale_texts, weights
 from fogspec.models import Model, Models
-from fogspec.plan import CatalogRef, Count, GpuShape, PlanMetadata, TaskRef
+from fogspec.plan import ApplicationRef, CatalogRef, Count, GpuShape, PlanMetadata, TaskRef
 from fogspec.relaxing import Relaxed
 from fogspec.spec import Application, Billing, Connectivity, Node, Statistic
 
 
+class Fallback(Strict):
+    """A machine that also meets the limits, with its own reviewed task."""
+
+    infra: str
+    instance: str
+    cpus: Count
+    memory: Memory
+    gpu: GpuShape | None
+    spot: bool
+    price: Price
+    latency: Duration
+    cost: Cost
+    task: TaskRef
+
+
 class Pinned(Strict):
-    """What will run: one machine, its image, its nodes, and the reviewed task that starts them."""
+    """What will run: one machine, its image, its nodes, and the reviewed task that starts them.
+
+    `files` are sent along; `fallbacks` may take the machine's place, in this order, when it cannot be had.
+    """
 
     infra: str
     instance: str
@@ -33,6 +52,11 @@ class Pinned(Strict):
     connectivity: Connectivity
     task: TaskRef
     robot_launch: TaskRef | None
+    robot_environment: dict[str, str]
+    files: list[TaskRef]
+    ready: list[str] | None
+    patience: Duration
+    fallbacks: list[Fallback]
 
     @field_serializer("cloud", "robot")
     def _only_what_is_set(self, nodes: list[Node]) -> list[dict[str, Any]]:
@@ -51,6 +75,18 @@ class ExpectedLatency(Strict):
     probability_met: float | None
     measured: bool
     extrapolated: bool
+
+
+class ExpectedLimits(Strict):
+    """Whether all limits are met: with which probability, whether that is what was asked, and whether it was measured.
+
+    `probability_met` and `sure` are None where nothing can be said of probabilities.
+    """
+
+    confidence: float
+    probability_met: float | None
+    sure: bool | None
+    verified: bool
 
 
 class ExpectedCost(Strict):
@@ -86,6 +122,7 @@ class ExpectedObjective(Strict):
 class Expected(Strict):
     """What the models say of the pinned machine."""
 
+    limits: ExpectedLimits
     latency: ExpectedLatency
     cost: ExpectedCost
     metric: ExpectedMetric | None
@@ -111,11 +148,9 @@ class FileRef(Strict):
     digest: str
 
 
-class ModelRef(Strict):
-    """The fitted model behind the prediction."""
+class CurveRef(Strict):
+    """The curve of the paper's families for the chosen machine's GPU type, for comparison."""
 
-    path: str
-    digest: str
     gpu: str | None
     family: str
     formula: str
@@ -125,6 +160,20 @@ class ModelRef(Strict):
     r2: float | None
     loo_median_error: float | None
     loo_max_error: float | None
+
+
+class ModelRef(Strict):
+    """What the prediction comes from; `priors` is the digest of the machine library, None without one.
+
+    `surrogate` is the version of the model, None where the curve itself predicts, for shapes of one host.
+    """
+
+    path: str
+    digest: str
+    surrogate: int | None
+    priors: str | None
+    samples: int
+    curve: CurveRef | None
 
 
 class Builder(Strict):
@@ -146,9 +195,9 @@ class PaperChoice(Strict):
 
 
 class Provenance(Strict):
-    """Where every figure came from."""
+    """Where every figure came from; `application.reads` has a short digest of each field that choosing depends on."""
 
-    application: FileRef
+    application: ApplicationRef
     catalog: CatalogRef
     plan: FileRef
     results: FileRef
@@ -175,13 +224,16 @@ class Manifest(Strict):
 class Sources:
     """The files that a manifest is made from, and those that stand beside it."""
 
-    application: FileRef
+    application: ApplicationRef
     catalog: CatalogRef
     plan: FileRef
     results: FileRef
     models: FileRef
     task: TaskRef
     robot_launch: TaskRef | None
+    robot_environment: Mapping[str, str]
+    files: list[TaskRef]
+    fallbacks: Mapping[int, TaskRef]
 
 
 def make_manifest(
@@ -198,7 +250,7 @@ def make_manifest(
     entry = entry_of(choice, choice.chosen)
     return Manifest(
         metadata=PlanMetadata(name=application.metadata.name),
-        spec=_pinned(application, entry, sources),
+        spec=_pinned(application, entry, sources, choice),
         expected=_expected(application, choice, entry),
         warnings=warnings,
         alternatives=alternatives(choice),
@@ -220,7 +272,7 @@ def _paper_choice(choice: Choice, relaxed: Relaxed) -> PaperChoice:
     )  # fmt: skip
 
 
-def _pinned(application: Application, entry: Entry, sources: Sources) -> Pinned:
+def _pinned(application: Application, entry: Entry, sources: Sources, choice: Choice) -> Pinned:
     spec = application.spec
     image = spec.ros.image if spec.ros else None
     return Pinned(
@@ -229,6 +281,16 @@ def _pinned(application: Application, entry: Entry, sources: Sources) -> Pinned:
         image_pinned=None if image is None else "@sha256:" in image,
         cloud=spec.cloud, robot=spec.robot, connectivity=spec.connectivity,
         task=sources.task, robot_launch=sources.robot_launch,
+        robot_environment=dict(sources.robot_environment), files=sources.files,
+        ready=spec.deployment.ready, patience=spec.deployment.patience,
+        fallbacks=[_fallback(entry_of(choice, row), task) for row, task in sources.fallbacks.items()],
+    )  # fmt: skip
+
+
+def _fallback(entry: Entry, task: TaskRef) -> Fallback:
+    return Fallback(
+        infra=entry.infra, instance=entry.instance, cpus=entry.cpus, memory=entry.memory, gpu=entry.gpu,
+        spot=entry.spot, price=entry.price, latency=entry.latency, cost=entry.cost, task=task,
     )  # fmt: skip
 
 
@@ -244,6 +306,7 @@ def _expected(application: Application, choice: Choice, entry: Entry) -> Expecte
             limit=spec.constraints.metrics.get(objective.metric), unit=spec.metrics[objective.metric].unit,
         )  # fmt: skip
     return Expected(
+        limits=_limits(choice, row),
         latency=ExpectedLatency(
             statistic=spec.constraints.statistic, predicted=entry.latency, interval=entry.interval, level=LEVEL,
             limit=spec.constraints.latency, network=spec.constraints.network,
@@ -262,26 +325,49 @@ def _expected(application: Application, choice: Choice, entry: Entry) -> Expecte
     )  # fmt: skip
 
 
+def _limits(choice: Choice, row: int) -> ExpectedLimits:
+    met = choice.probability(row)
+    return ExpectedLimits(
+        confidence=choice.confidence, probability_met=None if met is None else round(met, 3),
+        sure=None if met is None else choice.sure, verified=bool(choice.latency.measured[row]),
+    )  # fmt: skip
+
+
 def alternatives(choice: Choice) -> list[Alternative]:
     """The other named choices, the runner-up, and the nearest machine that a limit rules out."""
-    named = {
-        "cheapest": choice.cheapest,
-        "fastest": choice.fastest,
-        "runner-up": _second(choice),
-        "ruled out": _ruled_out(choice),
-    }
     found: list[Alternative] = []
-    seen = {choice.chosen}
-    for role, row in named.items():
-        if row is None or row in seen:
-            continue
-        seen.add(row)
+    for role, row in stand_outs(choice).items():
         entry = entry_of(choice, row)
         found.append(Alternative(
             role=role, infra=entry.infra, instance=entry.instance, latency=entry.latency, cost=entry.cost,
             price=entry.price, why_not=entry.why_not or _lost_on(choice, row),
         ))  # fmt: skip
     return found
+
+
+def stand_outs(choice: Choice) -> dict[str, int]:
+    """The rows worth naming beside the chosen one, each once, by what they stand out for."""
+    named = {
+        "cheapest": choice.cheapest,
+        "fastest": choice.fastest,
+        "runner-up": _second(choice),
+        "ruled out": _ruled_out(choice),
+    }
+    found: dict[str, int] = {}
+    for role, row in named.items():
+        if row is not None and row != choice.chosen and row not in found.values():
+            found[role] = row
+    return found
+
+
+def fallback_rows(choice: Choice, count: int) -> list[int]:
+    """The best machines beside the chosen one that meet the limits, by objective, then cost, latency and name."""
+    rows = [int(row) for row in choice.feasible.nonzero()[0] if row != choice.chosen]
+    offers, cost, latency = choice.offers, choice.cost_usd_per_request, choice.latency.value
+    rows.sort(
+        key=lambda row: (choice.objective[row], cost[row], latency[row], offers.instance[row], offers.region[row])
+    )
+    return rows[:count]
 
 
 def _second(choice: Choice) -> int | None:
@@ -307,19 +393,22 @@ def _lost_on(choice: Choice, row: int) -> str:
 
 
 def _model_ref(models: Models, entry: Entry, file: FileRef) -> ModelRef:
-    model = model_for(models, entry)
+    body, model = models.spec, model_for(models, entry)
+    curve = None if model is None else CurveRef(
+        gpu=model.gpu, family=f"{model.cpu_family} + {model.memory_family}", formula=model.formula,
+        coefficients={k: rounded(v) for k, v in model.coefficients.items()}, n=model.n, p=model.p, r2=_maybe(model.r2),
+        loo_median_error=_maybe(model.loo_median_error), loo_max_error=_maybe(model.loo_max_error),
+    )  # fmt: skip
     return ModelRef(
-        path=file.path, digest=file.digest, gpu=model.gpu, family=f"{model.cpu_family} + {model.memory_family}",
-        formula=model.formula, coefficients={k: rounded(v) for k, v in model.coefficients.items()},
-        n=model.n, p=model.p, r2=_maybe(model.r2), loo_median_error=_maybe(model.loo_median_error),
-        loo_max_error=_maybe(model.loo_max_error),
+        path=file.path, digest=file.digest, surrogate=None if body.measured_on_local else body.predictor.surrogate,
+        priors=body.predictor.priors, samples=len(body.known), curve=curve,
     )  # fmt: skip
 
 
-def model_for(models: Models, entry: Entry) -> Model:
-    """The latency model of the entry's GPU type. Raises StopIteration where none was fitted."""
+def model_for(models: Models, entry: Entry) -> Model | None:
+    """The latency curve of the entry's GPU type; None where no such machine was measured."""
     key = None if entry.gpu is None else f"{entry.gpu.name}:{entry.gpu.count:g}"
-    return next(m for m in models.spec.models if m.gpu == key and m.target == "latency")
+    return next((m for m in models.spec.models if m.gpu == key and m.target == "latency"), None)
 
 
 def _maybe(value: float | None) -> float | None:

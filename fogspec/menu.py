@@ -34,6 +34,7 @@ class Entry(Strict):
     objective: float
     measured: bool
     extrapolated: bool
+    probability: float | None
     meets: bool
     why_not: str | None
 
@@ -121,8 +122,8 @@ def entry_of(choice: Choice, row: int) -> Entry:
         metrics={name: rounded(float(p.value[row])) for name, p in choice.metrics.items()},
         cost=rounded(float(choice.cost_usd_per_request[row])), month=f"${machine.price * HOURS_PER_MONTH:.2f}/month",
         objective=rounded(float(choice.objective[row])), measured=bool(choice.latency.measured[row]),
-        extrapolated=bool(choice.latency.extrapolated[row]), meets=bool(choice.feasible[row]),
-        why_not=why_not(choice, row),
+        extrapolated=bool(choice.latency.extrapolated[row]), probability=_probability(choice, row),
+        meets=bool(choice.feasible[row]), why_not=why_not(choice, row),
     )  # fmt: skip
 
 
@@ -135,7 +136,17 @@ def why_not(choice: Choice, row: int) -> str | None:
         for name, bound in choice.bounds.items()
         if not choice.values[name][row] <= bound
     ]
-    return "; ".join(broken) or "it failed when it was measured"
+    if broken:
+        return "; ".join(broken)
+    if choice.latency.unfit[row]:
+        return "it failed when it was measured, or has no more memory than a machine that ran out of it"
+    asked = choice.confidence if choice.floor is None else choice.floor
+    return f"meets the limits with probability {choice.probability(row) or 0:.2f}, below {asked:g}"
+
+
+def _probability(choice: Choice, row: int) -> float | None:
+    found = choice.probability(row)
+    return None if found is None else round(found, 3)
 
 
 def _missed(choice: Choice, miss: Miss) -> Limit:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, PlainSerializer
 
@@ -11,10 +11,13 @@ from fogspec import sampling, stages
 from fogspec.admissible import Admissible, admit
 from fogspec.base import digest
 from fogspec.base.fields import Duration, Memory, Money, Price, Strict
-from fogspec.base.hardware import Offer
+from fogspec.base.hardware import Gpu, Offer
 from fogspec.catalog import About, Catalog
 from fogspec.lock import image_named
 from fogspec.spec import Application, Hardware
+
+if TYPE_CHECKING:
+    from fogspec.numerics.priors import Library
 
 
 def _whole(value: float) -> int | float:
@@ -62,6 +65,14 @@ class Sample(Strict):
     task: TaskRef | None = None
 
 
+class Alternative(Strict):
+    """A machine that is measured where the sample `instead_of` cannot be had; those named first are tried first."""
+
+    instead_of: str
+    machine: MachineRef
+    reason: str
+
+
 class CatalogRef(Strict):
     """Which catalog a file was made from."""
 
@@ -80,6 +91,29 @@ class ApplicationRef(Strict):
     path: str
     digest: str
     reads: dict[str, str] = Field({})
+
+
+class Wave(Strict):
+    """Machines that were asked for at once, and why."""
+
+    reason: str
+    samples: list[Sample]
+
+
+class Sampling(Strict):
+    """The decisions of an adaptive campaign: which machines were asked for, among those of which search box.
+
+    They are facts: later compiles read them here and do not ask again. `limits` is a digest of the limits and the objective
+    that were asked for. `ended` says why no further machine was asked for, None while that was not decided;
+    `for_money` says that there was one, and not enough money left for it.
+    """
+
+    hardware: Hardware
+    infra: list[str]
+    limits: str
+    waves: list[Wave]
+    ended: str | None = None
+    for_money: bool = False
 
 
 class Estimate(Strict):
@@ -112,6 +146,7 @@ class PlanBody(Strict):
     budget: Money | None
     estimate: Estimate
     samples: list[Sample]
+    alternatives: list[Alternative] = Field([])
     notes: list[str]
 
 
@@ -140,6 +175,7 @@ def make_plan(
     catalog: Catalog,
     pins: Mapping[str, str] = NO_PINS,
     admissible: Admissible | None = None,
+    library: "Library | None" = None,
 ) -> Plan:
     """The sampling plan of a spec at `path` (as written into the plan), without its tasks.
 
@@ -150,7 +186,7 @@ def make_plan(
     spec = application.spec
     if admissible is None:
         admissible = admit(catalog, spec.hardware, spec.infra)
-    found = sampling.pick(spec, catalog, admissible)
+    found = sampling.pick(spec, catalog, admissible, library)
     samples = [Sample(id=pick.id, machine=machine_ref(pick.offer), reason=pick.reason) for pick in found.picks]
     sampler: Literal["grid", "adaptive", "list"] = "list" if spec.benchmark.machines else spec.benchmark.sampler
     return assemble(application, path, catalog.about, sampler, samples, found.notes, pins)
@@ -188,6 +224,14 @@ def assemble(
 def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
     image = image_named(application)
     return [] if image is None or "image" in pins else [f"image {image} is not pinned to a digest: fogspec lock"]
+
+
+def sample_on(machine: MachineRef, reason: str) -> Sample:
+    """The sample that measures this machine; its id depends on the machine alone."""
+    gpu = Gpu(machine.gpu.name, machine.gpu.count) if machine.gpu else None
+    return Sample(
+        id=sampling.identity(machine.infra, machine.instance, gpu, machine.spot), machine=machine, reason=reason
+    )
 
 
 def machine_ref(offer: Offer) -> MachineRef:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.catalog import Floats
-from fogspec.choice import Choice, cost_usd_per_request
+from fogspec.choice import Choice
+from fogspec.costs import Costs
 from fogspec.models import Model, Models
 from fogspec.numerics import curves, relaxed, select
 from fogspec.spec import Application
@@ -72,7 +73,7 @@ def _group(
         latency = _value(fitted["latency"], c, m)
         dollars = np.maximum(price(c, m), 1e-9)
         found = {"latency": latency, "rate": latency, "price": dollars}
-        found["cost"] = cost_usd_per_request(application, dollars, latency)
+        found["cost"] = Costs.of(application.spec, dollars, np.zeros(dollars.shape, bool)).per_request(latency)
         return found | {f"metrics.{name}": _value(model, c, m) for name, model in fitted.items() if name != "latency"}
 
     def objective(c: Floats, m: Floats) -> Floats:

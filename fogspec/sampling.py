@@ -1,19 +1,25 @@
 """Which machines are measured, and why: the grid of section 2.A per infra and GPU type, or an explicit list."""
 
 import difflib
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.admissible import Admissible, gpu_type, matches_gpu, matches_infra, merge_zones
-from fogspec.base.hardware import Offer, local_shape
+from fogspec.base import units
+from fogspec.base.hardware import Gpu, Offer, local_shape
 from fogspec.base.outcomes import NothingMeets, WrongFile
-from fogspec.catalog import Catalog, ranks
+from fogspec.catalog import Catalog, Floats, ranks
 from fogspec.numerics.design import Cell, Grid, edge_grid
 from fogspec.spec import Spec
+
+if TYPE_CHECKING:
+    from fogspec.numerics.priors import Library
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +32,8 @@ class Pick:
     @property
     def id(self) -> str:
         """Names the sample everywhere; it depends on the machine alone, so that a wider plan keeps it."""
-        words = [self.offer.infra, self.offer.instance]
-        if self.offer.gpu and self.offer.infra.startswith("gcp/"):
-            words.append(f"{self.offer.gpu.name}-{self.offer.gpu.count:g}")  # one host, several accelerators
-        if self.offer.spot:
-            words.append("spot")
-        return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
+        offer = self.offer
+        return identity(offer.infra, offer.instance, offer.gpu, offer.spot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +44,27 @@ class Picks:
     notes: tuple[str, ...]
 
 
-def pick(spec: Spec, catalog: Catalog, admissible: Admissible) -> Picks:
-    """The sampler's machines; raises NothingMeets when there are none, WrongFile for an unknown instance type."""
+def identity(infra: str, instance: str, gpu: Gpu | None, spot: bool) -> str:
+    """The id of a machine's sample."""
+    words = [infra, instance]
+    if gpu and infra.startswith("gcp/"):
+        words.append(f"{gpu.name}-{gpu.count:g}")  # one host, several accelerators
+    if spot:
+        words.append("spot")
+    return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
+
+
+def pick(spec: Spec, catalog: Catalog, admissible: Admissible, library: "Library | None" = None) -> Picks:
+    """The sampler's machines, an adaptive one's with what the library knows of them.
+
+    Raises NothingMeets when there are none, WrongFile for an unknown instance type.
+    """
     named = spec.benchmark.machines
-    found = _listed(spec, catalog, admissible) if named else _grid(spec, admissible)
+    found = (
+        _listed(spec, catalog, admissible) if named
+        else _adaptive(spec, admissible, library) if spec.benchmark.sampler == "adaptive"
+        else _grid(spec, admissible)
+    )  # fmt: skip
     if not found.picks:
         hints = [admissible.funnel.line(), *_unknown_places(spec.infra, catalog), *found.notes]
         raise NothingMeets("no machine on offer is admissible", *hints)
@@ -56,6 +75,29 @@ def cheapest_first(offers: Catalog) -> NDArray[np.intp]:
     """Row numbers by price, then by instance, region and zone."""
     names = (offers.gpu, offers.zone, offers.region, offers.cloud, offers.instance)
     return np.lexsort((offers.spot, *(ranks(name) for name in names), offers.price_usd_per_hour))
+
+
+def usd_at_most(spec: Spec, price_usd_per_hour: Floats) -> Floats:
+    """What one sample of each machine may cost: set-up and measuring, for as long as the spec allows."""
+    return price_usd_per_hour * (spec.benchmark.setup + spec.benchmark.stop.after) / 3600
+
+
+def _adaptive(spec: Spec, admissible: Admissible, library: "Library | None") -> Picks:
+    """The first wave; the next ones are asked for when it is measured (`fogspec.asking`)."""
+    from fogspec.numerics.acquisition import Policy
+    from fogspec.waves import first_wave
+
+    offers, budget = admissible.offers, spec.benchmark.budget
+    if not len(offers):
+        return Picks((), ())
+    usd = usd_at_most(spec, offers.price_usd_per_hour)
+    asked = first_wave(offers, usd, math.inf if budget is None else max(budget, float(usd.min())), library)
+    picks = tuple(Pick(offers.offer(row), why) for row, why in zip(asked.rows, asked.reasons, strict=True))
+    at_once = "one by one" if spec.benchmark.wave == 1 else f"{spec.benchmark.wave} at once"
+    wall = None if budget is None else units.format_money(budget)
+    most = f"{Policy().most} samples: there is no budget" if wall is None else f"the budget of {wall}"
+    later = f"the first wave; then the model is asked for the next machines, {at_once}, never beyond {most}"
+    return Picks(picks, (later,))
 
 
 def _grid(spec: Spec, admissible: Admissible) -> Picks:

@@ -1,13 +1,14 @@
-"""The seams: what a plugin must be able to do. Protocols of at most three methods each."""
+"""The seams: what a plugin must be able to do. Protocols of at most four methods each."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from fogspec.catalog import Catalog
-from fogspec.plan import Sample
+from fogspec.plan import MachineRef, Sample
 from fogspec.results import Measured, Reason
+from fogspec.spec import Application
 
 
 class CatalogSource(Protocol):
@@ -50,9 +51,10 @@ class Progress:
 
     `timings` is the file of probe records so far, `ready` whether set-up is over. Once `running` is False,
     everything worth keeping has been fetched into the job's folder, and looking again, from any process, says
-    the same. `lost` means that nothing can be said of it: it was never started, or its results are beyond
-    reach; it is measured again. `recorded` is a record made elsewhere that takes the place of `timings`, and
-    `billed_s` how long the machine is paid for where that is not the time it took just now.
+    the same. `again` says of a reason whether trying the same once more can help. `lost` means that nothing can be
+    said of it: it was never started, or its results are beyond reach; it is measured again. `recorded` is a record made
+    elsewhere that takes the place of `timings`, and `billed_s` how long the machine is paid for where that is not the
+    time it took just now.
     """
 
     running: bool
@@ -60,6 +62,7 @@ class Progress:
     reason: Reason | None = None
     detail: str | None = None
     ready: bool = True
+    again: bool = False
     lost: bool = False
     measured_on: str = ""
     setup_s: float | None = None
@@ -72,10 +75,14 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """One record to be replayed, and its raw timings where they were kept (gzip)."""
+    """One record to be replayed, and its raw timings where they were kept (gzip).
+
+    Where it is not `priced`, nobody wrote down what it cost: the plan's price for its duration is taken.
+    """
 
     record: Measured
     timings: Path | None = None
+    priced: bool = True
 
 
 class CannotStart(Exception):
@@ -119,4 +126,115 @@ class Runner(Protocol):
 
         Raises `LostContact` when that could not be verified.
         """
+        ...
+
+
+@runtime_checkable
+class FindsStrays(Protocol):
+    """A runner that can find machines whose journal is lost, or is on another host."""
+
+    def strays(self, prefix: str, folder: Path) -> Sequence[str]:
+        """Names of jobs that begin with `prefix` and whose machines may be up; raises `LostContact`.
+
+        `folder` is where this application's attempts are, for runners whose machines are this host.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """What a deployer runs: the reviewed task on one machine.
+
+    `name` is unique among all launches ever made and is on disk before `Deployer.start`: it alone must be enough to
+    find and end what was started. `task` is the parsed task, `root` the folder that its relative paths are relative
+    to, `folder` this launch's own folder for logs and fetched files. What is only looked at or ended needs neither
+    machine nor task.
+    """
+
+    name: str
+    machine: MachineRef | None
+    task: Mapping[str, object]
+    root: Path
+    folder: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Live:
+    """What is known of a launch.
+
+    `starting` until the nodes answer, `ready` while they do; `ended` when a node has ended though its machine may
+    still be up; `gone` when there is no machine. `timings` are the latest probe records, whole lines, at most a MiB;
+    without `observed` nothing records them any more, and `detail` says why. `address` is where the robot finds it,
+    `link` the public half of the cloud's end of their link.
+    """
+
+    state: Literal["starting", "ready", "ended", "gone"]
+    detail: str | None = None
+    address: str | None = None
+    ready_s: float | None = None
+    timings: bytes = b""
+    observed: bool = True
+    link: str | None = None
+
+
+class Deployer(Protocol):
+    """Keeps reviewed tasks running, each on a machine of its own."""
+
+    name: str
+    poll_s: float
+
+    def start(self, launch: Launch) -> None:
+        """Begin to start it; raises `CannotStart`. Whether or not it raises, `end` must be called in the end."""
+        ...
+
+    def look(self, launch: Launch) -> Live:
+        """What is known of it now, asked from any process; raises `LostContact`.
+
+        Raises `CannotStart` once it is known that its machine cannot be had.
+        """
+        ...
+
+    def end(self, launch: Launch) -> None:
+        """End it and verify that nothing is left; idempotent. Raises `LostContact` when that could not be verified."""
+        ...
+
+    def names(self, application: str, state: Path) -> Sequence[str]:
+        """Names of all that runs of this application, whoever started it; raises `LostContact`.
+
+        `state` is the application's folder of live state, for deployers whose machines are this host.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEnd:
+    """One end of a link: reviewed files by name, and what the nodes at this end see in their environment.
+
+    No file holds a key. What is known only when the machine is up stands in them as a word between two @, which
+    `link.sh` replaces on the spot: @CLOUD_ADDRESS@, @KEYS@ (the folder of this end's key), @PEER@ (the other's public half).
+    In the environment @LINK@ stands for the folder of the reviewed files.
+    """
+
+    files: Mapping[str, str]
+    environment: Mapping[str, str]
+
+
+class Link(Protocol):
+    """How robot and cloud are joined: configuration as data; what starts it is `templates/link.sh.j2`.
+
+    `packages` are Debian packages that an end needs, with DISTRO for the ROS 2 distribution; `port` is the one that
+    the cloud machine listens on, `protocol` which kind; without a protocol there is no link at all.
+    """
+
+    name: str
+    protocol: Literal["tcp", "udp"] | None
+    port: int
+    packages: Sequence[str]
+
+    def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
+        """The files and the environment of one end."""
+        ...
+
+    def notes(self, application: Application, cloud: str) -> Sequence[str]:
+        """What a reviewer must know or do for this link on this cloud."""
         ...

@@ -13,18 +13,23 @@ from fogspec.base.fields import (
     Cost,
     CountRange,
     Duration,
+    Memory,
     MemoryRange,
     Money,
     Percent,
     Price,
     Rate,
     Strict,
+    Transfer,
 )
 
 API_VERSION = "fogspec.dev/v1alpha1"
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?$")]
 Identifier = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+Condition = Annotated[
+    str, Field(pattern=r"^\s*(len\([A-Za-z_][\w.\[\]]*\)|[A-Za-z_][\w.\[\]]*)\s*(==|!=|<=|>=|<|>)\s*\S.*$")
+]
 Statistic = Literal["mean", "p50", "p95", "p99"]
 Billing = Literal["busy", "provisioned"]
 
@@ -101,8 +106,20 @@ class Probe(Strict):
         None, description="name given to fogspec_probe.start and .stop in the node", examples=["plan"]
     )
     bag: str | None = Field(
-        None, description="recorded bag, relative to the spec, read offline", examples=["data/run.mcap"]
+        None,
+        description="bag that the nodes record while a sample runs, relative to the spec, where both topics are read",
+        examples=["run/bag"],
     )
+    via: Literal["rclpy", "preload"] | None = Field(
+        None,
+        description="rclpy: a subscriber beside the nodes; preload: a library in the measured process, which sees services too",
+        examples=["preload"],
+    )
+    timeout: Duration | None = Field(None, gt=0, description="a request that takes longer has failed", examples=["10s"])
+    success: Condition | None = Field(
+        None, description="condition on a field of the response: a request without it has failed",
+        examples=["len(poses) > 0", "error_code.val == 1"],
+    )  # fmt: skip
 
 
 class Metric(Strict):
@@ -144,6 +161,26 @@ class Scale(Strict):
     metric: float | None = Field(None, gt=0, description="value of the metric that counts as 1", examples=[10.0])
 
 
+class Interruption(Strict):
+    """What a spot machine's interruptions cost: requests that are run again, and the time until another machine serves."""
+
+    rate: Rate = Field(
+        0.05 / 3600,
+        description="interruptions of one spot machine per hour; the default is a cautious guess",
+        examples=["0.05/h"],
+    )
+    restart: Duration = Field(
+        300.0, ge=0, description="paid time until another machine is ready in its place", examples=["5min"]
+    )
+
+
+class DataTransfer(Strict):
+    """What the cloud charges for data, added to the cost of each request."""
+
+    per_request: Memory = Field(0.0, ge=0, description="data charged for one request", examples=["2MB"])
+    price: Transfer = Field(0.0, ge=0, description="what the cloud charges for it", examples=["$0.09/GiB"])
+
+
 class Objective(Strict):
     """What is best: alpha x latency + (1 - alpha) x cost, both divided by their scales."""
 
@@ -167,6 +204,16 @@ class Objective(Strict):
         examples=["provisioned"],
     )
     rate: Rate | None = Field(None, gt=0, description="requests per second, for provisioned billing", examples=["10/s"])
+    interruption: Interruption = Field(
+        Interruption(),
+        description="what spot machines' interruptions add to their cost",
+        examples=[{"rate": "0.05/h", "restart": "5min"}],
+    )
+    transfer: DataTransfer = Field(
+        DataTransfer(),
+        description="an allowance for data transfer, added to the cost of each request",
+        examples=[{"per_request": "2MB", "price": "$0.09/GiB"}],
+    )
 
 
 class Machines(Strict):
@@ -221,6 +268,9 @@ class Benchmark(Strict):
 
     budget: Money | None = Field(None, description="hard: refused before, stopped during", examples=["$2.50"])
     sampler: Literal["grid", "adaptive"] = Field("grid", description="which machines are sampled", examples=["grid"])
+    wave: int = Field(
+        1, ge=1, description="adaptive: how many machines are measured at once after the first wave", examples=[2]
+    )
     machines: list[str] = Field(
         [],
         description="sample exactly these: instance types, or local/<n>cpu-<m>gib",
@@ -252,9 +302,39 @@ class CatalogAge(Strict):
 
 
 class Connectivity(Strict):
-    """How robot and cloud are joined."""
+    """How robot and cloud are joined, and what passes besides what probe, metrics and remappings name."""
 
-    link: Literal["none", "zenoh", "wireguard"] = Field("none", description="kind of link", examples=["zenoh"])
+    link: Literal["none", "zenoh", "wireguard"] = Field(
+        "none",
+        description="none: joined by other means; zenoh: rmw_zenoh routers over mutual TLS; wireguard: a tunnel",
+        examples=["zenoh"],
+    )
+    port: int | None = Field(
+        None, ge=1, le=65535, description="port of the cloud machine; 7448 (TCP) for zenoh, 51820 (UDP) for wireguard",
+        examples=[7448],
+    )  # fmt: skip
+    topics: list[str] = Field([], description="further topics that pass", examples=[["/tf", "/tf_static"]])
+    services: list[str] = Field([], description="further services that pass", examples=[["/planner/get_parameters"]])
+    actions: list[str] = Field([], description="further actions that pass", examples=[["/navigate_to_pose"]])
+    sros2: bool = Field(
+        False, description="write an SROS2 policy of the named nodes and these names as well", examples=[True]
+    )
+
+
+class Deployment(Strict):
+    """How the cloud nodes are kept running once a manifest is approved."""
+
+    ready: list[str] | None = Field(
+        None, min_length=1, examples=[["python3", "answers.py"]],
+        description="a command on the machine that succeeds once the nodes answer; without it they must stay alive",
+    )  # fmt: skip
+    patience: Duration = Field(
+        1800.0, gt=0, description="longest time from the launch until the nodes answer", examples=["20min"]
+    )
+    fallbacks: int = Field(
+        0, ge=0, le=5, examples=[2],
+        description="how many other machines may take its place, best first, when the chosen one cannot be had",
+    )  # fmt: skip
 
 
 class Spec(Strict):
@@ -304,6 +384,9 @@ class Spec(Strict):
     benchmark: Benchmark = Field(Benchmark(), description="how machines are sampled", examples=[{"budget": "$2.50"}])
     connectivity: Connectivity = Field(
         Connectivity(), description="how robot and cloud are joined", examples=[{"link": "none"}]
+    )
+    deployment: Deployment = Field(
+        Deployment(), description="how the cloud nodes are kept running", examples=[{"fallbacks": 2}]
     )
     secrets: list[Identifier] = Field(
         [], description="names of environment variables; values stay in no file", examples=[["API_KEY"]]

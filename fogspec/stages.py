@@ -16,7 +16,7 @@ def measured_part(application: Application) -> dict[str, Any]:
         **scenarios,
         "cloud": body["cloud"],
         "ros": body["ros"],
-        "probe": body["probe"],
+        "probe": {key: value for key, value in body["probe"].items() if value is not None},
         "metrics": body["metrics"],
         "workload": benchmark["workload"],
         "warmup": benchmark["warmup"],
@@ -28,7 +28,7 @@ def measured_part(application: Application) -> dict[str, Any]:
 def planned_part(application: Application) -> dict[str, Any]:
     """What the sampling plan depends on, besides the catalog: also hardware, infra and how machines are sampled."""
     body = application.spec.model_dump(mode="json")
-    benchmark = {key: value for key, value in body["benchmark"].items() if key != "budget"}
+    benchmark = {key: value for key, value in body["benchmark"].items() if key not in ("budget", "wave")}
     return {
         **measured_part(application),
         "name": application.metadata.name,
@@ -39,9 +39,15 @@ def planned_part(application: Application) -> dict[str, Any]:
 
 
 def chosen_part(application: Application) -> dict[str, Any]:
-    """What the choice depends on, besides results and catalog: limits, objective, admissible machines."""
+    """What choice and deployment depend on, besides results and catalog: limits, objective, admissible machines."""
     body = application.spec.model_dump(mode="json")
-    return {key: body[key] for key in ("constraints", "objective", "hardware", "infra", "metrics")}
+    names = ("constraints", "objective", "hardware", "infra", "metrics", "robot", "connectivity", "deployment")
+    return {key: body[key] for key in names}
+
+
+def chosen_fields(application: Application) -> dict[str, str]:
+    """A short digest of each part of `chosen_part`, so that a later change can be named."""
+    return {name: digest.of_value(value)[7:19] for name, value in chosen_part(application).items()}
 
 
 def measured_fields(application: Application) -> dict[str, str]:

@@ -9,14 +9,31 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from fogspec.base import digest
+from fogspec.links import link_of, port_of
 from fogspec.plan import MachineRef, Sample
+from fogspec.probes import halves, optional, player
 from fogspec.spec import Application, Node, Spec
 
 DEPLOYMENT_IDLE_MINUTES = 30
-# Places without containers and spot machines: SkyPilot refuses a task that asks for them (docs.skypilot.co, "Slurm").
-BARE = ("slurm", "ssh")
+BAG_PACKAGES = ["mcap==1.6.0", "rosbags==0.11.9"]  # from PyPI, to read bags on the measured machine
+# Places without containers, spot machines and open ports: SkyPilot refuses a task that asks for them (docs.skypilot.co,
+# "Slurm"). SSH node pools have them: SkyPilot makes a Kubernetes cluster of the pool.
+BARE = ("slurm",)
+# Places without a list of instance types: SkyPilot is asked for the shape, and the catalog may call it anything.
+SHAPED = ("slurm", "kubernetes", "ssh")
 AGENT_FOLDER = "~/.fogspec/agent"
-ROS_APT_SOURCE = "1.1.0"  # release of ros-infrastructure/ros-apt-source that sets up the ROS 2 package source
+LAUNCH_FILE = "~/.fogspec/launch/cloud.launch.py"
+LINK_FOLDER = "~/.fogspec/link"
+# The robot's public half, given when the task is launched: the task itself is the same for every robot.
+LINK_PEER = "FOGSPEC_LINK_PEER"
+# The release of ros-infrastructure/ros-apt-source that sets up ROS 2's package source; by distribution, the code name of
+# its Ubuntu (REP 2000) and the package's sha256, as Docker's official `ros` images check it.
+ROS_APT_SOURCE = "1.2.0"
+ROS_APT_PACKAGES = {
+    "humble": ("jammy", "767884cf4ed03116b9d64438930a832ed854147ae435279a7924dfdf60f94433"),
+    "jazzy": ("noble", "0804d9b13db770eb87019be414cd78378835228ad5fa801fc88758596dd8f7e5"),
+    "lyrical": ("resolute", "a275b9b819874e745a928e83e39c429fa4d607159285c4ef3ebcf75afa732ee3"),
+}
 
 
 def sample_task(
@@ -40,12 +57,26 @@ def sample_task(
 
 
 def deploy_task(
-    application: Application, machine: MachineRef, *, workdir: str, agent: str, setup: str | None, run: str
-) -> dict[str, Any]:
-    """The task that runs the cloud nodes on the chosen machine, until they end or nobody uses it."""
+    application: Application, machine: MachineRef, *, workdir: str, agent: str, setup: str | None, run: str,
+    launch: str | None = None, link: str | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """The task that runs the cloud nodes on the chosen machine, until they end or nobody uses it.
+
+    `launch` is the cloud's launch file and `link` the folder of the link's configuration, where there are such.
+    """
     autostop = {"idle_minutes": DEPLOYMENT_IDLE_MINUTES, "down": True}
     labels = {"fogspec-application": application.metadata.name}
-    return _task(application, machine, autostop, labels, workdir, agent, setup, run)
+    task = _task(application, machine, autostop, labels, workdir, agent, setup, run)
+    if application.spec.deployment.ready is not None:
+        task = {**{key: task[key] for key in ("name", "resources")}, "workdir": workdir, **task}
+    if launch is not None:
+        task["file_mounts"][LAUNCH_FILE] = launch
+    if link is None:
+        return task
+    task["file_mounts"][LINK_FOLDER] = link
+    if link_of(application).protocol == "tcp" and machine.infra.partition("/")[0] not in BARE:
+        task["resources"]["ports"] = [port_of(application)]
+    return {**task, "envs": {LINK_PEER: None}}
 
 
 def _task(
@@ -71,16 +102,18 @@ def _task(
 def _resources(
     spec: Spec, machine: MachineRef, autostop: Mapping[str, Any], labels: Mapping[str, str]
 ) -> dict[str, Any]:
-    if machine.infra == "local":
-        resources: dict[str, Any] = {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
+    cloud = machine.infra.partition("/")[0]
+    resources: dict[str, Any] = {} if cloud == "local" else {"infra": machine.infra}
+    if cloud == "local" or cloud in SHAPED:
+        resources |= {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
     else:
-        resources = {"infra": machine.infra, "instance_type": machine.instance}
+        resources["instance_type"] = machine.instance
     if machine.price > 0:
         # SkyPilot looks at it only when it chooses the machine itself: runners compare the price of a pinned one.
         resources["max_hourly_cost"] = math.ceil(round(machine.price * 1e4, 6)) / 1e4
     if machine.gpu is not None:
         resources["accelerators"] = f"{machine.gpu.name}:{machine.gpu.count:g}"
-    bare = machine.infra.partition("/")[0] in BARE
+    bare = cloud in BARE
     if machine.spot and not bare:
         resources["use_spot"] = True
     if spec.ros is not None and spec.ros.image is not None and not bare:
@@ -102,24 +135,40 @@ def left_out(spec: Spec, machine: MachineRef) -> list[str]:
 
 def _needs_files(spec: Spec) -> bool:
     """Whether anything on the machine is named relative to the spec."""
-    nodes = [*spec.cloud, *([spec.benchmark.workload.node] if spec.benchmark.workload.node else [])]
+    workload = spec.benchmark.workload
+    if workload.bag is not None or spec.probe.bag is not None:
+        return True
+    nodes = [*spec.cloud, *([workload.node] if workload.node else [])]
     workspace = spec.ros is not None and spec.ros.workspace is not None
     return workspace or any(node.cmd is not None or node.parameter_files for node in nodes)
 
 
 def measured_processes(spec: Spec) -> list[list[str]]:
-    """Every process of a sample: who listens, what is offloaded, and the client that sends requests, if there is one."""
-    client = spec.benchmark.workload.node
-    return [*_listener(spec), *(command(node) for node in [*spec.cloud, *([client] if client else [])])]
+    """Every process of a sample: who listens, what is offloaded, and what sends the requests, if it is not a node itself."""
+    client, inside = spec.benchmark.workload.node, halves(spec).inside
+    nodes = [[*inside, *command(node)] for node in spec.cloud]
+    return [*listener(spec), *nodes, *([command(client)] if client else []), *player(spec)]
 
 
-def _listener(spec: Spec) -> list[list[str]]:
-    """The process that reads latencies off topics; callback probes need none."""
-    probe = spec.probe
-    if probe.request is None or probe.response is None:
-        return []
-    words = ["--request", probe.request, "--response", probe.response, "--match", probe.match or "stamp"]
-    return [["python3", "-m", "fogspec_topics", *words]]
+def deployed_processes(application: Application) -> list[list[str]]:
+    """Every process of a deployment: the link's end, and the nodes, by `ros2 launch` where there is ROS 2."""
+    link = [_found("${FOGSPEC_LINK:-$HOME/.fogspec/link}/link.sh", "exec bash", "cloud up")]
+    nodes = [command(node) for node in application.spec.cloud]
+    if application.spec.ros is not None:
+        nodes = [_found("${FOGSPEC_LAUNCH:-$HOME/.fogspec/launch}/cloud.launch.py", "exec ros2 launch", "")]
+    # What serves people must not depend on what watches it.
+    watched = [optional(halves(application.spec).inside, argv) for argv in nodes]
+    return [*(link if link_of(application).protocol is not None else []), *watched]
+
+
+def _found(path: str, program: str, words: str) -> list[str]:
+    """A program that is given a path which only the machine's own shell can tell."""
+    return ["sh", "-c", f'{program} "{path}" {words}'.strip()]
+
+
+def listener(spec: Spec) -> list[list[str]]:
+    """The processes that listen to the graph beside the nodes."""
+    return [list(argv) for argv in halves(spec).beside]
 
 
 def command(node: Node) -> list[str]:
@@ -175,5 +224,8 @@ def ros_environment(spec: Spec) -> dict[str, Any]:
         "apt": ros.apt if ros else [],
         "setup": ros.setup if ros else [],
         "setup_digest": digest.of_value(ros.setup if ros else [])[7:19],
-        "apt_source": {"version": ROS_APT_SOURCE},
+        "apt_source": dict(zip(("codename", "sha256"), ROS_APT_PACKAGES[ros.distro], strict=True)) if ros else {},
+        "apt_source_version": ROS_APT_SOURCE,
+        "compiler": bool(halves(spec).inside),
+        "packages": BAG_PACKAGES if spec.probe.bag or spec.benchmark.workload.bag else [],
     }

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fogspec.catalog import Catalog
-from fogspec.seams import ImageRegistry
+from fogspec.seams import Deployer, ImageRegistry
 
 CATALOGS = {
     "snapshot": "fogspec.plugins.catalogs.snapshot:Snapshot",
@@ -18,6 +18,11 @@ REGISTRIES = {"distribution": "fogspec.plugins.registries.distribution:Registry"
 RUNNERS = {
     "local": "fogspec.plugins.runners.local:LocalRunner",
     "replay": "fogspec.plugins.runners.replay:ReplayRunner",
+    "skypilot": "fogspec.plugins.runners.skypilot:SkyPilotRunner",
+}
+DEPLOYERS = {
+    "local": "fogspec.plugins.deployers.local:LocalDeployer",
+    "skypilot": "fogspec.plugins.deployers.skypilot:SkyPilotDeployer",
 }
 
 
@@ -41,6 +46,12 @@ def catalog(path: str | None, clouds: Sequence[str]) -> Catalog:
 def registry() -> ImageRegistry:
     """The registry client."""
     found: ImageRegistry = load(REGISTRIES, "distribution")()
+    return found
+
+
+def deployer(infra: str) -> Deployer:
+    """What keeps tasks running there: this host for `local`, else SkyPilot."""
+    found: Deployer = load(DEPLOYERS, "local" if infra.partition("/")[0] == "local" else "skypilot")()
     return found
 
 

@@ -1,15 +1,16 @@
-"""How long choosing over 50,000 offers takes: `python -m tests.bench_choice`."""
+"""How long fitting and choosing takes, for one family and for a whole catalog: `python -m tests.bench_choice`."""
 
 import statistics
 import time
 
 import numpy as np
 
-from fogspec.admissible import Admissible, Funnel
+from fogspec import wiring
 from fogspec.catalog import About, Catalog, texts
 from fogspec.choice import choose
-from fogspec.models import fit
+from fogspec.models import Models, fit
 from fogspec.plan import MachineRef, PlanMetadata
+from fogspec.predicting import predict
 from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
 from fogspec.spec import Application
 
@@ -42,29 +43,46 @@ def application() -> Application:
     })  # fmt: skip
 
 
-def main() -> None:
-    """Print the median, least and greatest time of one choice."""
-    catalog = offers(OFFERS)
-    admissible = Admissible(catalog, Funnel(OFFERS, ()))
+def measured(names: dict[str, tuple[float, float]] | None = None) -> Models:
+    """Nine samples; `names` gives the instance types, vCPUs and GiB."""
+    shapes = names or {f"s{c:g}-{m:g}": (c, m) for c in (2.0, 16.0, 128.0) for m in (2 * c, 4 * c, 8 * c)}
     records = [
-        Measured(id=f"s{c:g}-{m:g}", machine=MachineRef(infra="aws/r", instance=f"s{c:g}-{m:g}", cpus=c, memory=m, price=0.1),
+        Measured(id=name, machine=MachineRef(infra="aws/r", instance=name, cpus=c, memory=m, price=0.1),
                  measured_on="x", state="ok", requests=9, latency=LatencySummary(mean=1 + 8 / c), duration=9.0, spent=0.0)
-        for c in (2.0, 16.0, 128.0) for m in (2 * c, 4 * c, 8 * c)
+        for name, (c, m) in shapes.items()
     ]  # fmt: skip
-    results = sealed(PlanMetadata(name="made-up"), ResultsBody(
-        application="", plan=None, runner="x", spent=0.0, samples=records))  # fmt: skip
-    made = application()
-    fit_s, choose_s = [], []
-    for _ in range(RUNS):
-        start = time.perf_counter()
-        models = fit(made, results)
-        fitted = time.perf_counter()
-        choose(made, models, admissible)
-        fit_s.append(fitted - start)
-        choose_s.append(time.perf_counter() - fitted)
-    for name, walls in ((f"choosing over {OFFERS:,} offers", choose_s), ("fitting 9 samples", fit_s)):
-        ms = [1000 * wall for wall in sorted(walls)]
-        print(f"{name}: median {statistics.median(ms):.1f} ms (min {ms[0]:.1f}, max {ms[-1]:.1f}, {RUNS} runs)")
+    body = ResultsBody(application="", plan=None, runner="x", spent=0.0, samples=records)
+    return fit(application(), sealed(PlanMetadata(name="made-up"), body))
+
+
+def main() -> None:
+    """Print the median, least and greatest time of each step."""
+    catalog = wiring.catalog(None, ("aws",))
+    of_type = np.array([str(name).partition(".")[0] for name in catalog.instance])
+    family = catalog.take(np.isin(of_type, ("c6i", "m6i", "r6i")) & ~catalog.spot)
+    grid = {f"{f}.{size}": (v, v * r) for f, r in (("c6i", 2), ("m6i", 4), ("r6i", 8))
+            for size, v in (("large", 2.0), ("4xlarge", 16.0), ("16xlarge", 64.0))}  # fmt: skip
+    for name, rows, models in (
+        ("one family", family, measured(grid)), ("the catalog of one cloud", catalog, measured(grid)),
+        (f"{OFFERS:,} offers", offers(OFFERS), measured()),
+    ):  # fmt: skip
+        made, took = application(), {"fit and choose": [], "choose again": []}
+        types = 0
+        for _ in range(RUNS):
+            start = time.perf_counter()
+            predicted = predict(models, rows, ["latency"])
+            choose(made, predicted)
+            fitted = time.perf_counter()
+            choose(made, predicted)
+            took["fit and choose"].append(fitted - start)
+            took["choose again"].append(time.perf_counter() - fitted)
+            types = len(predicted.types)
+        for what, walls in took.items():
+            ms = [1000 * wall for wall in sorted(walls)]
+            print(
+                f"{what}, {name} ({len(rows):,} offers of {types:,} types): median {statistics.median(ms):.1f} ms "
+                f"(min {ms[0]:.1f}, max {ms[-1]:.1f}, {RUNS} runs)"
+            )
 
 
 if __name__ == "__main__":

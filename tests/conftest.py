@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadScopeScheduling
 
 # Busy machines are slow; what must be fast is timed elsewhere, as whole processes.
 settings.register_profile("steady", deadline=None)
@@ -12,6 +13,22 @@ settings.load_profile("steady")
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = Path(os.environ.get("FOGSPEC_SHARED", ROOT.parent / "shared"))
+
+# What has one cluster, browser or laid-out project for all its tests runs in one worker.
+TOGETHER = ("tests/slurm/", "tests/browser/", "tests/contract/")
+
+
+class Together(LoadScopeScheduling):
+    """Tests go to whichever worker is free, those of one place in `TOGETHER` to one."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return next((place for place in TOGETHER if nodeid.startswith(place)), nodeid)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> Together:
+    """xdist's own groups need a pytest older than 9."""
+    return Together(config, log)
 
 
 @pytest.hookimpl(wrapper=True)

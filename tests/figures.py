@@ -36,7 +36,8 @@ def main() -> None:
                 print(_timed(f"{verb} specs/{spec}.yaml", [*_fogspec(), verb, f"specs/{spec}.yaml"], here))
         print(_timed("validate 1,000 specs", [*_fogspec(), "validate", str(_many(here / "many"))], here, 3))
     _choosing()
-    subprocess.run([sys.executable, "-m", "tests.bench_catalog"], cwd=ROOT, check=True)
+    for module in ("tests.bench_catalog", "tests.bench_runner"):
+        subprocess.run([sys.executable, "-m", module], cwd=ROOT, check=True)
     _install_size()
 
 

@@ -3,7 +3,8 @@
 Standard library only (Python 3.10 or newer); opens no port. It runs on every sampled machine:
 
     python3 agent.py --out DIR [--steps N] --after SECONDS --warmup W --startup SECONDS
-                     [--precision P --statistic S] [--callback NAME] --process '<json argv>' [--process ...]
+                     [--precision P --statistic S] [--callback NAME] [--afterwards '<json argv>']
+                     --process '<json argv>' [--process ...]
 
 The processes find the probe module on PYTHONPATH and append one JSON line a request to FOGSPEC_TIMINGS
 (DIR/timings.jsonl). DIR/outcome.json is written in every end that leaves the agent alive:
@@ -13,24 +14,26 @@ state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s, du
 import argparse
 import contextlib
 import ctypes
-import itertools
 import json
-import math
 import os
 import re
 import shutil
 import signal
-import statistics
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+# On a machine this file runs by itself, beside the other.
+if TYPE_CHECKING or __package__:
+    from .counting import TIMINGS_LIMIT, Timings
+else:
+    from counting import TIMINGS_LIMIT, Timings
 
 POLL_S = 0.1
 LOG_LIMIT = 16 * 2**20
-TIMINGS_LIMIT = 256 * 2**20
-READ_BYTES = 2**18
+AFTERWARDS_S = 300.0
 PR_SET_CHILD_SUBREAPER = 36
 VMSTAT = Path("/proc/vmstat")
 MEMORY_WORDS = re.compile(r"MemoryError|bad_alloc|[Cc]annot allocate memory|[Oo]ut of memory")
@@ -68,9 +71,10 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--precision", type=float)
     parser.add_argument("--statistic", choices=("mean", "p50", "p95", "p99"), default="mean")
     parser.add_argument("--callback", help="count requests of this name only; without it, all")
+    parser.add_argument("--afterwards", type=json.loads, help="writes the records once the processes have ended")
     parser.add_argument("--process", type=json.loads, action="append", required=True)
     options = parser.parse_args(arguments)
-    for argv in options.process:
+    for argv in [*options.process, *([options.afterwards] if options.afterwards is not None else [])]:
         if not isinstance(argv, list) or not argv or not all(isinstance(word, str) for word in argv):
             parser.error("--process must be a JSON list of strings")
     return options
@@ -98,6 +102,8 @@ class _Run:
             finish(self.children)
         if stopped_by not in (None, "exit"):
             self.timings.cut()
+        if self.options.afterwards:
+            state, reason, detail = self._read_afterwards(state, reason, detail)
         # One of several processes may be gone and the others wait for it, or say something else.
         if killed and (state == "timeout" or reason in ("crash", "no_response")):
             said = "the kernel ended a process for want of memory"
@@ -112,8 +118,8 @@ class _Run:
         }  # fmt: skip
 
     def _start(self) -> End | None:
-        path = os.pathsep.join(filter(None, [self._probe(), os.environ.get("PYTHONPATH")]))
-        environment = dict(os.environ, PYTHONPATH=path, FOGSPEC_TIMINGS=str(self.timings.path))
+        place(self.out)
+        environment = self._environment()
         self.timings.path.write_bytes(b"")
         for number, argv in enumerate(self.options.process):
             # Appending lets a log be cut while its process goes on writing.
@@ -126,16 +132,32 @@ class _Run:
                     return "failed", "setup", f"{argv[0]} cannot be started: {problem.strerror}", None
         return None
 
+    def _environment(self) -> dict[str, str]:
+        path = os.pathsep.join(filter(None, [str(self.out / "python"), os.environ.get("PYTHONPATH")]))
+        return dict(os.environ, PYTHONPATH=path, FOGSPEC_TIMINGS=str(self.timings.path))
+
+    def _read_afterwards(
+        self, state: str, reason: str | None, detail: str | None
+    ) -> tuple[str, str | None, str | None]:
+        """Have the records written by what reads them; what it cannot read matters when there is nothing else wrong."""
+        log = self.out / "afterwards.log"
+        environment = self._environment() | {"FOGSPEC_BEGUN": str(time.time() - (time.monotonic() - self.begun))}
+        words = ""
+        with open(log, "wb") as file, contextlib.suppress(subprocess.TimeoutExpired, OSError):
+            code = subprocess.run(self.options.afterwards, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT,
+                                  env=environment, timeout=AFTERWARDS_S).returncode  # fmt: skip
+            words = last_line(log) if code else ""
+        self.timings.read()
+        if state != "ok" or self.timings.valid:
+            return state, reason, detail
+        return (
+            "failed",
+            "no_response",
+            words or f"nothing was timed within {AFTERWARDS_S:g} s after the end{self._why()}",
+        )
+
     def _log(self, number: int) -> Path:
         return self.out / f"process-{number}.log"
-
-    def _probe(self) -> str:
-        # A folder of its own: beside the probes stands this file, which must not shadow somebody's `agent`.
-        folder = self.out / "python"
-        folder.mkdir(exist_ok=True)
-        for source in Path(__file__).parent.glob("fogspec_*.py"):
-            shutil.copy(source, folder / source.name)
-        return str(folder)
 
     def _watch(self) -> End:
         while True:
@@ -173,8 +195,8 @@ class _Run:
         if None in codes:
             return None
         self._read()
-        if not self.timings.requests:
-            return "failed", "no_response", f"the processes ended without one timed request{self._garbage()}", "exit"
+        if not self.timings.requests and not self.options.afterwards:
+            return "failed", "no_response", f"the processes ended without one timed request{self._why()}", "exit"
         return "ok", None, None, "exit"
 
     def _crash(self, number: int, code: int) -> End:
@@ -184,94 +206,35 @@ class _Run:
         return "failed", reason, f"{program} {how}" + (f": {words}" if words else ""), "exit"
 
     def _late(self, now: float) -> End | None:
+        if self.options.afterwards:
+            return ("ok", None, None, "time") if now - self.begun >= self.options.after else None
         if self.setup_s is None:
             if now - self.begun < self.options.startup:
                 return None
-            detail = f"no timed request within {self.options.startup:g} s of the start{self._garbage()}"
+            detail = f"no timed request within {self.options.startup:g} s of the start{self._why()}"
             return "failed", "no_response", detail, "startup"
         if now - self.begun - self.setup_s < self.options.after:
             return None
         return "ok" if self.timings.valid else "timeout", None, None, "time"
 
-    def _garbage(self) -> str:
-        count = self.timings.unreadable
-        return f"; unreadable lines in its timings: {count}" if count else ""
+    def _why(self) -> str:
+        count, note = self.timings.unreadable, self.timings.note
+        return (f": {note}" if note else "") + (f"; unreadable lines in its timings: {count}" if count else "")
 
 
-class Timings:
-    """The growing file of records; a partial last line is left until it is whole."""
+def place(out: Path) -> str:
+    """Put what the processes may import below `out`, and return the folder for PYTHONPATH.
 
-    def __init__(self, path: Path, warmup: int, callback: str | None = None) -> None:
-        self.path, self.warmup, self.callback = path, warmup, callback
-        self.offset = self.requests = self.unreadable = self.next_look = 0
-        self.valid: list[float] = []
-        self.rest = b""
-
-    def read(self) -> bool:
-        """Read what is new; True when there was at least one whole record."""
-        before = self.requests
-        with contextlib.suppress(FileNotFoundError), open(self.path, "rb") as file:
-            file.seek(self.offset)
-            # Python takes the space of what it is asked to read, which is the workload's.
-            while new := file.read(min(READ_BYTES, TIMINGS_LIMIT - self.offset)):
-                self.offset += len(new)
-                *lines, self.rest = (self.rest + new).split(b"\n")
-                for line in filter(None, lines):
-                    self._take(line)
-        return self.requests > before
-
-    def cut(self) -> None:
-        """Drop what was written after the last look: a request that was broken off by ending it did not fail."""
-        with contextlib.suppress(OSError):
-            os.truncate(self.path, min(self.offset - len(self.rest), self.path.stat().st_size))
-
-    def _take(self, line: bytes) -> None:
-        try:
-            record = json.loads(line)
-            latency, ok = float(record["latency_s"]), record["ok"] is True
-            if not 0 <= latency < math.inf:
-                raise ValueError(latency)
-        except (ArithmeticError, ValueError, TypeError, KeyError, RecursionError):
-            self.unreadable += 1
-            return
-        if self.callback is not None and record.get("name") != self.callback:
-            return
-        self.requests += 1
-        if ok and self.requests > self.warmup:
-            self.valid.append(latency)
-
-    def precise(self, precision: float, statistic: str) -> bool:
-        """Whether the 95 % interval is narrower than ± precision; looked at rarely, since it is not free."""
-        if len(self.valid) < max(10, self.next_look):
-            return False
-        self.next_look = math.ceil(len(self.valid) * 1.05) + 1
-        value, half = interval(self.valid, statistic)
-        return half <= precision * value
-
-
-def interval(values: list[float], statistic: str) -> tuple[float, float]:
-    """The statistic of at least 10 values, and half the width of its 95 % interval.
-
-    Mean: Student's t (Cornish-Fisher expansion of its quantile), widened by the lag-1 autocorrelation, since
-    successive requests resemble each other. Quantiles: binomial order statistics; infinite while the upper
-    one does not exist.
+    A folder of its own: beside this file stand modules that must not shadow somebody's. What user code imports is there
+    by its name, what runs by itself in a package.
     """
-    n = len(values)
-    if statistic != "mean":
-        share = {"p50": 0.5, "p95": 0.95, "p99": 0.99}[statistic]
-        ordered, spread = sorted(values), 1.959964 * math.sqrt(n * share * (1 - share))
-        low, high = math.floor(n * share - spread), math.ceil(n * share + spread)
-        half = (ordered[high] - ordered[low]) / 2 if low >= 0 and high < n else math.inf
-        return ordered[math.floor(n * share)], half
-    mean = statistics.fmean(values)
-    square = math.fsum((value - mean) ** 2 for value in values)
-    if square == 0:
-        return mean, 0.0
-    lag = math.fsum((a - mean) * (b - mean) for a, b in itertools.pairwise(values)) / square
-    lag = min(max(lag, 0.0), 0.99)
-    z, v = 1.959964, n - 1
-    t = z + (z**3 + z) / (4 * v) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * v**2)
-    return mean, t * math.sqrt(square / v / n * (1 + lag) / (1 - lag))
+    folder = out / "python"
+    package = folder / "fogspec_machine"
+    package.mkdir(parents=True, exist_ok=True)
+    for source in (file for file in Path(__file__).parent.iterdir() if file.is_file()):
+        shutil.copy(source, (folder if source.name.startswith("fogspec_") else package) / source.name)
+    (package / "__init__.py").touch()
+    return str(folder)
 
 
 def finish(children: list[subprocess.Popen[bytes]]) -> None:
@@ -309,10 +272,28 @@ def descendants() -> list[int]:
 
 
 def memory_kills() -> int:
-    """How often the kernel ended a process for want of memory, here or in a cgroup, since this machine began (Linux)."""
-    with contextlib.suppress(OSError):
-        return sum(map(int, re.findall(rb"^oom_kill (\d+)$", VMSTAT.read_bytes(), re.MULTILINE)))
+    """How often the kernel ended a process for want of memory in this one's cgroup, or where that cannot be told, here (Linux).
+
+    Somebody else's process on the same host says nothing of ours.
+    """
+    for path in (*own_counters(), VMSTAT):
+        with contextlib.suppress(OSError):
+            if found := re.findall(rb"^oom_kill (\d+)$", path.read_bytes(), re.MULTILINE):
+                return sum(map(int, found))
     return 0
+
+
+def own_counters() -> list[Path]:
+    """The files in which this process's cgroup, of either version, counts such ends; not of the root, where none is kept."""
+    found = []
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/self/cgroup").read_text().splitlines():
+            _, names, path = line.split(":", 2)
+            if path != "/" and "memory" in names.split(","):
+                found.append(Path(f"/sys/fs/cgroup/memory{path}/memory.oom_control"))
+            elif path != "/" and not names:
+                found.append(Path(f"/sys/fs/cgroup{path}/memory.events"))
+    return found
 
 
 def last_line(path: Path) -> str:

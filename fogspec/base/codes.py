@@ -233,13 +233,3 @@ LAUNCHES = {
         "check it by hand.",
     ),
 }
-
-LIMITS = {
-    "FS901": Code(
-        "a field is not available in this version",
-        "The language has a word for it, and nothing acts upon it yet; a spec that relied on it would be "
-        "measured wrongly.",
-        "sampler: adaptive",
-        "sampler: grid",
-    ),
-}

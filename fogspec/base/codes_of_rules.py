@@ -52,6 +52,13 @@ NODES = {
         "secrets: [API_KEY]\ncloud: [{cmd: [plan], env: {API_KEY: abc}}]",
         "secrets: [API_KEY]\ncloud: [{cmd: [plan]}]",
     ),
+    "FS509": Code(
+        "private keys and credentials are in no spec",
+        "A spec is in git, and what has been in git is known. Keys for the link are made by `fogspec keys` where they "
+        "are used; other secrets are named in spec.secrets. Make a new one of what stood here. Its line is not shown.",
+        "env: {CERT: '-----BEGIN PRIVATE KEY----- ...'}",
+        "secrets: [CERT]",
+    ),
     "FS510": Code(
         "each application has a name of its own",
         "The name is that of its files, clusters and cloud labels, so two applications of one name would "
@@ -62,8 +69,8 @@ NODES = {
 MEASURING = {
     "FS511": Code(
         "a probe is of exactly one kind",
-        "Latency is response minus request of two topics, or of a service call, an action, a callback in the "
-        "code, or a recorded bag.",
+        "Latency is response minus request of two topics, live or in a bag, of a service call, of an action, or of a callback "
+        "in the code.",
         "probe: {}",
         "probe: {callback: plan}",
     ),
@@ -141,6 +148,27 @@ MEASURING = {
         "probe: {request: /image, response: /pose}\nbenchmark: {scenarios: {easy: 3, hard: 1}}",
         "probe: {callback: plan}\nbenchmark: {scenarios: {easy: 3, hard: 1}}",
     ),
+    "FS525": Code(
+        "a way of watching cannot see everything",
+        "A subscriber sees topics and the state of actions; a library in the node's process sees services too, but not into "
+        "messages; what a callback counts as a success, it says itself.",
+        "probe: {service: /plan, via: rclpy}",
+        "probe: {service: /plan}",
+    ),
+    "FS526": Code(
+        "requests come from a bag, or from a node",
+        "A bag is played on the probe's request topic, or as calls of the probe's service, each after the response to the one "
+        "before, or at a rate. A node sends what it likes.",
+        "probe: {callback: plan}\nbenchmark: {workload: {bag: data/kitchen}}",
+        "probe: {callback: plan}\nbenchmark: {workload: {node: {cmd: [python3, client.py]}}}",
+    ),
+    "FS527": Code(
+        "a cost that would count for nothing",
+        "Data transfer costs its amount times its price: both are needed. Interruptions are those of spot machines, which "
+        "hardware must allow.",
+        "objective: {transfer: {per_request: 2MB}}",
+        "objective: {transfer: {per_request: 2MB, price: $0.09/GiB}}",
+    ),
     "FS523": Code(
         "the topics are still those that init made up",
         "A sample would wait for a response that never comes, and the machine would be paid for. This is a warning.",
@@ -179,5 +207,28 @@ MACHINES = {
         "The ranges of cpus, memory and memory_per_cpu contradict each other.",
         "hardware: {cpus: 64.., memory: ..64GiB, memory_per_cpu: 2GiB..}",
         "hardware: {cpus: 64.., memory: ..256GiB, memory_per_cpu: 2GiB..}",
+    ),
+}
+
+LINKS = {
+    "FS541": Code(
+        "a link works with some ROS 2 environments",
+        "zenoh runs rmw_zenoh's routers, so it needs spec.ros. wireguard relies on ROS_STATIC_PEERS, which ROS 2 has "
+        "since Iron, and makes a network interface, which a container that SkyPilot starts is not allowed to.",
+        "ros: {distro: humble}\nconnectivity: {link: wireguard}",
+        "ros: {distro: humble}\nconnectivity: {link: zenoh}",
+    ),
+    "FS542": Code(
+        "what passes is said for a link, a policy for nodes",
+        "Names and a port mean nothing where there is no link, and SROS2 knows nodes by their names.",
+        "connectivity: {topics: [/tf]}",
+        "connectivity: {link: zenoh, topics: [/tf]}",
+    ),
+    "FS543": Code(
+        "what passes the link has a whole name",
+        "A link lets nothing pass but what is named. A name that begins with ~ or has a substitution in it is "
+        "relative to a node, which the link does not know. Some name there must be.",
+        "connectivity: {link: zenoh, topics: [~/debug]}",
+        "connectivity: {link: zenoh, topics: [/planner/debug]}",
     ),
 }

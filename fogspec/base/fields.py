@@ -73,6 +73,12 @@ Cost = Annotated[float, *_quantity(units.parse_cost_usd_per_request, units.forma
 Price = Annotated[
     float, *_quantity(units.parse_price_usd_per_hour, units.format_price, rf"{_USD}\s*/\s*(h|hour)", "$0.526/h")
 ]
+Transfer = Annotated[
+    float,
+    *_quantity(
+        units.parse_transfer_usd_per_gib, units.format_transfer, rf"{_USD}\s*/\s*(MiB|GiB|TiB|MB|GB|TB)", "$0.09/GiB"
+    ),
+]
 Rate = Annotated[float, *_quantity(units.parse_rate_per_s, units.format_rate, _RATE, "10/s")]
 Percent = Annotated[float, *_quantity(units.parse_percent, units.format_percent, rf"{_N}\s*%", "5%")]
 CountRange = Annotated[Range, *_range(units.parse_count, units.format_number, _N, "2..64", number=True)]

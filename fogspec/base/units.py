@@ -101,6 +101,19 @@ def parse_price_usd_per_hour(text: Any) -> float:
         raise UnitError(wrong.message, f"{wrong.fix}/h" if wrong.fix else None, wrong.code) from None
 
 
+def parse_transfer_usd_per_gib(text: Any) -> float:
+    """USD per GiB from `$0.09/GiB`, `$0.09/GB`."""
+    amount, slash, per = _body(text).partition("/")
+    scale = MEMORY_GIB.get(per.strip())
+    if not slash or scale is None:
+        number = re.search(NUMBER, amount)
+        raise UnitError("must say per what amount of data", f"${number[0]}/GiB" if number else "$0.09/GiB", "FS201")
+    try:
+        return parse_money_usd(amount) / scale
+    except UnitError as wrong:
+        raise UnitError(wrong.message, f"{wrong.fix}/{per.strip()}" if wrong.fix else None, wrong.code) from None
+
+
 def parse_rate_per_s(text: Any) -> float:
     """Requests per second from `10/s`, `6/min`, `1000/h`, or `2Hz`."""
     body = _body(text)
@@ -179,11 +192,7 @@ def format_number(value: float) -> str:
     if value == int(value) and abs(value) < 1e15:
         return str(int(value))
     text = repr(float(value))
-    if "e-" in text and value > 1e-12:
-        text = f"{value:.20f}".rstrip("0")
-        if float(text) != value:
-            text = repr(float(value))
-    return text
+    return format(Decimal(text), "f") if "e-" in text and value > 1e-12 else text
 
 
 def format_duration(seconds: float) -> str:
@@ -216,8 +225,14 @@ def format_price(usd_per_hour: float) -> str:
 
 
 def format_rate(per_s: float) -> str:
-    """`10/s`."""
-    return f"{format_number(per_s)}/s"
+    """`10/s`, or per hour where that is shorter: `0.05/h`."""
+    texts = [f"{format_number(per_s * scale)}/{unit}" for unit, scale in (("s", 1.0), ("h", 3600.0))]
+    return min((text for text in texts if parse_rate_per_s(text) == per_s), key=len, default=texts[0])
+
+
+def format_transfer(usd_per_gib: float) -> str:
+    """`$0.09/GiB`."""
+    return f"${format_number(usd_per_gib)}/GiB"
 
 
 def format_percent(share: float) -> str:

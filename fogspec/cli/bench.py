@@ -2,70 +2,122 @@
 
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.outcomes import Refused, WrongCommand, WrongFile
-from fogspec.cli.options import SPEC
+from fogspec.base.outcomes import Differs, Outcome, Refused, WrongCommand, WrongFile
+from fogspec.cli.options import CATALOG, PRIORS, SPEC, library_from
 
 if TYPE_CHECKING:
+    from fogspec.catalog import Catalog
+    from fogspec.effects.benching import Benched
+    from fogspec.effects.offering import Offering
     from fogspec.effects.preparing import Prepared
     from fogspec.effects.sampling import Campaign
+    from fogspec.effects.specfiles import LoadedSpec
     from fogspec.effects.watching import Watcher
+    from fogspec.numerics.priors import Library
     from fogspec.seams import Runner
+
+RUNNERS = ["local", "replay", "skypilot"]
+
+
+class Dollars(click.ParamType):
+    """An amount of money, as the spec writes it."""
+
+    name = "$"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """USD; raises click's own error for anything else."""
+        from fogspec.base.units import parse_money_usd
+
+        try:
+            return value if isinstance(value, float) else parse_money_usd(str(value))
+        except ValueError as wrong:
+            self.fail(str(wrong), param, ctx)
 
 
 @click.command()
 @SPEC
-@click.option("--runner", "runner_name", type=click.Choice(["local", "replay"]), required=True, help="where to measure")
-@click.option("--from", "recorded", type=click.Path(path_type=str), metavar="RESULTS.yaml", help="what to replay")
+@click.option(
+    "--runner", "runner_name", type=click.Choice(RUNNERS), help="where to measure; local for shapes of this host"
+)
+@click.option("--from", "recorded", type=click.Path(path_type=str), metavar="FILE",
+              help="what to replay: results (YAML) or a sweep (CSV with instance_type, latency_s)")  # fmt: skip
+@click.option("--pace", type=click.FloatRange(0), default=0.0, metavar="SECONDS",
+              help="replay: how long to wait for each recorded second")  # fmt: skip
 @click.option("--only", metavar="ID,…", default="", help="measure these samples, again if need be")
+@click.option("--at-once", type=click.IntRange(1), metavar="N", help="how many machines at the same time, at most")
+@click.option("--resume", is_flag=True, help="take down machines that another bench of this application left running")
+@click.option("--max", "max_usd", type=Dollars(), help="spend at most this now, whatever the budget leaves")
+@click.option("--yes", is_flag=True, help="spend without being asked")
 @click.option("--dry-run", is_flag=True, help="say what would be measured and what it costs, and stop")
+@CATALOG
+@PRIORS
 @click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="form of progress and answer")
-def command(spec: str, runner_name: str, recorded: str | None, only: str, dry_run: bool, output: str) -> None:
+def command(
+    spec: str, runner_name: str | None, recorded: str | None, pace: float, only: str,
+    at_once: int | None, resume: bool, max_usd: float | None, yes: bool, dry_run: bool, catalog_path: str | None,
+    priors: Path | None, output: str,
+) -> None:  # fmt: skip
     """Measure what is not measured yet.
 
     Goes on where an earlier bench stopped: finished samples are not measured again, machines that were left running
     are taken down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
     """
-    from fogspec.effects.benching import bench
+    from fogspec.effects.benching import Terms, bench
+    from fogspec.effects.offering import Offering, check_prices
     from fogspec.effects.preparing import prepare
     from fogspec.effects.specfiles import load
 
-    runner = _runner(runner_name, recorded)
     names = [name.strip() for name in only.split(",") if name.strip()]
     unusable = []
     for one in load([spec]):
         prepared = prepare(one.application, one.path, names)
+        runner = _runner(prepared, runner_name, recorded, pace)
+        runner.at_once = min(runner.at_once, at_once or runner.at_once)
         _check_place(prepared, runner)
-        click.echo(_price(prepared, runner), err=True)
+        offering = Offering.of(prepared, runner, max_usd)
+        click.echo(offering.line(), err=True)
         if prepared.outdated:
             kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
             click.echo(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)
+        catalog, prices = _catalogs(one, catalog_path, prepared, runner)
+        if prices is not None:
+            check_prices(prepared.todo, prices, f"fogspec compile {prepared.layout.spec}")
         if dry_run:
+            click.echo("\n".join(offering.lines()))
             continue
-        results = bench(prepared, runner, lambda campaign, p=prepared: _watcher(campaign, p, output))  # type: ignore[misc]
-        _report(prepared, results, output)
-        if not any(record.state == "ok" for record in results.spec.samples):
+        _confirm(offering, yes)
+        library = _library(prepared, priors) if catalog is not None else None
+        terms = Terms(max_usd, resume, catalog, prices, library)
+        benched = bench(prepared, runner, lambda campaign, p=prepared: _watcher(campaign, p, output), terms)  # type: ignore[misc]
+        _report(prepared, benched, output)
+        if not any(record.state == "ok" for record in benched.results.spec.samples):
             unusable.append(prepared.layout.name)
     if unusable:
         raise WrongFile(f"{', '.join(unusable)}: no sample could be measured", "the records above say why")
 
 
-def _runner(name: str, recorded: str | None) -> "Runner":
+def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: float) -> "Runner":
     from fogspec import wiring
 
+    local = all(sample.machine.infra == "local" for sample in prepared.plan.spec.samples)
+    name = name or ("replay" if recorded is not None else "local" if local else "skypilot")
     if (name == "replay") != (recorded is not None):
-        raise WrongCommand("--runner replay and --from RESULTS.yaml go together")
+        raise WrongCommand("--runner replay and --from FILE go together")
+    if name not in RUNNERS:
+        raise WrongCommand(f"--runner: say where to measure: {', '.join(RUNNERS)}")
     if recorded is None:
         runner: Runner = wiring.runner(name)()
         return runner
     from fogspec.effects.clock import SystemClock
-    from fogspec.effects.measured import recordings
+    from fogspec.effects.recordings import replayable
 
-    recordings_, source = recordings(recorded)
-    replay: Runner = wiring.runner(name)(recordings_, source, SystemClock().now_s)
+    found, source = replayable(recorded, prepared.plan.spec.after)
+    replay: Runner = wiring.runner(name)(found, source, SystemClock().now_s, pace)
     return replay
 
 
@@ -79,16 +131,49 @@ def _check_place(prepared: "Prepared", runner: "Runner") -> None:
         )
 
 
-def _price(prepared: "Prepared", runner: "Runner") -> str:
-    from fogspec.effects.compiling import money
-    from fogspec.plan import lifetime_s
+def _catalogs(
+    one: "LoadedSpec", path: str | None, prepared: "Prepared", runner: "Runner"
+) -> "tuple[Catalog | None, Catalog | None]":
+    """What an adaptive campaign asks for machines of, and where prices are what they are right now."""
+    from fogspec.cli.options import catalogs_for, clouds_of, load_catalog
 
-    body = prepared.plan.spec
-    count = f"{prepared.layout.name}: {len(prepared.todo)} of {len(body.samples)} samples to measure"
-    if runner.costs != "real":
-        return f"{count} with the {runner.name} runner: costs nothing"
-    worst = sum(sample.machine.price for sample in prepared.todo) * lifetime_s(body.after, body.setup) / 3600
-    return f"{count}: at most {money(worst)}"
+    real, adaptive = runner.costs == "real", prepared.plan.spec.sampler == "adaptive"
+    if not real and not adaptive:
+        return None, None
+    catalog = catalogs_for([one], path)[0]
+    if adaptive and catalog.about.digest != prepared.plan.spec.catalog.digest:
+        compiling = f"fogspec compile {prepared.layout.spec}" + (f" --catalog {path}" if path else "")
+        raise Differs(
+            f"{prepared.layout.plan} was compiled from another catalog: {prepared.plan.spec.catalog.source}", compiling
+        )
+    if not real:
+        return catalog, None
+    try:
+        prices = load_catalog("skypilot", clouds_of(one))
+    except Outcome as none:
+        click.echo(
+            f"prices are compared with {catalog.about.source}, not with SkyPilot's own: {none.message}", err=True
+        )
+        prices = catalog
+    return catalog if adaptive else None, prices
+
+
+def _library(prepared: "Prepared", path: Path | None) -> "Library | None":
+    """What an adaptive campaign knows of machines beforehand: from the command line, else what the lock says."""
+    from fogspec.effects.libraries import locked_library
+    from fogspec.effects.pinning import read_pins
+
+    return library_from(path) or locked_library(prepared.layout, read_pins(prepared.layout))
+
+
+def _confirm(offering: "Offering", yes: bool) -> None:
+    """Raises Refused unless the user agrees to spend; what costs nothing needs no consent."""
+    if yes or not offering.asks:
+        return
+    if not sys.stdin.isatty():
+        raise Refused(f"{offering.line()}: not confirmed", "spend it with --yes, look at it with --dry-run")
+    if not click.confirm("measure?", err=True):
+        raise Refused("not confirmed: nothing was started")
 
 
 def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Watcher":
@@ -97,19 +182,24 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Watche
     if output == "json":
         return watching.Events(click.echo)
     if sys.stderr.isatty():
-        body = prepared.plan.spec
-        return watching.LiveTable(prepared.todo, body.steps, body.budget, campaign.clock.now_s)
+        from fogspec.effects.live import LiveTable
+
+        return LiveTable(prepared.todo, prepared.plan.spec.steps, campaign.order.budget_usd, campaign.clock.now_s)
     return watching.Lines(lambda text: click.echo(text, err=True))
 
 
-def _report(prepared: "Prepared", results: Any, output: str) -> None:
+def _report(prepared: "Prepared", benched: "Benched", output: str) -> None:
     from fogspec.effects import watching
 
-    layout = prepared.layout
+    layout, results = prepared.layout, benched.results
     if output == "json":
         click.echo(json.dumps(results.model_dump(mode="json", exclude_none=True)))
         return
     for record in results.spec.samples:
         click.echo(f"  {record.id}: {watching.outcome(record)}")
+        if record.state != "ok" and record.id in benched.folders:
+            click.echo(f"    logs: {benched.folders[record.id]}")
+    if results.spec.sampling is not None and results.spec.sampling.ended is not None:
+        click.echo(f"sampling ended: {results.spec.sampling.ended}")
     click.echo(f"results   {layout.results}")
     click.echo(f"next: fogspec compile {layout.spec}")

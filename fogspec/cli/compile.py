@@ -1,28 +1,32 @@
 """`fogspec compile`: the plan and its tasks; once measured, models, menu and manifest."""
 
 import json
+from pathlib import Path
 
 import click
 
 from fogspec.base.outcomes import Differs, NothingMeets
-from fogspec.cli.options import CATALOG, OUTPUT, SPECS, catalogs_for
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, SPECS, catalogs_for, library_from
 
 
 @click.command()
 @SPECS
 @CATALOG
+@PRIORS
 @OUTPUT
 @click.option("--check", is_flag=True, help="write nothing; exit 3 when something differs from what would be written")
-def command(specs: tuple[str, ...], catalog_path: str | None, output: str, check: bool) -> None:
+def command(specs: tuple[str, ...], catalog_path: str | None, priors: Path | None, output: str, check: bool) -> None:
     """Write all that can be derived now, and say what is missing for the rest."""
     from fogspec.effects import summarising
     from fogspec.effects.compiling import compile_application
+    from fogspec.effects.finding import find_specs
     from fogspec.effects.specfiles import load
 
-    loaded = load(list(specs))
-    catalogs = catalogs_for(loaded, catalog_path)
+    loaded = load(find_specs(specs))
+    catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
     compiled = [
-        compile_application(one.application, one.path, catalog) for one, catalog in zip(loaded, catalogs, strict=True)
+        compile_application(one.application, one.path, catalog, library)
+        for one, catalog in zip(loaded, catalogs, strict=True)
     ]
     changed = [path for one in compiled for path in (one.differing() if check else one.write())]
     if output == "json":

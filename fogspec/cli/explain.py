@@ -2,12 +2,13 @@
 
 import json
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from fogspec.base.outcomes import WrongCommand
-from fogspec.cli.options import CATALOG, OUTPUT, catalogs_for
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, catalogs_for, library_from
 
 if TYPE_CHECKING:
     from fogspec.base.fieldbook import FieldPage
@@ -26,8 +27,9 @@ def _completions(_context: click.Context, _parameter: click.Parameter, begun: st
 @click.argument("what", shell_complete=_completions)
 @click.argument("spec", required=False)
 @CATALOG
+@PRIORS
 @OUTPUT
-def command(what: str, spec: str | None, catalog_path: str | None, output: str) -> None:
+def command(what: str, spec: str | None, catalog_path: str | None, priors: Path | None, output: str) -> None:
     """Explain WHAT: a field such as constraints.cost, a code such as FS201, or the choice for a spec or application.
 
     With a field, SPEC is a spec that is searched for where the field is set.
@@ -35,24 +37,25 @@ def command(what: str, spec: str | None, catalog_path: str | None, output: str) 
     if what.upper().startswith("FS") and what[2:].isdigit():
         _code(what.upper(), output)
     elif os.path.exists(what) or what.endswith((".yaml", ".yml")) or "/" in what:
-        _choices(what, None, catalog_path, output)
+        _choices(what, None, catalog_path, priors, output)
     elif _field(what, spec, output):
         return
-    elif path := _spec_of(what):
-        _choices(path, what, catalog_path, output)
+    elif path := spec_of(what):
+        _choices(path, what, catalog_path, priors, output)
     else:
         _nothing(what)
 
 
-def _choices(path: str, name: str | None, catalog_path: str | None, output: str) -> None:
+def _choices(path: str, name: str | None, catalog_path: str | None, priors: Path | None, output: str) -> None:
     from fogspec.effects import explaining
     from fogspec.effects.compiling import compile_application
     from fogspec.effects.specfiles import load
 
     loaded = [one for one in load([path]) if name in (None, one.application.metadata.name)]
-    catalogs = catalogs_for(loaded, catalog_path)
+    catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
     compiled = [
-        compile_application(one.application, one.path, catalog) for one, catalog in zip(loaded, catalogs, strict=True)
+        compile_application(one.application, one.path, catalog, library)
+        for one, catalog in zip(loaded, catalogs, strict=True)
     ]
     if output == "json":
         click.echo(json.dumps([explaining.facts(one) for one in compiled], indent=2, ensure_ascii=False))
@@ -60,7 +63,7 @@ def _choices(path: str, name: str | None, catalog_path: str | None, output: str)
         click.echo("\n\n".join(explaining.explain(one) for one in compiled))
 
 
-def _spec_of(name: str) -> str | None:
+def spec_of(name: str) -> str | None:
     """The spec in specs/ that has an application of this name."""
     from fogspec.effects.finding import find_specs
     from fogspec.effects.specfiles import examine

@@ -7,20 +7,23 @@ from pathlib import Path
 import click
 
 from fogspec.base.outcomes import Differs
-from fogspec.cli.options import CATALOG, OUTPUT, clouds_of, load_catalog, located
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, clouds_of, library_from, load_catalog, located
 
 
 @click.command()
 @click.argument("specs", nargs=-1, type=click.Path(path_type=str))
 @CATALOG
+@PRIORS
 @OUTPUT
 @click.option("--check", is_flag=True, help="write nothing and ask no registry; exit 3 when the lock is not complete")
 @click.option("--upgrade", multiple=True, metavar="X", help="ask again for: catalog, an image as a spec names it, all")
 def command(
-    specs: tuple[str, ...], catalog_path: str | None, output: str, check: bool, upgrade: tuple[str, ...]
-) -> None:
-    """Write fogspec.lock: catalog, image digests, and digests of workspace and workload. SPECS are those in specs/.
+    specs: tuple[str, ...], catalog_path: str | None, priors: Path | None, output: str, check: bool,
+    upgrade: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Write fogspec.lock: catalog, machine library, image digests, and digests of workspace and workload.
 
+    SPECS are those in specs/.
     What is locked stays as it is, except for files beside the specs: these are read anew.
     """
     from fogspec import wiring
@@ -30,14 +33,17 @@ def command(
     from fogspec.effects.layout import Layout
     from fogspec.effects.pinning import lock_text, read_lock, read_pins
     from fogspec.effects.specfiles import load
+    from fogspec.lock import PriorsPin
 
+    library = library_from(priors)
     wanted = []
     for one in load(find_specs(specs)):
         layout = Layout.of(one.path, one.application.metadata.name)
         pins = read_pins(layout)
         origin = _origin(catalog_path, layout.root) or (pins.catalog.origin if pins else "snapshot")
         about = load_catalog(located(origin, layout), clouds_of(one)).about
-        wanted.append(relocking.Wanted(one.application, layout, origin, about))
+        pin = PriorsPin(origin=_beside(priors, layout.root), digest=library.digest) if priors and library else None
+        wanted.append(relocking.Wanted(one.application, layout, origin, about, pin))
     ask = (lambda _name: "not asked for yet") if check else wiring.registry().digest
     locks = relocking.relock(wanted, ask, ["catalog"] if check else upgrade, whole=not specs)
     changes = {path: relocking.differences(read_lock(path), lock) for path, lock in locks.items()}
@@ -57,7 +63,11 @@ def _origin(catalog: str | None, root: os.PathLike[str]) -> str | None:
     """The catalog as the lock names it: paths relative to the lock."""
     if catalog in (None, "snapshot", "skypilot"):
         return catalog
-    return os.path.relpath(catalog, root).replace(os.sep, "/")
+    return _beside(catalog, root)
+
+
+def _beside(path: str | os.PathLike[str], root: os.PathLike[str]) -> str:
+    return os.path.relpath(path, root).replace(os.sep, "/")
 
 
 def _say(changes: dict[Path, list[str]], output: str) -> None:

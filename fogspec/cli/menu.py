@@ -1,25 +1,31 @@
 """`fogspec menu`: what is on offer, also under other constraints, from the fitted models."""
 
 import json
+import os
+import shutil
+import sys
+from pathlib import Path
 
 import click
 
 from fogspec.base.outcomes import NothingMeets, WrongCommand
 from fogspec.base.units import UnitError
-from fogspec.cli.options import CATALOG, OUTPUT, SPEC, catalogs_for
+from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, catalogs_for, library_from
 
 
 @click.command()
 @SPEC
 @click.option("--alpha", type=click.FloatRange(0, 1), help="1 = only latency counts, 0 = only cost counts")
-@click.option("--latency", metavar="2s", help="another limit on the latency of one request")
-@click.option("--cost", metavar="'$0.001/request'", help="another limit on the cost of one request")
+@click.option("--latency", metavar="2s", help="another limit on the latency of one request; none for no limit")
+@click.option("--cost", metavar="'$0.001/request'", help="another limit on the cost of one request; none for no limit")
 @click.option("--name", help="the application, where the file has several")
 @CATALOG
+@PRIORS
 @OUTPUT
+@COLOR
 def command(
     spec: str, alpha: float | None, latency: str | None, cost: str | None, name: str | None, catalog_path: str | None,
-    output: str,
+    priors: Path | None, output: str, color: bool | None,
 ) -> None:  # fmt: skip
     """Show the choices and the Pareto front; nothing is measured anew and nothing is written."""
     from fogspec.effects.menus import menu_of, show
@@ -28,17 +34,21 @@ def command(
     loaded = [one for one in load([spec]) if name is None or one.application.metadata.name == name]
     if not loaded:
         raise WrongCommand(f"{spec} has no application named {name}")
-    catalogs = catalogs_for(loaded, catalog_path)
+    catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
     try:
-        menus = [
-            menu_of(one.application, one.path, catalog, alpha, latency, cost)
+        served = [
+            menu_of(one.application, one.path, catalog, alpha, latency, cost, library)
             for one, catalog in zip(loaded, catalogs, strict=True)
         ]
     except UnitError as wrong:
         raise WrongCommand(str(wrong), *([f"write {wrong.fix}"] if wrong.fix else [])) from None
+    menus = [one.menu for one in served]
     if output == "json":
         click.echo(json.dumps([menu.model_dump(mode="json") for menu in menus], indent=2, ensure_ascii=False))
     else:
-        click.echo("\n\n".join(show(menu) for menu in menus))
+        width = shutil.get_terminal_size().columns
+        if color is None:
+            color = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
+        click.echo("\n\n".join(show(one.menu, one.plot(width, color)) for one in served), color=color)
     if none := [menu.metadata.name for menu in menus if menu.spec.balanced is None]:
         raise NothingMeets(f"{', '.join(none)}: no machine meets the limits")

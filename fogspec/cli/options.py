@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -13,15 +14,38 @@ if TYPE_CHECKING:
     from fogspec.effects.layout import Layout
     from fogspec.effects.specfiles import LoadedSpec
     from fogspec.lock import Pins
+    from fogspec.numerics.priors import Library
 
 SPECS = click.argument("specs", nargs=-1, required=True, type=click.Path(path_type=str))
 SPEC = click.argument("spec", type=click.Path(path_type=str))
+
+
+def _color(_context: click.Context, _parameter: click.Parameter, when: str) -> bool | None:
+    return {"always": True, "never": False}.get(when)
+
+
+COLOR = click.option("--color", type=click.Choice(["auto", "always", "never"]), default="auto", callback=_color,
+                     help="auto: on a terminal, unless NO_COLOR is set")  # fmt: skip
+MANIFEST = click.argument("manifest", type=click.Path(path_type=str))
 OUTPUT = click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="form of the answer")
 CATALOG = click.option(
     "--catalog", "catalog_path", type=click.Path(path_type=str), metavar="FROM",
     help="machines and prices: snapshot (bundled), skypilot (SkyPilot's own, as it fetched them), a folder in "
     "SkyPilot's layout, or a CSV file in its columns; otherwise what fogspec.lock says, or the snapshot",
 )  # fmt: skip
+PRIORS = click.option(
+    "--priors", type=click.Path(path_type=Path), metavar="DIR|FILE",
+    help="a machine library (fogspec priors build): with one, fewer samples suffice; otherwise what fogspec.lock says",
+)  # fmt: skip
+
+
+def library_from(path: Path | None) -> "Library | None":
+    """The machine library that the command line names; None leaves it to the lock. Raises WrongFile and Problems."""
+    if path is None:
+        return None
+    from fogspec.effects.libraries import read_library
+
+    return read_library(path)
 
 
 def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> list["Catalog"]:

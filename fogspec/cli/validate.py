@@ -1,12 +1,8 @@
 """`fogspec validate`: every mistake in every spec at once."""
 
-from typing import Any
-
 import click
 
-
-def _color(_context: Any, _parameter: Any, when: str) -> bool | None:
-    return {"always": True, "never": False}.get(when)
+from fogspec.cli.options import COLOR
 
 
 @click.command()
@@ -15,8 +11,7 @@ def _color(_context: Any, _parameter: Any, when: str) -> bool | None:
 @click.option(
     "-o", "--output", type=click.Choice(["text", "json", "github"]), default="text", help="form of the answer"
 )
-@click.option("--color", type=click.Choice(["auto", "always", "never"]), default="auto", callback=_color,
-              help="auto: on a terminal, unless NO_COLOR is set")  # fmt: skip
+@COLOR
 def command(files: tuple[str, ...], overlays: tuple[str, ...], output: str, color: bool | None) -> None:
     """Check FILES, or the specs in folders, or those that patterns match; without any, those in specs/."""
     from fogspec.effects.finding import find_specs

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from fogspec.effects.journal import Started
+from fogspec.results import Reason
 from fogspec.seams import Job, Progress
 
 END_BACKOFF_S = 30.0
@@ -38,9 +39,9 @@ class Attempt:
         """The runner could not tell."""
         self.silent_s = now_s if self.silent_s is None else self.silent_s
 
-    def interrupted(self) -> Progress:
-        """How it ends when its user stops the bench."""
-        return replace(self._so_far(), reason="interrupted", detail="stopped by its user")
+    def stopped(self, reason: Reason, detail: str) -> Progress:
+        """How it ends when it is stopped for a reason that is not its own."""
+        return replace(self._so_far(), reason=reason, detail=detail)
 
     def overdue(self, now_s: float, deadline_s: float) -> Progress | None:
         """How it ends for having taken longer than `deadline_s`; None while it has not.

@@ -3,6 +3,7 @@
 What compile writes is a function of these three: files that no longer follow are removed, and a check is a comparison.
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,29 +12,36 @@ from typing import TYPE_CHECKING, Any
 import fogspec.probe
 from fogspec import stages
 from fogspec.admissible import Admissible, admit
+from fogspec.alternatives import alternatives
 from fogspec.base import digest, units
 from fogspec.base.diagnostics import Problems
 from fogspec.base.outcomes import Refused
 from fogspec.budget import bill, cents_up, cheapest_ways, fits
 from fogspec.catalog import Catalog
-from fogspec.effects.collecting import finished
 from fogspec.effects.files import write_bytes, yaml_text
 from fogspec.effects.layout import Layout
 from fogspec.effects.measured import read_results
 from fogspec.effects.pinning import read_pins
 from fogspec.effects.specfiles import read_document
 from fogspec.effects.templates import render
-from fogspec.keeping import kept
+from fogspec.keeping import kept, recorded
 from fogspec.lock import pinned, pins_of_measurement
 from fogspec.plan import Plan, Sample, TaskRef, digest_without_budget, lifetime_s, make_plan
-from fogspec.results import Results
+from fogspec.probes import halves, name_of
+from fogspec.results import Results, done
 from fogspec.spec import Application
 from fogspec.tasks import left_out, measured_processes, ros_environment, sample_task
 
 if TYPE_CHECKING:
     from fogspec.effects.choosing import Chosen
+    from fogspec.numerics.priors import Library
 
-PROBE_FILES = ("agent.py", "fogspec_probe.py", "fogspec_topics.py")
+LINK_FILES = ("link.sh", "policy.xml", "cloud.json5", "robot.json5", "cloud.conf", "robot.conf",
+              "cloud.fastdds.xml", "robot.fastdds.xml")  # fmt: skip
+PROBE_FILES = (
+    "agent.py", "counting.py", "keeper.py", "fogspec_probe.py", "fogspec_probe.hpp", "bag.py", "pairing.py", "player.py",
+    "preload.c", "preload.h", "preload.py", "records.py", "ros.py", "topics.py",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +51,9 @@ class Compiled:
     `stale` says why there are results that do not count, `chosen` is there once there are results that do.
     """
 
+    application: Application
     layout: Layout
+    catalog: Catalog
     plan: Plan
     admissible: Admissible
     files: dict[Path, bytes]
@@ -68,8 +78,10 @@ class Compiled:
         return differing
 
 
-def compile_application(application: Application, spec_path: str | Path, catalog: Catalog) -> Compiled:
-    """Everything that follows from the inputs.
+def compile_application(
+    application: Application, spec_path: str | Path, catalog: Catalog, library: "Library | None" = None
+) -> Compiled:
+    """Everything that follows from the inputs; `library` is the machine library, otherwise the one that is locked.
 
     Raises Problems or WrongFile for a wrong file, NothingMeets when no machine is admissible, Refused when the
     plan may cost more than the budget.
@@ -81,21 +93,42 @@ def compile_application(application: Application, spec_path: str | Path, catalog
     depends = pins_of_measurement(application, pins)
     results, stale = _usable_results(application, layout, depends)
     admissible = admit(catalog, application.spec.hardware, application.spec.infra)
-    bare = _kept_plan(application, layout, catalog, depends, results)
+    if library is None and (results is not None or application.spec.benchmark.sampler == "adaptive"):
+        from fogspec.effects.libraries import locked_library
+
+        library = locked_library(layout, pins)
+    bare = _going_on(application, source, catalog, depends, results)
     if bare is None:
-        bare = make_plan(application, source, catalog, depends, admissible)
+        bare = _kept_plan(application, layout, catalog, depends, results)
+    if bare is None:
+        bare = make_plan(application, source, catalog, depends, admissible, library)
     check_budget(application, bare, admissible, results)
-    files = dict(_agent_files(layout))
-    plan = _with_tasks(exact, bare, layout, files)
-    files[layout.plan] = _yaml(plan.model_dump(mode="json"), source)
+    sent = dict(_agent_files(layout))
+    files = dict(sent)
+    plan = with_tasks(exact, with_alternatives(exact, bare, admissible), layout, files)
+    files |= substitutes(exact, plan, layout, results)
+    files[layout.plan] = plan_file(plan, layout)
     chosen = None
     if results is not None:
         from fogspec.effects.choosing import choose_files
 
         plan_digest = digest_without_budget(plan)
-        chosen = choose_files(exact, layout, catalog.about, admissible, results, plan_digest)
+        chosen = choose_files(exact, layout, catalog, admissible, results, plan_digest, sent, library)
         files |= chosen.files
-    return Compiled(layout, plan, admissible, files, tuple(_leftover(layout, files)), results, stale, chosen)
+    return Compiled(
+        exact, layout, catalog, plan, admissible, files, tuple(_leftover(layout, files)), results, stale, chosen
+    )  # fmt: skip
+
+
+def _going_on(
+    application: Application, source: str, catalog: Catalog, pins: Mapping[str, str], results: Results | None
+) -> Plan | None:
+    """The plan of an adaptive campaign that has begun: what was asked for is written in its results."""
+    benchmark = application.spec.benchmark
+    sampling = results.spec.sampling if results is not None else None
+    if sampling is None or benchmark.sampler != "adaptive" or benchmark.machines:
+        return None
+    return recorded(application, source, catalog, sampling, pins)
 
 
 def _kept_plan(
@@ -114,11 +147,6 @@ def _kept_plan(
     if not {sample.id for sample in body.samples} <= done(results):
         return None
     return kept(application, plan, catalog, pins)
-
-
-def done(results: Results | None) -> frozenset[str]:
-    """The ids of samples that need not be measured again."""
-    return frozenset(record.id for record in results.spec.samples if finished(record)) if results else frozenset()
 
 
 def check_budget(application: Application, plan: Plan, admissible: Admissible, results: Results | None) -> None:
@@ -151,17 +179,42 @@ def _agent_files(layout: Layout) -> Iterator[tuple[Path, bytes]]:
         yield layout.agent / name, (folder / name).read_bytes()
 
 
-def _with_tasks(application: Application, plan: Plan, layout: Layout, files: dict[Path, bytes]) -> Plan:
-    source = layout.relative(layout.spec)
+def with_alternatives(application: Application, plan: Plan, admissible: Admissible) -> Plan:
+    """The plan, with the machines that take a sample's place where it cannot be had."""
+    others = alternatives(application.spec, plan.spec.samples, admissible.offers)
+    return plan.model_copy(update={"spec": plan.spec.model_copy(update={"alternatives": others})})
+
+
+def substitutes(application: Application, plan: Plan, layout: Layout, results: Results | None) -> dict[Path, bytes]:
+    """The tasks of machines that took a sample's place, by path."""
+    planned = {sample.id for sample in plan.spec.samples}
+    records = results.spec.samples if results is not None else []
+    took = [Sample(id=one.id, machine=one.machine, reason="") for one in records if one.instead_of in planned]
+    others = (one for one in took if one.id not in planned)
+    return {layout.task(one.id): task_file(application, plan, one, layout) for one in others}
+
+
+def with_tasks(application: Application, plan: Plan, layout: Layout, files: dict[Path, bytes]) -> Plan:
+    """The plan with a reference to each sample's task, which goes into `files`."""
     samples = []
     for sample in plan.spec.samples:
         path = layout.task(sample.id)
-        files[path] = _yaml(task_of(application, plan, sample, layout), source)
+        files[path] = task_file(application, plan, sample, layout)
         reference = TaskRef(path=path.relative_to(layout.compiled).as_posix(), digest=digest.of_bytes(files[path]))
         samples.append(sample.model_copy(update={"task": reference}))
     said = dict.fromkeys(note for sample in samples for note in left_out(application.spec, sample.machine))
     notes = [*plan.spec.notes, *(note for note in said if note not in plan.spec.notes)]
     return plan.model_copy(update={"spec": plan.spec.model_copy(update={"samples": samples, "notes": notes})})
+
+
+def plan_file(plan: Plan, layout: Layout) -> bytes:
+    """What is written of a plan."""
+    return _yaml(plan.model_dump(mode="json"), layout.relative(layout.spec))
+
+
+def task_file(application: Application, plan: Plan, sample: Sample, layout: Layout) -> bytes:
+    """What is written of a sample's task."""
+    return _yaml(task_of(application, plan, sample, layout), layout.relative(layout.spec))
 
 
 def task_of(application: Application, plan: Plan, sample: Sample, layout: Layout) -> dict[str, Any]:
@@ -190,8 +243,9 @@ def _limits(application: Application, plan: Plan) -> list[str]:
     words += ["--startup", units.format_number(body.setup)]
     if body.steps is not None:
         words += ["--steps", str(body.steps)]
-    if application.spec.probe.callback is not None:
-        words += ["--callback", application.spec.probe.callback]
+    words += ["--callback", name_of(application.spec.probe)]
+    if (afterwards := halves(application.spec).afterwards) is not None:
+        words += ["--afterwards", json.dumps(afterwards)]
     if stop.precision is not None:
         statistic = application.spec.constraints.statistic
         words += ["--precision", units.format_number(stop.precision), "--statistic", statistic]
@@ -217,8 +271,19 @@ def _usable_results(
 
 def _leftover(layout: Layout, files: dict[Path, bytes]) -> Iterator[Path]:
     """Files in `compiled/NAME` that compile wrote once and no longer writes; what others put there stays."""
-    ours = [layout.models, layout.menu, layout.picture, layout.manifest, layout.deploy, layout.robot]
-    for path in (*ours, *sorted(layout.tasks.glob("*.sky.yaml")), *sorted(layout.agent.glob("*.py"))):
+    ours = [
+        layout.models,
+        layout.menu,
+        layout.picture,
+        layout.latencies,
+        layout.manifest,
+        layout.deploy,
+        layout.robot,
+        layout.cloud,
+    ]
+    found = (*layout.compiled.glob("deploy.*.sky.yaml"), *layout.tasks.glob("*.sky.yaml"), *layout.agent.glob("*.*"),
+             *(layout.link / name for name in LINK_FILES))  # fmt: skip
+    for path in dict.fromkeys([*ours, *sorted(found)]):
         if path not in files and path.is_file():
             yield path
 

@@ -1,48 +1,68 @@
-"""Why this machine: the funnel, the model, what binds, how far each limit may move, and who else was close."""
+"""Why this machine: the funnel, what binds, which samples matter, where the model is weak, and who else was close."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
+from fogspec.asking import Next, most_worth, probability_better
 from fogspec.base import units
 from fogspec.choice import Choice
-from fogspec.effects.compiling import Compiled
+from fogspec.effects.compiling import Compiled, money
 from fogspec.effects.summarising import entry_words, no_words
-from fogspec.menu import LEVEL, entry_of, limit_text, rounded
+from fogspec.manifest import stand_outs
+from fogspec.menu import entry_of, limit_text, rounded
 from fogspec.models import Model
+from fogspec.plan import lifetime_s
+from fogspec.sensitivity import LEVEL, Binding, Influence, bindings, influences, parts, weak_spots
+
+SAMPLES_SAID = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Binding:
-    """One limit at the choice: its value, how much room is left, how many machines only it rules out.
+class Analysis:
+    """What is worked out for an explanation beside the choice: the samples' influence, and one more sample's worth."""
 
-    `changes_at` is how far the limit would have to be relaxed for a better machine to be chosen; None if no
-    machine that only this limit rules out is better.
-    """
+    bindings: list[Binding]
+    influences: list[Influence]
+    next: Next | None
 
-    limit: str
-    bound: float
-    value: float
-    rules_out_alone: int
-    changes_at: float | None
-    changes_to: str | None
+    @classmethod
+    def of(cls, compiled: Compiled) -> "Analysis":
+        """Refits without each sample in turn."""
+        assert compiled.chosen is not None
+        chosen, offers = compiled.chosen, compiled.admissible.offers
+        app, body = compiled.application, compiled.plan.spec
+        usd = offers.price_usd_per_hour * lifetime_s(body.after, body.setup) / 3600
+        evidence = chosen.models.spec
+        tried = [*(one.machine for one in evidence.known), *(one.machine for one in evidence.unusable)]
+        return cls(
+            bindings(app, chosen.choice),
+            influences(app, chosen.models, chosen.predicted.ground, chosen.choice),
+            most_worth(app, chosen.predicted, tried, usd) if len(offers) else None,
+        )
 
 
 def explain(compiled: Compiled) -> str:
     """The explanation of a measured application, infeasible ones included; of an unmeasured one, its plan."""
     if compiled.chosen is None:
         return _unmeasured(compiled)
-    menu, choice = compiled.chosen.menu, compiled.chosen.choice
+    menu, choice, found = compiled.chosen.menu, compiled.chosen.choice, Analysis.of(compiled)
+    local = compiled.chosen.models.spec.measured_on_local
     lines = [f"{compiled.layout.name}: {menu.spec.objective}, {menu.spec.billing} billing"]
     if menu.spec.balanced is None:
-        lines += no_words(menu)
+        lines += [*no_words(menu), *_infeasible(choice)]
     else:
         lines += ["", f"chosen    {entry_words(menu.spec.balanced)}", *_why(choice, menu.spec.scale)]
     lines += ["", "funnel    " + _funnel(compiled)]
     if choice.chosen is not None:
-        lines += ["", "limits", *(f"  {_binding_words(b)}" for b in bindings(choice))]
-    lines += ["", "models", *(f"  {_model_words(model)}" for model in compiled.chosen.models.spec.models)]
+        lines += ["", "limits", *(f"  {_binding_words(b)}" for b in found.bindings)]
+    lines += ["", "model", *_model(compiled, found)]
+    if found.influences:
+        lines += [
+            "",
+            "samples that matter most",
+            *(f"  {_influence_words(one)}" for one in found.influences[:SAMPLES_SAID]),
+        ]
+    lines += ["", "one more sample", f"  {_next_words(choice, found.next, local)}"]
     lines += ["", "others", *_others(compiled)]
     if menu.spec.warnings:
         lines += ["", *(f"warning: {text}" for text in menu.spec.warnings)]
@@ -54,60 +74,71 @@ def facts(compiled: Compiled) -> dict[str, Any]:
     found: dict[str, Any] = {"name": compiled.layout.name, "stale": compiled.stale, "funnel": _funnel_facts(compiled)}
     if compiled.chosen is None:
         return found
-    chosen = compiled.chosen
-    menu = chosen.menu.spec.model_dump(mode="json")
+    chosen, worked = compiled.chosen, Analysis.of(compiled)
+    choice, menu = chosen.choice, chosen.menu.spec.model_dump(mode="json")
+    likeliest = choice.likeliest
     return {
         **found,
         **{key: menu[key] for key in ("objective", "balanced", "cheapest", "fastest", "nearest", "missed", "warnings")},
-        "limits": [
-            {"limit": b.limit, "bound": limit_text(b.limit, b.bound), "value": limit_text(b.limit, b.value),
-             "rules_out_alone": b.rules_out_alone, "changes_to": b.changes_to,
-             "changes_at": None if b.changes_at is None else limit_text(b.limit, b.changes_at)}
-            for b in bindings(chosen.choice)
+        "confidence": choice.confidence,
+        "probability_met": None if choice.chosen is None else choice.probability(choice.chosen),
+        "sure": choice.sure,
+        "likeliest": None if likeliest is None else {
+            "instance": str(choice.offers.instance[likeliest]), "probability_met": choice.probability(likeliest)
+        },
+        "limits": [_binding_facts(b) for b in worked.bindings],
+        "samples": [asdict(one) for one in worked.influences],
+        "weak": [
+            {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in weak_spots(choice)
         ],
+        "next_sample": None if worked.next is None else {
+            "infra": choice.offers.offer(worked.next.row).infra, "instance": str(choice.offers.instance[worked.next.row]),
+            "gain": worked.next.gain, "probability_better": worked.next.probability_better, "usd": worked.next.usd,
+        },
         "models": [model.model_dump(mode="json") for model in chosen.models.spec.models],
         "alternatives": [] if chosen.manifest is None else chosen.manifest.model_dump(mode="json")["alternatives"],
     }  # fmt: skip
 
 
-def bindings(choice: Choice) -> list[Binding]:
-    """Every limit at the chosen machine; none when nothing was chosen."""
-    row = choice.chosen
-    if row is None:
-        return []
-    found = []
-    for name, bound in choice.bounds.items():
-        others = choice.eligible.copy()
-        for other, limit in choice.bounds.items():
-            if other != name:
-                others &= choice.values[other] <= limit
-        alone = others & ~(choice.values[name] <= bound)
-        better = np.flatnonzero(alone & (choice.objective < choice.objective[row]))
-        nearest = int(better[np.argmin(choice.values[name][better])]) if len(better) else None
-        found.append(Binding(
-            name, bound, float(choice.values[name][row]), int(alone.sum()),
-            None if nearest is None else float(choice.values[name][nearest]),
-            None if nearest is None else str(choice.offers.instance[nearest]),
-        ))  # fmt: skip
-    return found
+def _binding_facts(b: Binding) -> dict[str, Any]:
+    return {
+        "limit": b.limit, "bound": limit_text(b.limit, b.bound), "value": limit_text(b.limit, b.value),
+        "needs": limit_text(b.limit, b.needs), "rules_out_alone": b.rules_out_alone, "changes_to": b.changes_to,
+        "changes_at": None if b.changes_at is None else limit_text(b.limit, b.changes_at),
+    }  # fmt: skip
 
 
 def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
     row = choice.chosen
     assert row is not None
-    parts = " and ".join(f"{name} / {divisor}" for name, divisor in scale.items())
+    terms = " and ".join(f"{name} / {divisor}" for name, divisor in scale.items())
+    pool, meet = int(choice.pool.sum()), int(choice.feasible.sum())
+    among = f"the {meet} machines that meet all limits"
+    if pool < meet:
+        among = f"the {pool} measured machines of {meet} that meet all limits"
     lines = [
-        f"why       smallest weighed sum, {units.format_number(rounded(float(choice.objective[row])))}, of {parts}, "
-        f"among the {int(choice.feasible.sum())} machines that meet all limits"
+        f"why       smallest weighed sum, {units.format_number(rounded(float(choice.objective[row])))}, of {terms}, "
+        f"among {among}"
     ]
-    probability = (
-        None if "latency" not in choice.bounds else choice.latency.probability_below(row, choice.bounds["latency"])
-    )
-    if probability is not None:
+    probability = choice.probability(row)
+    if probability is not None and choice.bounds:
+        how = "measured" if choice.latency.measured[row] else "not measured: see the sample below"
         lines.append(
-            f"sure      the latency limit is met with probability {probability:.3f}; intervals hold {LEVEL:.0%}"
+            f"sure      all limits are met with probability {probability:.3f} (asked {choice.confidence:g}); {how}"
         )
     return lines
+
+
+def _infeasible(choice: Choice) -> list[str]:
+    row = choice.likeliest
+    if row is None:
+        return []
+    probability = choice.probability(row) or 0.0
+    offer = choice.offers.offer(row)
+    sure = "the model is sure that none does" if probability < 1 - choice.confidence else "the model is not sure"
+    return [
+        f"  most likely to meet all limits: {offer.instance} in {offer.infra}, with probability {probability:.2f}: {sure}"
+    ]
 
 
 def _funnel(compiled: Compiled) -> str:
@@ -125,12 +156,60 @@ def _binding_words(binding: Binding) -> str:
     name = binding.limit
     room = (1 - binding.value / binding.bound) if binding.bound else 0.0
     words = f"{name}: {limit_text(name, binding.value)} of at most {limit_text(name, binding.bound)}, {room:.0%} room"
+    words += f"; the choice holds down to {limit_text(name, binding.needs)}"
     words += f"; alone it rules out {binding.rules_out_alone} machines"
     if binding.changes_at is not None:
         words += f"; at {limit_text(name, binding.changes_at)} it would let in {binding.changes_to}, which is better"
     elif binding.rules_out_alone:
         words += ", none of them better"
     return words
+
+
+def _model(compiled: Compiled, found: Analysis) -> list[str]:
+    assert compiled.chosen is not None
+    choice, body = compiled.chosen.choice, compiled.chosen.models.spec
+    lines = []
+    if not body.measured_on_local:
+        beside = f" and machine library {body.predictor.priors}" if body.predictor.priors else ""
+        lines.append(f"  surrogate on {len(body.known)} samples{beside}{_foretold(found.influences)}")
+    for one in weak_spots(choice):
+        interval = choice.latency.interval(one.row, LEVEL) or (0.0, 0.0)
+        low, high = (units.format_duration(rounded(end)) for end in interval)
+        lines.append(f"  weak: {choice.offers.instance[one.row]} [{low}, {high}], a factor of {one.ratio:.2f}")
+    return lines + [f"  curve: {_model_words(model)}" for model in body.models]
+
+
+def _foretold(found: list[Influence]) -> str:
+    known = sorted(one.missed_by for one in found if one.missed_by == one.missed_by)
+    if not known:
+        return ""
+    covered = sum(one.covered for one in found)
+    return (
+        f": each left out in turn is foretold within {known[len(known) // 2]:.1%} (median), {known[-1]:.1%} at most; "
+        f"{covered} of {len(found)} lie in their {LEVEL:.0%} interval"
+    )
+
+
+def _influence_words(one: Influence) -> str:
+    then = f"{one.changes_to} would be chosen" if one.changes_to else "no machine would meet the limits"
+    change = f"without it {then}" if one.changes else "without it the choice stays"
+    return f"{one.id}: {change}; predictions move by {one.moves:.1%} (median)"
+
+
+def _next_words(choice: Choice, found: Next | None, local: bool) -> str:
+    if local:
+        return "any machine of the catalog: shapes of one host do not tell how fast its machines are"
+    if found is None:
+        return "nothing is left to measure that could tell more"
+    offer = choice.offers.offer(found.row)
+    words = f"{offer.instance} in {offer.infra}, at most {money(found.usd)}: "
+    if choice.chosen is None:
+        return f"{words}meets the limits with probability {choice.probability(found.row) or 0:.2f}"
+    if found.row == choice.chosen:
+        return f"{words}it is the choice: measuring it verifies it"
+    return (
+        f"{words}better than the choice with probability {found.probability_better:.2f}, by {found.gain:.2%} on average"
+    )
 
 
 def _model_words(model: Model) -> str:
@@ -151,11 +230,24 @@ def _others(compiled: Compiled) -> list[str]:
     if chosen.manifest is None:
         nearest = chosen.choice.nearest
         return [] if nearest is None else [f"  nearest   {entry_words(entry_of(chosen.choice, nearest))}"]
+    rows = stand_outs(chosen.choice)
     return [
         f"  {a.role:<9} {a.instance} in {a.infra}, {units.format_price(a.price)}: {units.format_duration(a.latency)}, "
-        f"{units.format_cost(a.cost)}; {a.why_not}"
+        f"{units.format_cost(a.cost)}; {a.why_not}{_rival(compiled, rows[a.role])}"
         for a in chosen.manifest.alternatives
     ]
+
+
+def _rival(compiled: Compiled, row: int) -> str:
+    """On which part of the objective a machine that meets the limits lost, and how probably it is better after all."""
+    assert compiled.chosen is not None
+    choice, app = compiled.chosen.choice, compiled.application
+    if choice.chosen is None or not choice.feasible[row]:
+        return ""
+    both = zip(parts(app, choice, row), parts(app, choice, choice.chosen), strict=True)
+    words = ", ".join(f"{name} {own - best:+.3f}" for (name, own), (_, best) in both)
+    better = probability_better(app, compiled.chosen.predicted, choice, row)
+    return f" ({words})" + ("" if better is None else f"; better after all with probability {better:.2f}")
 
 
 def _unmeasured(compiled: Compiled) -> str:

@@ -34,6 +34,7 @@ class Started:
     lifetime_s: float
     at_s: float
     boot: str
+    instead_of: str | None = None
 
     @property
     def commitment_usd(self) -> float:
@@ -49,6 +50,7 @@ class Book:
     unwritten: dict[str, tuple[Started, Measured]] = field(default_factory=dict)
     spent_usd: float = 0.0
     campaign: dict[str, Any] | None = None
+    campaigns: int = 0
     attempts: int = 0
 
     @property
@@ -61,9 +63,11 @@ class Book:
         kind = entry["do"]
         if kind == "campaign":
             self.campaign, self.spent_usd = entry, float(entry["base_usd"])
+            self.campaigns += 1
         elif kind == "start":
             sample = Sample.model_validate(entry["sample"])
-            facts = {key: entry[key] for key in Started.__slots__ if key != "sample"}
+            known = {"instead_of": None, **entry}
+            facts = {key: known[key] for key in Started.__slots__ if key != "sample"}
             self.open[entry["name"]] = Started(sample=sample, **facts)
             self.attempts += 1
         elif kind == "end":

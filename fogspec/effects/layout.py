@@ -68,6 +68,16 @@ class Layout:
         return self.compiled / "menu.svg"
 
     @property
+    def latencies(self) -> Path:
+        """The latency models as a picture."""
+        return self.compiled / "latency.svg"
+
+    @property
+    def page(self) -> Path:
+        """The report."""
+        return self.compiled / "report.html"
+
+    @property
     def manifest(self) -> Path:
         """The pinned manifest."""
         return self.compiled / "manifest.yaml"
@@ -77,10 +87,24 @@ class Layout:
         """The task that runs the cloud nodes."""
         return self.compiled / "deploy.sky.yaml"
 
+    def fallback(self, number: int) -> Path:
+        """The task for the machine that comes next when the chosen one cannot be had; the first has number 1."""
+        return self.compiled / f"deploy.fallback-{number}.sky.yaml"
+
     @property
     def robot(self) -> Path:
         """The launch file of what stays on the robot."""
         return self.compiled / "robot.launch.py"
+
+    @property
+    def cloud(self) -> Path:
+        """The launch file of what runs in the cloud."""
+        return self.compiled / "cloud.launch.py"
+
+    @property
+    def link(self) -> Path:
+        """Folder of the link's configuration and script, for both ends."""
+        return self.compiled / "link"
 
     @property
     def results(self) -> Path:
@@ -96,6 +120,20 @@ class Layout:
     def state(self) -> Path:
         """Live state, journals and locks; not in git."""
         return self.root / ".fogspec" / self.name
+
+    @property
+    def live(self) -> Path:
+        """What runs."""
+        return self.state / "deployment.yaml"
+
+    @property
+    def deployed(self) -> Path:
+        """Folder of what belongs to machines that run."""
+        return self.state / "deployed"
+
+    def beside_manifest(self, path: Path) -> str:
+        """A path as the manifest writes it: relative to its folder."""
+        return Path(os.path.relpath(path, self.compiled)).as_posix()
 
     def relative(self, path: Path) -> str:
         """A path as written into files: relative to the root, with forward slashes."""

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from fogspec.base import digest
-from fogspec.base.outcomes import WrongFile
+from fogspec.base.outcomes import Differs, WrongFile
 from fogspec.effects.files import write_bytes
+from fogspec.effects.layout import Layout
 from fogspec.effects.suites import LATENCY_COLUMNS, found, read_latencies, read_machines
+from fogspec.lock import Pins
 from fogspec.numerics.priors import Library
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # archives of the same data have the same bytes
@@ -36,6 +38,20 @@ def read_library(path: Path) -> Library:
         log_latency=np.log(np.array([measured.latency_s[w] for w in workloads])),
         digest=digest.of_value([digest.of_bytes(machines.read_bytes()), digest.of_bytes(latencies.read_bytes())]),
     )
+
+
+def locked_library(layout: Layout, pins: Pins | None) -> Library | None:
+    """The machine library that the lock names, None where it names none; raises Differs when it is another one by now."""
+    if pins is None or pins.priors is None:
+        return None
+    path = layout.root / pins.priors.origin
+    library = read_library(path)
+    if library.digest != pins.priors.digest:
+        raise Differs(
+            f"{layout.name}: the machine library {path} is not the one that {layout.lock} pins",
+            f"fogspec lock {layout.spec} --priors {path}",
+        )
+    return library
 
 
 def write_library(path: Path, machines: Sequence[dict[str, Any]], latencies: Sequence[dict[str, Any]]) -> None:

@@ -23,20 +23,24 @@ def start_ticks(pid: int) -> int | None:
 
 
 @contextlib.contextmanager
-def held(path: Path, what: str) -> Iterator[None]:
+def held(path: Path, what: str, remove: bool = False) -> Iterator[None]:
     """Hold the lock at `path`; raises Refused, naming the holder, when another process has it.
 
-    The file stays: removing it would let two processes lock two files of one name. What stands in it is for
-    people; the kernel's lock decides, so that a holder that was killed leaves nothing to clean up.
+    What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
+    to clean up. With `remove` the file goes when it is over; a lock on a file that has gone is no lock: it is taken anew.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "a+", encoding="utf-8") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise Refused(
-                f"{what} is already running{_holder(path)}", "wait for it, or stop it with Ctrl-C there"
-            ) from None
+    with contextlib.ExitStack() as files:
+        while True:
+            file = files.enter_context(open(path, "a+", encoding="utf-8"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise Refused(
+                    f"{what} is already running{_holder(path)}", "wait for it, or stop it with Ctrl-C there"
+                ) from None
+            if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                break
         file.truncate(0)
         json.dump({"pid": os.getpid(), "start_ticks": start_ticks(os.getpid()), "host": os.uname().nodename}, file)
         file.flush()
@@ -44,6 +48,8 @@ def held(path: Path, what: str) -> Iterator[None]:
             yield
         finally:
             file.truncate(0)
+            if remove:
+                path.unlink(missing_ok=True)
 
 
 def _holder(path: Path) -> str:

@@ -1,5 +1,6 @@
 """The menu on demand: other limits or another alpha over what was measured, and the menu as a table."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,13 +9,37 @@ from fogspec.admissible import admit
 from fogspec.base import units
 from fogspec.base.outcomes import Differs
 from fogspec.catalog import Catalog
+from fogspec.choice import Choice
 from fogspec.effects.choosing import decide, warnings_of
+from fogspec.effects.drawing import menu_chart
 from fogspec.effects.layout import Layout
+from fogspec.effects.libraries import locked_library
 from fogspec.effects.measured import read_results
+from fogspec.effects.pictures.text import plot
+from fogspec.effects.pinning import read_pins
 from fogspec.effects.summarising import entry_words, no_words
 from fogspec.menu import Entry, Menu, make_menu
-from fogspec.models import fit
+from fogspec.models import fit, targets
+from fogspec.numerics.priors import Library
+from fogspec.predicting import predict
 from fogspec.spec import Application
+
+NO_LIMIT = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """A menu, and the choice that it says."""
+
+    application: Application
+    choice: Choice
+    menu: Menu
+
+    def plot(self, width: int, color: bool) -> str:
+        """The menu as a picture of plain characters; empty where no machine can be predicted."""
+        if not len(self.choice.front):
+            return ""
+        return "\n".join(plot(menu_chart(self.application, self.choice, []), width, color))
 
 
 def menu_of(
@@ -24,7 +49,8 @@ def menu_of(
     alpha: float | None,
     latency: str | None,
     cost: str | None,
-) -> Menu:
+    library: Library | None = None,
+) -> Served:
     """The menu of a measured application under other limits; raises Differs when it was not measured, UnitError."""
     layout = Layout.of(path, application.metadata.name)
     results = read_results(layout)
@@ -32,19 +58,22 @@ def menu_of(
         what = "was not measured yet" if results is None else "has changed since it was measured"
         raise Differs(f"{layout.name} {what}: there is no menu", f"fogspec bench {layout.spec}")
     application = changed(application, alpha, latency, cost)
-    models = fit(application, results)
-    choice, _ = decide(application, models, admit(catalog, application.spec.hardware, application.spec.infra))
-    return make_menu(application, choice, warnings_of(application, models, choice))
+    library = library or locked_library(layout, read_pins(layout))
+    models = fit(application, results, library.digest if library else None)
+    offers = admit(catalog, application.spec.hardware, application.spec.infra).offers
+    choice, _ = decide(application, models, predict(models, offers, targets(application), catalog, library))
+    menu = make_menu(application, choice, warnings_of(application, models, choice))
+    return Served(application, choice, menu)
 
 
 def changed(application: Application, alpha: float | None, latency: str | None, cost: str | None) -> Application:
-    """The application with other limits or another alpha."""
+    """The application with other limits or another alpha; `none` takes a limit away."""
     spec = application.spec
     limits: dict[str, Any] = {}
     if latency is not None:
-        limits["latency"] = units.parse_duration_s(latency)
+        limits["latency"] = None if latency == NO_LIMIT else units.parse_duration_s(latency)
     if cost is not None:
-        limits["cost"] = units.parse_cost_usd_per_request(cost)
+        limits["cost"] = None if cost == NO_LIMIT else units.parse_cost_usd_per_request(cost)
     objective = spec.objective if alpha is None else spec.objective.model_copy(update={"alpha": alpha})
     constraints = spec.constraints.model_copy(update=limits)
     return application.model_copy(
@@ -52,8 +81,8 @@ def changed(application: Application, alpha: float | None, latency: str | None, 
     )
 
 
-def show(menu: Menu) -> str:
-    """The menu as text: the named choices, then the Pareto front of cost and latency."""
+def show(menu: Menu, picture: str = "") -> str:
+    """The menu as text: the named choices, a picture, then the Pareto front of cost and latency."""
     body = menu.spec
     limits = ", ".join(f"{name} at most {bound}" for name, bound in body.limits.items()) or "none"
     lines = [
@@ -67,6 +96,7 @@ def show(menu: Menu) -> str:
         for role in ("balanced", "cheapest", "fastest"):
             entry: Entry = getattr(body, role)
             lines.append(f"{role:<9} {entry_words(entry)}")
+    lines += ["", picture] if picture else []
     lines += ["", f"Pareto front, cost of one request against {body.statistic} latency:", *_table(body.front)]
     lines += ["", f"Pareto front, price of an hour against {body.statistic} latency:", *_table(body.hourly_front)]
     return "\n".join(lines)

@@ -82,7 +82,7 @@ def _key(page: FieldPage) -> str:
 
 
 def _md(text: Any) -> str:
-    return str(text).replace("<", "&lt;").replace("*", "\\*").replace("|", "\\|")
+    return str(text).replace("<", "&lt;").replace("*", "\\*").replace("|", "\\|").replace("](", "]\\(")
 
 
 def _indented(text: str) -> str:

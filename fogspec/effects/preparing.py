@@ -8,14 +8,13 @@ from typing import Any
 from fogspec import stages
 from fogspec.base import digest
 from fogspec.base.outcomes import Differs, WrongCommand
-from fogspec.effects import collecting
 from fogspec.effects.layout import Layout
 from fogspec.effects.measured import read_results
 from fogspec.effects.pinning import drift, read_pins
 from fogspec.effects.specfiles import read_document
 from fogspec.lock import pins_of_measurement
 from fogspec.plan import Plan, Sample
-from fogspec.results import Results
+from fogspec.results import Results, done
 from fogspec.spec import Application
 
 
@@ -23,7 +22,8 @@ from fogspec.spec import Application
 class Prepared:
     """What is to be measured: `todo` of the plan's samples, by tasks that are as they were reviewed.
 
-    `results` are those that count already; `outdated` says that the file on disk measured something else.
+    `results` are those that count already; `outdated` says that the file on disk measured something else; `only`
+    that the samples were named by the user.
     """
 
     application: Application
@@ -33,6 +33,7 @@ class Prepared:
     tasks: Mapping[str, Mapping[str, Any]]
     results: Results | None
     outdated: bool
+    only: bool
     todo: tuple[Sample, ...]
 
 
@@ -64,7 +65,7 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
     counting = None if outdated else results
     return Prepared(
         application, layout, plan, digest.of_bytes(layout.plan.read_bytes()), tasks, counting, outdated,
-        tuple(_todo(plan, counting, only)),
+        bool(only), tuple(_todo(plan, counting, only)),
     )  # fmt: skip
 
 
@@ -75,8 +76,6 @@ def _changed(application: Application, plan: Plan) -> str:
 
 
 def _task(layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
-    from ruamel.yaml import YAML
-
     if sample.task is None:
         raise Differs(f"{layout.plan}: sample {sample.id} has no task", again)
     path = layout.compiled / sample.task.path
@@ -85,6 +84,13 @@ def _task(layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
     content = path.read_bytes()
     if digest.of_bytes(content) != sample.task.digest:
         raise Differs(f"{path} is not what was compiled: what is reviewed is what runs", again)
+    return read_task(content)
+
+
+def read_task(content: bytes) -> Mapping[str, Any]:
+    """A compiled task, parsed."""
+    from ruamel.yaml import YAML
+
     task: Mapping[str, Any] = YAML(typ="safe", pure=True).load(content)
     return task
 
@@ -95,5 +101,5 @@ def _todo(plan: Plan, results: Results | None, only: Sequence[str]) -> list[Samp
         raise WrongCommand(f"the plan has no sample {', '.join(unknown)}", f"samples: {', '.join(known)}")
     if only:
         return [known[name] for name in dict.fromkeys(only)]
-    records = {record.id: record for record in results.spec.samples} if results else {}
-    return [s for s in plan.spec.samples if s.id not in records or not collecting.finished(records[s.id])]
+    measured = done(results)
+    return [sample for sample in plan.spec.samples if sample.id not in measured]

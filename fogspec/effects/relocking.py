@@ -9,7 +9,7 @@ from fogspec.base.outcomes import WrongCommand
 from fogspec.catalog import About
 from fogspec.effects.layout import Layout
 from fogspec.effects.pinning import files_beside, read_lock, read_pins
-from fogspec.lock import CatalogPin, ImagePin, Lock, LockBody, Pins, image_named, is_pinned
+from fogspec.lock import CatalogPin, ImagePin, Lock, LockBody, Pins, PriorsPin, image_named, is_pinned
 from fogspec.spec import Application
 
 ALL = "all"
@@ -17,12 +17,16 @@ ALL = "all"
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """One application to lock: `origin` is what `--catalog` says for it, `about` the catalog found there."""
+    """One application to lock: `origin` is what `--catalog` says for it, `about` the catalog found there.
+
+    `priors` is the machine library that `--priors` names, None to leave what is locked.
+    """
 
     application: Application
     layout: Layout
     origin: str
     about: About
+    priors: PriorsPin | None = None
 
 
 def relock(
@@ -47,7 +51,9 @@ def relock(
             found[path] = dict(before.spec.applications) if before else {}
         image = _image(one.application, old, upgrade, ask)
         files = files_beside(one.application, one.layout)
-        found[path][name] = Pins(catalog=_catalog(one, old, upgrade), image=image, files=files)
+        found[path][name] = Pins(
+            catalog=_catalog(one, old, upgrade), image=image, priors=one.priors or (old.priors if old else None), files=files
+        )  # fmt: skip
     return {path: Lock(spec=LockBody(applications=pins)) for path, pins in found.items()}
 
 
@@ -94,4 +100,5 @@ def _flat(pins: Pins | None) -> dict[str, str]:
     if pins is None:
         return {}
     image = {f"image {pins.image.image}": pins.image.digest} if pins.image else {}
-    return {"catalog": f"{pins.catalog.origin} ({pins.catalog.digest})", **image, **pins.files}
+    priors = {"priors": f"{pins.priors.origin} ({pins.priors.digest})"} if pins.priors else {}
+    return {"catalog": f"{pins.catalog.origin} ({pins.catalog.digest})", **image, **priors, **pins.files}

@@ -20,6 +20,7 @@ KINDS = {
     "Models": "fogspec.models:Models",
     "Menu": "fogspec.menu:Menu",
     "DeploymentManifest": "fogspec.manifest:Manifest",
+    "LiveState": "fogspec.deployment:LiveState",
 }
 POSITIVE = "(?=[^eE/]*[1-9])"  # a quantity above zero, before its exponent and its unit
 
@@ -83,6 +84,8 @@ def _tidy(node: Any) -> None:
         _tidy(child)
     if not isinstance(node, dict):
         return
+    if "patternProperties" in node:
+        node.setdefault("additionalProperties", False)  # keys that are no names
     choices = node.get("anyOf")
     if isinstance(choices, list) and len(choices) == 2 and choices[1] == {"type": "null"} and "type" in choices[0]:
         del node["anyOf"]

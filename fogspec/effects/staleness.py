@@ -15,14 +15,15 @@ from fogspec.base.diagnostics import Problems
 from fogspec.base.nodes import plain
 from fogspec.base.outcomes import Outcome
 from fogspec.catalog import Catalog
-from fogspec.effects.compiling import Compiled, compile_application, done, money
+from fogspec.effects.compiling import Compiled, compile_application, money
 from fogspec.effects.layout import Layout
 from fogspec.effects.measured import read_results
 from fogspec.effects.pinning import drift, read_pins
 from fogspec.effects.specfiles import read_document, read_nodes
+from fogspec.keeping import still_serves
 from fogspec.lock import pins_of_measurement
 from fogspec.plan import Plan, PlanBody, TaskRef
-from fogspec.results import Results
+from fogspec.results import Results, done
 from fogspec.spec import Application
 
 State = Literal["fresh", "partial", "stale", "missing"]
@@ -153,6 +154,12 @@ def _results(application: Application, layout: Layout, compiled: Compiled, resul
     unlocked = () if results.spec.pins or not compiled.plan.spec.pins else ("measured before anything was locked",)
     if left:
         why = f"{len(left)} of {len(samples)} samples to measure: {', '.join(sorted(left)[:NAMED])}"
+        return Stage("results", layout.results, "partial", (why,), unlocked)
+    sampling = compiled.results.spec.sampling if compiled.plan.spec.sampler == "adaptive" else None
+    if sampling is not None and sampling.ended is None:
+        return Stage("results", layout.results, "partial", ("the next machines are to be asked for",), unlocked)
+    if sampling is not None and not still_serves(application, sampling):
+        why = "the search box has grown since machines were asked for"
         return Stage("results", layout.results, "partial", (why,), unlocked)
     return Stage("results", layout.results, "fresh", (), unlocked)
 

@@ -12,7 +12,8 @@ from fogspec.choice import latency_limit_s
 from fogspec.effects.suites import number, problem, rows
 from fogspec.evaluation.replay import Noise
 from fogspec.evaluation.suite import Problem, Setting
-from fogspec.numerics.features import Floats, Machines, codes
+from fogspec.instances import machines_of
+from fogspec.numerics.features import Floats, Machines
 from fogspec.spec import Application
 
 COLUMNS = ("instance_type", "latency_s")
@@ -68,18 +69,6 @@ def read_sweep(path: Path, application: Application, catalog: Catalog) -> Sweep:
     return Sweep(_posed(application, truth, machines), machines, names, Noise(again), tuple(left_out))
 
 
-def machines_of(offers: Catalog) -> Machines:
-    """The offers as the models read them; what a catalog does not say is unknown."""
-    unknown = [""] * len(offers)
-    return Machines(
-        vcpus=offers.vcpus, memory_gib=offers.memory_gib, price_usd_per_hour=offers.price_usd_per_hour,
-        family=codes(list(offers.family)), arch=codes(list(offers.arch)), cloud=codes(list(offers.cloud)),
-        cpu_model=codes(unknown), gpu=codes(list(offers.gpu)), gpu_count=offers.gpu_count,
-        gpu_memory_gib=offers.gpu_memory_gib, physical_cores=offers.physical_cores, clock_ghz=offers.clock_ghz,
-        burstable=offers.burstable,
-    )  # fmt: skip
-
-
 def _cheapest(offers: Catalog, name: str, infra: str | None) -> int | None:
     there = (offers.instance == name) & ~offers.spot
     if infra:
@@ -89,13 +78,18 @@ def _cheapest(offers: Catalog, name: str, infra: str | None) -> int | None:
 
 
 def _posed(application: Application, truth_s: Floats, machines: Machines) -> Problem:
-    """The spec's objective and limits; a scale that it does not give is its limit, else the best attainable."""
+    """The spec's objective and limits; a scale that it does not give is its limit, else the best attainable.
+
+    Data transfer costs the same on every machine: it is taken off the limit on the cost.
+    """
     objective, limits = application.spec.objective, application.spec.constraints
     rate = objective.rate if objective.billing == "provisioned" else None
     hourly = machines.price_usd_per_hour / 3600
     cost = hourly / rate if rate else hourly * truth_s
     latency_limit = latency_limit_s(application)
-    setting = Setting("spec", objective.alpha, latency_limit, limits.cost, rate)
+    data = objective.transfer.per_request * objective.transfer.price
+    cost_limit = None if limits.cost is None else limits.cost - data
+    setting = Setting("spec", objective.alpha, latency_limit, cost_limit, rate)
     return Problem(
         id=application.metadata.name, kind="sweep", workload=application.metadata.name, suite="",
         rows=np.arange(len(truth_s)), latency_s=truth_s,

@@ -1,13 +1,14 @@
 """A status in words, and as data."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from fogspec.effects.compiling import money
 from fogspec.effects.staleness import Status
 
 
-def words(one: Status) -> str:
-    """A line a stage, and why under it."""
+def words(one: Status, running: Sequence[str] = ()) -> str:
+    """A line a stage, and why under it; `running` are lines about what runs."""
     lines = [one.layout.name]
     for stage in one.stages:
         lines.append(f"  {stage.name:<9} {stage.state:<8} {stage.path}")
@@ -16,14 +17,14 @@ def words(one: Status) -> str:
         lines.append(f"  cannot be compiled: {one.refused}")
     budget = "" if one.budget_usd is None else f" of a budget of {money(one.budget_usd)}"
     lines.append(f"  {'spent':<9} {money(one.spent_usd)}{budget}")
-    return "\n".join([*lines, *_next(one)])
+    return "\n".join([*lines, *running, *_next(one)])
 
 
 def _next(one: Status) -> list[str]:
     states = {stage.name: stage.state for stage in one.stages}
     if one.fresh or one.refused is not None:
         return []
-    if states.get("plan") == "fresh" and one.to_measure:
+    if states.get("plan") == "fresh" and (one.to_measure or states.get("results") == "partial"):
         return [f"next: fogspec bench {one.layout.spec}"]
     return [f"next: fogspec compile {one.layout.spec}"]
 

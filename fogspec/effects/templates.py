@@ -28,10 +28,23 @@ def _environment() -> jinja2.Environment:
         keep_trailing_newline=True,
     )
     environment.filters["sh"] = lambda value: shlex.quote(str(value))
-    environment.filters["py"] = repr
+    environment.filters["py"] = python
+    environment.filters["comment"] = lambda text: "".join(c if c.isprintable() else "?" for c in str(text))
     environment.filters["json"] = lambda value: json.dumps(value, sort_keys=True, ensure_ascii=False)
     environment.filters["xml"] = lambda value: str(escape(value))
     return environment
+
+
+def python(value: Any, indent: int = 0) -> str:
+    """The value as a Python expression: on one line if it fits, else a line an entry, set in by `indent` spaces."""
+    text = repr(value)
+    if len(text) + indent <= 100 or not isinstance(value, (dict, list)):
+        return text
+    inner = " " * (indent + 4)
+    if isinstance(value, dict):
+        lines = [f"{inner}{key!r}: {python(one, indent + 4)},\n" for key, one in value.items()]
+        return "{\n" + "".join(lines) + " " * indent + "}"
+    return "[\n" + "".join(f"{inner}{python(one, indent + 4)},\n" for one in value) + " " * indent + "]"
 
 
 def render(template: str, /, **values: Any) -> str:

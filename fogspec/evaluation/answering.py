@@ -10,7 +10,7 @@ from fogspec.numerics import fitting, relaxed
 from fogspec.numerics.acquisition import choose
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.numerics.features import Floats
-from fogspec.numerics.surrogate import observations
+from fogspec.numerics.samples import observations
 
 Method = Callable[[Case, Setting, Meter], Run]
 

@@ -10,7 +10,7 @@ from fogspec.evaluation.replay import Case, Meter
 from fogspec.evaluation.suite import Problem, Setting
 from fogspec.numerics.acquisition import Policy, next_wave
 from fogspec.numerics.design import edge_grid
-from fogspec.numerics.surrogate import observations
+from fogspec.numerics.samples import observations
 
 Sampler = Callable[[Case, Setting, int], Meter]
 RANDOM_SAMPLES = 9  # as many as the paper's grid has cells

@@ -1,11 +1,20 @@
 """Which machines to measure next, when to stop, and which one to choose."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from fogspec.numerics.features import Floats
-from fogspec.numerics.surrogate import DEFAULT_NOISE, Posterior
+from fogspec.numerics.samples import DEFAULT_NOISE
+from fogspec.numerics.surrogate import Posterior
+
+
+class Question(Protocol):
+    """What the sampler asks for."""
+
+    def drawn(self, posterior: Posterior) -> Floats:
+        """What each machine is worth in each joint draw (S, N), small being good; infinite where it breaks a limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +35,12 @@ class Objective:
     def value(self, latency_s: Floats) -> Floats:
         """The objective at these latencies, (..., N)."""
         return np.asarray(self.slope * latency_s + self.offset)
+
+    def drawn(self, posterior: Posterior) -> Floats:
+        """What each machine is worth in each joint draw (S, N); a measured one may use the limits' tolerance."""
+        limit = self.limit_s * np.where(posterior.measured, 1 + self.tolerance, 1.0)
+        latency = np.exp(posterior.draws)
+        return np.where(latency <= limit, self.value(latency), np.inf)
 
 
 def busy(
@@ -139,13 +154,16 @@ def choose(posterior: Posterior, objective: Objective, *, measured_only: bool = 
 
 def next_wave(
     posterior: Posterior,
-    objective: Objective,
+    question: Question,
     *,
     sample_cost: Floats,
     left: float = np.inf,
     policy: Policy | None = None,
+    barred: np.ndarray | None = None,
 ) -> Wave:
     """The next machines to measure within the money left; `sample_cost` (N,) is what one sample of each costs.
+
+    `barred` (N,) machines are not asked for.
 
     The first wave spreads over what is uncertain (A-optimal design per price), later waves follow expected
     improvement under the limits per price (Alipourfard et al., CherryPick, NSDI 2017; Gelbart et al., Bayesian
@@ -158,58 +176,54 @@ def next_wave(
         return Wave((), f"{policy.most} samples were taken, the most allowed")
     untried = np.ones(len(sample_cost), dtype=bool)
     untried[tried] = False
+    if barred is not None:
+        untried &= ~barred
     if not untried.any():
         return Wave((), "every machine was measured")
     if sample_cost[untried].min() > left:
         return Wave((), f"the cheapest further sample costs {sample_cost[untried].min():.4g}, {left:.4g} is left")
     if not posterior.measured.any() and len(tried) < 2 * policy.first:
         return _spread(posterior, sample_cost, left, untried, min(policy.first, room))
-    return _improving(posterior, objective, sample_cost, left, untried, policy, min(policy.wave, room))
+    return _improving(
+        question.drawn(posterior), posterior.measured, sample_cost, left, untried, policy, min(policy.wave, room)
+    )
 
 
 def _spread(posterior: Posterior, cost: Floats, left: float, untried: np.ndarray, count: int) -> Wave:
     """Greedy: the machine that takes most variance off all machines for its price, given those before it."""
-    draws = posterior.draws - posterior.draws.mean(0)
-    covariance = draws.T @ draws / len(draws)
+    draws = (posterior.draws - posterior.draws.mean(0)) / np.sqrt(len(posterior.draws))
     chosen: list[int] = []
     for _ in range(count):
         usable = untried & (cost <= left)
         if not usable.any():
             break
-        variance = np.diag(covariance) + DEFAULT_NOISE**2
-        gain = (covariance**2).sum(0) / variance
-        best = int(np.argmax(np.where(usable, gain / cost, -1.0)))
+        # The covariance is draws' draws; the sum of a column's squares needs no matrix of all machines.
+        own = (draws**2).sum(0)
+        taken = ((draws @ draws.T @ draws) * draws).sum(0) / (own + DEFAULT_NOISE**2)
+        best = _first(np.where(usable, taken / cost, -1.0), cost)
         chosen.append(best)
         left -= float(cost[best])
         untried[best] = False
-        covariance = covariance - np.outer(covariance[best], covariance[best]) / variance[best]
+        known = draws[:, best] / np.sqrt(own[best])
+        kept = np.sqrt(DEFAULT_NOISE**2 / (own[best] + DEFAULT_NOISE**2))
+        draws = draws - (1 - kept) * np.outer(known, known @ draws)
     return Wave(tuple(chosen), "spread over what is uncertain")
 
 
 def _improving(
-    posterior: Posterior,
-    objective: Objective,
-    cost: Floats,
-    left: float,
-    untried: np.ndarray,
-    policy: Policy,
-    count: int,
+    value: Floats, known: np.ndarray, cost: Floats, left: float, untried: np.ndarray, policy: Policy, count: int
 ) -> Wave:
     """By the expected gain of each machine over the best of those measured and of the wave before it."""
-    latency = np.exp(posterior.draws)
-    known = posterior.measured
-    limit = objective.limit_s * np.where(known, 1 + objective.tolerance, 1.0)
-    value = np.where(latency <= limit, objective.value(latency), np.inf)
     best = np.min(value[:, known], axis=1, initial=np.inf)
     asked = policy.worth * cost / cost.mean()
     chosen: list[int] = []
     worth: list[float] = []
     for _ in range(count):
-        expected = _gain(value, best)
+        expected = gain(value, best)
         usable = untried & (cost <= left) & (expected >= asked)
         if not usable.any():
             break
-        pick = int(np.argmax(np.where(usable, expected / cost, -1.0)))
+        pick = _first(np.where(usable, expected / cost, -1.0), cost)
         chosen.append(pick)
         worth.append(float(expected[pick]))
         left -= float(cost[pick])
@@ -222,7 +236,15 @@ def _improving(
     return Wave(tuple(chosen), "expected improvement per price", tuple(worth))
 
 
-def _gain(value: Floats, best: Floats) -> Floats:
+def _first(score: Floats, cost: Floats) -> int:
+    """The machine of the highest score; what differs in the seventh digit is a tie, which the lower cost decides."""
+    with np.errstate(divide="ignore"):
+        scale = 10.0 ** (5 - np.floor(np.log10(max(float(score.max()), 1e-300))))
+    tied = np.flatnonzero(np.round(score * scale) == np.round(score.max() * scale))
+    return int(tied[np.argmin(cost[tied])])
+
+
+def gain(value: Floats, best: Floats) -> Floats:
     """Expected relative gain (N,) of each machine over the best so far (draws,); the first to meet the limits gains 1."""
     with np.errstate(invalid="ignore"):
         over = np.where(np.isfinite(best)[:, None], 1 - value / best[:, None], 1.0)

@@ -28,17 +28,14 @@ class Fit:
     """One pair of families fitted to n samples.
 
     `loo` holds, for each sample, the relative error (predicted - measured) / |measured| of the fit without
-    it, NaN where that fit does not exist; `residuals` are measured - fitted; `covariance` is the inverse of
-    JᵀJ, p x p, without the noise variance.
+    it, NaN where that fit does not exist.
     """
 
     shape: Shape
     coefficients: tuple[float, ...]
     n: int
     r2: float
-    residuals: tuple[float, ...]
     loo: tuple[float, ...]
-    covariance: tuple[tuple[float, ...], ...]
 
     @property
     def p(self) -> int:
@@ -112,13 +109,7 @@ def _fit(
     r2 = 1 - float(np.sum(residuals**2)) / total if total > 0 else float("nan")
     loo = _leave_one_out(shape, c, m, y, np.column_stack([linear, exponents])[1:])
     loo[~(determined & full_rank)[1:]] = np.nan
-    jacobian = curves.gradient(shape, coefficients, c, m)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-14, hermitian=True)
-    return Fit(
-        shape=shape, coefficients=tuple(coefficients.tolist()), n=len(y), r2=r2,
-        residuals=tuple(residuals.tolist()), loo=tuple(loo.tolist()),
-        covariance=tuple(tuple(row) for row in covariance.tolist()),
-    )  # fmt: skip
+    return Fit(shape=shape, coefficients=tuple(coefficients.tolist()), n=len(y), r2=r2, loo=tuple(loo.tolist()))
 
 
 def _leave_one_out(shape: Shape, c: Floats, m: Floats, y: Floats, folds: Floats) -> Floats:

@@ -57,8 +57,14 @@ class Machines:
     def cores(self) -> Floats:
         """Physical cores; where unknown, vCPUs over the median of vCPUs per core among machines that say it."""
         known = np.isfinite(self.physical_cores) & (self.physical_cores > 0)
-        ratio = float(np.median(self.vcpus[known] / self.physical_cores[known])) if known.any() else 1.0
+        ratio = _median(self.vcpus[known] / self.physical_cores[known]) if known.any() else 1.0
         return np.where(known, self.physical_cores, self.vcpus / ratio)
+
+
+def _median(values: Floats) -> float:
+    """The median, without what numpy's own imports for it."""
+    ordered = np.sort(values)
+    return float((ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2)
 
 
 def codes(names: list[str]) -> Ints:

@@ -50,8 +50,9 @@ def prior_for(
     absent = np.flatnonzero(np.isnan(profiles).all(0))
     if len(absent) == len(names):
         own += 0.02
+    there = _log_cores(library.machines), _log_cores(machines)
     for machine in absent:
-        profiles[:, machine], own[machine] = _borrowed(library.machines, known, machines, int(machine))
+        profiles[:, machine], own[machine] = _borrowed(library.machines, known, machines, int(machine), there)
     enough = np.isfinite(profiles).mean(1) >= SHARE_KNOWN
     if enough.sum() < FEWEST_WORKLOADS:
         return None
@@ -60,7 +61,14 @@ def prior_for(
     return Prior(_completed(profiles[enough]), weight / weight.sum(), own)
 
 
-def _borrowed(library: Machines, known: Floats, machines: Machines, at: int) -> tuple[Floats, float]:
+def _log_cores(machines: Machines) -> Floats:
+    """Physical cores per vCPU, log2."""
+    return np.asarray(np.log2(machines.cores / machines.vcpus))
+
+
+def _borrowed(
+    library: Machines, known: Floats, machines: Machines, at: int, cores: tuple[Floats, Floats]
+) -> tuple[Floats, float]:
     """Profile of a machine from its nearest kin: same kind of CPU before same size before same memory."""
     distance = (
         4 * (np.log2(library.vcpus / machines.vcpus[at])) ** 2
@@ -70,7 +78,7 @@ def _borrowed(library: Machines, known: Floats, machines: Machines, at: int) -> 
         + 1 * (library.family != machines.family[at])
         + 1 * (library.cloud != machines.cloud[at])
         + 16 * (library.gpu != machines.gpu[at])
-        + np.nan_to_num(4 * np.log2(library.cores / library.vcpus / machines.cores[at] * machines.vcpus[at]) ** 2)
+        + np.nan_to_num(4 * (cores[0] - cores[1][at]) ** 2)
     )
     distance = np.where(np.isfinite(known).any(0), distance, np.inf)
     nearest = np.argsort(distance, kind="stable")[:NEIGHBOURS]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+TIE = 1e-9  # relative: what processors round differently
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ def first_by(primary: Floats, cost: Floats, latency: Floats, names: NDArray[np.o
         return None
     values = primary[rows]
     least = values.min()
-    tied = rows[values <= least + 1e-12 * abs(least)]
+    tied = rows[values <= least + TIE * abs(least)]
     return int(min(tied, key=lambda row: (cost[row], latency[row], str(names[row]), row)))
 
 

@@ -18,60 +18,24 @@ with a prior, what other workloads do on the same machines. Same inputs give the
 numbers come from a fixed seed.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 
 import numpy as np
 
 from fogspec.numerics.features import Floats, Machines
 from fogspec.numerics.gaussian import normal_cdf, truncated_above_moments
 from fogspec.numerics.grid import Grid, grid_with_prior, grid_without_prior
+from fogspec.numerics.samples import Observations, level_of, lower_bounds, pooled
 
-DEFAULT_NOISE = 0.025  # relative standard error of a sample that does not say its own
-SYSTEMATIC_NOISE = 0.008  # two machines of one type differ at least by this, however many requests were timed
+VERSION = 1  # of the model: predictions of another version may differ from the same samples
+STRANGE = 0.5  # log-latency: no noise makes a machine so much faster or slower than the others have it
 KEPT_MODELS = 64
+WEIGHED_BY = 100  # samples that decide between models; all of them predict
+MOST_AT_ONCE = 4_000_000  # numbers in a table: with many samples of many machines, models are conditioned in turn
 DRAWS = 512
-
-
-@dataclass(frozen=True, slots=True)
-class Observations:
-    """n samples: which machine, its latency, how sure.
-
-    `relative_error` is the standard error of the latency over the latency, NaN where unknown. A `lower_bound`
-    is a run that was aborted or failed after that time: the latency is at least this. Raises ValueError for
-    latencies that are not positive and finite, and for negative errors.
-    """
-
-    machine: np.ndarray
-    latency_s: Floats
-    relative_error: Floats
-    lower_bound: np.ndarray
-
-    def __post_init__(self) -> None:
-        if not len(self.machine) == len(self.latency_s) == len(self.relative_error) == len(self.lower_bound):
-            raise ValueError("machine, latency_s, relative_error and lower_bound must have one length")
-        bad = ~(np.isfinite(self.latency_s) & (self.latency_s > 0))
-        if bad.any():
-            where = int(np.flatnonzero(bad)[0])
-            raise ValueError(f"sample {where}: latency must be positive and finite, got {self.latency_s[where]} s")
-        if bool((self.relative_error < 0).any()):
-            raise ValueError("relative_error must not be negative")
-
-
-def observations(
-    machine: np.ndarray | list[int],
-    latency_s: np.ndarray | list[float],
-    relative_error: np.ndarray | list[float] | None = None,
-    lower_bound: np.ndarray | list[bool] | None = None,
-) -> Observations:
-    """`Observations` from sequences; errors unknown and nothing aborted unless said."""
-    n = len(machine)
-    return Observations(
-        np.asarray(machine, dtype=np.intp).reshape(n),
-        np.asarray(latency_s, dtype=float).reshape(n),
-        np.full(n, np.nan) if relative_error is None else np.asarray(relative_error, dtype=float),
-        np.zeros(n, dtype=bool) if lower_bound is None else np.asarray(lower_bound, dtype=bool),
-    )
+MOST_DRAWN = 600_000  # numbers in a table of draws: over thousands of machines there are fewer draws
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +60,12 @@ class Posterior:
     weights: Floats
     means: Floats
     variances: Floats
-    draws: Floats
+    draw: Callable[[], Floats] = field(repr=False, compare=False)
+
+    @cached_property
+    def draws(self) -> Floats:
+        """Joint draws of log-latency (S, N)."""
+        return self.draw()
 
     @cached_property
     def mean(self) -> Floats:
@@ -124,8 +93,9 @@ class Posterior:
         outside = np.zeros(len(m), dtype=bool)
         for column in (m.vcpus, m.memory_gib):
             outside |= (column < column[known].min()) | (column > column[known].max())
-        for code in (m.gpu, m.arch):
-            outside |= ~np.isin(code, code[known])
+        outside |= ~np.isin(m.gpu, m.gpu[known])
+        if (m.arch[known] >= 0).all():
+            outside |= ~np.isin(m.arch, m.arch[known])
         return np.asarray(outside & ~known)
 
     def probability_below(self, limit_s: Floats | float) -> Floats:
@@ -134,9 +104,21 @@ class Posterior:
             limit = np.broadcast_to(np.log(np.maximum(limit_s, 0.0)), self.mean.shape)
         return np.asarray(self.weights @ normal_cdf((limit - self.means) / np.sqrt(self.variances)))
 
-    def quantile(self, p: float) -> Floats:
-        """Latency in seconds (N,) that is not exceeded with probability p, by bisection on the mixture."""
-        if not 0 < p < 1:
+    @cached_property
+    def _quantiles(self) -> dict[float, Floats]:
+        """What was asked for already: other limits on the same samples cost no bisection."""
+        return {}
+
+    def quantile(self, p: Floats | float) -> Floats:
+        """Latency in seconds (N,) that is not exceeded with probability p, a number or (N,)."""
+        if not isinstance(p, float):
+            return self._bisected(p)
+        if p not in self._quantiles:
+            self._quantiles[p] = self._bisected(p)
+        return self._quantiles[p]
+
+    def _bisected(self, p: Floats | float) -> Floats:
+        if not np.all((np.asarray(p) > 0) & (np.asarray(p) < 1)):
             raise ValueError(f"a probability lies between 0 and 1, got {p}")
         low, high = self.mean - 12 * self.sd, self.mean + 12 * self.sd
         root = np.sqrt(self.variances)
@@ -144,16 +126,13 @@ class Posterior:
             middle = (low + high) / 2
             below = self.weights @ normal_cdf((middle - self.means) / root) < p
             low, high = np.where(below, middle, low), np.where(below, high, middle)
-        return np.asarray(np.exp((low + high) / 2))
+        return np.asarray(np.exp(np.clip((low + high) / 2, -600, 600)))
 
 
 def prepare(machines: Machines, prior: Prior | None = None, *, seed: int = 0, draws: int = DRAWS) -> "Space":
     """Everything about the machines that does not depend on samples; `draws` joint draws will be made."""
     grid = grid_without_prior(machines) if prior is None else grid_with_prior(machines, prior)
-    random = np.random.default_rng(seed)
-    base = [random.standard_normal((draws, f.shape[1])) @ f.T for f in grid.features]
-    own = random.standard_normal((draws, len(machines)))
-    return Space(machines, grid, np.array(base), own, random.standard_normal((draws, len(machines))))
+    return Space(machines, grid, seed, min(draws, max(MOST_DRAWN // max(len(machines), 1), 64)))
 
 
 def fit(machines: Machines, samples: Observations, prior: Prior | None = None) -> Posterior:
@@ -163,107 +142,131 @@ def fit(machines: Machines, samples: Observations, prior: Prior | None = None) -
 
 @dataclass(frozen=True)
 class Space:
-    """Machines, the grid of models over them, and reusable random draws."""
+    """Machines, the grid of models over them, and reusable random draws, made when they are first needed."""
 
     machines: Machines
     grid: Grid
-    base: Floats
-    own: Floats
-    errors: Floats
+    seed: int
+    count: int
+
+    @cached_property
+    def _normal(self) -> tuple[Floats, Floats, Floats]:
+        """Standard normal draws of each component at each machine (J, S, N), of each machine alone, and of errors."""
+        random = np.random.default_rng(self.seed)
+        base = [random.standard_normal((self.count, f.shape[1])) @ f.T for f in self.grid.features]
+        shape = (self.count, len(self.machines))
+        return np.array(base), random.standard_normal(shape), random.standard_normal(shape)
 
     def fit(self, samples: Observations) -> Posterior:
-        """Condition every model of the grid on the samples and weigh it by its evidence."""
+        """Condition every model of the grid on the samples and weigh it by its evidence.
+
+        A machine far off from what all others say of it, such as one that swaps, is as it was measured, and says
+        little of others.
+        """
         at, value, variance = pooled(samples)
         posterior = self._conditioned(samples, at, value, variance)
-        for machine, bound in _bounds(samples):
+        off = value - posterior.mean[at]
+        strange = np.flatnonzero(np.abs(off) > STRANGE)
+        known = at[strange], value[strange], variance[strange].copy()
+        if len(strange):
+            variance[strange] += off[strange] ** 2
+            posterior = self._conditioned(samples, at, value, variance)
+        for machine, bound in lower_bounds(samples):
             site = _site(posterior, machine, bound)
             if site is not None:
                 at, value, variance = np.append(at, machine), np.append(value, site[0]), np.append(variance, site[1])
                 posterior = self._conditioned(samples, at, value, variance)
-        return posterior
+        return self._as_measured(posterior, *known) if len(strange) else posterior
+
+    def _as_measured(self, posterior: Posterior, at: np.ndarray, value: Floats, variance: Floats) -> Posterior:
+        """The posterior with some machines as they were measured, whatever the others say of them."""
+        means, variances = posterior.means.copy(), posterior.variances.copy()
+        means[:, at], variances[:, at] = value, variance
+
+        def draw() -> Floats:
+            drawn = posterior.draw()
+            drawn[:, at] = value + np.sqrt(variance) * self._normal[1][:, at]
+            return drawn
+
+        return replace(posterior, means=means, variances=variances, draw=draw)
 
     def _conditioned(self, samples: Observations, at: np.ndarray, value: Floats, noise: Floats) -> Posterior:
-        grid, level = self.grid, _level(samples)
+        grid, level = self.grid, level_of(samples)
         if not len(at):
             keep, weights = _kept(np.zeros(len(grid.theta)))
             means = grid.curves[grid.curve[keep]] + level
             variances = grid.theta[keep] @ grid.diagonal + grid.own[keep]
-            draws = self._draws(keep, weights, means, at, noise, None)
-            return Posterior(self.machines, samples, weights, means, variances, draws)
+            draw = partial(self._draws, keep, weights, means, at, noise, None)
+            return Posterior(self.machines, samples, weights, means, variances, draw)
         cross = np.array([f @ f[at].T for f in grid.features])
-        inner = np.tensordot(grid.theta, cross[:, at, :], axes=1)
-        same_machine = (at[:, None] == at[None, :]).astype(float)
-        inner += (grid.own[:, at])[:, :, None] * same_machine + np.diag(noise)
-        inverse = np.linalg.inv(inner)
-        residual = value - level - grid.curves[grid.curve][:, at]
-        solved = np.einsum("hij,hj->hi", inverse, residual)
-        evidence = -0.5 * (residual * solved).sum(1) - 0.5 * np.linalg.slogdet(inner)[1]
-        keep, weights = _kept(evidence)
-        link = np.tensordot(grid.theta[keep], cross, axes=1)
-        link += grid.own[keep][:, :, None] * (np.arange(len(self.machines))[:, None] == at[None, :])
-        means = grid.curves[grid.curve[keep]] + level + np.einsum("hni,hi->hn", link, solved[keep])
-        explained = ((link @ inverse[keep]) * link).sum(-1)
-        total = grid.theta[keep] @ grid.diagonal + grid.own[keep]
-        variances = np.maximum(total - explained, 1e-8)
+        few = (
+            np.unique(np.linspace(0, len(at) - 1, WEIGHED_BY).round().astype(int))
+            if len(at) > WEIGHED_BY
+            else slice(None)
+        )
+        keep, weights = _kept(self._evidence(cross[:, at][:, few][:, :, few], at[few], value[few] - level, noise[few]))
+        means, variances = np.empty((2, len(keep), len(self.machines)))
+        at_once = max(1, MOST_AT_ONCE // (len(at) * len(self.machines)))
+        found = None
+        for first in range(0, len(keep), at_once):
+            some = keep[first : first + at_once]
+            link, inverse = found = self._terms(some, cross, at, noise)
+            mean = grid.curves[grid.curve[some]]
+            solved = np.einsum("hij,hj->hi", inverse, value - level - mean[:, at])
+            means[first : first + at_once] = mean + level + np.einsum("hni,hi->hn", link, solved)
+            explained = ((link @ inverse) * link).sum(-1)
+            variances[first : first + at_once] = grid.theta[some] @ grid.diagonal + grid.own[some] - explained
+        variances = np.maximum(variances, 1e-8)
         variances[:, np.isin(np.arange(len(self.machines)), at, invert=True)] *= grid.widened
-        draws = self._draws(keep, weights, means, at, noise, (link, inverse[keep]))
-        return Posterior(self.machines, samples, weights, means, variances, draws)
+
+        def terms(model: int) -> tuple[Floats, Floats]:
+            if found is not None and len(found[0]) == len(keep):
+                return found[0][model], found[1][model]
+            link, inverse = self._terms(keep[model : model + 1], cross, at, noise)
+            return link[0], inverse[0]
+
+        draw = partial(self._draws, keep, weights, means, at, noise, terms)
+        return Posterior(self.machines, samples, weights, means, variances, draw)
+
+    def _inner(self, models: np.ndarray, cross: Floats, at: np.ndarray, noise: Floats) -> Floats:
+        """Covariance of the samples under these models (h, n, n); `cross` is each component's among them."""
+        same_machine = (at[:, None] == at[None, :]).astype(float)
+        inner = np.tensordot(self.grid.theta[models], cross, axes=1)
+        inner += self.grid.own[models][:, at][:, :, None] * same_machine + np.diag(noise)
+        return np.asarray(inner)
+
+    def _evidence(self, cross: Floats, at: np.ndarray, value: Floats, noise: Floats) -> Floats:
+        """Log-evidence (H,) of every model of the grid."""
+        inner = self._inner(np.arange(len(self.grid.theta)), cross, at, noise)
+        residual = value - self.grid.curves[self.grid.curve][:, at]
+        solved = np.einsum("hij,hj->hi", np.linalg.inv(inner), residual)
+        return np.asarray(-0.5 * (residual * solved).sum(1) - 0.5 * np.linalg.slogdet(inner)[1])
+
+    def _terms(self, models: np.ndarray, cross: Floats, at: np.ndarray, noise: Floats) -> tuple[Floats, Floats]:
+        """Covariance of every machine with the samples (h, N, n), and the inverse of that of the samples (h, n, n)."""
+        link = np.tensordot(self.grid.theta[models], cross, axes=1)
+        link += self.grid.own[models][:, :, None] * (np.arange(len(self.machines))[:, None] == at[None, :])
+        inverse = np.asarray(np.linalg.inv(self._inner(models, cross[:, at], at, noise)), dtype=float)
+        return np.asarray(link), inverse
 
     def _draws(
         self, keep: np.ndarray, weights: Floats, means: Floats, at: np.ndarray, noise: Floats,
-        conditioning: tuple[Floats, Floats] | None,
+        terms: Callable[[int], tuple[Floats, Floats]] | None,
     ) -> Floats:  # fmt: skip
         """Joint draws by Matheron's rule: a prior draw plus what its own error at the samples corrects."""
-        count = len(self.own)
+        count, (base, own, errors) = self.count, self._normal
         which = np.minimum(np.searchsorted(np.cumsum(weights), (np.arange(count) + 0.5) / count), len(weights) - 1)
         out = np.empty((count, len(self.machines)))
-        for model in np.unique(which):
+        for model in np.unique(which).tolist():
             rows = np.flatnonzero(which == model)
             root = np.sqrt(self.grid.theta[keep[model]])
-            prior = (
-                np.tensordot(root, self.base[:, rows], axes=1) + np.sqrt(self.grid.own[keep[model]]) * self.own[rows]
-            )
+            prior = np.tensordot(root, base[:, rows], axes=1) + np.sqrt(self.grid.own[keep[model]]) * own[rows]
             out[rows] = means[model] + prior
-            if conditioning is not None:
-                link, inverse = conditioning
-                error = prior[:, at] + np.sqrt(noise) * self.errors[rows][:, : len(at)]
-                out[rows] -= error @ inverse[model] @ link[model].T
+            if terms is not None:
+                link, inverse = terms(model)
+                error = prior[:, at] + np.sqrt(noise) * errors[rows][:, : len(at)]
+                out[rows] -= error @ inverse @ link.T
         return out
-
-
-def pooled(samples: Observations) -> tuple[np.ndarray, Floats, Floats]:
-    """Complete samples, one a machine: index, mean log-latency, variance of its error.
-
-    Repeats are weighed by their precision; repeats that contradict each other widen the error by the Birge ratio
-    (Birge, Phys. Rev. 40 (1932) 207).
-    """
-    use = ~samples.lower_bound
-    error = np.where(np.isnan(samples.relative_error), DEFAULT_NOISE, samples.relative_error)
-    variance = error[use] ** 2 + SYSTEMATIC_NOISE**2
-    log = np.log(samples.latency_s[use])
-    machines = np.unique(samples.machine[use])
-    value, spread = np.empty(len(machines)), np.empty(len(machines))
-    for i, machine in enumerate(machines):
-        mine = samples.machine[use] == machine
-        precision = 1 / variance[mine]
-        value[i] = (precision * log[mine]).sum() / precision.sum()
-        chi2 = (precision * (log[mine] - value[i]) ** 2).sum()
-        spread[i] = max(1.0, chi2 / max(1, mine.sum() - 1)) / precision.sum()
-    return machines, value, spread
-
-
-def _level(samples: Observations) -> float:
-    return float(np.log(samples.latency_s).mean()) if len(samples.latency_s) else 0.0
-
-
-def _bounds(samples: Observations) -> list[tuple[int, float]]:
-    """The highest lower bound of each machine that has one."""
-    highest: dict[int, float] = {}
-    for machine, latency in zip(
-        samples.machine[samples.lower_bound], samples.latency_s[samples.lower_bound], strict=True
-    ):
-        highest[int(machine)] = max(highest.get(int(machine), -np.inf), float(np.log(latency)))
-    return sorted(highest.items())
 
 
 def _site(posterior: Posterior, machine: int, bound: float) -> tuple[float, float] | None:

@@ -12,15 +12,14 @@ from pydantic import ValidationError
 from fogspec.base.diagnostics import Diagnostic
 from fogspec.base.nodes import Node, Path, find, key_place, place_of
 from fogspec.base.shape import Checked
-from fogspec.rules import machines, measuring, nodes
-from fogspec.rules.unavailable import unavailable
+from fogspec.rules import linking, machines, measuring, nodes
 from fogspec.spec import Application
 
 RULES = (
     *nodes.RULES,
     *measuring.RULES,
     *machines.RULES,
-    unavailable,
+    *linking.RULES,
 )  # fmt: skip
 
 STAND_INS: dict[Path, Any] = {

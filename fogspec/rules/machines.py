@@ -13,7 +13,8 @@ from fogspec.spec import Application
 # SkyPilot's names: of clouds as of version 0.14, of the accelerators that the large clouds rent.
 CLOUDS = (
     "aws", "gcp", "azure", "oci", "ibm", "lambda", "runpod", "nebius", "cudo", "paperspace", "do", "fluidstack", "vast",
-    "vsphere", "scp", "kubernetes", "hyperbolic", "primeintellect", "seeweb", "shadeform", "slurm", "ssh", "local",
+    "vsphere", "scp", "kubernetes", "hyperbolic", "primeintellect", "seeweb", "shadeform", "slurm", "ssh", "mithril",
+    "verda", "yotta", "local",
 )  # fmt: skip
 GPUS = (
     "none", "T4", "T4g", "L4", "L40", "L40S", "A10", "A10G", "A100", "A100-80GB", "H100", "H100-MEGA", "H200", "B200",
@@ -21,9 +22,9 @@ GPUS = (
     "RTX6000", "RTXPRO6000", "A4000", "A5000", "A6000", "MI25", "MI300X", "Radeon MI25", "Radeon Pro V520", "Gaudi HL-205",
     "Inferentia", "Inferentia2", "Trainium", "Trainium2", "RTX3090", "RTX4090", "RTX5090",
 )  # fmt: skip
-INFRA = re.compile(r"[a-z0-9-]+(/[A-Za-z0-9*_.-]+){0,2}")
+INFRA = re.compile(r"kubernetes/[A-Za-z0-9*_.:/@-]+|[a-z0-9-]+(/[A-Za-z0-9*_.-]+){0,2}")
 REGION = re.compile(r"([a-z]{2}-(?:gov-)?[a-z]+-\d)|[a-z]+-[a-z]+\d")
-INSTANCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
+INSTANCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+:-]*")  # of Slurm and Kubernetes: 4CPU--16GB--T4:1
 
 
 def places(application: Application) -> Iterator[Finding]:

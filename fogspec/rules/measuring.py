@@ -5,20 +5,22 @@ from collections.abc import Iterator
 from fogspec.base.nodes import Path, dotted
 from fogspec.base.suggest import closest
 from fogspec.base.units import format_duration
+from fogspec.probes import kind_of
 from fogspec.rules.finding import Finding
-from fogspec.spec import Application
+from fogspec.spec import Application, Interruption
 
 PLACEHOLDER_TOPICS = ("/request", "/response")
-PROBES = ("request and response", "service", "action", "callback", "bag")
+PROBES = ("request and response", "service", "action", "callback")
 
 
 def kind_of_probe(application: Application) -> Iterator[Finding]:
-    """Exactly one kind of probe measures the latency."""
+    """Exactly one kind of probe measures the latency; a bag is one that holds request and response."""
     probe, at = application.spec.probe, ("spec", "probe")
-    kinds = [kind for kind in ("service", "action", "callback", "bag") if getattr(probe, kind) is not None]
-    topics = probe.request is not None or probe.response is not None
+    kinds = [kind for kind in ("service", "action", "callback") if getattr(probe, kind) is not None]
+    topics = probe.request is not None or probe.response is not None or (probe.bag is not None and not kinds)
     if topics and (probe.request is None or probe.response is None):
         missing, other = ("request", "response") if probe.request is None else ("response", "request")
+        other = other if getattr(probe, other) is not None else "bag"
         yield Finding("FS512", (*at, other), f"spec.probe.{other} needs spec.probe.{missing}", f"add '{missing}: /topic'",
                       ((*at, missing),))  # fmt: skip
     if topics and probe.request is not None and probe.request == probe.response:
@@ -28,7 +30,8 @@ def kind_of_probe(application: Application) -> Iterator[Finding]:
         yield Finding(
             "FS514", (*at, "match"), "spec.probe.match is for topics, and this probe has none", "remove it", at_key=True
         )
-    found = (["request" if probe.request is not None else "response"] if topics else []) + kinds
+    said = "request" if probe.request is not None else "response" if probe.response is not None else "bag"
+    found = ([said] if topics else []) + kinds + (["bag"] if probe.bag is not None and not topics else [])
     if not found:
         yield Finding(
             "FS511",
@@ -39,6 +42,48 @@ def kind_of_probe(application: Application) -> Iterator[Finding]:
     for extra in found[1:]:
         message = f"spec.probe must have one kind of probe, and {extra} is a second one"
         yield Finding("FS511", (*at, extra), message, f"remove {extra} or {found[0]}", ((*at, found[0]),), at_key=True)
+
+
+def ways_to_watch(application: Application) -> Iterator[Finding]:
+    """What a way of watching cannot see must not be asked of it."""
+    probe, at = application.spec.probe, ("spec", "probe")
+    kind, via = kind_of(probe), probe.via
+    if via is not None and kind in ("callback", "bag"):
+        yield Finding("FS525", (*at, "via"), f"spec.probe.via is not for a {kind}, which is read as it is", "remove it",
+                      ((*at, kind),), at_key=True)  # fmt: skip
+    if via == "rclpy" and kind == "service":
+        yield Finding("FS525", (*at, "via"), "what a service is asked does not show outside its node", "write 'preload'",
+                      ((*at, "service"),))  # fmt: skip
+    if via == "preload" and probe.match in ("first_request", "last_response"):
+        yield Finding("FS525", (*at, "match"), f"spec.probe.match {probe.match} is for subscribers", "write 'stamp' or 'order'",
+                      ((*at, "via"),))  # fmt: skip
+    played = kind == "service" and application.spec.benchmark.workload.bag is not None
+    if probe.success is not None and not played and (kind not in ("topics", "bag") or via == "preload"):
+        message = (
+            "spec.probe.success is judged by who hears the response: a subscriber, or the player of a service's bag"
+        )
+        fixes = {
+            "topics": "remove 'via: preload'", "service": "add a bag to spec.benchmark.workload",
+            "callback": "remove it, and call stop(..., ok=False) for an answer that is wrong",
+        }  # fmt: skip
+        yield Finding("FS525", (*at, "success"), message, fixes.get(kind, "remove it: a goal that is not reached has failed"),
+                      ((*at, "via"), (*at, kind), ("spec", "benchmark", "workload", "bag")), at_key=True)  # fmt: skip
+
+
+def workload(application: Application) -> Iterator[Finding]:
+    """Requests come from a bag or from a node, and a bag's must be known among its topics."""
+    spec, at = application.spec, ("spec", "benchmark", "workload")
+    work, kind = spec.benchmark.workload, kind_of(spec.probe)
+    about = (("spec", "probe"),)
+    if work.bag is not None and work.node is not None:
+        message = "spec.benchmark.workload must have one sender of requests, and node is a second one"
+        yield Finding("FS526", (*at, "node"), message, "remove bag or node", ((*at, "bag"),), at_key=True)
+    if work.rate is not None and work.bag is None:
+        message = f"{dotted((*at, 'rate'))} is the pace of a bag: a node of your own sends as it likes"
+        yield Finding("FS526", (*at, "rate"), message, "remove it, or add a bag", ((*at, "bag"),), at_key=True)
+    if work.bag is not None and kind in ("callback", "action"):
+        message = f"{dotted((*at, 'bag'))} holds requests on a topic or of a service, and the probe names neither"
+        yield Finding("FS526", (*at, "bag"), message, "send the requests with a node", about, at_key=True)
 
 
 def kind_of_metric(application: Application) -> Iterator[Finding]:
@@ -106,6 +151,24 @@ def billing(application: Application) -> Iterator[Finding]:
                       "remove it, or add 'billing: provisioned'", both, at_key=True)  # fmt: skip
 
 
+def extra_costs(application: Application) -> Iterator[Finding]:
+    """Half of a cost is none: data without a price, a price without data, interruptions of machines that have none."""
+    spec, at = application.spec, ("spec", "objective")
+    transfer = spec.objective.transfer
+    if bool(transfer.per_request) != bool(transfer.price):
+        given, missing, fix = (
+            ("per_request", "price", "add 'price: $0.09/GiB'")
+            if transfer.per_request
+            else ("price", "per_request", "add 'per_request: 2MB'")
+        )
+        yield Finding("FS527", (*at, "transfer", given), f"spec.objective.transfer costs nothing without {missing}",
+                      fix, ((*at, "transfer"),), at_key=True)  # fmt: skip
+    if spec.objective.interruption != Interruption() and not spec.hardware.spot:
+        yield Finding("FS527", (*at, "interruption"), "spec.objective.interruption counts only for spot machines",
+                      "remove it, or allow them: hardware: {spot: true}", (("spec", "hardware", "spot"),),
+                      at_key=True)  # fmt: skip
+
+
 def latency_limit(application: Application) -> Iterator[Finding]:
     """What the network takes must leave something of the latency, and a sample must outlast one request."""
     spec, latency = application.spec, application.spec.constraints.latency
@@ -160,10 +223,13 @@ def placeholders(application: Application) -> Iterator[Finding]:
 
 RULES = (
     kind_of_probe,
+    ways_to_watch,
+    workload,
     kind_of_metric,
     scenarios,
     metrics_that_exist,
     billing,
+    extra_costs,
     latency_limit,
     stop,
     budget,

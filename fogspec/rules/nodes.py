@@ -9,7 +9,7 @@ from fogspec.rules.finding import Finding
 from fogspec.spec import Application, Node, Spec
 
 ROS_WORDS = ("package", "executable", "name", "namespace", "parameters", "parameter_files", "remappings")
-GRAPH_NAME = re.compile(r"[~/]?([A-Za-z_{][A-Za-z0-9_{}]*)(/[A-Za-z_{][A-Za-z0-9_{}]*)*|/|~")
+GRAPH_NAME = re.compile(r"(~/|/)?([A-Za-z_{][A-Za-z0-9_{}]*)(/[A-Za-z_{][A-Za-z0-9_{}]*)*|/|~")
 
 
 def all_nodes(spec: Spec) -> Iterator[tuple[Path, Node]]:
@@ -68,6 +68,9 @@ def graph_names(application: Application) -> Iterator[Finding]:
         (("spec", "probe", kind), getattr(spec.probe, kind)) for kind in ("request", "response", "service", "action")
     ]
     named += [(("spec", "metrics", key, "topic"), metric.topic) for key, metric in spec.metrics.items()]
+    for kind in ("topics", "services", "actions"):
+        listed = getattr(spec.connectivity, kind)
+        named += [(("spec", "connectivity", kind, i), name) for i, name in enumerate(listed)]
     for path, node in all_nodes(spec):
         named.append(((*path, "namespace"), node.namespace))
         for old, new in node.remappings.items():

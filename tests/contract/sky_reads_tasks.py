@@ -27,6 +27,7 @@ for path in sys.argv[1:]:
     autostop = one.autostop_config
     print(json.dumps({
         "path": path, "wrong": wrong, "name": task.name, "infra": one.infra.to_str(), "instance": one.instance_type,
+        "shape": [one.cpus, one.memory],
         "accelerators": one.accelerators, "spot": one.use_spot, "image": one.image_id, "labels": one.labels,
         "price": one.get_cost(3600) if one.instance_type else None, "same_run": task.run == data["run"],
         "autostop": [autostop.idle_minutes, autostop.down, autostop.wait_for.value if autostop.wait_for else None],

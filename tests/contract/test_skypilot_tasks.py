@@ -38,11 +38,13 @@ spec:
   ros: {image: ros:jazzy, workspace: "my ws", setup: ["echo 'x: [y]' # z"]}
   probe: {request: /a, response: /b}
   hardware: {gpus: [none, T4], spot: true}
-  infra: [gcp/us-central1, azure/eastus, slurm/lab]
+  infra: [gcp/us-central1, azure/eastus, slurm/lab, kubernetes]
   benchmark: {budget: $50}
   secrets: [API_KEY]
 """
+# Partitions are in tests/slurm: SkyPilot asks the cluster for them while it reads a task.
 SLURM = "InstanceType,vCPUs,MemoryGiB,Price,Region\n2CPU--4GB,2,4,0.085,lab\n16CPU--32GB,16,32,0.68,lab\n"
+KUBERNETES = "InstanceType,vCPUs,MemoryGiB,Price,Region\n2CPU--4GB,2,4,0.085,\n16CPU--32GB,16,32,0.68,\n"
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +55,8 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for folder in ("specs", "results"):
         shutil.copytree(ROOT / folder, project / folder, ignore=shutil.ignore_patterns("lidar*"))
     (project / "specs" / "everywhere.yaml").write_text(EVERYWHERE)
-    for cloud, text in (("gcp", GCP), ("azure", AZURE), ("slurm", SLURM), ("aws", snapshot())):
+    for cloud, text in (("gcp", GCP), ("azure", AZURE), ("slurm", SLURM), ("kubernetes", KUBERNETES),
+                        ("aws", snapshot())):  # fmt: skip
         (tables / cloud).mkdir(parents=True)
         (tables / cloud / "vms.csv").write_text(text)
     (tables / "aws" / "images.csv").write_text("Tag,Region,OS,OSVersion,ImageId,CreationDate,BaseImageId\n")
@@ -125,12 +128,15 @@ def test_skypilot_finds_the_machine_that_was_planned(project: Path, understood: 
                 continue
             seen.add(machine.infra.split("/")[0])
             assert one["infra"] == machine.infra
-            assert one["instance"] == machine.instance
+            shaped = machine.infra.startswith(("slurm", "kubernetes"))
+            assert one["instance"] == (None if shaped else machine.instance)
+            if shaped:
+                assert one["shape"] == [f"{machine.cpus:g}", f"{machine.memory:g}"]
             assert one["spot"] == machine.spot
             assert (one["accelerators"] or {}).keys() == ({machine.gpu.name} if machine.gpu else set())
-            if not machine.infra.startswith("slurm"):
+            if not shaped:
                 assert one["price"] == pytest.approx(machine.price, abs=1e-4), sample.id
-    assert seen == {"aws", "gcp", "azure", "slurm"}
+    assert seen == {"aws", "gcp", "azure", "slurm", "kubernetes"}
 
 
 def test_slurm_gets_no_image_and_the_plan_says_so(project: Path, understood: dict[str, dict]) -> None:

@@ -11,8 +11,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from fogspec.effects.collecting import finished
-from tests.faults.simulation import World, bench
+from fogspec.results import finished
+from tests.faults.controllers import bench, place
+from tests.faults.simulation import World
 
 
 class Tally(collections.Counter[str]):
@@ -33,10 +34,10 @@ def judge(world: World, budget: float | None, tally: Tally) -> None:
     by_sample = collections.defaultdict(list)
     for machine in world.machines.values():
         if machine.fetched:
-            by_sample[machine.sample].append(machine)
+            by_sample[place(machine.sample)].append(machine)
     tally["measured twice"] += sum(len(machines) > 1 for machines in by_sample.values())
-    for name, machines in by_sample.items():
-        record = records.get(name)
+    for machines in by_sample.values():
+        record = records.get(machines[0].sample)
         mean_s = record.latency.mean if record is not None and record.latency is not None else 0.0
         same = math.isclose(mean_s, machines[0].started + 1)
         tally["finished samples lost"] += not (same and finished(record))
@@ -63,18 +64,36 @@ def run_one(seed: int, tally: Tally, kills: set[int] | None = None, faults: bool
     tally["benches"] += 1
     tally["kills"] += sum(step <= world.steps for step in kills)
     tally["machines started"] += len(world.machines)
+    tally["machines in another's place"] += sum("-" in machine.sample for machine in world.machines.values())
     tally["samples finished"] += sum(map(finished, world.disk["samples"].values()))
     return world
 
 
+def run_forgetful(seed: int, tally: Tally) -> None:
+    """A bench whose every next controller is on another host: no journal, only the results and the machines' names."""
+    chance = random.Random(f"forgetful {seed}")
+    count = chance.randint(1, 6)
+    kills = {chance.randint(1, 30 * count) for _ in range(chance.randint(1, 4))}
+    with tempfile.TemporaryDirectory() as folder:
+        world = World(seed, Path(folder), kills=kills, forgets=True)
+        bench(world, None, count, lambda _: None)
+        tally["machines leaked"] += sum(m.up(world.now) for m in world.machines.values())
+        tally["other misdeeds"] += len(world.misdeeds)
+    tally["benches that lost their journal"] += 1
+
+
 def main(benches: int = 1000) -> Tally:
-    """Random benches, then the base bench killed at every step."""
-    tally = Tally(dict.fromkeys(("benches", "controllers", "kills", "machines started", "samples finished", *WRONG), 0))
+    """Random benches, then the base bench killed at every step, then benches that lose their journal."""
+    names = ("benches", "benches that lost their journal", "controllers", "kills", "machines started",
+             "machines in another's place", "samples finished", *WRONG)  # fmt: skip
+    tally = Tally(dict.fromkeys(names, 0))
     for seed in range(benches):
         run_one(seed, tally)
     for step in range(1, run_one(0, tally, kills=set(), faults=False).steps + 1):
         run_one(0, tally, kills={step}, faults=False)
         run_one(0, tally, kills={step, step + 3}, faults=False)
+    for seed in range(benches // 10):
+        run_forgetful(seed, tally)
     return tally
 
 

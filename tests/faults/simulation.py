@@ -5,20 +5,14 @@ disk are made up. Nothing that a killed controller does afterwards has any effec
 """
 
 import json
-import os
 import random
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fogspec.effects import collecting
-from fogspec.effects.collecting import finished
 from fogspec.effects.journal import Journal
-from fogspec.effects.orders import Order
-from fogspec.effects.sampling import Campaign
-from fogspec.plan import MachineRef, Sample
-from fogspec.results import Measured
+from fogspec.results import Measured, finished
 from fogspec.seams import CannotStart, Job, LostContact, Progress
 
 SETUP_S, AFTER_S, SLACK_S = 120.0, 300.0, 120.0
@@ -59,6 +53,7 @@ class World:
     folder: Path
     faults: bool = True
     kills: set[int] = field(default_factory=set)
+    forgets: bool = False
     now: float = 0.0
     boot: int = 0
     boot_at: float = 0.0
@@ -126,9 +121,10 @@ class FaultyRunner:
         if job.name in world.machines:
             world.misdeeds.append(f"{job.name} was started twice")
         if world.happens(0.15):
-            raise CannotStart("capacity", "no such machine left", again=world.happens(0.7))
+            reason = world.chance.choice(["capacity", "capacity", "quota"])
+            raise CannotStart(reason, "no such machine left", again=world.happens(0.4))
         fate = world.chance.choices(
-            ["finishes", "hangs", "never ready", "crashes", "vanishes", "partial"], [70, 6, 6, 6, 6, 6]
+            ["finishes", "hangs", "never ready", "crashes", "vanishes", "partial", "no room"], [64, 6, 6, 6, 6, 6, 6]
         )[0]
         now, life = world.now, job.lifetime_s
         ready = now + world.chance.uniform(20, 100)
@@ -153,6 +149,9 @@ class FaultyRunner:
             raise LostContact("no route to host")
         if machine is None or not machine.up(world.now) or (machine.fate == "vanishes" and world.now >= machine.done):
             return Progress(running=False, lost=True, detail="the machine is not there")
+        if machine.fate == "no room" and world.now >= machine.ready:
+            machine.ended = machine.started if machine.ended is None else machine.ended
+            return Progress(running=False, reason="capacity", again=world.happens(0.3), billed_s=0.0)
         if world.now < machine.done:
             return Progress(running=True, ready=world.now >= machine.ready, measured_on="simulated")
         job.folder.mkdir(parents=True, exist_ok=True)
@@ -164,6 +163,11 @@ class FaultyRunner:
     def _finished(self, machine: Machine, timings: Path) -> Progress:
         reason = "crash" if machine.fate == "crashes" else None
         return Progress(running=False, timings=timings, reason=reason, measured_on="simulated")
+
+    def strays(self, prefix: str, folder: Path) -> list[str]:
+        world = self.world
+        world.step(self.controller, "strays")
+        return [name for name, one in world.machines.items() if name.startswith(prefix) and one.up(world.now)]
 
     def end(self, job: Job) -> None:
         world = self.world
@@ -196,6 +200,10 @@ class SimulatedLedger:
     def keep(self, record: Measured, timings: Path | None) -> Measured:
         self.world.step(self.controller, "keep timings")
         return record
+
+    def paid(self, spent_usd: float) -> None:
+        self.world.step(self.controller, "before paid")
+        self.world.disk = {**self.world.disk, "spent": spent_usd}
 
     def put(self, record: Measured, spent_usd: float) -> None:
         world = self.world
@@ -230,54 +238,3 @@ class MortalJournal(Journal):
             raise OSError(28, "No space left on device")
         super().append(**entry)
         world.step(self._controller, f"after journal {entry['do']}")
-
-
-def samples(count: int) -> list[Sample]:
-    return [
-        Sample(
-            id=f"s{n}", reason="",
-            machine=MachineRef(infra="sim", instance=f"m{n}", cpus="2", memory="4GiB", price=f"${0.1 * (n + 1):.1f}/h"),
-        )
-        for n in range(count)
-    ]  # fmt: skip
-
-
-def bench(world: World, budget_usd: float | None, count: int, check: Callable[[World], None]) -> int:
-    """Run benches, each after the other was killed, until one comes to its end; returns how many it took."""
-    for number in range(1, 1000):
-        controller = world.controller
-        try:
-            _one(world, controller, budget_usd, samples(count), check)
-        except Killed:
-            world.now += world.chance.uniform(0, 900)
-            if world.chance.random() < 0.3:
-                world.boot, world.boot_at = world.boot + 1, world.now
-        except OSError:
-            world.trail.append("disk full")
-        else:
-            return number
-    raise AssertionError(f"seed {world.seed} never ends: {world.trail[-20:]}")
-
-
-def _one(
-    world: World, controller: int, budget: float | None, wanted: list[Sample], check: Callable[[World], None]
-) -> None:
-    journal = MortalJournal(world.folder / "journal.jsonl", world, controller)
-    order = Order(
-        application="a", plan="p", rules=RULES, budget_usd=budget, deadline_s=SETUP_S + AFTER_S,
-        lifetime_s=SETUP_S + AFTER_S + SLACK_S, tasks={s.id: {} for s in wanted}, root=world.folder,
-        attempts=world.folder / "attempts", token=f"{controller}x{os.urandom(2).hex()}",
-    )  # fmt: skip
-    campaign = Campaign(
-        order, FaultyRunner(world, controller), journal, SimulatedLedger(world, controller),
-        VirtualClock(world, controller), tell=lambda _event: check(world),
-    )  # fmt: skip
-    try:
-        running = campaign.recover()
-        journal.begin("simulated", "a", "p", world.disk["spent"])
-        done = {name for name, record in world.disk["samples"].items() if finished(record)}
-        campaign.run([s for s in wanted if s.id not in running | done])
-        if campaign.left:
-            world.misdeeds.append(f"left: {campaign.left}")
-    finally:
-        journal.close()

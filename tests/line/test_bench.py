@@ -73,7 +73,18 @@ def test_events_are_json_lines_and_the_last_one_is_the_results(tmp_path):
     lines = [json.loads(line) for line in scene.bench("--only", FIRST, "-o", "json").stdout.splitlines()]
     assert lines[0]["event"] == "starts"
     assert lines[-2]["record"]["id"] == FIRST
+    assert lines[-2]["record"]["stopped_by"] == "steps"
     assert lines[-1]["kind"] == "Results"
+
+
+def test_the_logs_of_what_failed_are_kept_and_named(tmp_path):
+    scene = Scene.made(tmp_path / "scene", "print('no luck today', flush=True)\nraise SystemExit(3)\n")
+    ended = scene.bench("--only", FIRST)
+    assert ended.returncode == 1
+    named = ended.stdout.partition("logs: ")[2].splitlines()[0]
+    assert f"logs: {named}" in ended.stderr
+    logs = [path.read_text() for path in (scene.folder / named).rglob("*.log")]
+    assert any("no luck today" in text for text in logs)
 
 
 def test_a_bench_that_was_killed_goes_on(halting):
@@ -140,6 +151,25 @@ def test_asked_twice_it_stops_at_once_and_the_next_one_cleans_up(halting):
         assert f"may still run: {scene.names()[0]}" in said
     (scene.folder / "specs" / "go").touch()
     assert scene.bench().returncode == 0
+    assert {one["state"] for one in scene.records().values()} == {"ok"}
+    assert scene.alive() == []
+
+
+def test_machines_whose_journal_is_lost_are_found_and_taken_down(halting):
+    """As after a kill on another host: only the machines' names tell whose they are."""
+    scene, bench = halting
+    name = scene.names()[0]
+    bench.kill()
+    bench.wait()
+    marks = [f"FOGSPEC_SAMPLE={name}".encode()]
+    (scene.folder / ".fogspec" / "tiny" / "journal.jsonl").unlink()
+    careful = scene.bench()
+    assert (careful.returncode, name in careful.stderr, "--resume" in careful.stderr) == (5, True, True)
+    assert scene.started() == []
+    (scene.folder / "specs" / "go").touch()
+    ended = scene.bench("--resume")
+    assert ended.returncode == 0, ended.stderr
+    assert not [pid for pid, words in environments() if any(mark in words for mark in marks)]
     assert {one["state"] for one in scene.records().values()} == {"ok"}
     assert scene.alive() == []
 
@@ -246,3 +276,20 @@ def test_scenarios_are_weighed_as_the_spec_says(tmp_path):
     assert ended.returncode == 0, ended.stderr
     mean_ms = float(scene.records()[FIRST]["latency"]["mean"].removesuffix("ms"))
     assert 30 <= mean_ms < 45
+
+
+def test_enough_requests_for_the_precision_asked_for_stop_a_sample(tmp_path):
+    work = (
+        "import itertools, time, fogspec_probe\n"
+        "for number in itertools.count():\n"
+        "    fogspec_probe.start('work')\n    time.sleep(0.004 + 0.002 * (number % 3))\n    fogspec_probe.stop('work')\n"
+    )
+    stop = "stop: {steps: 100000, after: 20s, precision: 10%}"
+    scene = Scene.made(tmp_path / "scene", work, SPEC.replace("stop: {steps: 10, after: 3s}", stop))
+    ended = scene.bench("--only", FIRST)
+    assert ended.returncode == 0, ended.stderr
+    record = scene.records()[FIRST]
+    assert (record["state"], record["stopped_by"]) == ("ok", "precision")
+    assert 10 <= record["requests"] < 1000
+    assert "setup" in record
+    assert "measuring" in record

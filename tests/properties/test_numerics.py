@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fogspec.numerics.acquisition import busy, choose, next_wave
-from fogspec.numerics.surrogate import observations, prepare
+from fogspec.numerics.samples import observations
+from fogspec.numerics.surrogate import prepare
 from tests.unit.machines import family
 
 MACHINES = family()

@@ -5,16 +5,22 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 
+import fogspec.probe
+from fogspec import wiring
+from fogspec.effects.templates import render
 from fogspec.plan import GpuShape, MachineRef, Sample
 from fogspec.plugins.runners.local import LocalRunner
 from fogspec.plugins.runners.replay import ReplayRunner
+from fogspec.plugins.runners.skypilot import SkyPilotRunner
+from fogspec.plugins.skypilot.problems import CloudProblem
 from fogspec.results import LatencySummary, Measured
 from fogspec.seams import CannotStart, Job, Progress, Recording, Runner
+from tests.fakes.sky import Cloud, SimulatedClient
 
 LINE = json.dumps({"name": "work", "start_s": 1.0, "latency_s": 0.25, "ok": True, "metrics": {}, "reason": None})
 RUN = (
@@ -74,7 +80,29 @@ def replay(folder: Path) -> Bed:
                job_on(folder, "big", machine("c9.huge", "aws/us-east-1")))  # fmt: skip
 
 
-@pytest.fixture(params=[local, replay], ids=["local", "replay"])
+def skypilot(folder: Path) -> Bed:
+    """The runner on a simulated SkyPilot; tests/slurm has it on the real one."""
+    (folder / "work.py").write_text(WORK)
+    (folder / "agent").symlink_to(next(iter(fogspec.probe.__path__)))
+    cloud = Cloud(folder / "cloud")
+    limits = ["--steps", "3", "--after", "5", "--warmup", "1", "--startup", "5"]
+    run = render("run_sample.sh.j2", distro=None, workspace=None, limits=limits, lifetime_s=30,
+                 processes=[["python3", "work.py"]])  # fmt: skip
+
+    def job(name: str, instance: str = "2CPU--4GB") -> Job:
+        made = job_on(folder, f"fogspec-{name}", machine(instance, "slurm/lab/small"), run)
+        return replace(made, task={**made.task, "file_mounts": {"~/.fogspec/agent": "agent"}})
+
+    too_big = job("big", "9999CPU--1GB")
+    cloud.refused[too_big.name] = CloudProblem("capacity", "no partition has 9999 CPUs")
+
+    def made() -> Runner:
+        return SkyPilotRunner(client=SimulatedClient(cloud))  # type: ignore[arg-type]
+
+    return Bed(made(), made, job, too_big)
+
+
+@pytest.fixture(params=[local, replay, skypilot], ids=["local", "replay", "skypilot"])
 def bed(request, tmp_path):
     return request.param(tmp_path)
 
@@ -88,7 +116,7 @@ def awaited(runner: Runner, job: Job) -> Progress:
 
 
 def test_it_says_what_it_is(bed):
-    assert bed.runner.name in ("local", "replay")
+    assert bed.runner.name in wiring.RUNNERS
     assert bed.runner.at_once >= 1
     assert bed.runner.poll_s >= 0
     assert bed.runner.costs in ("real", "recorded", "nothing")
@@ -143,11 +171,17 @@ def test_what_was_never_started_is_lost_and_may_be_ended(bed):
 
 
 def test_a_machine_that_cannot_be_had_is_said(bed):
-    with pytest.raises(CannotStart) as no:
+    try:
         bed.runner.start(bed.too_big)
-    assert (no.value.reason, no.value.again) == ("capacity", False)
+    except CannotStart as no:
+        said = no.reason, no.again
+        lost = True
+    else:
+        progress = awaited(bed.runner, bed.too_big)
+        said, lost = (progress.reason, progress.again), False
+    assert said == ("capacity", False)
     bed.runner.end(bed.too_big)
-    assert bed.runner.look(bed.too_big).lost
+    assert bed.runner.look(bed.too_big).lost == lost
 
 
 def test_two_attempts_do_not_touch_each_other(bed):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fogspec.numerics.acquisition import Policy, busy, choose, next_wave, provisioned
-from fogspec.numerics.surrogate import fit, observations, prepare
+from fogspec.numerics.samples import observations
+from fogspec.numerics.surrogate import fit, prepare
 from tests.unit.machines import amdahl, family
 
 MACHINES = family()

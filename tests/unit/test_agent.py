@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.probe import agent
+from fogspec.probe import agent, counting
 
 AGENT = Path(agent.__file__)
 TIMED = """
@@ -93,6 +93,7 @@ def test_the_kernel_s_kills_for_want_of_memory_explain_what_came_of_them(tmp_pat
 def test_the_kernel_s_counter_is_read(tmp_path, monkeypatch):
     assert agent.memory_kills() >= 0
     monkeypatch.setattr(agent, "VMSTAT", tmp_path / "vmstat")
+    monkeypatch.setattr(agent, "own_counters", list)
     assert agent.memory_kills() == 0
     (tmp_path / "vmstat").write_text("pgfault 12\noom_kill 3\nnr_x 1\n")
     assert agent.memory_kills() == 3
@@ -173,7 +174,7 @@ def test_logs_are_kept_small(tmp_path, monkeypatch):
 
 
 def test_the_probes_are_importable_and_this_file_shadows_nobodys_agent(tmp_path):
-    looks = "import fogspec_probe, fogspec_topics, importlib.util as u\nassert u.find_spec('agent') is None\nsay(1.0)"
+    looks = "import fogspec_probe, fogspec_machine.topics, importlib.util as u\nassert u.find_spec('agent') is None\nsay(1.0)"
     outcome = run(tmp_path, looks, warmup=0)
     assert outcome["state"] == "ok"
 
@@ -209,7 +210,7 @@ def test_the_interval_covers_the_truth_as_often_as_it_says(statistic, truth):
     covered = 0
     for _ in range(400):
         values = [source.gauss(1.0, 0.1) for _ in range(150)]
-        value, half = agent.interval(values, statistic)
+        value, half = counting.interval(values, statistic)
         # The quantile's interval is not centred on it; ± half of it is what stopping looks at.
         covered += abs(value - truth) <= half
     assert 0.88 <= covered / 400 <= 0.995
@@ -220,13 +221,13 @@ def test_successive_requests_that_resemble_each_other_widen_the_interval():
     for _ in range(400):
         level = 0.8 * level + source.gauss(0, 0.1)
         values.append(1 + level)
-    _, half = agent.interval(values, "mean")
+    _, half = counting.interval(values, "mean")
     assert half > 2 * 1.96 * statistics.stdev(values) / 20
 
 
 def test_equal_latencies_are_known_exactly_and_rare_quantiles_not_at_all():
-    assert agent.interval([0.5] * 10, "mean") == (0.5, 0.0)
-    assert agent.interval([0.5] * 50, "p99")[1] == float("inf")
+    assert counting.interval([0.5] * 10, "mean") == (0.5, 0.0)
+    assert counting.interval([0.5] * 50, "p99")[1] == float("inf")
 
 
 def test_only_requests_of_the_callback_count(tmp_path):
@@ -238,3 +239,45 @@ while True: [other() for _ in range(5)]; say(0.01); time.sleep(0.02)
     assert (outcome["stopped_by"], outcome["unreadable"]) == ("steps", 0)
     lines = (tmp_path / "out" / "timings.jsonl").read_text().splitlines()
     assert sum('"plan"' in line for line in lines) >= 5
+
+
+def afterwards(script: str) -> tuple[str, str]:
+    return "--afterwards", json.dumps([sys.executable, "-c", TIMED + script])
+
+
+def test_records_that_are_written_once_everything_has_ended(tmp_path):
+    reads = "import pathlib; assert float(os.environ['FOGSPEC_BEGUN']) <= time.time(); [say(0.1) for _ in range(4)]"
+    outcome = run(tmp_path / "a", "time.sleep(600)", steps=None, after=0.6, extra=afterwards(reads))
+    assert (outcome["state"], outcome["stopped_by"], outcome["requests"]) == ("ok", "time", 4)
+    assert outcome["duration_s"] < 5
+    outcome = run(tmp_path / "b", "pass", steps=None, extra=afterwards(reads))
+    assert (outcome["state"], outcome["stopped_by"]) == ("ok", "exit")
+
+
+def test_what_cannot_be_read_afterwards_says_why_and_a_crash_stays_one(tmp_path):
+    outcome = run(tmp_path / "a", "pass", steps=None, extra=afterwards("raise SystemExit('the bag is damaged')"))
+    assert (outcome["state"], outcome["reason"], outcome["detail"]) == ("failed", "no_response", "the bag is damaged")
+    outcome = run(
+        tmp_path / "b", "raise SystemExit('no camera')", steps=None, extra=afterwards("[say(1) for _ in range(3)]")
+    )
+    assert (outcome["reason"], outcome["requests"]) == ("crash", 3)
+
+
+def test_reading_afterwards_has_an_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(agent, "AFTERWARDS_S", 0.3)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    limits = ["--out", str(tmp_path), "--after", "1", "--startup", "1", *afterwards("time.sleep(600)")]
+    assert agent.main([*limits, "--process", '["true"]']) == 1
+    detail = json.loads((tmp_path / "outcome.json").read_text())["detail"]
+    assert detail == "nothing was timed within 0.3 s after the end"
+
+
+def test_what_a_probe_notes_is_no_request_and_explains_why_there_is_none(tmp_path):
+    script = """
+with open(os.environ["FOGSPEC_TIMINGS"], "a") as f:
+    f.write('{"note": "nobody publishes /pose"}\\n{"warning": "x"}\\n{"metric": {"m": 1}, "at_s": 1}\\n{"unmatched": true}\\n')
+time.sleep(600)
+"""
+    outcome = run(tmp_path, script, startup=0.6)
+    assert outcome["detail"] == "no timed request within 0.6 s of the start: nobody publishes /pose"
+    assert (outcome["requests"], outcome["unreadable"]) == (0, 0)

@@ -26,7 +26,7 @@ def test_what_is_said_of_a_sample_that_takes_too_long():
     attempt.heard(Progress(running=True, timings=Path("kept")))
     end = attempt.overdue(400.0, DEADLINE_S)
     assert (end.running, end.reason, end.timings) == (False, None, Path("kept"))
-    assert attempt.interrupted().reason == "interrupted"
+    assert attempt.stopped("interrupted", "stopped").reason == "interrupted"
 
 
 def test_silence_at_the_deadline_is_waited_out():

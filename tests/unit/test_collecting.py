@@ -171,3 +171,65 @@ def test_requests_that_name_no_scenario_are_not_guessed(tmp_path):
     made = record(tmp_path, line(), line(), rules=WEIGHED)
     assert (made.state, made.reason) == ("failed", "no_response")
     assert "easy, hard" in made.detail
+
+
+PROBED = Rules(warmup=0, valid=0.5, statistic="mean", timeout_s=1.0, metrics={"length": "length"})
+
+
+def probed(start_s, latency_s, service_s=None, **more):
+    return {
+        "name": "/pose",
+        "start_s": start_s,
+        "latency_s": latency_s,
+        "service_s": service_s or latency_s,
+        "ok": True,
+        **more,
+    }
+
+
+def test_a_request_that_took_too_long_has_failed(tmp_path):
+    made = record(tmp_path, probed(0, 0.5), probed(1, 1.5), rules=PROBED)
+    assert (made.state, made.requests, made.failed_requests, made.lost) == ("ok", 1, 1, None)
+    made = record(tmp_path, probed(0, 0.5), probed(1, 1.5), probed(3, 2), rules=PROBED)
+    assert made.detail == "2 of 3 requests failed their check: took longer than 1s"
+
+
+def test_lost_requests_failed_and_foreign_responses_are_counted(tmp_path):
+    lost = probed(1, 0.0) | {"ok": False, "lost": True, "reason": "no response"}
+    foreign = {"name": "/pose", "unmatched": True, "at_s": 3.0}
+    made = record(tmp_path, probed(0, 0.5), lost, foreign, foreign, probed(2, 0.5), rules=PROBED)
+    assert (made.requests, made.failed_requests, made.lost, made.unmatched) == (2, 1, 1, 2)
+    assert made.detail == "responses that belong to no request: 2"
+
+
+def test_waiting_is_told_from_working(tmp_path):
+    made = record(tmp_path, probed(0, 0.5, 0.5), probed(0.1, 0.9, 0.5), rules=PROBED)
+    assert (made.latency.mean, made.service.mean, made.detail) == (pytest.approx(0.7), 0.5, None)
+    made = record(tmp_path, probed(0, 0.2, 0.2), *[probed(0, 0.2 * i, 0.2) for i in (2, 3, 4)], rules=PROBED)
+    assert made.detail == "requests waited for one another: of 500ms on average the node worked 200ms"
+    no_service = {key: value for key, value in probed(5, 0.4).items() if key != "service_s"}
+    assert record(tmp_path, probed(0, 0.2), no_service, rules=PROBED).service is None
+
+
+def test_a_probe_s_warning_and_its_last_one(tmp_path):
+    lines = [probed(0, 0.5), {"warning": "first"}, {"note": "x"}, {"warning": "mind \x1b[1mthis"}]
+    assert record(tmp_path, *lines, rules=PROBED).detail == "mind [1mthis"
+
+
+def test_values_of_topics_reach_their_requests(tmp_path):
+    values = [
+        {"metric": {"length": 3}, "at_s": 0.51, "stamp": None},
+        {"metric": {"length": 5.0}, "at_s": 9, "stamp": [2, 0]},
+    ]
+    made = record(tmp_path, *values, probed(0, 0.5), probed(1, 0.5, stamp=[2, 0]), rules=PROBED)
+    assert made.metrics == {"length": 4.0}
+    made = record(
+        tmp_path, probed(0, 0.5), {"metric": {"length": "long"}, "at_s": 0.6}, {"metric": 3, "at_s": 1}, rules=PROBED
+    )
+    assert (made.metrics, made.detail) == ({}, "unreadable lines in the timings: 1")
+
+
+def test_an_answer_that_a_client_refuses_has_failed(tmp_path):
+    verdict = {"metric": {"!": "found == true does not hold: it is False"}, "at_s": 0.501, "stamp": None}
+    made = record(tmp_path, probed(0, 0.5), verdict, probed(1, 0.5), rules=PROBED)
+    assert (made.requests, made.failed_requests, made.metrics) == (1, 1, {})

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from fogspec.numerics.priors import Library, prior_for
-from fogspec.numerics.surrogate import fit, observations
+from fogspec.numerics.samples import observations
+from fogspec.numerics.surrogate import fit
 from tests.unit.machines import amdahl, family
 
 MACHINES = family()

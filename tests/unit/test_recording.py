@@ -6,10 +6,11 @@ import pytest
 
 from fogspec.base import digest
 from fogspec.base.outcomes import Refused, WrongFile
-from fogspec.effects.benching import check_same_runner, redactor, set_aside
+from fogspec.effects.benching import check_same_runner
 from fogspec.effects.layout import Layout
 from fogspec.effects.measured import read_results, recordings
-from fogspec.effects.recording import ResultsFile
+from fogspec.effects.recording import ResultsFile, set_aside
+from fogspec.effects.secrecy import Secrets
 from fogspec.plan import MachineRef
 from fogspec.results import LatencySummary, Measured, intact
 
@@ -71,7 +72,7 @@ def test_a_results_folder_that_cannot_be_written_is_said(file):
 
 def test_secrets_do_not_reach_the_results(file, monkeypatch):
     monkeypatch.setenv("MAP_TOKEN", "s3cr3t-value")
-    file.redact = redactor(["MAP_TOKEN", "NOT_SET"])
+    file.redact = Secrets.of(["MAP_TOKEN", "NOT_SET"]).out_of
     assert file.keep(record("a", "401 for s3cr3t-value"), None).detail == "401 for $MAP_TOKEN"
 
 

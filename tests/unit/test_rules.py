@@ -3,8 +3,6 @@
 import pytest
 
 from fogspec.effects.specfiles import examine_text
-from fogspec.rules.unavailable import unavailable
-from fogspec.spec import Application
 
 BASE = """\
 apiVersion: fogspec.dev/v1alpha1
@@ -31,8 +29,29 @@ def said(
     [
         ({}, []),
         ({"probe": "{ request: /a, response: /b, match: order }"}, []),
-        ({"probe": "{ request: /a, response: /b, callback: c, service: /s }"}, ["FS511", "FS511", "FS901"]),
+        ({"probe": "{ request: /a, response: /b, callback: c, service: /s }"}, ["FS511", "FS511"]),
         ({"probe": "{ response: /b }"}, ["FS512"]),
+        ({"probe": "{ service: /s, timeout: 2s }"}, []),
+        ({"probe": "{ action: /a, via: preload }"}, []),
+        ({"probe": "{ bag: run, request: /a, response: /b, success: 'len(poses) > 0' }"}, []),
+        ({"probe": "{ bag: run }"}, ["FS512"]),
+        ({"probe": "{ bag: run, callback: c }"}, ["FS511"]),
+        ({"probe": "{ bag: run, request: /a, response: /b, via: preload }"}, ["FS525"]),
+        ({"probe": "{ callback: c, via: preload }"}, ["FS525"]),
+        ({"probe": "{ service: /s, via: rclpy }"}, ["FS525"]),
+        ({"probe": "{ service: /s, success: a == 1 }"}, ["FS525"]),
+        ({"probe": "{ service: /s, success: a == 1 }", "benchmark": "{ budget: $1, workload: { bag: calls } }"}, []),
+        ({"probe": "{ action: /s, success: a == 1 }"}, ["FS525"]),
+        ({"probe": "{ request: /a, response: /b, match: first_request, via: preload }"}, ["FS525"]),
+        ({"probe": "{ request: /a, response: /b, success: a == 1, via: preload }"}, ["FS525"]),
+        ({"probe": "{ request: /a, response: /b, success: a = 1 }"}, ["FS305"]),
+        ({"probe": "{ service: /s }", "benchmark": "{ budget: $1, workload: { bag: d, rate: 5/s } }"}, []),
+        ({"benchmark": "{ budget: $1, workload: { bag: d } }"}, ["FS526"]),
+        ({"benchmark": "{ budget: $1, workload: { rate: 5/s } }"}, ["FS526"]),
+        (
+            {"probe": "{ service: /s }", "benchmark": "{ budget: $1, workload: { bag: d, node: { cmd: [x] } } }"},
+            ["FS526"],
+        ),
         ({"benchmark": "{ machines: [local/1cpu-1gib, local/2cpu-2gib] }"}, []),
         ({"benchmark": "{ machines: [local/1cpu-1gib, c6i.large] }"}, ["FS522"]),
         ({"benchmark": "{ budget: $0 }"}, ["FS522"]),
@@ -44,13 +63,13 @@ def said(
         ({"more": "  objective: { rate: 1/s }"}, ["FS518"]),
         ({"more": "  objective: { metric: latency }"}, ["FS517"]),
         ({"more": "  constraints: { metrics: { length: 3 } }"}, ["FS517"]),
-        ({"more": "  metrics: { m: { topic: /t, field: x } }"}, ["FS901"]),
-        ({"more": "  metrics: { m: { topic: /t, callback: x } }"}, ["FS515", "FS901"]),
+        ({"more": "  metrics: { m: { topic: /t, field: x } }"}, []),
+        ({"more": "  metrics: { m: { topic: /t, callback: x } }"}, ["FS515"]),
         ({"more": "  hardware: { gpus: [T4, quantum] }"}, ["FS532"]),
         ({"more": "  hardware: { machines: { allow: [c6i.*], deny: [c6i.*] } }"}, ["FS533"]),
         ({"more": "  hardware: { cpus: 0..0 }"}, ["FS535"]),
         ({"more": "  hardware: { cpus: ..2, memory: 64GiB.., memory_per_cpu: ..8GiB }"}, ["FS535"]),
-        ({"more": "  connectivity: { link: zenoh }"}, ["FS901"]),
+        ({"more": "  connectivity: { link: zenoh }"}, ["FS541", "FS543"]),
     ],
 )
 def test_rules(change: dict[str, str], codes: list[str]) -> None:
@@ -77,14 +96,3 @@ def test_a_gpu_unknown_to_fogspec_is_only_a_warning() -> None:
     loaded, wrong = examine_text(content.encode(), "spec.yaml")
     assert [(one.code, one.severity) for one in wrong] == [("FS532", "warning")]
     assert [one.code for one in loaded[0].warnings] == ["FS532"]
-
-
-def test_what_is_unavailable_is_a_field_of_the_language() -> None:
-    content = BASE.format(
-        cloud="{ cmd: [plan] }", probe="{ bag: a.mcap }",
-        benchmark="{ budget: $1, sampler: adaptive, workload: { bag: b, rate: 1/s } }",
-        more="  connectivity: { link: zenoh }\n  metrics: { m: { topic: /t, field: f } }",
-    )  # fmt: skip
-    loaded, _ = examine_text(content.encode(), "spec.yaml")
-    application: Application = loaded[0].application
-    assert len(list(unavailable(application))) == 6

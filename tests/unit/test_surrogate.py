@@ -5,7 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from fogspec.numerics.surrogate import fit, observations, prepare
+from fogspec.numerics.samples import observations
+from fogspec.numerics.surrogate import fit, prepare
 from tests.unit.machines import amdahl, family
 
 FEW = [0, 3, 6, 10, 17]

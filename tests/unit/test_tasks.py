@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -81,7 +82,17 @@ def test_parameters_keep_their_type(value, text):
 def test_topics_are_listened_to_by_a_process_of_their_own():
     app = application(probe={"request": "/in", "response": "/out"})
     first = measured_processes(app.spec)[0]
-    assert first == ["python3", "-m", "fogspec_topics", "--request", "/in", "--response", "/out", "--match", "stamp"]
+    assert first == [
+        "python3",
+        "-m",
+        "fogspec_machine.topics",
+        "--request",
+        "/in",
+        "--response",
+        "/out",
+        "--match",
+        "stamp",
+    ]
 
 
 def rendered_sample(app: Application) -> str:
@@ -101,12 +112,20 @@ def test_hostile_words_reach_the_process_unchanged(tmp_path):
     assert not (tmp_path / "owned").exists()
 
 
+AGENT_FILE = Path(__file__).resolve().parents[2] / "fogspec" / "probe" / "agent.py"
+DEPLOYED = {"ready": ["true"], "listeners": [["sleep", "1"]], "link": None}
+
+
 def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_path):
     processes = [["sh", "-c", 'printf %s "$1" > said', "x", NASTY], ["sleep", "60"]]
-    script = render("run_deploy.sh.j2", **ros_environment(application().spec), processes=processes)
-    subprocess.run(
-        ["bash", "-c", script], cwd=tmp_path, timeout=120, check=True, env={"PATH": "/usr/bin:/bin", "HOME": "/"}
-    )
+    script = render("run_deploy.sh.j2", **ros_environment(application().spec), processes=processes, **DEPLOYED)
+    environment = {
+        "PATH": "/usr/bin:/bin",
+        "HOME": "/",
+        "FOGSPEC_AGENT": str(AGENT_FILE),
+        "FOGSPEC_OUT": str(tmp_path / "out"),
+    }
+    subprocess.run(["bash", "-c", script], cwd=tmp_path, timeout=120, env=environment)
     assert (tmp_path / "said").read_text() == NASTY
 
 
@@ -114,7 +133,7 @@ def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_p
 def test_scripts_pass_shellcheck(tmp_path, template):
     app = application(ros={"workspace": "ros2_ws", "apt": ["x y"], "setup": ["echo hello"]}, cloud=[{"cmd": [NASTY]}])
     script = tmp_path / "script.sh"
-    script.write_text(render(template, **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=9.0,
+    script.write_text(render(template, **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=9.0, **DEPLOYED,
                              processes=measured_processes(app.spec)))  # fmt: skip
     try:
         checked = subprocess.run(["shellcheck", "-s", "bash", "-S", "warning", "-e", "SC1091,SC2016", str(script)],
@@ -144,6 +163,7 @@ def test_without_a_runner_that_reads_folders_the_lines_are_in_the_log(tmp_path):
                              env=environment | {"OMP_NUM_THREADS": "1"} | more)  # fmt: skip
         assert run.returncode == 3, run.stderr
         assert run.stdout.splitlines() == [
+            "=== fogspec measures ===",
             "=== fogspec begin outcome.json ===", json.dumps({"omp": omp}), "=== fogspec end outcome.json ===",
             "=== fogspec begin timings.jsonl ===", *['{"latency_s": 1.5}'] * 2, "=== fogspec end timings.jsonl ===",
         ]  # fmt: skip
@@ -158,6 +178,15 @@ def test_slurm_has_neither_images_nor_spot_and_it_is_said():
         "image docker.io/library/ros:jazzy", "spot"
     ]  # fmt: skip
     assert left_out(app.spec, sample().machine) == []
+
+
+def test_places_without_a_list_of_types_are_asked_for_the_shape_whatever_its_name():
+    app = application(ros={"image": "docker.io/library/ros:jazzy"})
+    for infra, image in (("slurm/lab/fast", False), ("kubernetes/me@lab", True), ("ssh/rack", True)):
+        resources = task_of(app, sample(infra=infra, instance="the big one"))["resources"]
+        assert (resources["infra"], resources["cpus"], resources["memory"]) == (infra, "4", "16")
+        assert "instance_type" not in resources
+        assert ("image_id" in resources) == image
 
 
 FAKES = {
@@ -195,13 +224,20 @@ def test_setting_up_twice_installs_builds_and_logs_and_runs_its_own_lines_once(t
     assert not list(tmp_path.rglob("owned"))
 
 
-def test_a_set_up_that_fails_says_so_and_stops(tmp_path):
+@pytest.mark.parametrize(
+    ("codename", "code", "said"), [("noble", 7, ""), ("bookworm", 1, "and this is Toy OS: name an image")]
+)
+def test_a_set_up_that_fails_says_so_and_stops(tmp_path, codename, code, said):
     for name, body in FAKES.items():
         (tmp_path / name).write_text(f"#!/bin/sh\n{'exit 7' if name == 'apt-get' else body}\n")
         (tmp_path / name).chmod(0o755)
+    (tmp_path / "os-release").write_text(f"VERSION_CODENAME={codename}\nPRETTY_NAME='Toy OS'\n")
     script = render("setup_ros2.sh.j2", **ros_environment(application(ros={}).spec))
-    script = script.replace("export PATH=", f"export PATH={tmp_path}:")
+    script = script.replace("export PATH=", f"export PATH={tmp_path}:").replace(
+        "/etc/os-release", f"{tmp_path}/os-release"
+    )
     run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
                          env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
-    assert run.returncode == 7
+    assert run.returncode == code
+    assert said in run.stdout
     assert "is ready" not in run.stdout

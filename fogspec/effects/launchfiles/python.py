@@ -19,7 +19,7 @@ NOT_READ = {
     "RegisterEventHandler": "events decide what starts",
     "TimerAction": "a timer decides what starts",
 }
-UNUSED = {"workdir", "mode", "ami", "num_replicas"}
+UNUSED = {"workdir", "mode", "ami", "num_replicas", "manifest"}
 
 
 def read_python(text: str, path: str) -> Found:

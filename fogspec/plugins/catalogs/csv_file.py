@@ -13,8 +13,9 @@ from fogspec.plugins.catalogs.table import read
 
 # SkyPilot's names (docs.skypilot.co, "Cloud providers")
 CLOUDS = {
-    "aws", "azure", "cudo", "do", "fluidstack", "gcp", "hyperbolic", "ibm", "kubernetes", "lambda", "nebius", "oci",
-    "paperspace", "primeintellect", "runpod", "scp", "seeweb", "shadeform", "slurm", "ssh", "vast", "vsphere",
+    "aws", "azure", "cudo", "do", "fluidstack", "gcp", "hyperbolic", "ibm", "kubernetes", "lambda", "mithril",
+    "nebius", "oci", "paperspace", "primeintellect", "runpod", "scp", "seeweb", "shadeform", "slurm", "ssh", "vast",
+    "verda", "vsphere", "yotta",
 }  # fmt: skip
 
 

@@ -1,26 +1,20 @@
 """Samples on this host: one process tree at a time, confined to the sample's CPUs and memory."""
 
 import contextlib
-import json
 import math
 import os
 import re
-import signal
-import sys
-import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
-import fogspec.probe
+from fogspec.plugins import marked
 from fogspec.plugins.runners import confine
-from fogspec.results import Reason
+from fogspec.plugins.runners.outcome import read
 from fogspec.seams import CannotStart, Job, LostContact, Progress
 
 MARK = "FOGSPEC_SAMPLE"
 GRACE_S = 10.0
-LOOKS = 4
-OUTCOME_LIMIT = 64 * 2**10
 # What the user's shell knows and a workload need not, or must not: a number of threads set there would hide the
 # sample's CPUs. Names a task asks for come back in.
 CREDENTIALS = r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_KEY|PRIVATE_KEY|^AWS_|^AZURE_|^GOOGLE_|^SSH_AUTH"
@@ -69,14 +63,14 @@ class LocalRunner:
     def look(self, job: Job) -> Progress:
         """What its folder and its processes say; `lost` when it ended without saying how."""
         own = self._own.get(job.name)
-        alive = own.poll() is None if own is not None else bool(_found(job.name))
+        alive = own.poll() is None if own is not None else bool(marked.found(MARK, job.name))
         out, machine = job.folder / "out", job.sample.machine
         timings = out / "timings.jsonl"
         measured_on = f"local/{math.ceil(machine.cpus)}cpu-{machine.memory:g}gib"
         if alive:
             ready = timings.is_file() and timings.stat().st_size > 0
             return Progress(running=True, timings=timings, ready=ready, measured_on=measured_on)
-        outcome = _outcome(out / "outcome.json")
+        outcome = read(out / "outcome.json")
         if outcome is None and own is None:
             return Progress(running=False, lost=True, measured_on=measured_on, detail="it ended with its controller")
         if outcome is None:
@@ -86,9 +80,11 @@ class LocalRunner:
         if outcome["reason"] == "out_of_memory":
             outcome["detail"] = f"{machine.memory:g} GiB were not enough: {outcome['detail']}"
         said = outcome.get
+        over_s, ready_s = said("duration_s"), said("setup_s")
         return Progress(
             running=False, timings=timings, measured_on=measured_on, reason=said("reason"), detail=said("detail"),
-            setup_s=said("setup_s"), stopped_by=said("stopped_by"), waited_s=said("waited_s"),
+            setup_s=ready_s, measured_s=None if over_s is None or ready_s is None else max(0.0, over_s - ready_s),
+            stopped_by=said("stopped_by"), waited_s=said("waited_s"),
         )  # fmt: skip
 
     def end(self, job: Job) -> None:
@@ -96,14 +92,24 @@ class LocalRunner:
         own = self._own.get(job.name)
         if own is not None:
             own.end(grace_s=GRACE_S)
-        for number, patience_s in ((signal.SIGTERM, GRACE_S), (signal.SIGKILL, 5.0)):
-            if not _signal(_found(job.name), number):
-                return
-            until = time.monotonic() + patience_s
-            while _marked(job.name) and time.monotonic() < until:
-                time.sleep(0.05)
-        if left := _marked(job.name):
+        if left := marked.end(MARK, job.name, GRACE_S):
             raise LostContact(f"processes {', '.join(map(str, left))} do not end")
+
+    def strays(self, prefix: str, folder: Path) -> list[str]:
+        """Samples of this application that still run here, whoever started them."""
+        return _strays(prefix, folder)
+
+
+def _strays(prefix: str, folder: Path) -> list[str]:
+    """Samples that begin with the prefix and write into a folder below this one."""
+    mark, here, found = f"{MARK}={prefix}".encode(), os.fsencode(os.path.abspath(folder)) + b"/", set[bytes]()
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        with contextlib.suppress(OSError):
+            words = Path("/proc", entry, "environ").read_bytes().split(b"\0")
+            out = next((word.partition(b"=")[2] for word in words if word.startswith(b"FOGSPEC_OUT=")), b"")
+            if os.path.abspath(out).startswith(here):
+                found |= {word.partition(b"=")[2] for word in words if word.startswith(mark)}
+    return sorted(os.fsdecode(name) for name in found)
 
 
 def _environment(job: Job) -> dict[str, str]:
@@ -112,15 +118,7 @@ def _environment(job: Job) -> dict[str, str]:
         raise CannotStart("setup", f"the environment does not have {', '.join(sorted(missing))}")
     kept = {k: v for k, v in os.environ.items() if k in secrets or not WITHHELD.search(k.upper())}
     given = {key: str(value) for key, value in _mapping(job.task.get("envs")).items()}
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
-    agent = Path(next(iter(fogspec.probe.__path__))) / "agent.py"
-    ours = {
-        "PATH": path,
-        MARK: job.name,
-        "FOGSPEC_AGENT": str(agent),
-        "FOGSPEC_OUT": str((job.folder / "out").absolute()),
-    }
-    return {**kept, **given, **ours}
+    return {**marked.equipped({**kept, **given}, job.folder / "out"), MARK: job.name}
 
 
 def _mapping(value: object) -> Mapping[str, Any]:
@@ -129,50 +127,7 @@ def _mapping(value: object) -> Mapping[str, Any]:
 
 def _marked(name: str) -> list[int]:
     """The living processes of a sample, whoever their parents are."""
-    mark, found = f"{MARK}={name}".encode(), []
-    for entry in filter(str.isdigit, os.listdir("/proc")):
-        with contextlib.suppress(OSError):
-            # A zombie's environment is empty.
-            if mark in Path("/proc", entry, "environ").read_bytes().split(b"\0"):
-                found.append(int(entry))
-    return found
-
-
-def _found(name: str) -> list[int]:
-    """As `_marked`, but sure of it when there are none: in the middle of an exec a process shows no environment."""
-    for _ in range(LOOKS - 1):
-        if found := _marked(name):
-            return found
-        time.sleep(0.03)
-    return _marked(name)
-
-
-def _signal(pids: Iterable[int], number: int) -> int:
-    count = 0
-    for pid in pids:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, number)
-            count += 1
-    return count
-
-
-def _outcome(path: Path) -> dict[str, Any] | None:
-    """The agent's outcome, as far as its values are of the right kind."""
-    try:
-        with open(path, "rb") as file:
-            said = json.loads(file.read(OUTCOME_LIMIT))
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(said, dict):
-        return None
-    checked: dict[str, Any] = {"reason": said.get("reason") if said.get("reason") in get_args(Reason) else None}
-    for key in ("setup_s", "waited_s"):
-        value = said.get(key)
-        checked[key] = float(value) if isinstance(value, (int, float)) and 0 <= value < 1e9 else None
-    for key in ("detail", "stopped_by"):
-        value = said.get(key)
-        checked[key] = value[:500] if isinstance(value, str) else None
-    return checked
+    return marked.marked(MARK, name)
 
 
 def _ended_early(own: confine.Confined | None, folder: Path) -> str:

@@ -49,6 +49,8 @@ class ReplayRunner:
         except (OSError, ValueError, KeyError, IndexError, TypeError):
             return Progress(running=False, lost=True, detail="the replay had not begun")
         record = recording.record
+        if not recording.priced:
+            record = record.model_copy(update={"spent": job.sample.machine.price * record.duration / 3600})
         running = self._now_s() - state["at_s"] < record.duration * self._pace
         timings = None if running else _unpacked(recording, job.folder / "timings.jsonl")
         return Progress(

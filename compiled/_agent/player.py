@@ -1,0 +1,237 @@
+"""Sends the requests of a recorded bag: the next one after the response (closed-loop), or at a rate (open-loop).
+
+    python3 -m fogspec_machine.player --bag data/kitchen --request /camera/color/image --response /RGBD/pose --timeout 10
+    python3 -m fogspec_machine.player --bag data/calls --service /plan --rate 5 --success 'found == true'
+
+The bag is played there and back, so that no request follows one that it never followed in the world by a jump. A request is
+sent with all that was recorded since the one before it, on every topic that somebody subscribes to and nobody else
+publishes; headers get new stamps, the same distance apart. Requests of a service are read from its `_service_event`
+topic. Standard library and rclpy; PyPI `mcap` for mcap bags.
+"""
+
+import argparse
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .bag import BagError, Message, messages
+from .pairing import stamp_of, stamped
+from .records import VERDICT, Condition, Stamp, Writer
+from .ros import hearing, message_of, need_rclpy, type_of
+
+START_S = 120.0
+SETTLE_S = 0.5
+IGNORED = ("/rosout", "/parameter_events", "/clock")
+MEMORY_BYTES = 2**31
+REQUEST_SENT, REQUEST_RECEIVED = 0, 1  # service_msgs/msg/ServiceEventInfo
+
+
+@dataclass
+class Turn:
+    """One request and all that was recorded since the one before it."""
+
+    request: Message
+    before: list[Message] = field(default_factory=list)
+
+
+def turns(path: Path, request: str, others: bool) -> list[Turn]:
+    """The bag cut into turns, each ending with a request; raises BagError when there is none.
+
+    A bag that is cut off gives the turns before the cut.
+    """
+    found: list[Turn] = []
+    before: list[Message] = []
+    size = 0
+    try:
+        for message in messages(path, None if others else {request}):
+            size += len(message.data)
+            if size > MEMORY_BYTES:
+                break
+            if message.topic == request:
+                found.append(Turn(message, before))
+                before = []
+            elif message.topic not in IGNORED:
+                before.append(message)
+    except BagError as problem:
+        if not found:
+            raise
+        print(f"{problem}: {len(found)} requests are played", flush=True)
+    if not found:
+        raise BagError(f"{path} has no message of {request}")
+    return found
+
+
+def there_and_back(count: int) -> Iterator[int]:
+    """0, 1, ..., n-1, n-2, ..., 1, 0, 1, ... for ever: neighbours stay neighbours."""
+    while True:
+        yield from range(count)
+        yield from range(count - 2, 0, -1)
+
+
+class Topics:
+    """Sends a turn's messages, each with a new stamp."""
+
+    def __init__(self, node: Any, found: list[Turn], options: argparse.Namespace) -> None:
+        self.node, self.turns, self.request = node, found, options.request
+        kinds = {message.topic: message.kind for turn in found for message in [turn.request, *turn.before]}
+        kinds.pop(options.response, None)
+        types = {topic: message_of(kind) for topic, kind in kinds.items()}
+        self.headed = {topic for topic, (_, has_header) in types.items() if has_header}
+        self.answers = 0
+        self.last: Stamp | None = None
+        self._answers_to(options.response)
+        self.publishers = {options.request: self._publisher(options.request, types)}
+        self._wait(
+            lambda: self.publishers[options.request].get_subscription_count() > 0, "subscribes to", options.request
+        )
+        for topic in types:
+            if topic != options.request and node.count_subscribers(topic) and not node.count_publishers(topic):
+                self.publishers[topic] = self._publisher(topic, types)
+
+    def _publisher(self, topic: str, types: dict[str, Any]) -> Any:
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
+        kept = topic.endswith("/tf_static") or topic == "/tf_static"
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE
+        return self.node.create_publisher(types[topic][0], topic, QoSProfile(depth=100, durability=durability))
+
+    def _answers_to(self, topic: str) -> None:
+        self._wait(lambda: bool(dict(self.node.get_topic_names_and_types()).get(topic)), "publishes", topic)
+        kind = dict(self.node.get_topic_names_and_types())[topic][0]
+        message_type, has_header = message_of(kind)
+
+        def received(message: bytes) -> None:
+            # The answer to an earlier request, which was given up, is not this one's.
+            if not (has_header and self.last and self.request in self.headed) or stamp_of(message) >= self.last:
+                self.answers += 1
+
+        self.node.create_subscription(message_type, topic, received, hearing(), raw=True)
+
+    def _wait(self, there: Callable[[], bool], verb: str, topic: str) -> None:
+        import rclpy
+
+        until = time.monotonic() + START_S
+        while not there():
+            if time.monotonic() > until:
+                sys.exit(f"nobody {verb} {topic}")
+            rclpy.spin_once(self.node, timeout_sec=0.1)
+
+    def send(self, number: int) -> Callable[[], bool]:
+        """Send one turn; what is returned says whether it is answered."""
+        turn, now = self.turns[number], self.node.get_clock().now().nanoseconds
+        old = self._nanoseconds(turn.request)
+        before = self.answers
+        for message in [*turn.before, turn.request]:
+            if message.topic in self.publishers:
+                self.publishers[message.topic].publish(self._restamped(message, now, old))
+        return lambda: self.answers > before
+
+    def _nanoseconds(self, message: Message) -> int:
+        seconds, nanoseconds = stamp_of(message.data) if message.topic in self.headed else (0, 0)
+        return seconds * 10**9 + nanoseconds
+
+    def _restamped(self, message: Message, now: int, old: int) -> bytes:
+        if message.topic not in self.headed:
+            return message.data
+        at = self._nanoseconds(message) + now - old if self.request in self.headed else now
+        new = (at // 10**9, at % 10**9)
+        if message.topic == self.request:
+            self.last = new
+        return stamped(message.data, new)
+
+
+class Service:
+    """Calls a service with the requests that were recorded of it."""
+
+    def __init__(self, node: Any, found: list[Turn], options: argparse.Namespace) -> None:
+        import rclpy
+        from rclpy.serialization import deserialize_message
+
+        until, kinds = time.monotonic() + START_S, None
+        while not (kinds := dict(node.get_service_names_and_types()).get(options.service)):
+            if time.monotonic() > until:
+                sys.exit(f"nobody offers {options.service}")
+            rclpy.spin_once(node, timeout_sec=0.1)
+        service_type = type_of(kinds[0])
+        events = [deserialize_message(turn.request.data, service_type.Event) for turn in found]
+        asked = [
+            event for event in events if event.info.event_type in (REQUEST_SENT, REQUEST_RECEIVED) and event.request
+        ]
+        # A call is recorded by who sends it, by who receives it, or by both.
+        sides = {event.info.event_type for event in asked}
+        self.requests = [event.request[0] for event in asked if event.info.event_type == min(sides)]
+        if not self.requests:
+            sys.exit(
+                f"the events of {options.service} hold no requests: record them with service introspection 'contents'"
+            )
+        self.success = options.success
+        self.writer = Writer(options.service)
+        self.client = node.create_client(service_type, options.service)
+        if not self.client.wait_for_service(START_S):
+            sys.exit(f"{options.service} does not answer")
+
+    def send(self, number: int) -> Callable[[], bool]:
+        """Call; what is returned says whether it is answered."""
+        answer = self.client.call_async(self.requests[number])
+        if self.success is not None:
+            answer.add_done_callback(self._judge)
+        return lambda: bool(answer.done())
+
+    def _judge(self, answer: Any) -> None:
+        now_s = time.monotonic()
+        try:
+            self.writer.metric({VERDICT: self.success.failure(answer.result())}, now_s, None)
+        except ValueError as problem:
+            sys.exit(str(problem))
+
+
+def play(node: Any, sender: Topics | Service, count: int, rate: float | None, timeout_s: float) -> None:
+    """Send for ever."""
+    import rclpy
+
+    begun = time.monotonic()
+    for sent, number in enumerate(there_and_back(count), start=1):
+        answered = sender.send(number)
+        until = begun + sent / rate if rate else time.monotonic() + timeout_s
+        while (left := until - time.monotonic()) > 0 and (rate or not answered()):
+            rclpy.spin_once(node, timeout_sec=left)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Play until interrupted."""
+    parser = argparse.ArgumentParser(prog="player", allow_abbrev=False)
+    parser.add_argument("--bag", required=True)
+    parser.add_argument("--request")
+    parser.add_argument("--response")
+    parser.add_argument("--service")
+    parser.add_argument(
+        "--success", type=Condition.parse, help="of a service's response; topics are judged by who listens"
+    )
+    parser.add_argument("--rate", type=float)
+    parser.add_argument("--timeout", type=float, default=60.0)
+    options = parser.parse_args(arguments)
+    need_rclpy("player")
+    import rclpy
+    from rclpy.executors import ExternalShutdownException
+
+    try:
+        found = turns(
+            Path(options.bag), options.request or f"{options.service}/_service_event", options.service is None
+        )
+    except BagError as problem:
+        sys.exit(str(problem))
+    rclpy.init()
+    node = rclpy.create_node("fogspec_player")
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        sender = Service(node, found, options) if options.service else Topics(node, found, options)
+        count = len(sender.requests) if isinstance(sender, Service) else len(found)
+        time.sleep(SETTLE_S)
+        play(node, sender, count, options.rate, options.timeout)
+
+
+if __name__ == "__main__":
+    main()

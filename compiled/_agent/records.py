@@ -1,0 +1,124 @@
+"""The records that every probe writes, and conditions on the fields of a message. Standard library only.
+
+One line of JSON each, appended to FOGSPEC_TIMINGS (standard output without it) by one write:
+
+- a request: name, start_s, latency_s (response time, waiting included), service_s (departure - max(arrival, previous
+  departure)), ok, reason, metrics, and stamp where it has one; `lost` marks one that got no response
+- `unmatched`: a response that belongs to no request
+- `metric`: values of a topic's fields, which whoever reads the file gives to their request; under `!` what a client thinks of
+  an answer
+- `note`: what whoever waits in vain should know; `warning`: why the figures may not be what they seem
+"""
+
+import json
+import operator
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+CONDITION = re.compile(r"\s*(len\()?([A-Za-z_]\w*(?:\.\w+|\[\d+\])*)(?(1)\))\s*(==|!=|<=|>=|<|>)\s*(.+?)\s*")
+RELATIONS: dict[str, Callable[[Any, Any], bool]] = {
+    "==": operator.eq, "!=": operator.ne, "<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt,
+}  # fmt: skip
+Stamp = tuple[int, int]
+VERDICT = "!"  # in the place of a metric's name: why an answer does not count, or null
+
+
+@dataclass(frozen=True)
+class Done:
+    """A request that is over; `latency_s` None stands for one that gets no response."""
+
+    start_s: float
+    latency_s: float | None
+    service_s: float | None = None
+    stamp: Stamp | None = None
+
+
+class Writer:
+    """Appends records of one name."""
+
+    def __init__(self, name: str, path: str | None = None) -> None:
+        self.name = name
+        self.path = path or os.environ.get("FOGSPEC_TIMINGS")
+
+    def request(self, done: Done, failure: str | None = None) -> None:
+        """A finished or lost request; `failure` says why its answer does not count."""
+        lost = done.latency_s is None
+        reason = "no response" if lost else failure
+        record: dict[str, Any] = {
+            "name": self.name, "start_s": done.start_s, "latency_s": done.latency_s or 0.0, "ok": reason is None,
+            "reason": reason, "metrics": {},
+        }  # fmt: skip
+        if lost:
+            record["lost"] = True
+        if done.service_s is not None:
+            record["service_s"] = done.service_s
+        if done.stamp is not None:
+            record["stamp"] = done.stamp
+        self.line(record)
+
+    def unmatched(self, at_s: float) -> None:
+        """A response that belongs to no request."""
+        self.line({"name": self.name, "unmatched": True, "at_s": at_s})
+
+    def metric(self, values: dict[str, float] | dict[str, str | None], at_s: float, stamp: Stamp | None) -> None:
+        """Values for the request with this stamp, or for the one that was worked on at this time."""
+        self.line({"metric": values, "at_s": at_s, "stamp": stamp})
+
+    def warning(self, text: str | None) -> None:
+        """Why the figures may not be what they seem; nothing when there is no reason."""
+        if text is not None:
+            self.line({"warning": text})
+
+    def line(self, record: dict[str, Any]) -> None:
+        """One record, by one write. The file is opened anew each time: it may be set aside when it is large."""
+        file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644) if self.path else os.dup(1)
+        try:
+            os.write(file, (json.dumps(record) + "\n").encode())
+        finally:
+            os.close(file)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """`path.found == true`, `len(poses) > 0`: a field of a message, a relation, and a JSON value or bare text."""
+
+    text: str
+    path: str
+    length: bool
+    relation: str
+    value: Any
+
+    @staticmethod
+    def parse(text: str) -> "Condition":
+        """Raises ValueError for what is no condition."""
+        found = CONDITION.fullmatch(text)
+        if found is None:
+            raise ValueError(f"{text!r} is no condition: write a field, a relation and a value, such as status == 0")
+        try:
+            value = json.loads(found[4])
+        except ValueError:
+            value = found[4].strip("'")
+        return Condition(text, found[2], found[1] is not None, found[3], value)
+
+    def failure(self, message: Any) -> str | None:
+        """Why the message does not meet it; None when it does. Raises ValueError for a field that is not there."""
+        value = field_of(message, self.path)
+        value = len(value) if self.length else value
+        try:
+            holds = RELATIONS[self.relation](value, self.value)
+        except TypeError as problem:
+            raise ValueError(f"{self.text!r} cannot be decided: {problem}") from problem
+        return None if holds else f"{self.text} does not hold: it is {str(value)[:80]}"
+
+
+def field_of(message: Any, path: str) -> Any:
+    """The field at a path such as `poses[0].pose.position.x`; raises ValueError when there is none."""
+    for step in re.findall(r"\w+", path):
+        try:
+            message = message[int(step)] if step.isdigit() else getattr(message, step)
+        except (AttributeError, IndexError, TypeError) as problem:
+            raise ValueError(f"{type(message).__name__} has no field {path}: {problem}") from problem
+    return message

@@ -1,0 +1,88 @@
+"""`fogspec apply`: run what a manifest says."""
+
+import json
+import sys
+from typing import TYPE_CHECKING
+
+import click
+
+from fogspec.base.outcomes import Refused, WrongCommand
+from fogspec.base.units import UnitError, format_price, parse_price_usd_per_hour
+from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, catalogs_for, clouds_of, load_catalog
+
+if TYPE_CHECKING:
+    from fogspec.catalog import Catalog
+    from fogspec.effects.manifests import Opened
+
+
+@click.command()
+@MANIFEST
+@CATALOG
+@click.option("--prices", metavar="FROM", help="where prices are looked up now, as --catalog; otherwise that catalog")
+@click.option("--max", "most", metavar="'$0.60/h'", help="the highest price allowed, in place of the one approved")
+@click.option("--resolve-image", is_flag=True, help="launch what an image's tag stands for now, where it is not pinned")
+@click.option("--dry-run", is_flag=True, help="say what would run and what it costs, and stop")
+@click.option("--yes", is_flag=True, help="do not ask")
+@OUTPUT
+def command(
+    manifest: str, catalog_path: str | None, prices: str | None, most: str | None, resolve_image: bool, dry_run: bool,
+    yes: bool, output: str,
+) -> None:  # fmt: skip
+    """Launch exactly the task that MANIFEST names, wait until its nodes answer, then end what ran before.
+
+    Refuses a manifest that is stale or was edited, and a price above the one approved. Idempotent: what runs already
+    is left alone. Ctrl-C ends what is being started.
+    """
+    from fogspec import wiring
+    from fogspec.effects.deploying import apply
+    from fogspec.effects.livestate import SystemTimes
+    from fogspec.effects.manifests import open_manifest
+    from fogspec.effects.ordering import check_fresh, order, words
+
+    opened = open_manifest(manifest)
+    catalog = catalogs_for([opened.loaded], catalog_path)[0]
+    check_fresh(opened, catalog)
+    ask = wiring.registry().digest
+    ordered = order(opened, _prices(opened, prices, catalog), _price(most), resolve_image, ask)
+    click.echo("\n".join(words(ordered)), err=True)
+    if dry_run:
+        return
+    applied = apply(ordered, wiring.deployer, SystemTimes(), lambda text: click.echo(text, err=True), lambda: _ask(yes))
+    machine = applied.machine
+    if output == "json":
+        click.echo(
+            json.dumps({"changed": applied.changed, "waited_s": applied.waited_s, **machine.model_dump(mode="json")})
+        )
+        return
+    what = f"{machine.machine.instance} in {machine.machine.infra}, {format_price(machine.machine.price)}"
+    if applied.kept:
+        click.echo(f"{opened.layout.name}: the machine stays, under the new manifest: {what}, at {machine.address}")
+    elif applied.changed:
+        click.echo(
+            f"{opened.layout.name}: runs on {what}, at {machine.address}; answered after {applied.waited_s:.1f} s"
+        )
+        if opened.manifest.spec.robot_launch is not None:
+            click.echo(f"on the robot: ros2 launch {opened.layout.robot}")
+        click.echo(f"next: fogspec status {opened.layout.spec}")
+    else:
+        click.echo(f"{opened.layout.name}: no changes; runs on {what}, at {machine.address}")
+
+
+def _prices(opened: "Opened", origin: str | None, catalog: "Catalog") -> "Catalog":
+    return catalog if origin is None else load_catalog(origin, clouds_of(opened.loaded))
+
+
+def _price(text: str | None) -> float | None:
+    try:
+        return None if text is None else parse_price_usd_per_hour(text)
+    except UnitError as wrong:
+        raise WrongCommand(f"--max: {wrong}", *([f"write {wrong.fix}"] if wrong.fix else [])) from None
+
+
+def _ask(yes: bool) -> None:
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise Refused("nobody to ask whether it may cost that", "say so: --yes")
+    if not click.confirm("start it?", err=True):
+        raise Refused("nothing was started")

@@ -1,0 +1,36 @@
+"""`fogspec attest`: where a manifest came from, as a statement that others can check."""
+
+from pathlib import Path
+
+import click
+
+from fogspec.cli.options import CATALOG, MANIFEST, catalogs_for
+
+
+@click.command()
+@MANIFEST
+@CATALOG
+@click.option(
+    "--key", type=click.Path(path_type=str), metavar="PEM", help="sign it with this private key: a DSSE envelope"
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="write it there; otherwise to the output")
+def command(manifest: str, catalog_path: str | None, key: str | None, out: Path | None) -> None:
+    """Write an in-toto Statement v1 with SLSA provenance v1 about the manifest and the files approved with it.
+
+    The chain behind the manifest is recomputed first: where it breaks, nothing is attested (exit 3).
+    """
+    from fogspec.effects import attesting
+    from fogspec.effects.files import write_bytes
+    from fogspec.effects.manifests import open_manifest
+
+    opened = open_manifest(manifest)
+    text = attesting.text(attesting.statement(opened, catalogs_for([opened.loaded], catalog_path)[0]))
+    if key is not None:
+        from fogspec.effects.signing import sign
+
+        text = sign(text, key)
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        write_bytes(out, text.encode())
+        click.echo(f"{out}: {'signed with ' + key if key else 'not signed'}")

@@ -1,0 +1,43 @@
+"""`fogspec down`: end everything of an application."""
+
+import json
+from typing import TYPE_CHECKING
+
+import click
+
+from fogspec.cli.options import OUTPUT
+
+if TYPE_CHECKING:
+    from fogspec.effects.layout import Layout
+    from fogspec.seams import Deployer
+
+
+@click.command()
+@click.argument("spec_or_name")
+@OUTPUT
+def command(spec_or_name: str, output: str) -> None:
+    """End what runs of one application, by name, and verify that nothing is left.
+
+    That is what was applied, what an apply that was killed had started, and machines of a bench that died, here or
+    elsewhere. Idempotent; other applications are not touched.
+    """
+    from fogspec.effects.livestate import SystemTimes
+    from fogspec.effects.undoing import down, layout_of, leave_link
+
+    layout = layout_of(spec_or_name)
+    count, spent_usd = down(layout, _deployers(layout), SystemTimes(), lambda text: click.echo(text, err=True))
+    leave_link(layout)
+    if output == "json":
+        click.echo(json.dumps({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}))
+        return
+    from fogspec.effects.compiling import money
+
+    ended = "nothing runs" if not count else f"{count} ended, {money(spent_usd)} spent; nothing is left"
+    click.echo(f"{layout.name}: {ended}")
+
+
+def _deployers(layout: "Layout") -> "list[Deployer]":
+    from fogspec import wiring
+    from fogspec.effects.undoing import places_of
+
+    return [wiring.deployer(infra) for infra in places_of(layout)]

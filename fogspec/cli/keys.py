@@ -1,0 +1,23 @@
+"""`fogspec keys`: on the robot, make the key of its end of the link."""
+
+import click
+
+from fogspec.cli.options import SPECS
+
+
+@click.command()
+@SPECS
+def command(specs: tuple[str, ...]) -> None:
+    """Make the robot's private keys for the links of SPECS, once, and print their public halves.
+
+    The private halves are made here and stay here, in ~/.fogspec/links, readable by you alone.
+    """
+    from fogspec.effects.layout import Layout
+    from fogspec.effects.linking import folder_of, make_keys
+    from fogspec.effects.specfiles import load
+
+    for one in load(specs):
+        name = one.application.metadata.name
+        public = make_keys(one.application, Layout.of(one.path, name))
+        click.echo(f"{name}: {public}")
+        click.echo(f"{name}: the private key is in {folder_of(name)} and stays there", err=True)

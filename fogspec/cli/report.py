@@ -1,0 +1,52 @@
+"""`fogspec report`: one self-contained page of an application."""
+
+import shlex
+from pathlib import Path
+
+import click
+
+from fogspec.base.outcomes import WrongCommand
+from fogspec.cli.options import CATALOG, PRIORS, catalogs_for, library_from
+
+
+@click.command()
+@click.argument("what", metavar="APP")
+@click.option("--name", help="the application, where the spec has several")
+@click.option("--to", "to", metavar="FILE", help="where to write it, - for stdout; otherwise compiled/NAME/report.html")
+@CATALOG
+@PRIORS
+def command(what: str, name: str | None, to: str | None, catalog_path: str | None, priors: Path | None) -> None:
+    """Write the report of APP, the name of an application in specs/ or a spec.
+
+    The page has spec, funnel, samples, models, a menu that can be weighed anew, costs and provenance. It needs no network.
+    """
+    from fogspec.cli.explain import spec_of
+    from fogspec.effects.compiling import compile_application
+    from fogspec.effects.files import write_bytes
+    from fogspec.effects.reporting import page
+    from fogspec.effects.specfiles import load
+
+    path = what if Path(what).suffix in (".yaml", ".yml") or "/" in what else spec_of(what)
+    if path is None:
+        raise WrongCommand(f"specs/ has no application named {what}", "give its spec: fogspec report specs/NAME.yaml")
+    wanted = name or (what if path != what else None)
+    loaded = [one for one in load([path]) if wanted in (None, one.application.metadata.name)]
+    if not loaded:
+        raise WrongCommand(f"{path} has no application named {wanted}")
+    if to is not None and len(loaded) > 1:
+        raise WrongCommand(f"{path} has {len(loaded)} applications, {to} holds one: choose with --name")
+    catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
+    given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
+    for one, catalog in zip(loaded, catalogs, strict=True):
+        compiled = compile_application(one.application, one.path, catalog, library)
+        source = compiled.layout.relative(compiled.layout.spec)
+        common = shlex.join([source, "--name", compiled.layout.name, *given])
+        content = page(
+            compiled, Path(one.path).read_text(encoding="utf-8"), f"fogspec report {common}", f"fogspec menu {common}"
+        )
+        if to == "-":
+            click.echo(content, nl=False)
+        else:
+            target = compiled.layout.page if to is None else Path(to)
+            write_bytes(target, content)
+            click.echo(f"{target}: {len(content) / 1000:,.0f} kB")

@@ -1,0 +1,47 @@
+"""`fogspec review`: what a change deploys, for whoever reviews it."""
+
+from pathlib import Path
+
+import click
+
+from fogspec.base.outcomes import Differs
+from fogspec.cli.options import CATALOG, catalogs_for
+
+
+@click.command()
+@click.argument("range_", metavar="BASE[..HEAD]", required=False, default="HEAD")
+@click.argument("specs", nargs=-1, type=click.Path(path_type=str))
+@CATALOG
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="write it there; otherwise to the output")
+@click.option(
+    "--picture-base", metavar="URL", help="where the files of this commit can be seen: pictures are linked there"
+)
+@click.option("--exit-code", is_flag=True, help="exit 3 when something committed does not follow from its inputs")
+def command(
+    range_: str, specs: tuple[str, ...], catalog_path: str | None, out: Path | None, picture_base: str | None,
+    exit_code: bool,
+) -> None:  # fmt: skip
+    """Write Markdown about every manifest that differs between BASE and what is checked out. SPECS are those in specs/.
+
+    The choice, what it costs before and after, which inputs changed, provenance, and whether everything is fresh.
+    """
+    from fogspec.effects.files import write_bytes
+    from fogspec.effects.finding import find_specs
+    from fogspec.effects.git import Repository
+    from fogspec.effects.reviewing import markdown, review
+    from fogspec.effects.specfiles import load
+
+    repository = Repository()
+    commit = repository.base_of(range_)
+    loaded = load(find_specs(specs))
+    reviews = [
+        review(one, catalog, repository, commit)
+        for one, catalog in zip(loaded, catalogs_for(loaded, catalog_path), strict=True)
+    ]
+    text = markdown(reviews, picture_base)
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        write_bytes(out, text.encode())
+    if exit_code and (stale := [one.difference.layout.name for one in reviews if not one.fresh]):
+        raise Differs(f"not fresh: {', '.join(stale)}", "fogspec status says why")

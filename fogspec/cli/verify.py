@@ -1,0 +1,41 @@
+"""`fogspec verify`: recompute the chain behind a manifest, byte for byte."""
+
+import json
+
+import click
+
+from fogspec.base.outcomes import Differs
+from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, catalogs_for
+
+
+@click.command()
+@MANIFEST
+@CATALOG
+@OUTPUT
+@click.option("--attestation", type=click.Path(path_type=str), metavar="FILE", help="also check this signed statement")
+@click.option("--key", type=click.Path(path_type=str), metavar="PEM", help="the public key that it must be signed with")
+def command(manifest: str, catalog_path: str | None, output: str, attestation: str | None, key: str | None) -> None:
+    """Recompute spec, plan, results, models, menu, manifest and task; say which link breaks and how.
+
+    Nothing is written. Exit code 3 when a link breaks.
+    """
+    from fogspec.effects import verifying
+    from fogspec.effects.manifests import open_manifest
+
+    if (attestation is None) != (key is None):
+        raise click.UsageError("--attestation and --key go together")
+    opened = open_manifest(manifest)
+    links = verifying.verify(opened, catalogs_for([opened.loaded], catalog_path)[0])
+    if attestation is not None and key is not None:
+        from fogspec.effects.signing import check_signed
+
+        links.append(check_signed(opened, attestation, key))
+    if output == "json":
+        click.echo(json.dumps(verifying.facts(opened, links), indent=2, ensure_ascii=False))
+    else:
+        click.echo(verifying.words(opened, links))
+    if broken := [link.name for link in links if link.breaks]:
+        raise Differs(
+            f"{opened.layout.manifest}: the chain breaks at {broken[0]}",
+            f"make it again and review it: fogspec compile {opened.layout.spec}",
+        )

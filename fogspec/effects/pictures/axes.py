@@ -1,0 +1,95 @@
+"""Logarithmic axes, their ticks, and how values are written on them."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+STEPS = ((1, 1.5, 2, 3, 4, 5, 7), (1, 2, 5), (1, 3), (1,))
+LEAST_SPAN = 0.32  # decades: about a factor of two, so that one machine alone still has ticks around it
+CHARACTER = 7.4  # px, of the widest font in the style's list at 13 px
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A logarithmic axis from `start` to `end` px; `low` and `high` are logarithms to the base 10."""
+
+    low: float
+    high: float
+    start: float
+    end: float
+
+    def at(self, value: float) -> float:
+        """Where a positive value is drawn."""
+        return self.place(math.log10(value))
+
+    def place(self, log: float) -> float:
+        """Where a logarithm is drawn."""
+        share = (log - self.low) / (self.high - self.low)
+        return round(self.start + share * (self.end - self.start), 1)
+
+    def clipped(self, value: float) -> float:
+        """Where a value is drawn, at the frame's edge if it lies outside."""
+        low, high = sorted((self.start, self.end))
+        return min(max(self.at(value), low), high)
+
+    def ticks(self, words: Callable[[float], str], room: Callable[[str], float]) -> list[tuple[float, str]]:
+        """Place and text of round values, thinned until neighbours have the room that their texts need."""
+        found: list[tuple[float, str]] = []
+        for stride in range(1, 20):
+            for steps in STEPS if stride == 1 else STEPS[-1:]:
+                decades = range(math.floor(self.low), math.ceil(self.high) + 1, stride)
+                values = [
+                    m * 10.0**d for d in decades for m in steps if self.low <= math.log10(m * 10.0**d) <= self.high
+                ]
+                found = [(self.at(value), words(value)) for value in values]
+                gaps = ((b[0] - a[0], room(a[1]), room(b[1])) for a, b in pairwise(found))
+                if all(abs(gap) >= (one + other) / 2 for gap, one, other in gaps):
+                    return found
+        return found[:1]
+
+
+def axis(values: Sequence[float], start: float, end: float) -> Axis:
+    """An axis that shows these positive values with some air; one value alone is in the middle."""
+    logs = [math.log10(value) for value in values]
+    low, high = min(logs), max(logs)
+    pad = max(0.07 * (high - low), (LEAST_SPAN - (high - low)) / 2, 0.03)
+    return Axis(low - pad, high + pad, start, end)
+
+
+def wide(text: str) -> float:
+    """About how many px a text needs on a horizontal axis."""
+    return CHARACTER * len(text) + 12
+
+
+def tall(_text: str) -> float:
+    """How many px a line of text needs on a vertical axis."""
+    return 18.0
+
+
+def money(usd: float) -> str:
+    """`$0.0015`, with three significant digits and no exponent."""
+    digits = max(0, 2 - math.floor(math.log10(usd))) if usd > 0 else 0
+    text = f"{usd:.{digits}f}"
+    return "$" + (text.rstrip("0").rstrip(".") if "." in text else text)
+
+
+def seconds(value: float) -> str:
+    """`12 ms` or `1.5 s`."""
+    if value < 0.0009995:
+        return f"{value * 1e6:.3g} µs"
+    return f"{value * 1000:.3g} ms" if value < 0.9995 else f"{value:.4g} s"
+
+
+def number(value: float) -> str:
+    """`12.5`, for measures whose unit is the application's."""
+    return f"{value:.4g}"
+
+
+def requests_unit(costs: Sequence[float]) -> tuple[float, str]:
+    """How many requests' cost is shown, so that the figures are short: factor and words."""
+    middle = sorted(costs)[len(costs) // 2]
+    for factor, words in ((1, "one request"), (1000, "1,000 requests"), (10**6, "a million requests")):
+        if middle * factor >= 0.01:
+            return factor, words
+    return 10**6, "a million requests"

@@ -1,0 +1,87 @@
+"""Samples of machines: latencies with their errors, repeats, and lower bounds from runs that were given up."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fogspec.numerics.features import Floats
+
+DEFAULT_NOISE = 0.025  # relative standard error of a sample that does not say its own
+SYSTEMATIC_NOISE = 0.008  # two machines of one type differ at least by this, however many requests were timed
+
+
+@dataclass(frozen=True, slots=True)
+class Observations:
+    """n samples: which machine, its latency, how sure.
+
+    `relative_error` is the standard error of the latency over the latency, NaN where unknown. A `lower_bound`
+    is a run that was aborted or failed after that time: the latency is at least this. Raises ValueError for
+    latencies that are not positive and finite, and for negative errors.
+    """
+
+    machine: np.ndarray
+    latency_s: Floats
+    relative_error: Floats
+    lower_bound: np.ndarray
+
+    def __post_init__(self) -> None:
+        if not len(self.machine) == len(self.latency_s) == len(self.relative_error) == len(self.lower_bound):
+            raise ValueError("machine, latency_s, relative_error and lower_bound must have one length")
+        bad = ~(np.isfinite(self.latency_s) & (self.latency_s > 0))
+        if bad.any():
+            where = int(np.flatnonzero(bad)[0])
+            raise ValueError(f"sample {where}: latency must be positive and finite, got {self.latency_s[where]} s")
+        if bool((self.relative_error < 0).any()):
+            raise ValueError("relative_error must not be negative")
+
+
+def observations(
+    machine: np.ndarray | list[int],
+    latency_s: np.ndarray | list[float],
+    relative_error: np.ndarray | list[float] | None = None,
+    lower_bound: np.ndarray | list[bool] | None = None,
+) -> Observations:
+    """`Observations` from sequences; errors unknown and nothing aborted unless said."""
+    n = len(machine)
+    return Observations(
+        np.asarray(machine, dtype=np.intp).reshape(n),
+        np.asarray(latency_s, dtype=float).reshape(n),
+        np.full(n, np.nan) if relative_error is None else np.asarray(relative_error, dtype=float),
+        np.zeros(n, dtype=bool) if lower_bound is None else np.asarray(lower_bound, dtype=bool),
+    )
+
+
+def pooled(samples: Observations) -> tuple[np.ndarray, Floats, Floats]:
+    """Complete samples, one a machine: index, mean log-latency, variance of its error.
+
+    Repeats are weighed by their precision; repeats that contradict each other widen the error by the Birge ratio
+    (Birge, Phys. Rev. 40 (1932) 207).
+    """
+    use = ~samples.lower_bound
+    error = np.where(np.isnan(samples.relative_error), DEFAULT_NOISE, samples.relative_error)
+    variance = error[use] ** 2 + SYSTEMATIC_NOISE**2
+    log = np.log(samples.latency_s[use])
+    machines = np.unique(samples.machine[use])
+    value, spread = np.empty(len(machines)), np.empty(len(machines))
+    for i, machine in enumerate(machines):
+        mine = samples.machine[use] == machine
+        precision = 1 / variance[mine]
+        value[i] = (precision * log[mine]).sum() / precision.sum()
+        chi2 = (precision * (log[mine] - value[i]) ** 2).sum()
+        spread[i] = max(1.0, chi2 / max(1, mine.sum() - 1)) / precision.sum()
+    return machines, value, spread
+
+
+def level_of(samples: Observations) -> float:
+    """Mean log-latency of all samples, lower bounds too; 0 for none."""
+    return float(np.log(samples.latency_s).mean()) if len(samples.latency_s) else 0.0
+
+
+def lower_bounds(samples: Observations) -> list[tuple[int, float]]:
+    """The highest lower bound of each machine that has one."""
+    highest: dict[int, float] = {}
+    for machine, latency in zip(
+        samples.machine[samples.lower_bound], samples.latency_s[samples.lower_bound], strict=True
+    ):
+        highest[int(machine)] = max(highest.get(int(machine), -np.inf), float(np.log(latency)))
+    return sorted(highest.items())

@@ -1,0 +1,119 @@
+"""Deployments on machines of any infra that SkyPilot knows: one cluster of one machine a launch, named like it.
+
+What the nodes do is read from the end of the job's log, which works on every infra and opens no port.
+"""
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from fogspec.base.outcomes import CloudFailed
+from fogspec.deployment import is_of
+from fogspec.plugins.deployers import keeping
+from fogspec.plugins.skypilot.client import Client
+from fogspec.plugins.skypilot.problems import CloudProblem
+from fogspec.seams import CannotStart, Launch, Live, LostContact
+
+LABEL = "fogspec-application"
+ASK_S = 240.0  # the first question may have to start an API server
+DOWN_S = 900.0
+TAIL_LINES, MANY_LINES = 2000, 200_000
+TAIL_BYTES = 256 * 2**20
+OVER = ("SUCCEEDED", "FAILED", "FAILED_SETUP", "FAILED_DRIVER", "CANCELLED")
+
+
+class SkyPilotDeployer:
+    """Keeps the reviewed task running on a machine of its own."""
+
+    name = "skypilot"
+    poll_s = 5.0
+
+    def __init__(self, client: Client | None = None) -> None:
+        self._client = client or Client()
+        self._jobs: dict[str, int] = {}
+
+    def start(self, launch: Launch) -> None:
+        """Ask for the machine; whether it can be had is said by `look`."""
+        secrets = launch.task.get("secrets")
+        if isinstance(secrets, Mapping) and (missing := sorted(name for name in secrets if name not in os.environ)):
+            raise CannotStart("setup", f"the environment does not have {', '.join(missing)}")
+        try:
+            self._ask("launch", task=launch.task, name=launch.name, root=str(launch.root.absolute()))
+        except CloudProblem as problem:
+            raise CannotStart(problem.reason, problem.detail, again=problem.again) from None
+        except CloudFailed as failed:
+            raise CannotStart("setup", failed.message) from None
+
+    def look(self, launch: Launch) -> Live:
+        """From the launch to the job, and what the job's log says last."""
+        job = self._jobs.get(launch.name)
+        if job is None:
+            found = self._launched(launch.name)
+            if isinstance(found, Live):
+                return found
+            job = self._jobs[launch.name] = found
+        try:
+            rows: Sequence[Mapping[str, Any]] = self._ask("jobs", name=launch.name)
+            status = next((row["status"] for row in rows if row["job"] == job), None)
+            if status is None:
+                return Live("ended", "its machine knows no such job")
+            if status not in (*OVER, "RUNNING"):
+                return Live("starting", f"the job is {str(status).lower()}")
+            address = self._address(launch.name)
+            said = keeping.told(self._log(launch.name, job, TAIL_LINES), address)
+            # Nodes that say much push what their keeper says out of the last lines.
+            said = said or keeping.told(self._log(launch.name, job, MANY_LINES), address)
+        except CloudProblem as problem:
+            if problem.gone:
+                return Live("gone", problem.detail)
+            raise LostContact(problem.detail) from None
+        if status in OVER:
+            return Live("ended", said.detail if said is not None and said.detail else f"the job ended as {status}")
+        return said or Live("starting", "the nodes have not said anything yet")
+
+    def end(self, launch: Launch) -> None:
+        """Take its machine down; raises LostContact until its cloud says that it is gone."""
+        try:
+            self._client.ask("end", DOWN_S, name=launch.name)
+        except (CloudProblem, CloudFailed) as problem:
+            raise LostContact(str(problem)) from None
+        self._jobs.pop(launch.name, None)
+
+    def names(self, application: str, state: Path) -> Sequence[str]:
+        """Machines that bear the application's label, or whose launch goes on under its name."""
+        try:
+            labels = {one["name"]: (one.get("labels") or {}).get(LABEL) for one in self._ask("clusters")}
+            known = [name for name, label in labels.items() if label == application or is_of(name, application)]
+            return sorted({*known, *(name for name in self._ask("waiting") if is_of(name, application))})
+        except (CloudProblem, CloudFailed) as problem:
+            raise LostContact(str(problem)) from None
+
+    def _launched(self, name: str) -> int | Live:
+        """The job's number once the machine is up; raises CannotStart when it could not be had."""
+        try:
+            found = self._ask("find", name=name)
+            if found is None:
+                return Live("gone", "its launch was never asked for")
+            value = found if "job" in found else self._ask("launched", request=found["request"], name=name)
+        except CloudProblem as problem:
+            if problem.gone:
+                return Live("gone", problem.detail)
+            raise CannotStart(problem.reason, problem.detail, again=problem.again) from None
+        return Live("starting", "its machine is being started") if value is None else int(value["job"])
+
+    def _log(self, name: str, job: int, lines: int) -> bytes:
+        with tempfile.TemporaryDirectory(prefix="fogspec-") as folder:
+            path = Path(folder) / "tail.log"
+            with contextlib.suppress(LostContact):
+                self._ask("log", name=name, job=job, path=str(path), limit=TAIL_BYTES, tail=lines)
+            return path.read_bytes() if path.is_file() else b""
+
+    def _address(self, name: str) -> str | None:
+        rows = self._ask("clusters", names=[name])
+        return next((row.get("ip") for row in rows if row["name"] == name), None)
+
+    def _ask(self, op: str, **words: Any) -> Any:
+        return self._client.ask(op, ASK_S, **words)

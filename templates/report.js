@@ -1,0 +1,321 @@
+"use strict";
+// The menu under other weights and limits: the rule of `fogspec menu`, over the numbers in this page.
+const data = JSON.parse(document.getElementById("data").textContent);
+const offers = data.offers, count = offers.row.length;
+
+// What a limit on the cost of a request leaves an offer, in seconds.
+function withinCost(i, limit) {
+  const left = limit - data.costs.transfer, rate = data.costs.interruptions_per_s;
+  if (data.costs.requests_per_s) return offers.usd_per_s[i] / data.costs.requests_per_s <= left ? Infinity : 0;
+  const seconds = Math.max(left, 0) / offers.usd_per_s[i];
+  return offers.spot[i] && rate > 0 ? Math.log1p(rate * seconds) / rate : seconds;
+}
+
+// Every limit that is set: its name, its bound, and the values that it bounds.
+function boundsOf(latency, cost) {
+  const found = [];
+  if (latency !== null) found.push({name: "latency", bound: latency, value: offers.latency});
+  if (cost !== null) found.push({name: "cost", bound: cost, value: offers.cost});
+  if (data.costs.requests_per_s) found.push({name: "rate", bound: 1 / data.costs.requests_per_s, value: offers.latency});
+  return found.concat(data.fixed);
+}
+
+const held = (one, i) => one.value[i] !== null && one.value[i] <= one.bound;
+
+// The offers that meet all limits with the asked probability, else those more likely to meet them than not.
+function feasibleUnder(bounds, latency, cost) {
+  const all = offers.row.map((_, i) => bounds.every((one) => held(one, i)));
+  if (!data.probabilities) return {meets: all, floor: null};
+  if (!bounds.length) return {meets: all, floor: data.confidence};
+  const price = data.fixed.find((one) => one.name === "price");
+  const within = offers.row.map((_, i) => {
+    if (price && !held(price, i)) return 0;
+    let most = latency === null ? Infinity : latency;
+    if (data.costs.requests_per_s) most = Math.min(most, 1 / data.costs.requests_per_s);
+    return cost === null ? most : Math.min(most, withinCost(i, cost));
+  });
+  for (let f = 0; f < data.floors.length; f++) {
+    const meets = all.map((one, i) => one && data.offers.needed[f][i] <= within[i]);
+    if (meets.includes(true)) return {meets, floor: data.floors[f]};
+  }
+  return {meets: all.map(() => false), floor: null};
+}
+
+// The best of some offers by a column; ties go by cost, latency, name and the catalog's order.
+function firstBy(column, among) {
+  let least = Infinity;
+  for (let i = 0; i < count; i++) if (among[i]) least = Math.min(least, column[i]);
+  if (least === Infinity) return null;
+  let best = null;
+  for (let i = 0; i < count; i++) {
+    if (!among[i] || column[i] > least + data.tie * Math.abs(least)) continue;
+    if (best === null || before(i, best)) best = i;
+  }
+  return best;
+}
+
+function before(i, j) {
+  for (const key of ["cost", "latency", "name", "row"])
+    if (offers[key][i] !== offers[key][j]) return offers[key][i] < offers[key][j];
+  return false;
+}
+
+// How far each limit would have to move where nothing meets them all.
+function misses(bounds) {
+  const found = [];
+  for (const one of bounds) {
+    const others = offers.row.map((_, i) => bounds.every((other) => other === one || held(other, i)));
+    const alone = others.includes(true);
+    let best = null;
+    for (let i = 0; i < count; i++)
+      if ((!alone || others[i]) && (best === null || one.value[i] < one.value[best])) best = i;
+    if (best === null) continue;
+    const factor = one.bound > 0 ? one.value[best] / one.bound : Infinity;
+    if (factor > 1) found.push({name: one.name, factor, name_of: offers.name[best]});
+  }
+  return found.sort((a, b) => b.factor - a.factor);
+}
+
+function decide(alpha, latencyLimit, cost) {
+  const latency = latencyLimit === null ? null : latencyLimit - data.network;
+  const bounds = boundsOf(latency, cost);
+  const {meets, floor} = feasibleUnder(bounds, latency, cost);
+  const scaleX = data.scale.x || (data.metric ? null : latency) || data.scale.best_x;
+  const scaleCost = data.scale.cost || cost || data.scale.best_cost;
+  const objective = offers.x.map((x, i) => alpha * x / scaleX + (1 - alpha) * offers.cost[i] / scaleCost);
+  const measured = meets.map((one, i) => one && offers.measured[i] === 1);
+  const pool = data.adaptive && measured.includes(true) ? measured : meets;
+  const found = {balanced: firstBy(objective, pool), cheapest: firstBy(offers.cost, pool), fastest: firstBy(offers.latency, pool)};
+  return {...found, objective, meets, floor, scaleX, scaleCost, misses: found.balanced === null ? misses(bounds) : []};
+}
+
+// ---- words ------------------------------------------------------------------------------------------------------
+
+const trim = (text) => (text.includes(".") ? text.replace(/\.?0+$/, "") : text);
+const digits = (value, n) => {
+  if (!(value > 0)) return "0";
+  return trim(value.toFixed(Math.max(0, Math.min(20, n - 1 - Math.floor(Math.log10(value))))));
+};
+const money = (usd) => "$" + digits(usd, 3);
+const duration = (s) => (s < 0.001 ? digits(s * 1e6, 3) + " µs" : s < 1 ? digits(s * 1000, 3) + " ms" : digits(s, 4) + " s");
+const amount = (value) => (data.metric ? digits(value, 4) + (data.unit ? " " + data.unit : "") : duration(value));
+const plain = (value) => (/e/.test(String(value)) ? digits(value, 12) : String(value));
+
+function described(i) {
+  const gpu = offers.gpu[i] ? ", " + offers.gpu[i] : "";
+  return `${offers.name[i]}${offers.spot[i] ? " spot" : ""} (${offers.vcpus[i]} vCPU, ${digits(offers.memory[i], 4)} GiB${gpu})`;
+}
+
+// ---- controls ---------------------------------------------------------------------------------------------------
+
+const element = (id) => document.getElementById(id);
+const STEPS = 1000;
+
+function limitControl(name, column) {
+  const use = element(name + "-use"), range = element(name + "-range"), number = element(name + "-number");
+  const set = data.limits[name], values = column.concat(set ? [set] : []).filter((v) => v > 0);
+  const low = Math.log(Math.min(...values) / 1.5), high = Math.log(Math.max(...values) * 1.5);
+  const place = (value) => Math.round((Math.log(value) - low) / (high - low) * STEPS);
+  const start = set === null ? Math.exp((low + high) / 2) : set;
+  const reset = () => {
+    use.checked = set !== null;
+    number.value = set === null ? digits(start, 3) : plain(start);
+    range.value = place(start);
+  };
+  range.max = STEPS;
+  reset();
+  range.addEventListener("input", () => {
+    number.value = digits(Math.exp(low + (range.value / STEPS) * (high - low)), 3);
+    use.checked = true;
+    update();
+  });
+  number.addEventListener("input", () => {
+    if (Number(number.value) > 0) { range.value = place(Number(number.value)); use.checked = true; }
+    update();
+  });
+  use.addEventListener("change", update);
+  return {
+    reset,
+    value: () => (use.checked && Number(number.value) > 0 ? Number(number.value) : null),
+    say: (words) => range.setAttribute("aria-valuetext", words),
+  };
+}
+
+const latencyControl = limitControl("latency", offers.latency), costControl = limitControl("cost", offers.cost);
+const alphaRange = element("alpha");
+alphaRange.step = Number.isInteger(data.alpha * 100) ? "0.01" : "any";
+alphaRange.value = data.alpha;
+
+function update() {
+  const alpha = Number(alphaRange.value), latency = latencyControl.value(), cost = costControl.value();
+  const answer = decide(alpha, latency, cost);
+  const words = `${alpha.toFixed(2)} ${data.metric || "latency"} + ${(1 - alpha).toFixed(2)} cost`;
+  element("alpha-words").textContent = words;
+  alphaRange.setAttribute("aria-valuetext", words);
+  const latencyWords = latency === null ? "no limit" : "at most " + duration(latency);
+  const costWords = cost === null ? "no limit" : `at most ${money(cost)}`;
+  element("latency-words").textContent = latencyWords;
+  element("cost-words").textContent = costWords;
+  latencyControl.say(latencyWords);
+  costControl.say(costWords);
+  showAnswer(answer);
+  showCommand(alpha, latency, cost);
+  draw(answer, latency === null ? null : latency - data.network, cost);
+}
+
+function showAnswer(answer) {
+  const verdict = element("verdict"), chosen = answer.balanced;
+  verdict.dataset.chosen = chosen === null ? "" : offers.name[chosen];
+  verdict.dataset.infra = chosen === null ? "" : offers.infra[chosen];
+  const number = answer.meets.filter(Boolean).length;
+  const total = data.complete ? `${number} of ${count} machine types meet the limits` : "";
+  if (chosen === null) {
+    const words = answer.misses.map((one) => `${one.name} would have to be ${trim(one.factor.toPrecision(3))} times as large (${one.name_of})`);
+    verdict.textContent = words.length ? "No machine meets the limits: " + words.join("; ") + "." : "No machine is likely enough to meet the limits.";
+  } else {
+    const unsure = answer.floor !== null && answer.floor < data.confidence
+      ? ` No machine meets the limits with probability ${data.confidence}: this is the best of those more likely to meet them than not.` : "";
+    verdict.textContent = `Chosen: ${described(chosen)} in ${offers.infra[chosen]}. ${total ? total + "." : ""}${unsure}`;
+  }
+  const body = element("answers");
+  body.replaceChildren();
+  if (chosen === null) return;
+  for (const [role, i] of [["chosen", chosen], ["cheapest", answer.cheapest], ["fastest", answer.fastest]]) {
+    const interval = offers.low[i] === null ? "" : ` [${amount(offers.low[i])}, ${amount(offers.high[i])}]`;
+    const row = body.insertRow(), head = document.createElement("th");
+    head.scope = "row";
+    head.textContent = role;
+    row.append(head);
+    row.dataset.role = role;
+    row.dataset.name = offers.name[i];
+    row.dataset.row = offers.row[i];
+    const cells = [described(i), offers.infra[i], amount(offers.x[i]) + interval, money(offers.cost[i]),
+      money(offers.price[i]), money(offers.price[i] * 730), digits(answer.objective[i], 4), offers.measured[i] ? "measured" : "predicted"];
+    for (const words of cells) row.insertCell().textContent = words;
+  }
+}
+
+function showCommand(alpha, latency, cost) {
+  const limit = (value, written) => (value === null ? "none" : written);
+  element("command").textContent = `${data.command} --alpha ${plain(alpha)} --latency ${limit(latency, plain(latency) + "s")} ` +
+    `--cost ${limit(cost, `'$${plain(cost)}/request'`)}`;
+}
+
+// ---- picture ----------------------------------------------------------------------------------------------------
+
+const BOX = {width: 720, height: 380, left: 84, right: 706, top: 16, bottom: 332};
+const svg = (name, attributes, text) => {
+  const node = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+  if (text !== undefined) node.textContent = text;
+  return node;
+};
+
+function axis(values, start, end) {
+  let low = Infinity, high = -Infinity;
+  for (const value of values) if (value > 0) { low = Math.min(low, Math.log10(value)); high = Math.max(high, Math.log10(value)); }
+  const pad = Math.max(0.06 * (high - low), (0.32 - (high - low)) / 2, 0.03);
+  low -= pad;
+  high += pad;
+  return {low, high, at: (v) => start + (Math.log10(v) - low) / (high - low) * (end - start),
+    inside: (v) => Math.log10(v) >= low && Math.log10(v) <= high};
+}
+
+function ticks(one, most) {
+  for (const steps of [[1, 1.5, 2, 3, 4, 5, 7], [1, 2, 5], [1, 3], [1]]) {
+    const found = [];
+    for (let d = Math.floor(one.low); d <= Math.ceil(one.high); d++)
+      for (const m of steps) if (one.inside(m * 10 ** d)) found.push(m * 10 ** d);
+    if (found.length <= most || steps.length === 1) return found.filter((_, i) => i % Math.ceil(found.length / most) === 0);
+  }
+  return [];
+}
+
+function front(column, among) {
+  const rows = offers.row.map((_, i) => i).filter((i) => among[i]);
+  rows.sort((a, b) => column[a] - column[b] || offers.x[a] - offers.x[b]);
+  const found = [];
+  let least = Infinity;
+  for (const i of rows) if (offers.x[i] < least) { found.push(i); least = offers.x[i]; }
+  return found;
+}
+
+function draw(answer, latency, cost) {
+  const hourly = element("per-hour").checked;
+  const column = hourly ? offers.price : offers.cost, faint = hourly ? data.faint.price : data.faint.cost;
+  const picture = element("picture"), near = (limit, values) => limit > 0 && limit < 10 * Math.max(...values) && limit > 0.1 * Math.min(...values);
+  const xs = column.concat(faint), ys = offers.x.concat(data.faint.x);
+  if (!hourly && cost !== null && near(cost, xs)) xs.push(cost);
+  if (!data.metric && latency !== null && near(latency, ys)) ys.push(latency);
+  const x = axis(xs, BOX.left, BOX.right), y = axis(ys, BOX.bottom, BOX.top);
+  const nodes = [];
+  const clip = (v, low, high) => Math.min(Math.max(v, low), high);
+  const thousand = !hourly && column.reduce((a, b) => a + b, 0) / column.length < 0.01 ? 1000 : 1;
+  for (const value of ticks(y, 9)) {
+    nodes.push(svg("line", {class: "grid", x1: BOX.left, x2: BOX.right, y1: y.at(value), y2: y.at(value)}));
+    nodes.push(svg("text", {class: "soft", x: BOX.left - 8, y: y.at(value) + 4, "text-anchor": "end"}, data.metric ? digits(value, 3) : duration(value)));
+  }
+  for (const value of ticks(x, 8)) {
+    nodes.push(svg("line", {class: "grid", y1: BOX.top, y2: BOX.bottom, x1: x.at(value), x2: x.at(value)}));
+    nodes.push(svg("text", {class: "soft", x: x.at(value), y: BOX.bottom + 18, "text-anchor": "middle"}, money(value * thousand)));
+  }
+  if (!data.metric && latency !== null && latency > 0) {
+    const at = clip(y.at(latency), BOX.top, BOX.bottom);
+    nodes.push(svg("rect", {class: "no", x: BOX.left, y: BOX.top, width: BOX.right - BOX.left, height: at - BOX.top}));
+    nodes.push(svg("line", {class: "limit", x1: BOX.left, x2: BOX.right, y1: at, y2: at}));
+  }
+  if (!hourly && cost !== null && cost > 0) {
+    const at = clip(x.at(cost), BOX.left, BOX.right);
+    nodes.push(svg("rect", {class: "no", x: at, y: BOX.top, width: BOX.right - at, height: BOX.bottom - BOX.top}));
+    nodes.push(svg("line", {class: "limit", y1: BOX.top, y2: BOX.bottom, x1: at, x2: at}));
+  }
+  if (hourly && cost !== null && cost > 0 && !data.metric && !data.costs.requests_per_s) nodes.push(...slope(x, y, cost, clip));
+  const specks = {out: "", in: ""};
+  data.faint.x.forEach((value, i) => { specks.out += `M${x.at(faint[i]).toFixed(1)} ${y.at(value).toFixed(1)}h0`; });
+  offers.x.forEach((value, i) => { specks[answer.meets[i] ? "in" : "out"] += `M${x.at(column[i]).toFixed(1)} ${y.at(value).toFixed(1)}h0`; });
+  for (const kind of ["out", "in"]) nodes.push(svg("path", {class: "speck " + kind, d: specks[kind] || "M0 0"}));
+  const steps = front(column, answer.balanced === null ? answer.meets.map(() => true) : answer.meets);
+  if (steps.length) {
+    const path = steps.map((i, n) => n ? `H${x.at(column[i])}V${y.at(offers.x[i])}` : `M${x.at(column[i])} ${BOX.top}V${y.at(offers.x[i])}`);
+    nodes.push(svg("path", {class: "stairs", d: path.join("") + "H" + BOX.right}));
+  }
+  offers.row.forEach((_, i) => { if (offers.measured[i] && i !== answer.balanced) nodes.push(dot(i, column, x, y, "measured", 4.2)); });
+  if (answer.balanced !== null) {
+    nodes.push(dot(answer.balanced, column, x, y, "chosen", 7));
+    const px = x.at(column[answer.balanced]), left = px > (BOX.left + BOX.right) / 2;
+    nodes.push(svg("text", {class: "label label-chosen", x: px + (left ? -11 : 11), y: y.at(offers.x[answer.balanced]) - 9,
+      "text-anchor": left ? "end" : "start"}, offers.name[answer.balanced]));
+  }
+  nodes.push(svg("text", {class: "soft", x: (BOX.left + BOX.right) / 2, y: BOX.bottom + 38, "text-anchor": "middle"},
+    hourly ? "price of an hour" : thousand === 1 ? "cost of one request" : "cost of 1,000 requests"));
+  picture.replaceChildren(...nodes);
+  picture.setAttribute("aria-label", `${data.metric || data.statistic + " latency"} against ${hourly ? "price of an hour" : "cost of a request"}. ` + element("verdict").textContent);
+}
+
+// The limit on the cost of a request against the price of an hour: latency at most cost / price.
+function slope(x, y, cost, clip) {
+  const edge = [];
+  for (let n = 0; n <= 100; n++) {
+    const price = 10 ** (x.low + (n / 100) * (x.high - x.low));
+    edge.push(`${x.at(price).toFixed(1)} ${clip(y.at(cost * 3600 / price), BOX.top, BOX.bottom).toFixed(1)}`);
+  }
+  const line = "M" + edge.join("L");
+  return [svg("path", {class: "no", d: `${line}L${BOX.right} ${BOX.top}L${BOX.left} ${BOX.top}Z`}), svg("path", {class: "limit", d: line})];
+}
+
+function dot(i, column, x, y, kind, radius) {
+  const node = svg("circle", {class: "dot " + kind, cx: x.at(column[i]), cy: y.at(offers.x[i]), r: radius});
+  node.append(svg("title", {}, `${described(i)}: ${amount(offers.x[i])}, ${money(offers.cost[i])} per request, ${money(offers.price[i])} per hour`));
+  return node;
+}
+
+alphaRange.addEventListener("input", update);
+for (const id of ["per-request", "per-hour"]) element(id).addEventListener("change", update);
+element("back").addEventListener("click", () => {
+  alphaRange.value = data.alpha;
+  latencyControl.reset();
+  costControl.reset();
+  update();
+});
+element("interactive").hidden = false;
+update();

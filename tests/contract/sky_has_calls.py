@@ -1,0 +1,31 @@
+"""Whether SkyPilot has the calls that fogspec makes, with the words it uses: `python sky_has_calls.py`, in any environment."""
+
+import inspect
+import json
+
+import sky
+from sky import exceptions
+from sky.utils import registry
+
+CALLS = (
+    (sky.launch, ("task",), {"cluster_name": "c"}),
+    (sky.get, ("request",), {}),
+    (sky.api_status, (["request"],), {"all_status": True}),
+    (sky.api_status, (), {"cluster_name": "c", "all_status": False}),
+    (sky.api_cancel, (["request"],), {"silent": True}),
+    (sky.queue, ("c",), {"all_users": True}),
+    (sky.tail_logs, ("c", 1), {"follow": True, "preload_content": False}),
+    (sky.status, (["c"],), {"refresh": sky.StatusRefreshMode.FORCE, "all_users": True}),
+    (sky.down, ("c",), {}),
+    (sky.autostop, ("c",), {"idle_minutes": 1, "down": True}),
+    (sky.Task.from_yaml_config, ({"run": "true"},), {}),
+)
+for call, words, named in CALLS:
+    inspect.signature(inspect.unwrap(call)).bind(*words, **named)
+names = ("ClusterDoesNotExist", "ResourcesUnavailableError", "NoCloudAccessError", "ApiServerConnectionError",
+         "ClusterSetUpError", "CommandError", "NetworkError", "RequestInterruptedError", "ServerTemporarilyUnavailableError",
+         "ClusterStatusFetchingError", "FetchClusterInfoError", "SkyletUnavailableError", "ExecutionRetryableError",
+         "ConcurrentWorkerExhaustedError", "ResourcesMismatchError", "NotSupportedError", "InvalidClusterNameError",
+         "ProvisionUnsupportedError", "ClusterNotUpError", "SkyletInternalError")  # fmt: skip
+missing = [name for name in names if not hasattr(exceptions, name)]
+print(json.dumps({"missing": missing, "clouds": sorted(registry.CLOUD_REGISTRY)}))

@@ -1,0 +1,57 @@
+"""The SkyPilots of the supported range have the calls that fogspec makes, and nothing can reach a machine that is not ours."""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fogspec.plugins.catalogs.csv_file import CLOUDS as CSV_CLOUDS
+from fogspec.rules.machines import CLOUDS
+
+PYTHONS = [sys.executable, *filter(None, os.environ.get("FOGSPEC_SKYPILOT_PYTHONS", "").split(os.pathsep))]
+
+
+@pytest.fixture
+def no_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing here may start an API server or look at the user's machines."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SKYPILOT_DISABLE_LOCAL_API_SERVER", "1")
+    monkeypatch.setenv("SKYPILOT_DISABLE_USAGE_COLLECTION", "1")
+    if not importlib.util.find_spec("sky"):
+        pytest.skip("needs SkyPilot: pip install 'fogspec[sky]'")
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.usefixtures("no_server")
+def test_the_calls_and_exceptions_are_there(python: str) -> None:
+    script = str(Path(__file__).with_name("sky_has_calls.py"))
+    ended = subprocess.run([python, script], capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    said = json.loads(ended.stdout.splitlines()[-1])
+    assert said["missing"] == []
+    assert set(said["clouds"]) <= {*CLOUDS, "local"}
+    assert {*CLOUDS} - {"local"} == CSV_CLOUDS
+
+
+SCRIPT = """
+from fogspec.plugins.skypilot import calls
+for op, words in [("end", {"name": "production"}), ("launch", {"task": {"run": "true"}, "name": "x", "root": "/"}),
+                  ("jobs", {"name": "x"}), ("autostop", {"name": "x", "idle_minutes": 1}), ("find", {"name": "fogspe"}),
+                  ("clusters", {"prefix": ""}), ("log", {"name": "x", "job": 1, "path": "/dev/null", "limit": 1})]:
+    try:
+        calls.OPERATIONS[op](**words)
+    except ValueError as refused:
+        assert "not ours" in str(refused), (op, refused)
+    else:
+        raise AssertionError(op)
+"""
+
+
+@pytest.mark.usefixtures("no_server")
+def test_what_is_not_ours_is_refused_before_skypilot_is_asked() -> None:
+    ended = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr[-2000:]

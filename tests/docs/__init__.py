@@ -1,0 +1,1 @@
+"""README and docs are run as a reader would run them."""

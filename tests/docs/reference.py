@@ -1,0 +1,146 @@
+"""Pages of the reference that need the command line and the whole of docs/: `python -m tests.docs.reference [--check]`.
+
+Fields and codes are written by `python -m fogspec.effects.schemas`, from the same types.
+"""
+
+import importlib
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fogspec.base import outcomes
+from fogspec.base.fieldbook import FieldPage, pages
+from fogspec.cli import VERBS, fogspec
+from fogspec.effects.schemas import KINDS, model_of
+
+ROOT = Path(__file__).resolve().parents[2]
+NOTE = "<!-- Generated: do not edit. Make it again: python -m tests.docs.reference -->\n"
+WHERE = {
+    "Application": ("specs/NAME.yaml", "people"),
+    "SamplingPlan": ("compiled/NAME/plan.yaml", "`fogspec compile`"),
+    "Results": ("results/NAME.yaml", "`fogspec bench`"),
+    "Models": ("compiled/NAME/models.yaml", "`fogspec compile`, once there are results"),
+    "Menu": ("compiled/NAME/menu.yaml", "`fogspec compile`, once there are results"),
+    "DeploymentManifest": ("compiled/NAME/manifest.yaml", "`fogspec compile`, when a machine meets the limits"),
+    "Lock": ("fogspec.lock", "`fogspec lock`"),
+    "LiveState": (".fogspec/NAME/deployment.yaml", "`fogspec apply`; not in git"),
+}
+OTHER_ENDS = {
+    0: "Done; nothing differs.",
+    70: "A bug in fogspec: one paragraph to paste into an issue.",
+    130: "The user stopped it: safe to run again.",
+}
+
+
+def verbs_page() -> str:
+    """docs/reference/verbs.md, from the command line itself."""
+    parts = [NOTE, "# Verbs\n", "`fogspec VERB --help` prints the same.\n", "| verb | what it does |\n|--|--|"]
+    parts += [f"| [`{verb}`](#{verb}) | {meaning} |" for verb, meaning in VERBS.items()]
+    context = click.Context(fogspec, info_name="fogspec")
+    for verb in VERBS:
+        command = fogspec.get_command(context, verb)
+        assert command is not None
+        parts += _verb(command, click.Context(command, info_name=verb, parent=context), 2)
+    parts += ["\n## Exit codes\n", "| code | meaning |\n|--|--|"]
+    parts += [f"| {code} | {meaning} |" for code, meaning in sorted(_exit_codes().items())]
+    return "\n".join(parts) + "\n"
+
+
+def _verb(command: click.Command, context: click.Context, level: int) -> list[str]:
+    title = context.command_path.removeprefix("fogspec ")
+    usage = " ".join([context.command_path, *command.collect_usage_pieces(context)])
+    parts = [f"\n{'#' * level} {title}\n", f"```text\n{usage}\n```\n", _paragraphs(command.help or "")]
+    rows = [one.get_help_record(context) for one in command.params if isinstance(one, click.Option)]
+    if rows:
+        parts.append("\n| option | meaning |\n|--|--|")
+    parts += [f"| `{row[0].replace('|', chr(92) + '|')}` | {_cell(row[1])} |" for row in rows if row]
+    if isinstance(command, click.Group):
+        for name in command.list_commands(context):
+            inner = command.get_command(context, name)
+            assert inner is not None
+            parts += _verb(inner, click.Context(inner, info_name=name, parent=context), level + 1)
+    return parts
+
+
+def _exit_codes() -> dict[int, str]:
+    kinds = [kind for kind in vars(outcomes).values() if isinstance(kind, type) and kind is not outcomes.Outcome]
+    return OTHER_ENDS | {kind.exit_code: " ".join((kind.__doc__ or "").split()) for kind in kinds}
+
+
+def files_page() -> str:
+    """docs/reference/files.md, from the types of the files."""
+    parts = [NOTE, "# Files\n"]
+    parts.append("Every file is YAML 1.2 with a JSON Schema in `schemas/`. Files that fogspec writes say so in their first "
+                 "line, with the command that makes them again.\n")  # fmt: skip
+    parts.append("| kind | where | written by | schema |\n|--|--|--|--|")
+    for kind in KINDS:
+        where, by = WHERE[kind]
+        parts.append(f"| [{kind}](#{kind.lower()}) | `{where}` | {by} | `schemas/{kind}.json` |")
+    parts.append("\nBeside them: `compiled/NAME/tasks/*.sky.yaml` and `deploy.sky.yaml` are SkyPilot tasks, as "
+                 "`sky launch` reads them; `.fogspec/` is live state and stays out of git.")  # fmt: skip
+    for kind in KINDS:
+        parts.append(f"\n## {kind}\n")
+        if kind == "Application":
+            parts.append("Its fields have [a page of their own](fields.md).")
+            continue
+        parts += [f"{_paragraphs(model_of(kind).__doc__ or '')}\n", "| field | type |\n|--|--|"]
+        parts += [_row(page) for page in pages(model_of(kind))]
+    return "\n".join(parts) + "\n"
+
+
+def _row(page: FieldPage) -> str:
+    meaning = f"; {page.meaning}" if page.meaning else ""
+    return f"| `{page.path}` | {_cell(page.type + meaning)} |"
+
+
+def decisions_page() -> str:
+    """docs/adr/README.md: an index of the decisions."""
+    parts = [NOTE, "# Decisions\n", "Why things are as they are, one page each.\n", "| decision | status |\n|--|--|"]
+    for path in sorted((ROOT / "docs" / "adr").glob("[0-9]*.md")):
+        if path.name.startswith("0000"):
+            continue
+        text = path.read_text("utf-8")
+        title = text.splitlines()[0].removeprefix("# ")
+        status = re.search(r"^Status: (.*?)[.;\n]", text, re.MULTILINE)
+        parts.append(f"| [{title}]({path.name}) | {status[1] if status else ''} |")
+    return "\n".join(parts) + "\n"
+
+
+def _cell(text: Any) -> str:
+    return re.sub(r"\s+", " ", str(text)).replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
+
+
+def _paragraphs(text: str) -> str:
+    return "\n\n".join(" ".join(part.split()) for part in text.strip().split("\n\n"))
+
+
+def generated() -> dict[Path, str]:
+    """Each page with its text."""
+    importlib.import_module("fogspec.cli")
+    reference = ROOT / "docs" / "reference"
+    return {
+        reference / "verbs.md": verbs_page(),
+        reference / "files.md": files_page(),
+        ROOT / "docs" / "adr" / "README.md": decisions_page(),
+    }
+
+
+def main(arguments: list[str]) -> int:
+    """Write the pages, or with `--check` say which differ; the exit code."""
+    texts = generated()
+    differing = [path for path, text in texts.items() if not path.is_file() or path.read_text("utf-8") != text]
+    for path in differing:
+        if "--check" not in arguments:
+            path.write_text(texts[path], "utf-8")
+        print(f"{path.relative_to(ROOT)} {'differs' if '--check' in arguments else 'written'}")
+    if differing and "--check" in arguments:
+        print("write them: python -m tests.docs.reference")
+        return 3
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,110 @@
+"""Runs a page's blocks, one shell a page, in a copy of what a fresh checkout holds."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.docs.blocks import DIFFERS, ROOT, Step, blocks, steps
+
+COPIED = ("specs", "results", "compiled", "schemas", "templates", "tests/cases/launch", "docs/examples")
+MACHINE_DEPENDENT = ("lidar-odometry*", "planner-local*", "__pycache__")
+BEGINS, ENDS = "\x1e", "\x1f"
+OLD_PRICES = re.compile(r"^warning: fogspec snapshot: .* days old;.*$")
+LONGEST_S = 240
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """What a command did: its exit code and what it printed, both streams as on a terminal."""
+
+    step: Step
+    code: int
+    printed: tuple[str, ...]
+
+
+def run(page: Path, folder: Path) -> list[Ran]:
+    """Run a page in `folder`; raises AssertionError when its shell ended early."""
+    here = folder / "checkout"
+    for name in COPIED:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, here / name, ignore=shutil.ignore_patterns(*MACHINE_DEPENDENT[2:]))
+    for kind in ("compiled", "results"):
+        for pattern in MACHINE_DEPENDENT[:2]:
+            for path in (here / kind).glob(pattern):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+    (folder / "home").mkdir()
+    script = folder / "page.sh"
+    asked = _script(page, script)
+    environment = {
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+        "HOME": str(folder / "home"),
+        "LANG": "C.UTF-8",
+        "COLUMNS": "120",
+        "SKYPILOT_DISABLE_USAGE_COLLECTION": "1",
+    }
+    try:
+        ended = subprocess.run(
+            ["bash", "--noprofile", "--norc", script], cwd=here, env=environment, timeout=LONGEST_S,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+    finally:
+        for live in here.glob(".fogspec/*/deployment.yaml"):
+            subprocess.run(["fogspec", "down", live.parent.name], cwd=here, env=environment, timeout=60)
+    said = ended.stdout.replace(environment["HOME"], "/home/you")
+    found = re.findall(rf"{BEGINS}(\d+)\n(.*?)\n?{ENDS}(\d+)\n", said, re.DOTALL)
+    assert len(found) == len(asked), f"{page.name} ended after {len(found)} of {len(asked)} commands:\n{ended.stdout}"
+    return [Ran(asked[int(n)], int(code), tuple(text.splitlines())) for n, text, code in found]
+
+
+def _script(page: Path, path: Path) -> list[Step]:
+    """Write the page as a script, with marks around what each command prints."""
+    asked: list[Step] = []
+    lines = ["_last=0"]
+    for block in blocks(page):
+        if block.file:
+            target = shlex.quote(block.file)
+            lines += [f"mkdir -p $(dirname {target})", f"cat > {target} <<'END-OF-BLOCK'", block.text, "END-OF-BLOCK"]
+        for step in steps(block) if block.run else ():
+            lines += [f"printf '{BEGINS}{len(asked)}\\n'", "(exit $_last)", "{", step.command, "} 2>&1", "_last=$?"]
+            lines += [f"printf '\\n{ENDS}%s\\n' $_last"]
+            asked.append(step)
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    return asked
+
+
+def differs(ran: Ran) -> bool:
+    """Whether a command printed something else than its page shows."""
+    if ran.step.shown is None:
+        return False
+    loose = ran.step.block.title == DIFFERS
+    shown = [_tidy(line, loose) for line in ran.step.shown]
+    printed = [_tidy(line, loose) for line in without_old_prices(ran)]
+    return not re.fullmatch(_pattern(shown), "".join(f"{line}\n" for line in printed), re.DOTALL)
+
+
+def without_old_prices(ran: Ran) -> list[str]:
+    """What a command printed, but for the age of the bundled prices, which the tutorial explains once."""
+    kept = any(OLD_PRICES.match(line) for line in ran.step.shown or ())
+    return [line for line in ran.printed if kept or not OLD_PRICES.match(line)]
+
+
+def _pattern(shown: list[str]) -> str:
+    """A pattern that matches what is shown, with its elisions."""
+    parts = []
+    for line in shown:
+        text = "[^\n]*".join(re.escape(part) for part in line.split("…"))
+        parts.append("(?:[^\n]*\n)*?" if line.strip() == "..." else f"{text}\n")
+    return "".join(parts)
+
+
+def _tidy(line: str, loose: bool) -> str:
+    line = re.sub(r"\d+ days old", "N days old", line.rstrip())
+    if loose:
+        line = re.sub(r"\d[\d,]*(\.\d+)?(e[+-]?\d+)?( ?(ns|us|µs|ms|s|min)\b)?", "N", line)
+        line = re.sub(r"\s+", " ", line)
+    return line

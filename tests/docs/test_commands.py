@@ -1,0 +1,49 @@
+"""Every command that README and docs show does what they show."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.docs.blocks import NOT_RUN, ROOT, blocks, pages
+from tests.docs.running import differs, run
+
+FRESH = "make demo\nmake test"
+RUN = [page for page in pages() if any(block.run and block.text != FRESH for block in blocks(page))]
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", RUN, ids=name)
+def test_a_page_does_what_it_shows(page: Path, tmp_path: Path) -> None:
+    ran = run(page, tmp_path)
+    wrong = []
+    for one, after in zip(ran, [*ran[1:], None], strict=True):
+        where = f"{name(page)}:{one.step.line}: $ {one.step.command}\n"
+        said = after is not None and after.step.command == "echo $?"
+        if one.code and not said:
+            wrong.append(f"{where}ended with {one.code}:\n" + "\n".join(one.printed))
+        elif differs(one):
+            wrong.append(f"{where}prints (python -m tests.docs.update):\n" + "\n".join(one.printed))
+    assert not wrong, "\n\n".join(wrong)
+
+
+def test_the_readme_begins_with_the_two_commands_that_ci_runs() -> None:
+    assert blocks(ROOT / "README.md")[0].text == FRESH
+    lines = (ROOT / ".ci/run").read_text("utf-8").splitlines()
+    assert [line for line in lines if line in FRESH.splitlines()] == FRESH.splitlines()
+
+
+def test_what_ci_does_not_run_is_little_and_says_why() -> None:
+    unchecked = [block for page in pages() for block in blocks(page) if block.commands and not block.run]
+    checked = [block for page in pages() for block in blocks(page) if block.run]
+    assert all(len(block.title) > len(NOT_RUN) + 10 for block in unchecked)
+    assert len(unchecked) * 4 <= len(checked), [f"{name(one.page)}:{one.line}" for one in unchecked]
+
+
+def test_every_block_has_a_language_that_says_what_it_is() -> None:
+    known = {"console", "sh", "yaml", "python", "csv", "text", "toml"}
+    odd = [f"{name(b.page)}:{b.line}: {b.language!r}" for page in pages() for b in blocks(page)
+           if b.language not in known and b.text != FRESH]  # fmt: skip
+    assert not odd

@@ -1,0 +1,72 @@
+"""The site builds, asks nobody, and names only what is there."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fogspec.base.fieldbook import pages as field_pages
+from fogspec.spec import Application
+from tests.docs import reference
+from tests.docs.blocks import ROOT, pages
+
+LOADS = re.compile(r"""<(?:script|link|img|iframe|source|use)\b[^>]*?(?:src|href|srcset)=["']?(?:https?:)?//[^"'> ]+""")
+NOT_LOADED = re.compile(r"""<link\b[^>]*rel=["']?canonical""")
+IN_CODE = re.compile(r"`((?:tests|fogspec|specs|templates|docs|results)/[\w./-]*\w\.\w+)`")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    built = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
+        cwd=ROOT, capture_output=True, text=True, timeout=120, check=False,
+        env={"PATH": "/usr/bin:/bin", "NO_MKDOCS_2_WARNING": "1"},
+    )  # fmt: skip
+    assert built.returncode == 0, built.stdout + built.stderr
+    return folder
+
+
+def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
+    found = [f"{page.name}: {tag}" for page in site.rglob("*.html")
+             for tag in LOADS.findall(page.read_text("utf-8")) if not NOT_LOADED.match(tag)]  # fmt: skip
+    assert not found
+    styles = [f"{path.name}: {url}" for path in site.rglob("*.css")
+              for url in re.findall(r"url\([\"']?(?:https?:)?//[^)]+\)|@import[^;]+", path.read_text("utf-8"))]  # fmt: skip
+    assert not styles
+
+
+def test_every_page_is_in_the_search(site: Path) -> None:
+    index = (site / "search" / "search_index.json").read_text("utf-8")
+    for name in ("tutorial.html", "howto/spot.html", "reference/verbs.html", "explanation/cost.html"):
+        assert name in index
+
+
+def test_generated_pages_are_what_the_code_writes() -> None:
+    for path, text in reference.generated().items():
+        assert path.read_text("utf-8") == text, f"{path.name}: python -m tests.docs.reference writes it anew"
+
+
+def test_the_page_of_fields_says_what_explain_says() -> None:
+    shown = (ROOT / "docs/reference/fields.md").read_text("utf-8")
+    for page in field_pages(Application):
+        part = shown.partition(f"## `{page.path}`\n")[2].partition("\n## ")[0]
+        plain = part.replace("\\", "").replace("&lt;", "<")
+        for said in (page.meaning, page.type, page.limits, page.unit, page.default):
+            assert str(said).replace("\\", "") in plain, f"{page.path}: {said}"
+
+
+def test_files_that_pages_name_are_there() -> None:
+    made = re.compile(r"^(specs/(NAME|places|tiny|lab|my-planner)|results/NAME|fogspec/plugins/runners/mine)")
+    missing = [f"{page.name}: {name}" for page in pages() for name in IN_CODE.findall(page.read_text("utf-8"))
+               if not made.match(name) and not (ROOT / name).exists()]  # fmt: skip
+    assert not missing
+
+
+def test_no_page_names_a_machine_of_ours() -> None:
+    private = re.compile(r"/(?:work|root|tmp)/|localhost|127\.0\.0\.1:\d")
+    wrong = [f"{page.name}: {found[0]}" for page in [*pages(), *(ROOT / "docs/adr").glob("*.md")]
+             if (found := private.search(page.read_text("utf-8")))]  # fmt: skip
+    assert not wrong

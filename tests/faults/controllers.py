@@ -1,0 +1,108 @@
+"""Controllers of a simulated cloud: what they are to measure, and how one goes on where another was killed."""
+
+import os
+from collections.abc import Callable
+
+from fogspec.deployment import prefix_of
+from fogspec.effects.orders import Order
+from fogspec.effects.sampling import Campaign
+from fogspec.effects.straying import adopt_strays
+from fogspec.plan import MachineRef, Sample
+from fogspec.results import finished
+from tests.faults.simulation import (
+    AFTER_S,
+    RULES,
+    SETUP_S,
+    SLACK_S,
+    FaultyRunner,
+    Killed,
+    MortalJournal,
+    SimulatedLedger,
+    VirtualClock,
+    World,
+)
+
+
+def samples(count: int) -> list[Sample]:
+    return [
+        Sample(
+            id=f"s{n}", reason="",
+            machine=MachineRef(infra="sim", instance=f"m{n}", cpus="2", memory="4GiB", price=f"${0.1 * (n + 1):.1f}/h"),
+        )
+        for n in range(count)
+    ]  # fmt: skip
+
+
+def others(name: str) -> list[Sample]:
+    """Machines that may take a sample's place: one in another region, then a neighbour that costs a little more."""
+    dear = 0.1 * (int(name.removeprefix("s")) + 1)
+    return [
+        Sample(
+            id=f"{name}-{infra}{n}", reason="",
+            machine=MachineRef(infra=infra, instance=f"{name}o", cpus="2", memory="4GiB", price=f"${dear * more:.3f}/h"),
+        )
+        for n, (infra, more) in enumerate((("elsewhere", 1.0), ("sim", 1.3), ("sim", 1.6)))
+    ]  # fmt: skip
+
+
+def place(sample: str) -> str:
+    """The sample of the plan that a machine was measured for."""
+    return sample.partition("-")[0]
+
+
+def measured(world: World) -> set[str]:
+    """The ids of samples that were measured, or in whose place another machine was."""
+    done = [one for one in world.disk["samples"].values() if finished(one)]
+    return {name for one in done for name in (one.id, one.instead_of) if name}
+
+
+def bench(world: World, budget_usd: float | None, count: int, check: Callable[[World], None]) -> int:
+    """Run benches, each after the other was killed, until one comes to its end; returns how many it took."""
+    for number in range(1, 1000):
+        controller = world.controller
+        try:
+            one_bench(world, controller, budget_usd, samples(count), check)
+        except Killed:
+            world.now += world.chance.uniform(0, 900)
+            if world.forgets:
+                # The next controller is on another host, where there are only the results.
+                (world.folder / "journal.jsonl").unlink(missing_ok=True)
+                world.boot, world.boot_at = world.boot + 1, world.now
+            if world.chance.random() < 0.3:
+                world.boot, world.boot_at = world.boot + 1, world.now
+        except OSError:
+            world.trail.append("disk full")
+        else:
+            return number
+    raise AssertionError(f"seed {world.seed} never ends: {world.trail[-20:]}")
+
+
+def campaign_of(world: World, controller: int, budget: float | None, check: Callable[[World], None]) -> Campaign:
+    """A controller's campaign in this world."""
+    journal = MortalJournal(world.folder / "journal.jsonl", world, controller)
+    order = Order(
+        application="a", rules=RULES, budget_usd=budget, deadline_s=SETUP_S + AFTER_S,
+        lifetime_s=SETUP_S + AFTER_S + SLACK_S, task=lambda _sample: {}, root=world.folder,
+        attempts=world.folder / "attempts", prefix=prefix_of("a"), token=f"{controller}x{os.urandom(2).hex()}",
+        instead=lambda name: [one for one in others(name) if one.id not in measured(world)],
+    )  # fmt: skip
+    return Campaign(
+        order, FaultyRunner(world, controller), journal, SimulatedLedger(world, controller),
+        VirtualClock(world, controller), tell=lambda _event: check(world),
+    )  # fmt: skip
+
+
+def one_bench(
+    world: World, controller: int, budget: float | None, wanted: list[Sample], check: Callable[[World], None]
+) -> None:
+    """One controller's life."""
+    campaign = campaign_of(world, controller, budget, check)
+    try:
+        campaign.journal.begin("simulated", "a", "p", world.disk["spent"])
+        adopt_strays(campaign, wanted, resume=True)
+        running = campaign.recover()
+        campaign.run([s for s in wanted if s.id not in running | measured(world)])
+        if campaign.left:
+            world.misdeeds.append(f"left: {campaign.left}")
+    finally:
+        campaign.journal.close()

@@ -1,0 +1,87 @@
+"""Whatever kills an apply, between any two of its steps: apply goes on, down leaves nothing."""
+
+import random
+
+import pytest
+
+from tests.faults import deployments as faulty
+from tests.line.deployed import MANIFEST, Deployed, app, tiny  # noqa: F401
+
+# write, keep, start, look ..., write, and clear: an apply and a down have no more steps than these.
+STEPS = range(1, 8)
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_apply_killed_at_each_step(tiny: Deployed, before: bool) -> None:
+    """Killed once at each step, then applied again: one machine, and after `down` nothing."""
+    kills = 0
+    for at in STEPS:
+        kills += faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.killed(at, before)) == -9
+        if at % 2:
+            assert faulty.run(tiny, "apply", MANIFEST, "--yes") == 0
+            assert [machine["state"] for machine in tiny.machines()] == ["serving"]
+        assert faulty.run(tiny, "down", "tiny") == 0
+        assert faulty.left(tiny).nothing, at
+    assert kills >= 5
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_down_killed_at_each_step(tiny: Deployed, before: bool) -> None:
+    kills = 0
+    for at in range(1, 6):
+        assert faulty.run(tiny, "apply", MANIFEST, "--yes") == 0
+        kills += faulty.run(tiny, "down", "tiny", fault=faulty.killed(at, before)) == -9
+        assert faulty.run(tiny, "down", "tiny") == 0
+        assert faulty.left(tiny).nothing, at
+    assert kills >= 4
+
+
+def test_a_full_disk_starts_nothing_or_leaves_nothing(tiny: Deployed) -> None:
+    for after in range(1, 5):
+        code = faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.full(after))
+        assert code in (0, 1)
+        if after == 1:
+            assert tiny.alive() == [], "what cannot be journaled is not started"
+        assert faulty.run(tiny, "down", "tiny") == 0
+        assert faulty.left(tiny).nothing
+
+
+def test_the_clock_jumps(tiny: Deployed) -> None:
+    for days in (-400, 400):
+        assert faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.jumped(days)) == 0
+        assert 0 <= tiny.status()["spent_usd"] < 0.01
+        assert faulty.run(tiny, "down", "tiny", fault=faulty.jumped(days)) == 0
+        assert faulty.left(tiny).nothing
+
+
+def test_a_network_that_is_cut_starts_nothing_twice(tiny: Deployed) -> None:
+    assert faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.cut(looks=5, ends=0)) == 0
+    (name,) = tiny.names()
+    assert faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.cut(looks=99, ends=0)) == 6
+    assert tiny.names() == [name], "another machine beside one that may be fine would cost twice"
+    assert faulty.run(tiny, "down", "tiny", fault=faulty.cut(looks=0, ends=99)) == 6
+    assert [machine["state"] for machine in tiny.machines()] == ["ending"]
+    assert faulty.run(tiny, "down", "tiny") == 0
+    assert faulty.left(tiny).nothing
+
+
+def test_nodes_without_their_keeper_are_ended_too(tiny: Deployed) -> None:
+    assert faulty.run(tiny, "apply", MANIFEST, "--yes") == 0
+    faulty.orphaned(tiny)
+    assert tiny.alive(), "the node goes on"
+    assert faulty.run(tiny, "down", "tiny") == 0
+    assert faulty.left(tiny).nothing
+
+
+def test_a_damaged_live_state_hides_nothing(tiny: Deployed) -> None:
+    assert faulty.run(tiny, "apply", MANIFEST, "--yes") == 0
+    (tiny.state / "deployment.yaml").write_text("machines: [")
+    assert "machines are found by their names" in tiny("down", "tiny").stderr
+    assert faulty.left(tiny).nothing
+
+
+def test_whatever_a_user_does_next(tiny: Deployed) -> None:
+    chance = random.Random(1)
+    for _, (_, fault) in zip(range(5), faulty.faults(chance), strict=False):
+        faulty.life(tiny, chance, fault)
+        assert faulty.left(tiny).nothing

@@ -1,0 +1,132 @@
+"""`fogspec report` and `fogspec menu`'s picture, through the command line on files."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """The SLAM spec and its measurements in an empty folder."""
+    for folder in ("specs", "results"):
+        (tmp_path / folder).mkdir()
+        shutil.copy(ROOT / folder / "vslam.yaml", tmp_path / folder / "vslam.yaml")
+    return tmp_path
+
+
+def fogspec(cwd: Path, *words: str, code: int = 0, **env: str) -> subprocess.CompletedProcess[str]:
+    ended = subprocess.run(
+        [sys.executable, "-m", "fogspec", *words], cwd=cwd, capture_output=True, text=True, timeout=120,
+        env={**os.environ, "COLUMNS": "80", **env},
+    )  # fmt: skip
+    assert ended.returncode == code, ended.stderr + ended.stdout
+    return ended
+
+
+def test_the_page_is_whole_by_itself_and_the_same_each_time(checkout):
+    fogspec(checkout, "report", "vslam", PYTHONHASHSEED="1")
+    page = checkout / "compiled" / "vslam" / "report.html"
+    first = page.read_bytes()
+    fogspec(checkout, "report", "specs/vslam.yaml", "--name", "vslam", PYTHONHASHSEED="2")
+    assert page.read_bytes() == first
+    text = first.decode()
+    assert str(checkout) not in text
+    assert len(first) < 400_000
+    assert not re.findall(r"""(?:src|href)=["'](?!#|data:)[^"']*""", text), "nothing is loaded from elsewhere"
+    assert "default-src 'none'" in text
+    for words in (
+        "Menu",
+        "Why this machine",
+        "Funnel",
+        "Samples",
+        "Models",
+        "Residuals",
+        "Costs",
+        "Provenance",
+        "Spec",
+    ):
+        assert words in text
+
+
+def test_the_numbers_in_the_page_are_data(checkout):
+    text = fogspec(checkout, "report", "vslam", "--to", "-").stdout
+    data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)[1])
+    assert data["complete"]
+    assert len(data["offers"]["row"]) == data["types"] == 21
+    assert {len(column) for name, column in data["offers"].items() if name != "needed"} == {21}
+
+
+def test_what_was_not_measured_has_a_page_without_a_menu(checkout):
+    (checkout / "results" / "vslam.yaml").unlink()
+    text = fogspec(checkout, "report", "vslam", "--to", "-").stdout
+    assert "not measured yet" in text
+    assert "To be measured" in text
+    assert "<script" not in text
+
+
+def test_an_answer_of_none_has_a_page(checkout):
+    spec = checkout / "specs" / "vslam.yaml"
+    spec.write_text(re.sub(r"latency: .*", "latency: 1ms", spec.read_text(), count=1))
+    text = fogspec(checkout, "report", "vslam", "--to", "-").stdout
+    assert "No machine meets the limits" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(("nothing-of-this-name",), "no application named"), (("specs/missing.yaml",), "missing.yaml"),
+     (("specs/vslam.yaml", "--name", "other"), "no application named other")],
+)  # fmt: skip
+def test_what_is_not_there_is_said(checkout, words, said):
+    ended = subprocess.run(
+        [sys.executable, "-m", "fogspec", "report", *words], cwd=checkout, capture_output=True, text=True, timeout=60
+    )
+    assert ended.returncode in (1, 2)
+    assert said in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_the_report_stays_when_compile_tidies_up(checkout):
+    fogspec(checkout, "report", "vslam")
+    fogspec(checkout, "compile", "specs/vslam.yaml")
+    assert (checkout / "compiled" / "vslam" / "report.html").is_file()
+    assert (checkout / "compiled" / "vslam" / "latency.svg").is_file()
+    fogspec(checkout, "compile", "specs/vslam.yaml", "--check")
+
+
+def test_menu_draws_in_plain_characters_and_takes_limits_away(checkout):
+    plain = fogspec(checkout, "menu", "specs/vslam.yaml", "--latency", "none").stdout
+    assert "per request: mean latency" in plain
+    assert "\x1b[" not in plain
+    assert "limits: cost at most" in plain
+    colored = fogspec(checkout, "menu", "specs/vslam.yaml", "--latency", "none", "--color", "always").stdout
+    assert "\x1b[" in colored
+    assert re.sub(r"\x1b\[[0-9;]*m", "", colored) == plain
+    narrow = fogspec(checkout, "menu", "specs/vslam.yaml", COLUMNS="50").stdout
+    assert max(len(line) for line in narrow.splitlines() if "|" in line) <= 50
+
+
+def test_the_page_of_every_offering_stays_small(checkout, shared_data):
+    spec = checkout / "specs" / "vslam.yaml"
+    text = spec.read_text().replace("infra: [aws/us-east-1]", "infra: [aws, azure, gcp]")
+    for old, new in (
+        (r"    cpus: .*", "    cpus: 1..1024"), (r"    memory: .*", "    memory: 0.5GiB..32TiB"),
+        (r"    memory_per_cpu: .*", "    spot: true"), (r"    machines: .*", "    arch: [x86_64, arm64]"),
+        (r"    budget: .*", "    budget: $900"),
+    ):  # fmt: skip
+        text = re.sub(old, new, text)
+    spec.write_text(text)
+    catalog = str(shared_data / "catalog" / "skypilot-v8")
+    page = fogspec(checkout, "report", "vslam", "--catalog", catalog, "--to", "-").stdout
+    said = re.search(r"([\d,]+) machine types in ([\d,]+) offers can be predicted", page)
+    assert int(said[2].replace(",", "")) > 90_000
+    assert int(said[1].replace(",", "")) > 1500
+    assert "can win under some weight and limits" in page
+    assert len(page) < 300_000

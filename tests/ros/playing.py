@@ -1,0 +1,36 @@
+"""Starts what a generated launch file says, in its order, as `ros2 launch` does; `launch` itself is not on PyPI.
+
+python -m tests.ros.playing LAUNCH_FILE
+"""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.unit.launching import launched
+
+
+def main(path: Path) -> int:
+    """Start everything, wait for the last process, end the others; its exit code."""
+    running = []
+    for one in launched(path):
+        if one.kind == "SetEnvironmentVariable":
+            os.environ[one.arguments[0]] = one.arguments[1]
+        elif one.kind == "OpaqueFunction":
+            one.keywords["function"](None)
+        elif one.kind == "ExecuteProcess":
+            more = one.keywords.get("additional_env", {})
+            running.append(
+                subprocess.Popen(one.keywords["cmd"], cwd=one.keywords.get("cwd"), env={**os.environ, **more})
+            )
+    code = running[-1].wait()
+    for process in running[:-1]:
+        process.send_signal(signal.SIGINT)
+        process.wait(20)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

@@ -1,0 +1,102 @@
+"""The zenoh link between two computers that are joined by nothing else: what passes, what does not, and who."""
+
+import json
+import re
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.ros.joined import ADDRESS, Joined, joined, missing, until
+from tests.ros.namespaces import PYTHON
+
+NODE = str(Path(__file__).parent / "nodes" / "over_zenoh.py")
+pytestmark = pytest.mark.skipif(missing("zenoh") is not None, reason=str(missing("zenoh")))
+
+
+@pytest.fixture(scope="module")
+def ends(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Joined]:
+    """Both ends up behind their firewalls, and a planner in the cloud."""
+    with joined(tmp_path_factory.mktemp("zenoh"), "zenoh") as both:
+        both.exchange()
+        both.firewall()
+        both.up("cloud")
+        both.up("robot")
+        served = both.nets["cloud"].python("planner", NODE, "serve", "0.02")
+        assert until(lambda: "up" in served.said()), served.said()
+        assert until(lambda: said(both, "robot", "ask", "plan", "1") == ["planned"])
+        yield both
+
+
+def said(both: Joined, side: str, *words: str) -> Any:
+    """What a short-lived node at one end prints; None while it cannot even reach its router."""
+    run = both.nets[side].run([str(PYTHON), NODE, *words], 40)
+    return json.loads(run.stdout.splitlines()[-1]) if run.returncode == 0 else None
+
+
+def test_a_service_answers_through_the_link_and_one_that_is_not_named_does_not(ends: Joined) -> None:
+    assert until(lambda: said(ends, "robot", "ask", "plan") == ["planned"])
+    assert said(ends, "robot", "ask", "secret", "2") == []
+    assert until(lambda: said(ends, "cloud", "ask", "secret", "1") == ["planned"]), "at its own end it is there"
+
+
+def test_named_topics_pass_both_ways_and_others_neither(ends: Joined) -> None:
+    ends.nets["robot"].python("camera", NODE, "publish")
+    heard = ["image", "pose of image", "secret_image"]
+    assert until(lambda: said(ends, "robot", "listen", "3") == heard), "what is secret comes from the robot itself only"
+
+
+def test_a_message_that_is_kept_for_late_joiners_passes(ends: Joined) -> None:
+    kept = ends.nets["cloud"].python("keeper", NODE, "keep")
+    assert until(lambda: "up" in kept.said())
+    assert until(lambda: "kept" in (said(ends, "robot", "late", "2") or []))
+
+
+def test_the_graph_is_seen_from_the_other_end(ends: Joined) -> None:
+    assert until(lambda: "planner" in (said(ends, "robot", "graph") or []))
+
+
+def test_plain_tcp_is_refused(ends: Joined) -> None:
+    for port in (7447, 7448):
+        assert said(ends, "robot", "plain", f"tcp/{ADDRESS['cloud']}:{port}") == "refused"
+
+
+def test_the_other_end_answers_as_itself(ends: Joined) -> None:
+    assert ends.script("robot", "check").returncode == 0
+
+
+def test_a_private_key_is_readable_by_its_owner_alone_and_at_its_own_end_only(ends: Joined) -> None:
+    for side, other in (("robot", "cloud"), ("cloud", "robot")):
+        folder = ends.keys(side)
+        assert stat.S_IMODE((folder / "private.key").stat().st_mode) == 0o600
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        secret = re.sub(r"-----.*-----|\s", "", (folder / "private.key").read_text())
+        elsewhere = [path for path in ends.folder.rglob("*") if path.is_file() and folder not in path.parents]
+        assert elsewhere
+        assert not any(secret in re.sub(r"\s", "", path.read_text("utf-8", "replace")) for path in elsewhere), other
+
+
+def test_making_keys_again_changes_nothing(ends: Joined) -> None:
+    before = (ends.keys("robot") / "private.key").read_bytes()
+    public = ends.script("robot", "keys").stdout
+    assert (ends.keys("robot") / "private.key").read_bytes() == before
+    assert public == (ends.keys("robot") / "public").read_text()
+
+
+def test_a_rogue_with_a_certificate_of_the_same_name_is_refused(tmp_path: Path) -> None:
+    """It has the right name, the reviewed configuration, and the cloud's certificate; only not the robot's key."""
+    with joined(tmp_path, "zenoh") as both:
+        both.exchange()
+        both.exchange_as("rogue")
+        both.firewall()
+        both.up("cloud")
+        served = both.nets["cloud"].python("planner", NODE, "serve", "0")
+        assert until(lambda: "up" in served.said())
+        rogue = both.up("robot", home="rogue")
+        assert until(lambda: said(both, "robot", "ask", "plan", "1") == [])
+        assert said(both, "robot", "ask", "plan", "4") == []
+        rogue.stop()
+        both.up("robot")
+        assert until(lambda: said(both, "robot", "ask", "plan", "1") == ["planned"]), "the robot itself is let in"

@@ -1,0 +1,220 @@
+"""Faults on the real engine: `python -m tests.slurm.faults [FAULTS [SEED]]` prints what leaked, was lost or cost too much.
+
+Each bench is a seed: which nodes have a workload that fails, and what is broken from outside, and when.
+"""
+
+import collections
+import contextlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fogspec.effects.journal import Journal
+from fogspec.effects.specfiles import read_document
+from fogspec.results import Results, finished
+from tests.slurm.site import Site
+from tests.tools.slurm import daemons, engine
+from tests.tools.slurm.__main__ import default_folder, down, up
+
+MACHINES = {"s-1x2": "1CPU--2GB", "c-2x4": "2CPU--4GB", "c-16x32": "16CPU--32GB"}
+ROUNDS = 8
+ROUND_S = 600.0
+
+WORK = """\
+import json
+import os
+import sys
+import time
+
+import fogspec_probe
+
+fault = json.load(open("faults.json")).get(os.environ["SLURMD_NODENAME"])
+held = []
+for number in range(10**9):
+    fogspec_probe.start("work")
+    time.sleep(0.1)
+    fogspec_probe.stop("work")
+    if fault == "memory":
+        held.append(b"x" * 2**28)
+    if number == 5 and fault == "crash":
+        sys.exit("an error of its own")
+    if number == 5 and fault == "stuck":
+        time.sleep(3600)
+    if fault == "garbage":
+        open(os.environ["FOGSPEC_TIMINGS"], "a").write("{\\x00 nothing\\n")
+    if fault == "noise":
+        print("=== fogspec begin outcome.json ===\\n{}\\n=== fogspec end outcome.json ===\\n" * 1000, flush=True)
+"""
+
+
+class Measuring(int):
+    """When so many samples have begun to measure."""
+
+
+@dataclass
+class Storm:
+    """One bench to its end, however often it is broken off.
+
+    `faults` are (when, name): so many seconds after the start, or as soon as so many samples measure.
+    """
+
+    site: Site
+    nodes: dict[str, str]
+    faults: list[tuple[float | Measuring, str]]
+    chance: random.Random
+    done: int = 0
+
+    def run(self, name: str, steps: int = 100) -> int:
+        """How many controllers it took."""
+        spec = self.site.write(name, list(MACHINES.values()), steps, WORK)
+        (self.site.project / "specs" / "faults.json").write_text(json.dumps(self.nodes))
+        self.site.compile(spec)
+        begun, waiting = time.monotonic(), list(self.faults)
+        for number in range(1, ROUNDS + 1):
+            bench = self.site.bench(spec, "--resume", log=self.events)
+            end = time.monotonic() + ROUND_S
+            while bench.process.poll() is None:
+                assert time.monotonic() < end, f"it does not end: {self.site.project}"
+                if waiting and self.due(waiting[0][0], begun):
+                    self.apply(waiting.pop(0)[1], bench.process, name)
+                time.sleep(0.2)
+            if bench.process.returncode in (0, 1):
+                return number
+        raise AssertionError(f"it is never done: {self.site.project}")
+
+    @property
+    def events(self) -> Path:
+        """What the benches said."""
+        return self.site.project / "events.jsonl"
+
+    def due(self, when: "float | Measuring", begun: float) -> bool:
+        """Whether it is time for a fault."""
+        if not isinstance(when, Measuring):
+            return time.monotonic() - begun >= when
+        said = [json.loads(line) for line in self.events.read_text().splitlines() if line.endswith("}")]
+        return len({one["sample"] for one in said if one.get("event") == "measures"}) >= when
+
+    def apply(self, fault: str, process: "subprocess.Popen[str]", name: str) -> None:
+        """Break something."""
+        self.done += 1
+        cluster = self.site.cluster
+        if fault == "machine":
+            if jobs := self.site.jobs():
+                self.site.cancel(self.chance.choice(jobs))
+        elif fault == "node":
+            node = self.chance.choice(list(MACHINES))
+            daemons.run(cluster, "scontrol", "update", f"nodename={node}", "state=down", "reason=fault")
+            time.sleep(3)
+            daemons.run(cluster, "scontrol", "update", f"nodename={node}", "state=resume")
+        elif fault == "server":
+            for pid in {*engine.processes(cluster)} - {process.pid, *_below(process.pid)}:
+                _kill(pid, signal.SIGKILL)
+        elif fault == "worker":
+            for pid in _below(process.pid):
+                _kill(pid, signal.SIGKILL)
+        elif fault == "network":
+            self._unplug(cluster)
+        else:
+            _kill(process.pid, signal.SIGINT if fault == "interrupt" else signal.SIGKILL)
+            process.wait()
+            if fault == "journal":
+                shutil.rmtree(self.site.project / ".fogspec" / name, ignore_errors=True)
+
+    def _unplug(self, cluster: Path) -> None:
+        """The login node cannot be reached for a while, and what was connected breaks off."""
+        pid = daemons.living(cluster, "sshd")
+        assert pid is not None
+        os.kill(pid, signal.SIGSTOP)
+        for child in _below(pid):
+            _kill(child, signal.SIGKILL)
+        time.sleep(10)
+        os.kill(pid, signal.SIGCONT)
+
+
+OUTSIDE = ("machine", "node", "server", "worker", "network", "controller", "interrupt", "journal")
+INSIDE = ("crash", "memory", "stuck", "garbage", "noise")
+
+
+def _below(pid: int) -> list[int]:
+    return daemons.below(pid)
+
+
+def _kill(pid: int, number: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, number)
+
+
+def judge(site: Site, name: str, budget_usd: float = 10.0) -> collections.Counter[str]:
+    """What must never happen, and what became of the samples."""
+    tally: collections.Counter[str] = collections.Counter()
+    tally["machines leaked"] += len(site.left())
+    results = read_document(site.project / "results" / f"{name}.yaml", Results).spec
+    journal = site.project / ".fogspec" / name / "journal.jsonl"
+    book = Journal(journal).book
+    tally["budgets exceeded"] += max(results.spent, book.spent_usd) > budget_usd
+    tally["machines not accounted for"] += len(book.open)
+    tally["samples lost"] += len(MACHINES) - len({one.machine.instance for one in results.samples})
+    entries = [json.loads(line) for line in journal.read_text().splitlines()]
+    ended = [entry["record"] for entry in entries if entry["do"] == "end" and entry["record"] is not None]
+    counts = collections.Counter(one["id"] for one in ended if one["state"] != "failed")
+    tally["measured twice"] += sum(count > 1 for count in counts.values())
+    for one in results.samples:
+        tally[f"samples {one.state if one.reason is None else one.reason}"] += 1
+        tally["samples unfinished"] += not finished(one)
+    return tally
+
+
+def drawn(seed: int, site: Site) -> Storm:
+    """What is broken in the bench of this seed."""
+    chance = random.Random(f"storm {seed}")
+    nodes = {node: chance.choice(INSIDE) for node in MACHINES if chance.random() < 0.4}
+    # Only the smallest node's memory can be filled on a small host.
+    nodes = {node: "crash" if fault == "memory" and node != "s-1x2" else fault for node, fault in nodes.items()}
+    times = sorted(chance.uniform(3, 150) for _ in range(chance.randint(4, 8)))
+    return Storm(site, nodes, [(when, chance.choice(OUTSIDE)) for when in times], chance)
+
+
+def main(words: Sequence[str], tell: Callable[[str], None] = print) -> int:
+    """Benches until enough faults have happened; whether something went wrong."""
+    wanted, seed = int(words[0]) if words else 50, int(words[1]) if len(words) > 1 else 0
+    folder = default_folder()
+    was_up = daemons.living(folder, "slurmctld") is not None
+    up(folder)
+    tally: collections.Counter[str] = collections.Counter()
+    try:
+        while tally["faults"] < wanted:
+            project = Path(tempfile.mkdtemp(prefix="fogspec-storm-")) / "project"
+            storm = drawn(seed, Site(folder, project))
+            tally["controllers"] += storm.run("storm")
+            found = judge(storm.site, "storm")
+            tally.update(found)
+            tally["benches"] += 1
+            tally["faults"] += storm.done + len(storm.nodes)
+            tell(f"seed {seed}: {storm.nodes} {[name for _, name in storm.faults]}: {dict(+found)}")
+            if not wrong(found):
+                shutil.rmtree(project.parent)
+            seed += 1
+    finally:
+        if not was_up:
+            down(folder)
+    tell(", ".join(f"{name} {count}" for name, count in tally.items()))
+    return wrong(tally)
+
+
+def wrong(tally: collections.Counter[str]) -> int:
+    """How much of it must never happen."""
+    never = ("machines leaked", "budgets exceeded", "machines not accounted for", "samples lost", "measured twice")
+    return sum(tally[name] for name in never)
+
+
+if __name__ == "__main__":
+    sys.exit(min(1, main(sys.argv[1:])))

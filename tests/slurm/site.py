@@ -1,0 +1,173 @@
+"""A project on a Slurm cluster: its files, fogspec's command line with the cluster's SkyPilot, and what is left running."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from fogspec.effects.specfiles import read_document
+from fogspec.results import Measured, Results
+from tests.tools.slurm import daemons, engine, login
+
+SPEC = """\
+apiVersion: fogspec.dev/v1alpha1
+kind: Application
+metadata: {{name: {name}}}
+spec:
+  cloud:
+    - cmd: [python3, work.py]
+  probe: {{callback: work}}
+  constraints: {{latency: 2s, cost: $0.01/request}}
+  objective: {{alpha: 0.5}}
+  hardware: {{cpus: 1..128, memory: 1GiB..256GiB, memory_per_cpu: 1GiB..16GiB, gpus: [none]}}
+  infra: [slurm/fogtest]
+  benchmark:
+    budget: $10
+    machines: [{machines}]
+    setup: 3min
+    warmup: 1
+    stop: {{steps: {steps}, after: 1min}}
+"""
+
+# Latency follows the CPUs that the job was given: the node claims them, this machine need not have them.
+WORK = """\
+import os
+import time
+
+import fogspec_probe
+
+cpus = int(os.environ["SLURM_JOB_CPUS_PER_NODE_PACK_GROUP_0"])
+while True:
+    fogspec_probe.start("work")
+    time.sleep(0.02 + 0.4 / cpus)
+    fogspec_probe.stop("work")
+"""
+
+
+@dataclass
+class Bench:
+    """A bench that runs, and what it said so far."""
+
+    process: "subprocess.Popen[str]"
+    events: list[dict[str, Any]] = field(default_factory=list)
+
+    def until(self, wanted: Callable[[dict[str, Any]], bool], patience_s: float = 240.0) -> dict[str, Any]:
+        """The first event from now on that is wanted."""
+        end = time.monotonic() + patience_s
+        for event in self.lines():
+            if wanted(event):
+                return event
+            assert time.monotonic() < end, self.events
+        raise AssertionError(f"it ended: {self.events}")
+
+    def lines(self) -> Iterator[dict[str, Any]]:
+        """Its events as they come."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.events.append(json.loads(line))
+            yield self.events[-1]
+
+    def ended(self) -> int:
+        """Its exit code."""
+        for _ in self.lines():
+            pass
+        return self.process.wait()
+
+    def kill(self) -> None:
+        """As a power cut would."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+
+@dataclass
+class Site:
+    """The cluster's folder and a project's."""
+
+    cluster: Path
+    project: Path
+
+    def write(self, name: str, machines: list[str], steps: int = 20, work: str = WORK) -> str:
+        """A spec, whose path is returned, and its workload."""
+        (self.project / "specs").mkdir(parents=True, exist_ok=True)
+        (self.project / "specs" / "work.py").write_text(work)
+        path = f"specs/{name}.yaml"
+        text = SPEC.format(name=name, machines=", ".join(machines), steps=steps)
+        (self.project / path).write_text(text)
+        return path
+
+    def run(self, *words: str, code: int = 0) -> "subprocess.CompletedProcess[str]":
+        """fogspec's command line."""
+        ended = subprocess.run(self._argv(words), cwd=self.project, env=self._env(), capture_output=True, text=True,
+                               timeout=400)  # fmt: skip
+        assert ended.returncode == code, f"{words}: {ended.returncode}\n{ended.stdout}\n{ended.stderr}"
+        return ended
+
+    def compile(self, spec: str) -> None:
+        """Compile with the cluster's prices."""
+        self.run("compile", spec, "--catalog", self.prices)
+
+    def bench(self, spec: str, *words: str, log: Path | None = None) -> Bench:
+        """Start a bench on the cluster; its events go to `log` where one is given."""
+        argv = self._argv(
+            ("bench", spec, "--runner", "skypilot", "--yes", "--catalog", self.prices, "-o", "json", *words)
+        )
+        with open(self.project / "bench.log", "ab") as said, open(log or os.devnull, "ab") as events:
+            out = subprocess.PIPE if log is None else events
+            return Bench(subprocess.Popen(argv, cwd=self.project, env=self._env(), stdout=out, stderr=said, text=True))
+
+    def results(self, name: str) -> dict[str, Measured]:
+        """The records by instance type."""
+        body = read_document(self.project / "results" / f"{name}.yaml", Results).spec
+        return {one.machine.instance: one for one in body.samples}
+
+    def task(self, name: str, instance: str) -> dict[str, Any]:
+        """A compiled task."""
+        for path in (self.project / "compiled" / name / "tasks").iterdir():
+            task = YAML(typ="safe").load(path)
+            if re.sub("[^a-z0-9]+", "-", instance.lower()) in path.name:
+                return dict(task)
+        raise KeyError(instance)
+
+    @property
+    def prices(self) -> str:
+        """The catalog."""
+        return str(self.cluster / "catalog.csv")
+
+    def jobs(self) -> list[str]:
+        """Names of the machines that Slurm has jobs for: SkyPilot adds its user's hash to them."""
+        names = daemons.run(self.cluster, "squeue", "-h", "-o", "%j").split()
+        return [re.sub("-[0-9a-f]{8}$", "", name) for name in names]
+
+    def cancel(self, prefix: str) -> None:
+        """End jobs behind SkyPilot's back, as a failing node does."""
+        for line in daemons.run(self.cluster, "squeue", "-h", "-o", "%i %j").splitlines():
+            number, name = line.split()
+            if name.startswith(prefix):
+                daemons.run(self.cluster, "scancel", number)
+
+    def left(self, patience_s: float = 40.0, spare: str = "-") -> list[str]:
+        """What still runs or is still known, when it has had time to end; names with `spare` in them do not count."""
+        end = time.monotonic() + patience_s
+        while (found := self._running(spare)) and time.monotonic() < end:
+            time.sleep(0.5)
+        return found + [name for name in engine.clusters(self.cluster) if spare not in name]
+
+    def _running(self, spare: str) -> list[str]:
+        """Jobs, and where there is none at all, processes of their user: its connections from outside stay a while."""
+        jobs = self.jobs()
+        return [name for name in jobs if spare not in name] or ([] if jobs else login.processes())
+
+    def _argv(self, words: tuple[str, ...]) -> list[str]:
+        return [sys.executable, "-m", "fogspec", *words]
+
+    def _env(self) -> dict[str, str]:
+        return engine.environment(self.cluster) | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

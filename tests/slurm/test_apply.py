@@ -1,0 +1,125 @@
+"""The life of a manifest on a real SkyPilot over a real Slurm: bench, apply, status, another alpha, diff, apply, down."""
+
+import json
+import signal
+import subprocess
+import time
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from tests.slurm.conftest import ABANDONED
+from tests.slurm.site import Site
+
+SMALL, LARGE = "2CPU--4GB", "16CPU--32GB"
+
+
+def manifest(name: str) -> str:
+    return f"compiled/{name}/manifest.yaml"
+
+
+def status(site: Site, spec: str) -> dict[str, Any]:
+    return dict(json.loads(site.run("status", spec, "--catalog", site.prices, "-o", "json").stdout)[0]["deployment"])
+
+
+def machines(site: Site, name: str) -> list[dict[str, Any]]:
+    path = site.project / ".fogspec" / name / "deployment.yaml"
+    return list(YAML(typ="safe").load(path)["spec"]["machines"]) if path.exists() else []
+
+
+def until(site: Site, spec: str, key: str, patience_s: float = 120.0) -> dict[str, Any]:
+    """The status once something was observed."""
+    end = time.monotonic() + patience_s
+    while True:
+        live = status(site, spec)
+        if live["observed"] is not None and live["observed"][key] is not None:
+            return live
+        assert time.monotonic() < end, live
+        time.sleep(2)
+
+
+def test_from_the_spec_to_a_deployment_and_back(site: Site) -> None:
+    spec = site.write("life", [SMALL, LARGE])
+    path = site.project / spec
+    path.write_text(path.read_text().replace("alpha: 0.5", "alpha: 0").replace("cpus: 1..128", "cpus: 2..16"))
+    site.compile(spec)
+    assert site.bench(spec).ended() == 0
+    site.compile(spec)
+    at = ("--catalog", site.prices)
+
+    begun = time.monotonic()
+    said = site.run("apply", manifest("life"), *at, "--yes", "-o", "json")
+    assert "a month" in said.stderr
+    took_s, waited_s = time.monotonic() - begun, json.loads(said.stdout)["waited_s"]
+    own_s = took_s - waited_s + status(site, spec)["ready_s"]
+    print(f"from apply to the first answer: {took_s:.1f} s; without SkyPilot's share: {own_s:.1f} s "
+          "(fogspec's start, checks and end, and the nodes' own start)")  # fmt: skip
+    (first,) = machines(site, "life")
+    assert (first["state"], first["machine"]["instance"]) == ("serving", SMALL)
+    assert first["name"] in site.jobs()
+    assert "no changes" in site.run("apply", manifest("life"), *at, "--yes").stdout
+
+    live = until(site, spec, "p50_s", patience_s=200)
+    assert (live["sync"], live["spent_usd"] > 0) == ("Synced", True)
+    assert 0.1 < live["observed"]["p50_s"] < 0.5
+
+    path.write_text(path.read_text().replace("alpha: 0", "alpha: 1"))
+    differs = site.run("diff", spec, *at, "--exit-code", code=3).stdout
+    assert f"{SMALL} in slurm/fogtest" in differs
+    assert "no benchmark needed" in differs
+    site.run("apply", manifest("life"), *at, "--yes", code=3)
+    site.compile(spec)
+    assert status(site, spec)["sync"] == "OutOfSync"
+    site.run("apply", manifest("life"), *at, "--yes")
+    (second,) = machines(site, "life")
+    assert second["machine"]["instance"] != SMALL
+    assert [name for name in site.jobs() if ABANDONED not in name] == [second["name"]], "the old machine is gone"
+
+    assert "nothing is left" in site.run("down", "life").stdout
+    assert site.left(spare=ABANDONED) == []
+    assert not (site.project / ".fogspec" / "life" / "deployment.yaml").exists()
+
+
+def test_an_apply_that_was_killed_leaves_nothing_after_down(site: Site) -> None:
+    """Also when the live state is lost with it: the machine is found by its label."""
+    spec = site.write("killed-apply", [SMALL])
+    site.compile(spec)
+    recorded(site, "killed-apply")
+    site.compile(spec)
+    applying = subprocess.Popen(
+        site._argv(("apply", manifest("killed-apply"), "--catalog", site.prices, "--yes")), cwd=site.project,
+        env=site._env(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    end = time.monotonic() + 200
+    while not [name for name in site.jobs() if name.startswith("fogspec-killed-apply")]:
+        assert time.monotonic() < end
+        assert applying.poll() is None
+        time.sleep(0.5)
+    applying.send_signal(signal.SIGKILL)
+    applying.wait()
+    (site.project / ".fogspec" / "killed-apply" / "deployment.yaml").unlink()
+    assert "1 ended" in site.run("down", "killed-apply").stdout
+    assert site.left(spare=ABANDONED) == []
+
+
+def recorded(site: Site, name: str) -> None:
+    """Results as an earlier bench left them."""
+    from fogspec import stages
+    from fogspec.effects.files import write_yaml
+    from fogspec.effects.specfiles import load, read_document
+    from fogspec.plan import Plan
+    from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
+
+    plan = read_document(site.project / "compiled" / name / "plan.yaml", Plan)
+    application = load([str(site.project / "specs" / f"{name}.yaml")])[0].application
+    records = [
+        Measured(id=one.id, machine=one.machine, measured_on="a test", state="ok", requests=20, duration=60.0,
+                 latency=LatencySummary(mean=0.22), spent=0.001)
+        for one in plan.spec.samples
+    ]  # fmt: skip
+    body = ResultsBody(
+        application=stages.measured_digest(application), plan=None, pins=None, reads=plan.spec.application.reads,
+        runner="skypilot", source="a test", spent=0.001, samples=records,
+    )  # fmt: skip
+    results = sealed(plan.metadata, body)
+    write_yaml(site.project / "results" / f"{name}.yaml", results.model_dump(mode="json", exclude_none=True), "a test")

@@ -1,0 +1,92 @@
+"""A SkyPilot of its own: home, configuration, port. Nothing of it touches the user's ~/.sky."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.tools.slurm import login
+from tests.tools.slurm.shapes import CLUSTER, SHAPES
+
+PORT = 46711
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """The environment in which SkyPilot, and so fogspec, is this cluster's."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(("SKY", "SLURM"))}
+    home = folder / "sky"
+    return kept | {
+        "HOME": str(home),
+        "XDG_CACHE_HOME": str(home / ".cache"),
+        "SKYPILOT_API_SERVER_LOCAL_PORT": str(PORT),
+        "SKYPILOT_DISABLE_USAGE_COLLECTION": "1",
+        "SLURM_CONF": str(folder / "slurm.conf"),
+    }
+
+
+def configure(folder: Path) -> None:
+    """Say where the cluster is and what its partitions cost."""
+    home = folder / "sky"
+    (home / ".slurm").mkdir(parents=True, exist_ok=True)
+    (home / ".sky").mkdir(exist_ok=True)
+    (home / ".slurm" / "config").write_text(
+        f"Host {CLUSTER}\n    HostName 127.0.0.1\n    Port {login.PORT}\n    User {login.USER}\n"
+        f"    IdentityFile {folder}/ssh/user\n"
+    )
+    # SkyPilot looks here for how accelerators are spelled before it asks the internet.
+    common = home / ".sky" / "catalogs" / "v8" / "common"
+    common.mkdir(parents=True, exist_ok=True)
+    rows = "".join(f"{one.gpu},\"['Slurm']\"\n" for one in SHAPES if one.gpu)
+    (common / "accelerators.csv").write_text(f"AcceleratorName,Clouds\n{rows}")
+    lines = ["allowed_clouds: [slurm]", "slurm:", "  cluster_configs:", f"    {CLUSTER}:", f"      tmpdir: {folder}/tmp",
+             "      partition_configs:"]  # fmt: skip
+    for one in SHAPES:
+        price = f"accelerators: {{{one.gpu}: {one.price_usd_per_hour}}}" if one.gpu else ""
+        cpu = 0.0 if one.gpu else one.price_usd_per_hour / one.cpus
+        lines.append(f"        {one.name}: {{pricing: {{cpu: {cpu}, memory: 0.0{', ' if price else ''}{price}}}}}")
+    (home / ".sky" / "config.yaml").write_text("\n".join(lines) + "\n")
+
+
+def sky(folder: Path, *words: str, timeout_s: float = 120.0) -> "subprocess.CompletedProcess[str]":
+    """SkyPilot's command line on this engine."""
+    program = str(Path(sys.executable).parent / "sky")
+    return subprocess.run([program, *words], env=environment(folder), capture_output=True, text=True, timeout=timeout_s)
+
+
+KNOWN = """
+import json, sky
+mode = sky.StatusRefreshMode.%s
+print(json.dumps([one["name"] for one in sky.get(sky.status(refresh=mode, all_users=True))]))
+"""
+
+
+def clusters(folder: Path, refresh: bool = False) -> list[str]:
+    """Names of the clusters that SkyPilot has, as it believes, or as their cloud says."""
+    code = KNOWN % ("FORCE" if refresh else "NONE")
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env=environment(folder), capture_output=True, text=True, timeout=300
+    )
+    names: list[str] = json.loads(ended.stdout.splitlines()[-1])
+    return names
+
+
+def stop(folder: Path) -> None:
+    """End the API server, if it runs."""
+    if (folder / "sky" / ".sky").exists():
+        sky(folder, "api", "stop")
+    for pid in processes(folder):
+        os.kill(pid, 9)
+
+
+def processes(folder: Path) -> list[int]:
+    """Whatever still runs with this engine's home."""
+    mark, found = f"HOME={folder / 'sky'}".encode(), []
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            said = Path("/proc", entry, "environ").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if mark in said and b"SKYPILOT_API_SERVER_LOCAL_PORT=%d" % PORT in said and int(entry) != os.getpid():
+            found.append(int(entry))
+    return found

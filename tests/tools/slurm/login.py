@@ -1,0 +1,100 @@
+"""The login node: a user, names for the nodes, and an ssh server on loopback that only this user's key opens."""
+
+import contextlib
+import os
+import pwd
+import shutil
+import subprocess
+from pathlib import Path
+
+from tests.tools.slurm.daemons import run
+from tests.tools.slurm.shapes import CLUSTER, SHAPES
+
+USER = "fogtest"
+PORT = 2322
+HOSTS = Path("/etc/hosts")
+MARK = f"# {CLUSTER}"
+
+SSHD = """\
+ListenAddress 127.0.0.1
+Port {port}
+HostKey {folder}/ssh/host
+PidFile {folder}/run/sshd.pid
+UsePAM no
+PasswordAuthentication no
+PubkeyAuthentication yes
+StrictModes no
+AllowUsers {user}
+SetEnv SLURM_CONF={folder}/slurm.conf PATH=/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin
+AcceptEnv SKY_CLUSTER_NAME
+Subsystem sftp internal-sftp
+MaxStartups 100:30:200
+MaxSessions 200
+"""
+
+
+def start(folder: Path) -> None:
+    """Make the user and the names, start the server."""
+    home = folder / "home"
+    home.mkdir(exist_ok=True)
+    if USER not in {one.pw_name for one in pwd.getpwall()}:
+        # A password of "*" is one that nobody has; "!" would lock the account, which sshd without PAM refuses.
+        run(
+            folder,
+            "useradd",
+            "--no-create-home",
+            "--password",
+            "*",
+            "--home-dir",
+            str(home),
+            "--shell",
+            "/bin/bash",
+            USER,
+        )
+    forget_names()
+    # SkyPilot asks for every node's address by its name: distinct ones, or it takes them for one.
+    names = "".join(f"127.0.0.{2 + number} {one.name} {MARK}\n" for number, one in enumerate(SHAPES))
+    HOSTS.write_text(HOSTS.read_text() + names)
+    keys = folder / "ssh"
+    keys.mkdir(mode=0o700, exist_ok=True)
+    for name in ("host", "user"):
+        if not (keys / name).exists():
+            run(folder, "ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(keys / name))
+    (home / ".ssh").mkdir(mode=0o700, exist_ok=True)
+    shutil.copy(keys / "user.pub", home / ".ssh" / "authorized_keys")
+    for path in (home, home / ".ssh", home / ".ssh" / "authorized_keys"):
+        shutil.chown(path, USER)
+    (keys / "sshd_config").write_text(SSHD.format(port=PORT, folder=folder, user=USER))
+    Path("/run/sshd").mkdir(exist_ok=True)
+    run(folder, "/usr/sbin/sshd", "-f", str(keys / "sshd_config"))
+
+
+def stop() -> None:
+    """Remove the user, what it may still run, and the names."""
+    if USER in {one.pw_name for one in pwd.getpwall()}:
+        subprocess.run(["pkill", "-KILL", "-u", USER], capture_output=True)
+        subprocess.run(["userdel", "--force", USER], capture_output=True)
+    forget_names()
+
+
+def forget_names() -> None:
+    """Take our lines out of the table of host names."""
+    lines = HOSTS.read_text().splitlines(keepends=True)
+    kept = [line for line in lines if not line.rstrip().endswith(MARK)]
+    if kept != lines:
+        # In containers this file is a mount of its own and cannot be renamed over.
+        HOSTS.write_text("".join(kept))
+
+
+def processes() -> list[str]:
+    """What the user runs now, on whichever node, but for connections."""
+    uid = next((one.pw_uid for one in pwd.getpwall() if one.pw_name == USER), None)
+    found = []
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        with contextlib.suppress(OSError):
+            if os.stat(f"/proc/{entry}").st_uid != uid:
+                continue
+            command = Path("/proc", entry, "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
+            if command and not command.startswith("sshd"):
+                found.append(f"{entry} {command[:200]}")
+    return found

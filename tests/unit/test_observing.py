@@ -1,0 +1,100 @@
+"""Drift: what the nodes do in use against what the model predicted, in both directions."""
+
+import json
+import random
+from pathlib import Path
+
+import pytest
+
+from fogspec.effects import observing
+from fogspec.effects.collecting import Rules
+from fogspec.effects.observing import drift, interval_s, observe
+from fogspec.effects.specfiles import load, read_document
+from fogspec.manifest import Manifest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize(
+    ("observed", "predicted", "found"),
+    [
+        ((1.0, 1.1), (0.9, 1.05), "none"),
+        ((1.2, 1.3), (0.9, 1.1), "slower"),
+        ((0.5, 0.6), (0.9, 1.1), "faster"),
+        ((0.8, 1.2), (0.9, 1.1), "none"),
+        (None, (0.9, 1.1), "unknown"),
+        ((1.0, 1.1), None, "unknown"),
+    ],
+)
+def test_one_interval_outside_another(observed, predicted, found) -> None:
+    assert drift(observed, predicted) == found
+
+
+def test_few_requests_say_nothing() -> None:
+    assert interval_s([1.0] * 29, "mean") is None
+    assert interval_s([1.0] * 30, "mean") == (1.0, 1.0)
+    assert interval_s([1.0] * 99, "p99") is None
+    assert interval_s([float(n) for n in range(100)], "p99") is None, "the upper end would lie beyond the sample"
+
+
+@pytest.mark.parametrize(("statistic", "truth"), [("mean", 1.0), ("p50", 0.6931), ("p95", 2.9957)])
+def test_intervals_hold_the_truth_as_often_as_they_say(statistic: str, truth: float) -> None:
+    chance = random.Random(3)
+    held = 0
+    for _ in range(400):
+        low, high = interval_s([chance.expovariate(1) for _ in range(300)], statistic)
+        held += low <= truth <= high
+    assert 0.91 <= held / 400 <= 0.99
+
+
+def test_requests_that_resemble_each_other_say_less() -> None:
+    chance, level, values = random.Random(4), 1.0, []
+    for _ in range(300):
+        level = 0.9 * level + 0.1 * chance.gauss(1, 0.5)
+        values.append(level)
+    shuffled = chance.sample(values, len(values))
+    alike, apart = interval_s(values, "mean"), interval_s(shuffled, "mean")
+    assert alike[1] - alike[0] > 2 * (apart[1] - apart[0])
+
+
+@pytest.fixture
+def paper() -> tuple:
+    (loaded,) = load([ROOT / "specs/grasp-planning.yaml"])
+    expected = read_document(ROOT / "compiled/grasp-planning/manifest.yaml", Manifest).expected
+    latency = expected.latency.model_copy(
+        update={"predicted": 1.65, "interval": (1.5, 1.8), "limit": 2.0, "network": 0.0}
+    )
+    return loaded.application, expected.model_copy(update={"latency": latency})
+
+
+# How the spec's own probe names its requests.
+NAME = Rules.of(load([ROOT / "specs/grasp-planning.yaml"])[0].application).callback
+
+
+def lines(latencies, failed: int = 0) -> bytes:
+    rows = [{"name": NAME, "latency_s": s, "ok": True} for s in latencies]
+    rows += [{"name": NAME, "latency_s": 0.1, "ok": False, "reason": "no grasp"}] * failed
+    return "".join(json.dumps(row) + "\n" for row in rows).encode()
+
+
+def test_a_deployment_that_does_what_was_predicted(paper) -> None:
+    application, expected = paper
+    seen = observe(lines([expected.latency.predicted] * 50), application, expected, 0.526)
+    assert (seen.requests, seen.drift, seen.breaks) == (50, "none", ())
+    assert seen.cost_usd_per_request == pytest.approx(0.526 / 3600 * expected.latency.predicted)
+
+
+def test_over_the_limit_too_dear_and_failing(paper) -> None:
+    application, expected = paper
+    seen = observe(lines([9.0] * 50, failed=20), application, expected, 0.526)
+    assert seen.drift == "slower"
+    assert len(seen.breaks) == 3
+    assert "over its limit of 2s" in seen.breaks[0]
+    assert "20 of 70 requests failed" in seen.breaks[2]
+
+
+def test_nothing_seen_yet(paper) -> None:
+    application, expected = paper
+    seen = observe(b"", application, expected, 0.526)
+    assert (seen.requests, seen.value_s, seen.drift, seen.breaks) == (0, None, "unknown", ())
+    assert observing.LEAST == 30
