@@ -1,8 +1,8 @@
 """The seam of the probes: what `probe:` says, and which on-machine half does it.
 
 Every half is a module of `fogspec/probe`, run on the measured machine as `fogspec_machine`, and writes the same records
-(`fogspec.probe.records`), so that one reader reads them all (`fogspec.effects.collecting`). None publishes anything, serves
-anything, or otherwise changes the graph that it watches, save for subscriptions.
+(`fogspec.probe.records`), so that one reader reads them all (`fogspec.effects.benchmark.collecting`). None publishes
+anything, serves anything, or otherwise changes the graph that it watches, save for subscriptions.
 """
 
 from dataclasses import dataclass

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from fogspec import stages
 from fogspec.base.units import parse_duration_s
-from fogspec.effects.files import write_yaml
-from fogspec.effects.specfiles import load, read_document
+from fogspec.effects.disk.files import write_yaml
+from fogspec.effects.disk.specfiles import load, read_document
 from fogspec.plan import Plan
 from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
 from tests.line.scenes import SPEC, Scene

@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         click.echo("interrupted", err=True)
         code = 130
     except Problems as problems:
-        from fogspec.effects.report import show_diagnostics
+        from fogspec.effects.reports.report import show_diagnostics
 
         show_diagnostics(problems.diagnostics)
         code = 1
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     except Exception as bug:
-        from fogspec.effects.report import bug_paragraph
+        from fogspec.effects.reports.report import bug_paragraph
 
         click.echo(bug_paragraph(bug), err=True)
         code = 70

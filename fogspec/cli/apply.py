@@ -12,7 +12,7 @@ from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, catalogs_for, clouds_
 
 if TYPE_CHECKING:
     from fogspec.catalog import Catalog
-    from fogspec.effects.manifests import Opened
+    from fogspec.effects.disk.manifests import Opened
 
 
 @click.command()
@@ -34,10 +34,10 @@ def command(
     is left alone. Ctrl-C ends what is being started.
     """
     from fogspec import wiring
-    from fogspec.effects.deploying import apply
-    from fogspec.effects.livestate import SystemTimes
-    from fogspec.effects.manifests import open_manifest
-    from fogspec.effects.ordering import check_fresh, order, words
+    from fogspec.effects.deployment.deploying import apply
+    from fogspec.effects.deployment.livestate import SystemTimes
+    from fogspec.effects.deployment.ordering import check_fresh, order, words
+    from fogspec.effects.disk.manifests import open_manifest
 
     opened = open_manifest(manifest)
     catalog = catalogs_for([opened.loaded], catalog_path)[0]

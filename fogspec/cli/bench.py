@@ -12,12 +12,12 @@ from fogspec.cli.options import CATALOG, PRIORS, SPEC, library_from
 
 if TYPE_CHECKING:
     from fogspec.catalog import Catalog
-    from fogspec.effects.benching import Benched
-    from fogspec.effects.offering import Offering
-    from fogspec.effects.preparing import Prepared
-    from fogspec.effects.sampling import Campaign
-    from fogspec.effects.specfiles import LoadedSpec
-    from fogspec.effects.watching import Watcher
+    from fogspec.effects.benchmark.benching import Benched
+    from fogspec.effects.benchmark.offering import Offering
+    from fogspec.effects.benchmark.preparing import Prepared
+    from fogspec.effects.benchmark.sampling import Campaign
+    from fogspec.effects.benchmark.watching import Watcher
+    from fogspec.effects.disk.specfiles import LoadedSpec
     from fogspec.numerics.priors import Library
     from fogspec.seams import Runner
 
@@ -67,10 +67,10 @@ def command(
     Goes on where an earlier bench stopped: finished samples are not measured again, machines that were left running
     are taken down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
     """
-    from fogspec.effects.benching import Terms, bench
-    from fogspec.effects.offering import Offering, check_prices
-    from fogspec.effects.preparing import prepare
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.benchmark.benching import Terms, bench
+    from fogspec.effects.benchmark.offering import Offering, check_prices
+    from fogspec.effects.benchmark.preparing import prepare
+    from fogspec.effects.disk.specfiles import load
 
     names = [name.strip() for name in only.split(",") if name.strip()]
     unusable = []
@@ -113,8 +113,8 @@ def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: 
     if recorded is None:
         runner: Runner = wiring.runner(name)()
         return runner
-    from fogspec.effects.clock import SystemClock
-    from fogspec.effects.recordings import replayable
+    from fogspec.effects.benchmark.recordings import replayable
+    from fogspec.effects.disk.clock import SystemClock
 
     found, source = replayable(recorded, prepared.plan.spec.after)
     replay: Runner = wiring.runner(name)(found, source, SystemClock().now_s, pace)
@@ -160,8 +160,8 @@ def _catalogs(
 
 def _library(prepared: "Prepared", path: Path | None) -> "Library | None":
     """What an adaptive campaign knows of machines beforehand: from the command line, else what the lock says."""
-    from fogspec.effects.libraries import locked_library
-    from fogspec.effects.pinning import read_pins
+    from fogspec.effects.datasets.libraries import locked_library
+    from fogspec.effects.disk.pinning import read_pins
 
     return library_from(path) or locked_library(prepared.layout, read_pins(prepared.layout))
 
@@ -177,19 +177,19 @@ def _confirm(offering: "Offering", yes: bool) -> None:
 
 
 def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Watcher":
-    from fogspec.effects import watching
+    from fogspec.effects.benchmark import watching
 
     if output == "json":
         return watching.Events(click.echo)
     if sys.stderr.isatty():
-        from fogspec.effects.live import LiveTable
+        from fogspec.effects.benchmark.live import LiveTable
 
         return LiveTable(prepared.todo, prepared.plan.spec.steps, campaign.order.budget_usd, campaign.clock.now_s)
     return watching.Lines(lambda text: click.echo(text, err=True))
 
 
 def _report(prepared: "Prepared", benched: "Benched", output: str) -> None:
-    from fogspec.effects import watching
+    from fogspec.effects.benchmark import watching
 
     layout, results = prepared.layout, benched.results
     if output == "json":

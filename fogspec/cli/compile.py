@@ -17,10 +17,10 @@ from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, SPECS, catalogs_for, li
 @click.option("--check", is_flag=True, help="write nothing; exit 3 when something differs from what would be written")
 def command(specs: tuple[str, ...], catalog_path: str | None, priors: Path | None, output: str, check: bool) -> None:
     """Write all that can be derived now, and say what is missing for the rest."""
-    from fogspec.effects import summarising
-    from fogspec.effects.compiling import compile_application
-    from fogspec.effects.finding import find_specs
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.compiler.compiling import compile_application
+    from fogspec.effects.disk.finding import find_specs
+    from fogspec.effects.disk.specfiles import load
+    from fogspec.effects.reports import summarising
 
     loaded = load(find_specs(specs))
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)

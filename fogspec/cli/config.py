@@ -9,7 +9,7 @@ import click
 from fogspec.cli.options import OUTPUT, SPECS
 
 if TYPE_CHECKING:
-    from fogspec.effects.specfiles import LoadedSpec
+    from fogspec.effects.disk.specfiles import LoadedSpec
 
 
 @click.command()
@@ -30,7 +30,7 @@ def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, ou
     Maps merge, lists whose items have names merge by name, other lists replace; null takes a value away.
     """
     from fogspec.base.written import written
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.disk.specfiles import load
 
     loaded = load(specs, overlays)
     if output == "json":

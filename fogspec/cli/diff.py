@@ -21,12 +21,12 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     Field by field, with the difference in cost, which input changed, and whether anything must be measured first.
     Values of secrets are not shown. Nothing is written.
     """
-    from fogspec.effects import differences
-    from fogspec.effects.differing import difference
-    from fogspec.effects.finding import find_specs
-    from fogspec.effects.livestate import SystemTimes
-    from fogspec.effects.living import running_changes
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.deployment.livestate import SystemTimes
+    from fogspec.effects.deployment.living import running_changes
+    from fogspec.effects.disk.finding import find_specs
+    from fogspec.effects.disk.specfiles import load
+    from fogspec.effects.review import differences
+    from fogspec.effects.review.differing import difference
 
     loaded = load(find_specs(specs))
     catalogs = catalogs_for(loaded, catalog_path)

@@ -8,7 +8,7 @@ import click
 from fogspec.cli.options import OUTPUT
 
 if TYPE_CHECKING:
-    from fogspec.effects.layout import Layout
+    from fogspec.effects.disk.layout import Layout
     from fogspec.seams import Deployer
 
 
@@ -21,8 +21,8 @@ def command(spec_or_name: str, output: str) -> None:
     That is what was applied, what an apply that was killed had started, and machines of a bench that died, here or
     elsewhere. Idempotent; other applications are not touched.
     """
-    from fogspec.effects.livestate import SystemTimes
-    from fogspec.effects.undoing import down, layout_of, leave_link
+    from fogspec.effects.deployment.livestate import SystemTimes
+    from fogspec.effects.deployment.undoing import down, layout_of, leave_link
 
     layout = layout_of(spec_or_name)
     count, spent_usd = down(layout, _deployers(layout), SystemTimes(), lambda text: click.echo(text, err=True))
@@ -30,7 +30,7 @@ def command(spec_or_name: str, output: str) -> None:
     if output == "json":
         click.echo(json.dumps({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}))
         return
-    from fogspec.effects.compiling import money
+    from fogspec.effects.compiler.compiling import money
 
     ended = "nothing runs" if not count else f"{count} ended, {money(spent_usd)} spent; nothing is left"
     click.echo(f"{layout.name}: {ended}")
@@ -38,6 +38,6 @@ def command(spec_or_name: str, output: str) -> None:
 
 def _deployers(layout: "Layout") -> "list[Deployer]":
     from fogspec import wiring
-    from fogspec.effects.undoing import places_of
+    from fogspec.effects.deployment.undoing import places_of
 
     return [wiring.deployer(infra) for infra in places_of(layout)]

@@ -72,8 +72,8 @@ def _of_suite(
     suite: Path, priors: Path | None, kinds: tuple[str, ...], campaigns: "list[Campaign]", choices: Path | None,
     workers: int, output: str,
 ) -> None:  # fmt: skip
-    from fogspec.effects.evaluating import evaluate
-    from fogspec.effects.files import write_bytes
+    from fogspec.effects.datasets.evaluating import evaluate
+    from fogspec.effects.disk.files import write_bytes
     from fogspec.evaluation.running import by_kind
     from fogspec.evaluation.suite import KINDS
 
@@ -99,9 +99,9 @@ def _of_suite(
 def _of_sweep(
     spec: str, sweep: Path, catalog_path: str | None, priors: Path | None, campaign: "Campaign", output: str
 ) -> None:
-    from fogspec.effects.libraries import read_library
-    from fogspec.effects.specfiles import load
-    from fogspec.effects.sweeps import read_sweep
+    from fogspec.effects.datasets.libraries import read_library
+    from fogspec.effects.datasets.sweeps import read_sweep
+    from fogspec.effects.disk.specfiles import load
     from fogspec.evaluation.replay import Case, Noise
     from fogspec.evaluation.sweeping import replayed
     from fogspec.numerics.priors import prior_for

@@ -47,9 +47,9 @@ def command(what: str, spec: str | None, catalog_path: str | None, priors: Path 
 
 
 def _choices(path: str, name: str | None, catalog_path: str | None, priors: Path | None, output: str) -> None:
-    from fogspec.effects import explaining
-    from fogspec.effects.compiling import compile_application
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.compiler.compiling import compile_application
+    from fogspec.effects.disk.specfiles import load
+    from fogspec.effects.reports import explaining
 
     loaded = [one for one in load([path]) if name in (None, one.application.metadata.name)]
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
@@ -65,8 +65,8 @@ def _choices(path: str, name: str | None, catalog_path: str | None, priors: Path
 
 def spec_of(name: str) -> str | None:
     """The spec in specs/ that has an application of this name."""
-    from fogspec.effects.finding import find_specs
-    from fogspec.effects.specfiles import examine
+    from fogspec.effects.disk.finding import find_specs
+    from fogspec.effects.disk.specfiles import examine
 
     if not os.path.isdir("specs"):
         return None
@@ -77,7 +77,7 @@ def spec_of(name: str) -> str | None:
 def _code(name: str, output: str) -> None:
     from fogspec.base.codebook import CODES
     from fogspec.base.suggest import closest
-    from fogspec.effects.pages import code_text
+    from fogspec.effects.reference.pages import code_text
 
     if name not in CODES:
         near = closest(name, CODES)
@@ -90,8 +90,8 @@ def _code(name: str, output: str) -> None:
 def _field(name: str, spec: str | None, output: str) -> bool:
     """Explain the fields of this name; whether there are any."""
     from fogspec.base.fieldbook import matching, pages
-    from fogspec.effects.pages import field_data, field_text
-    from fogspec.effects.where import where_set
+    from fogspec.effects.disk.where import where_set
+    from fogspec.effects.reference.pages import field_data, field_text
     from fogspec.spec import Application
 
     known = pages(Application)

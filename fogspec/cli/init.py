@@ -15,12 +15,12 @@ from fogspec.base.outcomes import WrongCommand
 @click.option("--name", help="name of the application; that of the file unless said otherwise")
 def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     """Write SPEC, specs/NAME.yaml unless said otherwise, and the schema for the editor. Nothing is overwritten."""
-    from fogspec.effects.files import write_bytes
+    from fogspec.effects.compiler.starting import first_data, first_text, name_from
+    from fogspec.effects.disk.files import write_bytes
+    from fogspec.effects.disk.specfiles import examine
+    from fogspec.effects.disk.templates import shipped
     from fogspec.effects.launchfiles import read_launch
-    from fogspec.effects.report import show_diagnostics
-    from fogspec.effects.specfiles import examine
-    from fogspec.effects.starting import first_data, first_text, name_from
-    from fogspec.effects.templates import shipped
+    from fogspec.effects.reports.report import show_diagnostics
 
     found = read_launch(launch) if launch else None
     name = name or name_from((spec and spec.name) or (launch and os.path.basename(launch)) or Path.cwd().name)

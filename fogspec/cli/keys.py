@@ -12,9 +12,9 @@ def command(specs: tuple[str, ...]) -> None:
 
     The private halves are made here and stay here, in ~/.fogspec/links, readable by you alone.
     """
-    from fogspec.effects.layout import Layout
-    from fogspec.effects.linking import folder_of, make_keys
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.compiler.linking import folder_of, make_keys
+    from fogspec.effects.disk.layout import Layout
+    from fogspec.effects.disk.specfiles import load
 
     for one in load(specs):
         name = one.application.metadata.name

@@ -27,12 +27,12 @@ def command(
     What is locked stays as it is, except for files beside the specs: these are read anew.
     """
     from fogspec import wiring
-    from fogspec.effects import relocking
-    from fogspec.effects.files import write_bytes
-    from fogspec.effects.finding import find_specs
-    from fogspec.effects.layout import Layout
-    from fogspec.effects.pinning import lock_text, read_lock, read_pins
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.compiler import relocking
+    from fogspec.effects.disk.files import write_bytes
+    from fogspec.effects.disk.finding import find_specs
+    from fogspec.effects.disk.layout import Layout
+    from fogspec.effects.disk.pinning import lock_text, read_lock, read_pins
+    from fogspec.effects.disk.specfiles import load
     from fogspec.lock import PriorsPin
 
     library = library_from(priors)

@@ -28,8 +28,8 @@ def command(
     priors: Path | None, output: str, color: bool | None,
 ) -> None:  # fmt: skip
     """Show the choices and the Pareto front; nothing is measured anew and nothing is written."""
-    from fogspec.effects.menus import menu_of, show
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.disk.specfiles import load
+    from fogspec.effects.reports.menus import menu_of, show
 
     loaded = [one for one in load([spec]) if name is None or one.application.metadata.name == name]
     if not loaded:

@@ -10,8 +10,8 @@ from fogspec.base.outcomes import Differs
 @click.option("--check", is_flag=True, help="write nothing; exit 3 when a file is not at the newest version")
 def command(files: tuple[str, ...], check: bool) -> None:
     """Bring FILES, specs in folders or those that patterns match, to the newest apiVersion; comments and order stay."""
-    from fogspec.effects.finding import find_specs
-    from fogspec.effects.migrating import migrate, write
+    from fogspec.effects.compiler.migrating import migrate, write
+    from fogspec.effects.disk.finding import find_specs
     from fogspec.spec import API_VERSION
 
     found = [migrate(path) for path in find_specs(files)]

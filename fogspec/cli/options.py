@@ -11,8 +11,8 @@ from fogspec.base.outcomes import Differs
 
 if TYPE_CHECKING:
     from fogspec.catalog import Catalog
-    from fogspec.effects.layout import Layout
-    from fogspec.effects.specfiles import LoadedSpec
+    from fogspec.effects.disk.layout import Layout
+    from fogspec.effects.disk.specfiles import LoadedSpec
     from fogspec.lock import Pins
     from fogspec.numerics.priors import Library
 
@@ -43,7 +43,7 @@ def library_from(path: Path | None) -> "Library | None":
     """The machine library that the command line names; None leaves it to the lock. Raises WrongFile and Problems."""
     if path is None:
         return None
-    from fogspec.effects.libraries import read_library
+    from fogspec.effects.datasets.libraries import read_library
 
     return read_library(path)
 
@@ -54,8 +54,8 @@ def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> list["Cata
     Raises Differs when the catalog is no longer the one that was locked, WrongFile or Problems when it cannot be read.
     Says what was left out of a catalog that was asked for, and that a catalog is older than a spec allows.
     """
-    from fogspec.effects.layout import Layout
-    from fogspec.effects.pinning import read_pins
+    from fogspec.effects.disk.layout import Layout
+    from fogspec.effects.disk.pinning import read_pins
 
     known: dict[tuple[str | None, tuple[str, ...]], Catalog] = {}
     said: dict[str, None] = {}

@@ -21,10 +21,10 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
     The page has spec, funnel, samples, models, a menu that can be weighed anew, costs and provenance. It needs no network.
     """
     from fogspec.cli.explain import spec_of
-    from fogspec.effects.compiling import compile_application
-    from fogspec.effects.files import write_bytes
-    from fogspec.effects.reporting import page
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.compiler.compiling import compile_application
+    from fogspec.effects.disk.files import write_bytes
+    from fogspec.effects.disk.specfiles import load
+    from fogspec.effects.reports.reporting import page
 
     path = what if Path(what).suffix in (".yaml", ".yml") or "/" in what else spec_of(what)
     if path is None:

@@ -25,11 +25,11 @@ def command(
 
     The choice, what it costs before and after, which inputs changed, provenance, and whether everything is fresh.
     """
-    from fogspec.effects.files import write_bytes
-    from fogspec.effects.finding import find_specs
-    from fogspec.effects.git import Repository
-    from fogspec.effects.reviewing import markdown, review
-    from fogspec.effects.specfiles import load
+    from fogspec.effects.disk.files import write_bytes
+    from fogspec.effects.disk.finding import find_specs
+    from fogspec.effects.disk.git import Repository
+    from fogspec.effects.disk.specfiles import load
+    from fogspec.effects.review.reviewing import markdown, review
 
     repository = Repository()
     commit = repository.base_of(range_)

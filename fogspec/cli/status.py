@@ -20,11 +20,11 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     Degraded, Progressing, Missing, Unknown: do its nodes answer, as fast as the model predicted).
     """
     from fogspec import wiring
-    from fogspec.effects import living, telling
-    from fogspec.effects.finding import find_specs
-    from fogspec.effects.livestate import SystemTimes
-    from fogspec.effects.specfiles import load
-    from fogspec.effects.staleness import status
+    from fogspec.effects.compiler.staleness import status
+    from fogspec.effects.deployment import living, telling
+    from fogspec.effects.deployment.livestate import SystemTimes
+    from fogspec.effects.disk.finding import find_specs
+    from fogspec.effects.disk.specfiles import load
 
     loaded = load(find_specs(specs))
     found = [

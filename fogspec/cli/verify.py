@@ -19,15 +19,15 @@ def command(manifest: str, catalog_path: str | None, output: str, attestation: s
 
     Nothing is written. Exit code 3 when a link breaks.
     """
-    from fogspec.effects import verifying
-    from fogspec.effects.manifests import open_manifest
+    from fogspec.effects.disk.manifests import open_manifest
+    from fogspec.effects.review import verifying
 
     if (attestation is None) != (key is None):
         raise click.UsageError("--attestation and --key go together")
     opened = open_manifest(manifest)
     links = verifying.verify(opened, catalogs_for([opened.loaded], catalog_path)[0])
     if attestation is not None and key is not None:
-        from fogspec.effects.signing import check_signed
+        from fogspec.effects.review.signing import check_signed
 
         links.append(check_signed(opened, attestation, key))
     if output == "json":

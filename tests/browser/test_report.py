@@ -15,14 +15,14 @@ import pytest
 from fogspec import stages, wiring
 from fogspec.choice import floors, latency_needed
 from fogspec.costs import Costs
-from fogspec.effects import pagedata
-from fogspec.effects.choosing import decide
-from fogspec.effects.compiling import Compiled, compile_application
-from fogspec.effects.files import write_yaml
-from fogspec.effects.layout import Layout
-from fogspec.effects.menus import changed
-from fogspec.effects.reporting import page
-from fogspec.effects.specfiles import LoadedSpec, load
+from fogspec.effects.compiler.choosing import decide
+from fogspec.effects.compiler.compiling import Compiled, compile_application
+from fogspec.effects.disk.files import write_yaml
+from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.specfiles import LoadedSpec, load
+from fogspec.effects.reports import pagedata
+from fogspec.effects.reports.menus import changed
+from fogspec.effects.reports.reporting import page
 from fogspec.plan import PlanMetadata
 from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
 from fogspec.spec import Application

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from fogspec import wiring
-from fogspec.effects.specfiles import read_document
+from fogspec.effects.disk.specfiles import read_document
 from fogspec.plan import Plan
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,6 +1,6 @@
 """Pages of the reference that need the command line and the whole of docs/: `python -m tests.docs.reference [--check]`.
 
-Fields and codes are written by `python -m fogspec.effects.schemas`, from the same types.
+Fields and codes are written by `python -m fogspec.effects.reference.schemas`, from the same types.
 """
 
 import importlib
@@ -14,7 +14,7 @@ import click
 from fogspec.base import outcomes
 from fogspec.base.fieldbook import FieldPage, pages
 from fogspec.cli import VERBS, fogspec
-from fogspec.effects.schemas import KINDS, model_of
+from fogspec.effects.reference.schemas import KINDS, model_of
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTE = "<!-- Generated: do not edit. Make it again: python -m tests.docs.reference -->\n"

@@ -2,8 +2,8 @@
 
 import pytest
 
-from fogspec.effects.libraries import read_library
-from fogspec.effects.suites import read_suite
+from fogspec.effects.datasets.libraries import read_library
+from fogspec.effects.datasets.suites import read_suite
 from fogspec.evaluation.running import Campaign, by_kind, run
 
 # kind, sampler, with priors, every so many problems, ok5 at least, bench at most, violation5 at most

@@ -4,9 +4,9 @@ import os
 from collections.abc import Callable
 
 from fogspec.deployment import prefix_of
-from fogspec.effects.orders import Order
-from fogspec.effects.sampling import Campaign
-from fogspec.effects.straying import adopt_strays
+from fogspec.effects.benchmark.orders import Order
+from fogspec.effects.benchmark.sampling import Campaign
+from fogspec.effects.benchmark.straying import adopt_strays
 from fogspec.plan import MachineRef, Sample
 from fogspec.results import finished
 from tests.faults.simulation import (

@@ -22,7 +22,8 @@ from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 
-from fogspec.effects import files, livestate
+from fogspec.effects.deployment import livestate
+from fogspec.effects.disk import files
 from fogspec.plugins.deployers.local import LocalDeployer
 from fogspec.seams import Launch, LostContact
 from tests.line.deployed import MANIFEST, Deployed

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fogspec.effects import collecting
-from fogspec.effects.journal import Journal
+from fogspec.effects.benchmark import collecting
+from fogspec.effects.benchmark.journal import Journal
 from fogspec.results import Measured, finished
 from fogspec.seams import CannotStart, Job, LostContact, Progress
 

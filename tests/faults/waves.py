@@ -14,13 +14,13 @@ from unittest import mock
 
 from fogspec.catalog import Catalog
 from fogspec.cli.options import catalogs_for
-from fogspec.effects import benching
-from fogspec.effects.compiling import compile_application
-from fogspec.effects.journal import Journal
-from fogspec.effects.preparing import prepare
-from fogspec.effects.recordings import replayable
-from fogspec.effects.specfiles import LoadedSpec, load
-from fogspec.effects.watching import Lines
+from fogspec.effects.benchmark import benching
+from fogspec.effects.benchmark.journal import Journal
+from fogspec.effects.benchmark.preparing import prepare
+from fogspec.effects.benchmark.recordings import replayable
+from fogspec.effects.benchmark.watching import Lines
+from fogspec.effects.compiler.compiling import compile_application
+from fogspec.effects.disk.specfiles import LoadedSpec, load
 from fogspec.plugins.runners.replay import ReplayRunner
 
 SPEC = """\

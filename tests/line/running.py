@@ -9,8 +9,8 @@ import pytest
 from fogspec import stages
 from fogspec.base import digest
 from fogspec.cli import main
-from fogspec.effects.files import write_yaml
-from fogspec.effects.specfiles import load, read_document
+from fogspec.effects.disk.files import write_yaml
+from fogspec.effects.disk.specfiles import load, read_document
 from fogspec.plan import Plan
 from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
 

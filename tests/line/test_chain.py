@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from fogspec.base import digest
-from fogspec.effects.files import write_yaml
-from fogspec.effects.specfiles import read_document
+from fogspec.effects.disk.files import write_yaml
+from fogspec.effects.disk.specfiles import read_document
 from fogspec.results import Results, Timings, sealed
 from tests.line.running import CATALOG, Shell, measure, project, shell  # noqa: F401
 
@@ -179,7 +179,7 @@ def test_markdown_cannot_be_broken_out_of(done: Shell) -> None:
     edit(done, "offers.csv", lambda text: text.replace("a.large,,,8,16,0.40", "a.large,,,8,16,0.44"))
     said = done("diff", *AT, "-o", "markdown").out
     assert "| machine | $0.4/h | $0.44/h | +10% |" in said
-    from fogspec.effects.differences import escaped
+    from fogspec.effects.review.differences import escaped
 
     assert escaped("a|b`<img>\n") == "a\\|b\\`\\<img\\> "
 
@@ -210,8 +210,8 @@ def test_the_statement_is_in_toto_and_the_same_each_time(done: Shell) -> None:
 
 
 def test_a_pinned_image_is_a_material(done: Shell) -> None:
-    from fogspec.effects.attesting import materials
-    from fogspec.effects.manifests import open_manifest
+    from fogspec.effects.disk.manifests import open_manifest
+    from fogspec.effects.review.attesting import materials
 
     opened = open_manifest(done.folder / MANIFEST)
     image = "ghcr.io/team/robot@sha256:" + "ab" * 32

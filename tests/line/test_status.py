@@ -76,8 +76,8 @@ def test_another_metric_that_was_measured_makes_models_stale(shell: Shell) -> No
     project(shell, metrics="{length: {callback: length}, width: {callback: width}}", objective="{metric: length}")
     measure(shell)
     path = "results/demo.yaml"
-    from fogspec.effects.files import write_yaml
-    from fogspec.effects.specfiles import read_document
+    from fogspec.effects.disk.files import write_yaml
+    from fogspec.effects.disk.specfiles import read_document
     from fogspec.results import Results, sealed
 
     results = read_document(shell.folder / path, Results)

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from fogspec import stages
-from fogspec.effects.files import write_yaml
-from fogspec.effects.specfiles import load
+from fogspec.effects.disk.files import write_yaml
+from fogspec.effects.disk.specfiles import load
 from fogspec.plan import GpuShape, MachineRef, PlanMetadata
 from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
 from tests.line.running import Shell, project, shell  # noqa: F401

@@ -14,8 +14,8 @@ from fogspec.base.nodes import plain
 from fogspec.base.shape import check
 from fogspec.base.units import Range
 from fogspec.base.written import written
-from fogspec.effects import yamltext
-from fogspec.effects.specfiles import examine_text
+from fogspec.effects.disk import yamltext
+from fogspec.effects.disk.specfiles import examine_text
 from fogspec.spec import (
     Application,
     Benchmark,

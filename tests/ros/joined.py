@@ -13,8 +13,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from fogspec.effects.launching import launch_files
-from fogspec.effects.layout import Layout
+from fogspec.effects.compiler.launching import launch_files
+from fogspec.effects.disk.layout import Layout
 from fogspec.links import link_of, port_of
 from fogspec.links.wireguard import interface
 from fogspec.spec import Application

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.effects.specfiles import load
+from fogspec.effects.disk.specfiles import load
 from tests.line.deployed import MANIFEST, SPEC, Deployed
 from tests.ros.joined import ADDRESS, Joined, joined, missing
 from tests.ros.namespaces import PYTHON, ROOT

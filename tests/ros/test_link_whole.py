@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import fogspec.probe
-from fogspec.effects.launching import link_of_machine, robot_launch
-from fogspec.effects.templates import render
+from fogspec.effects.compiler.launching import link_of_machine, robot_launch
+from fogspec.effects.disk.templates import render
 from fogspec.spec import Application
 from fogspec.tasks import LINK_PEER, deployed_processes, ros_environment
 from tests.ros.joined import ADDRESS, joined, missing, until

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.effects.launching import launch_files, link_script
-from fogspec.effects.layout import Layout
+from fogspec.effects.compiler.launching import launch_files, link_script
+from fogspec.effects.disk.layout import Layout
 from fogspec.exposed import exposed
 from fogspec.links import LINKS
 from fogspec.links.wireguard import addresses, interface

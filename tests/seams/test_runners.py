@@ -12,7 +12,7 @@ import pytest
 
 import fogspec.probe
 from fogspec import wiring
-from fogspec.effects.templates import render
+from fogspec.effects.disk.templates import render
 from fogspec.plan import GpuShape, MachineRef, Sample
 from fogspec.plugins.runners.local import LocalRunner
 from fogspec.plugins.runners.replay import ReplayRunner

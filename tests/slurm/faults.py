@@ -18,8 +18,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fogspec.effects.journal import Journal
-from fogspec.effects.specfiles import read_document
+from fogspec.effects.benchmark.journal import Journal
+from fogspec.effects.disk.specfiles import read_document
 from fogspec.results import Results, finished
 from tests.slurm.site import Site
 from tests.tools.slurm import daemons, engine

@@ -14,7 +14,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from fogspec.effects.specfiles import read_document
+from fogspec.effects.disk.specfiles import read_document
 from fogspec.results import Measured, Results
 from tests.tools.slurm import daemons, engine, login
 

@@ -105,8 +105,8 @@ def test_an_apply_that_was_killed_leaves_nothing_after_down(site: Site) -> None:
 def recorded(site: Site, name: str) -> None:
     """Results as an earlier bench left them."""
     from fogspec import stages
-    from fogspec.effects.files import write_yaml
-    from fogspec.effects.specfiles import load, read_document
+    from fogspec.effects.disk.files import write_yaml
+    from fogspec.effects.disk.specfiles import load, read_document
     from fogspec.plan import Plan
     from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
 

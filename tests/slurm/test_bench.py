@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from fogspec.effects.specfiles import read_document
+from fogspec.effects.disk.specfiles import read_document
 from fogspec.manifest import Manifest
 from tests.slurm.conftest import ABANDONED
 from tests.slurm.site import Site

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from fogspec.effects.specfiles import read_document
+from fogspec.effects.disk.specfiles import read_document
 from fogspec.plan import Plan
 from fogspec.plugins.runners.skypilot import SkyPilotRunner
 from fogspec.plugins.skypilot.calls import PREFIX

@@ -14,15 +14,14 @@ import numpy as np
 from fogspec import wiring
 from fogspec.admissible import admit
 from fogspec.choice import Choice, choose
-from fogspec.effects import drawing
-from fogspec.effects.drawing_models import latency_chart
-from fogspec.effects.layout import Layout
-from fogspec.effects.measured import read_results
-from fogspec.effects.pictures import latencies, menu
+from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.measured import read_results
+from fogspec.effects.disk.specfiles import load
+from fogspec.effects.disk.templates import render
+from fogspec.effects.pictures import drawing, latencies, menu
 from fogspec.effects.pictures.axes import axis, money, seconds
+from fogspec.effects.pictures.drawing_models import latency_chart
 from fogspec.effects.pictures.frame import Dot, Frame, frame
-from fogspec.effects.specfiles import load
-from fogspec.effects.templates import render
 from fogspec.models import Models, fit, targets
 from fogspec.numerics import fitting
 from fogspec.numerics.families import fit_all

@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 from fogspec import stages
-from fogspec.effects.files import write_yaml
-from fogspec.effects.layout import Layout
-from fogspec.effects.specfiles import load
+from fogspec.effects.disk.files import write_yaml
+from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.specfiles import load
 from fogspec.plan import GpuShape, MachineRef, PlanMetadata
 from fogspec.results import LatencySummary, Measured, Results, ResultsBody, sealed
 

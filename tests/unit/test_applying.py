@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from fogspec.base.outcomes import CloudFailed, Refused, WrongFile
-from fogspec.effects.applying import Apply
-from fogspec.effects.layout import Layout
-from fogspec.effects.livestate import LiveFile
-from fogspec.effects.offers import Candidate
-from fogspec.effects.ordering import allowed
+from fogspec.effects.deployment.applying import Apply
+from fogspec.effects.deployment.livestate import LiveFile
+from fogspec.effects.deployment.offers import Candidate
+from fogspec.effects.deployment.ordering import allowed
+from fogspec.effects.disk.layout import Layout
 from fogspec.plan import MachineRef
 from fogspec.seams import CannotStart, Launch, Live, LostContact
 

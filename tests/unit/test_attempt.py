@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from fogspec.effects.attempt import END_PATIENCE_S, SILENCE_S, Attempt
-from fogspec.effects.journal import Started
+from fogspec.effects.benchmark.attempt import END_PATIENCE_S, SILENCE_S, Attempt
+from fogspec.effects.benchmark.journal import Started
 from fogspec.plan import MachineRef, Sample
 from fogspec.seams import Job, Progress
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.effects import collecting
-from fogspec.effects.collecting import Rules
-from fogspec.effects.statistics import summary, weights
+from fogspec.effects.benchmark import collecting
+from fogspec.effects.benchmark.collecting import Rules
+from fogspec.effects.benchmark.statistics import summary, weights
 from fogspec.plan import MachineRef, Sample
 from fogspec.seams import Progress
 

@@ -1,6 +1,6 @@
 """Which request a topic's value is about."""
 
-from fogspec.effects.joining import Request, Value, join
+from fogspec.effects.benchmark.joining import Request, Value, join
 
 
 def request(start_s: float, end_s: float, stamp: tuple[int, int] | None = None) -> Request:

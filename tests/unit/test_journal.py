@@ -6,7 +6,7 @@ import os
 import pytest
 
 from fogspec.base.outcomes import Differs
-from fogspec.effects.journal import Journal, Started
+from fogspec.effects.benchmark.journal import Journal, Started
 from fogspec.plan import MachineRef, Sample
 from fogspec.results import Measured
 

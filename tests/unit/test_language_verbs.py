@@ -11,7 +11,7 @@ import pytest
 from fogspec.base.fieldbook import pages
 from fogspec.base.nodes import plain
 from fogspec.cli import main
-from fogspec.effects import yamltext
+from fogspec.effects.disk import yamltext
 from fogspec.spec import Application
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,8 +6,8 @@ import pytest
 
 from fogspec.base.diagnostics import Problems
 from fogspec.cli import main
+from fogspec.effects.disk.specfiles import load
 from fogspec.effects.launchfiles import read_launch
-from fogspec.effects.specfiles import load
 
 CASES = Path(__file__).resolve().parents[1] / "cases" / "launch"
 

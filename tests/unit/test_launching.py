@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fogspec.effects.compiler.launching import launch_files, robot_launch
+from fogspec.effects.disk.layout import Layout
 from fogspec.effects.launchfiles import read_launch
-from fogspec.effects.launching import launch_files, robot_launch
-from fogspec.effects.layout import Layout
 from fogspec.spec import Application
 from tests.unit.launching import launched
 from tests.unit.test_tasks import NASTY, application

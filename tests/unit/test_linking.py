@@ -8,10 +8,10 @@ import pytest
 
 from fogspec.base.outcomes import Refused, WrongFile
 from fogspec.cli import main
-from fogspec.effects import linking
-from fogspec.effects.launching import launch_files, link_of_machine, link_script
-from fogspec.effects.layout import Layout
-from fogspec.effects.templates import render
+from fogspec.effects.compiler import linking
+from fogspec.effects.compiler.launching import launch_files, link_of_machine, link_script
+from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.templates import render
 from fogspec.plan import MachineRef
 from fogspec.spec import Application
 from fogspec.tasks import deploy_task, deployed_processes, ros_environment

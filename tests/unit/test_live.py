@@ -6,8 +6,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from fogspec.effects.live import COLUMNS, LiveTable
-from fogspec.effects.orders import Event
+from fogspec.effects.benchmark.live import COLUMNS, LiveTable
+from fogspec.effects.benchmark.orders import Event
 from fogspec.plan import MachineRef, Sample
 from fogspec.results import LatencySummary, Measured
 from fogspec.seams import Progress

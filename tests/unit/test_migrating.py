@@ -6,7 +6,7 @@ import pytest
 
 from fogspec.base.diagnostics import Problems
 from fogspec.cli import main
-from fogspec.effects.migrating import Step, migrate, write
+from fogspec.effects.compiler.migrating import Step, migrate, write
 
 OLD = """\
 # my robot

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.effects import observing
-from fogspec.effects.collecting import Rules
-from fogspec.effects.observing import drift, interval_s, observe
-from fogspec.effects.specfiles import load, read_document
+from fogspec.effects.benchmark.collecting import Rules
+from fogspec.effects.deployment import observing
+from fogspec.effects.deployment.observing import drift, interval_s, observe
+from fogspec.effects.disk.specfiles import load, read_document
 from fogspec.manifest import Manifest
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ import pytest
 from fogspec import wiring
 from fogspec.base.outcomes import Refused
 from fogspec.deployment import is_of, name_of, prefix_of
-from fogspec.effects.offers import Candidate, affordable, check_price, exact, price_now, price_words
+from fogspec.effects.deployment.offers import Candidate, affordable, check_price, exact, price_now, price_words
 from fogspec.plan import GpuShape, MachineRef
 
 DIGEST = "sha256:" + "ab" * 32

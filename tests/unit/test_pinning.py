@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.effects.layout import Layout
-from fogspec.effects.pinning import files_beside, tree_digest
+from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.pinning import files_beside, tree_digest
 from fogspec.lock import CatalogPin, ImagePin, Pins, image_of, pinned, pins_of_measurement
 from fogspec.stages import other_pins
 from tests.unit.test_tasks import application

@@ -5,8 +5,8 @@ import subprocess
 
 import pytest
 
-from fogspec.effects.compiling import PROBE_FILES
-from fogspec.effects.templates import render
+from fogspec.effects.compiler.compiling import PROBE_FILES
+from fogspec.effects.disk.templates import render
 from fogspec.probe import agent
 from fogspec.probes import Halves, halves, kind_of, player, via
 from fogspec.spec import Application, Spec

@@ -6,11 +6,11 @@ import pytest
 
 from fogspec.base import digest
 from fogspec.base.outcomes import Refused, WrongFile
-from fogspec.effects.benching import check_same_runner
-from fogspec.effects.layout import Layout
-from fogspec.effects.measured import read_results, recordings
-from fogspec.effects.recording import ResultsFile, set_aside
-from fogspec.effects.secrecy import Secrets
+from fogspec.effects.benchmark.benching import check_same_runner
+from fogspec.effects.benchmark.recording import ResultsFile, set_aside
+from fogspec.effects.benchmark.secrecy import Secrets
+from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.measured import read_results, recordings
 from fogspec.plan import MachineRef
 from fogspec.results import LatencySummary, Measured, intact
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from fogspec.base.diagnostics import Diagnostic, Place
-from fogspec.effects.report import annotation, as_text, bug_paragraph, show_diagnostics, summary
+from fogspec.effects.reports.report import annotation, as_text, bug_paragraph, show_diagnostics, summary
 
 ONE = Diagnostic(
     "FS201", "spec.constraints.cost must say per what", Place("specs/broken.yaml", 15, 11, 5), "write '$0.002/request'",
@@ -101,5 +101,5 @@ def test_a_bug_is_one_paragraph_without_paths() -> None:
     except AttributeError as bug:
         paragraph = bug_paragraph(bug)
     assert "\n" not in paragraph
-    assert "AttributeError at effects/report.py:" in paragraph
+    assert "AttributeError at effects/reports/report.py:" in paragraph
     assert "/fogspec/" not in paragraph

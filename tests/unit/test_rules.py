@@ -2,7 +2,7 @@
 
 import pytest
 
-from fogspec.effects.specfiles import examine_text
+from fogspec.effects.disk.specfiles import examine_text
 
 BASE = """\
 apiVersion: fogspec.dev/v1alpha1

@@ -8,8 +8,8 @@ import jsonschema
 import pytest
 
 from fogspec.base.nodes import plain
-from fogspec.effects.reading import Texts, documents_of
-from fogspec.effects.schemas import KINDS, generated, schema_of
+from fogspec.effects.disk.reading import Texts, documents_of
+from fogspec.effects.reference.schemas import KINDS, generated, schema_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECS = sorted((ROOT / "specs").glob("*.yaml"))
@@ -17,7 +17,9 @@ SPECS = sorted((ROOT / "specs").glob("*.yaml"))
 
 def test_committed_schemas_and_pages_are_those_of_the_types() -> None:
     for path, text in generated().items():
-        assert path.read_text("utf-8") == text, f"{path.name}: python -m fogspec.effects.schemas writes it anew"
+        assert path.read_text("utf-8") == text, (
+            f"{path.name}: python -m fogspec.effects.reference.schemas writes it anew"
+        )
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,9 +7,9 @@ import pytest
 
 from fogspec import stages
 from fogspec.cli import main
-from fogspec.effects.files import yaml_text
+from fogspec.effects.disk.files import yaml_text
+from fogspec.effects.disk.specfiles import load, read_document
 from fogspec.effects.launchfiles import read_launch
-from fogspec.effects.specfiles import load, read_document
 from fogspec.results import Results, sealed
 from tests.unit.launching import launched
 

@@ -9,7 +9,7 @@ import pytest
 
 from fogspec.base.diagnostics import Problems
 from fogspec.base.outcomes import WrongFile
-from fogspec.effects.specfiles import examine, examine_text, load, read_document
+from fogspec.effects.disk.specfiles import examine, examine_text, load, read_document
 from fogspec.results import Results
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -225,7 +225,7 @@ def test_a_wrong_catalog_is_located(tmp_path: Path) -> None:
 
 
 def test_a_wrong_suite_is_located(tmp_path: Path) -> None:
-    from fogspec.effects.suites import read_suite
+    from fogspec.effects.datasets.suites import read_suite
 
     (tmp_path / "machines.csv").write_text("Cloud,InstanceType,vCPUs,MemoryGiB,Price\naws,a,2,4,0.1\naws,a,2,4,0.1\n")
     with pytest.raises(Problems) as problems:

@@ -3,7 +3,7 @@
 import pytest
 
 from fogspec.base.outcomes import CloudFailed, Refused
-from fogspec.effects.straying import adopt_strays
+from fogspec.effects.benchmark.straying import adopt_strays
 from fogspec.seams import LostContact
 from tests.faults.controllers import campaign_of, samples
 from tests.faults.simulation import FaultyRunner, World

@@ -7,8 +7,8 @@ import pytest
 
 from fogspec.base.diagnostics import Problems
 from fogspec.base.outcomes import WrongFile
-from fogspec.effects.libraries import read_library
-from fogspec.effects.suites import read_suite
+from fogspec.effects.datasets.libraries import read_library
+from fogspec.effects.datasets.suites import read_suite
 from tests.evaluation.making import write_suite
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.effects.templates import render
+from fogspec.effects.disk.templates import render
 from fogspec.plan import GpuShape, MachineRef, Sample
 from fogspec.spec import Application, Node
 from fogspec.tasks import command, deploy_task, left_out, measured_processes, parameter, ros_environment, sample_task

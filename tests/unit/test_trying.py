@@ -1,6 +1,6 @@
 """What is tried again, what gives its place to another, and what is over a budget."""
 
-from fogspec.effects.trying import BACKOFF_S, TRIES, Tries, overdrawn
+from fogspec.effects.benchmark.trying import BACKOFF_S, TRIES, Tries, overdrawn
 from fogspec.plan import MachineRef, Sample
 from fogspec.seams import Progress
 

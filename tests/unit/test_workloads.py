@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import fogspec.probe
-from fogspec.effects import collecting
+from fogspec.effects.benchmark import collecting
 from tests.conftest import ROOT
 
 WORKLOADS = ROOT / "specs" / "workloads"

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from fogspec.base.diagnostics import Diagnostic, Place, Problems
-from fogspec.effects import yamltext
+from fogspec.effects.disk import yamltext
 from fogspec.effects.launchfiles.found import Found
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from fogspec.base.diagnostics import Diagnostic, Place, Problems
 from fogspec.base.nodes import Node
-from fogspec.effects import yamltext
+from fogspec.effects.disk import yamltext
 from fogspec.effects.launchfiles.found import Found
 from fogspec.effects.launchfiles.frontend import Action, take_actions
 

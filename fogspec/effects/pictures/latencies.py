@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from fogspec.effects.disk.templates import render
 from fogspec.effects.pictures.axes import axis, seconds
 from fogspec.effects.pictures.frame import Dot, Frame, frame
-from fogspec.effects.templates import render
 
 WIDTH, LEFT, RIGHT = 760, 84, 18
 TOP, FRAME_HEIGHT, GAP = 88, 230, 72

@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from fogspec.effects.disk.templates import render
 from fogspec.effects.pictures.axes import money
 from fogspec.effects.pictures.chart import Chart, Crowd, Floats, Machine, View, per_hour, per_request, y_axis, y_words
 from fogspec.effects.pictures.frame import Dot, Frame, frame, place_labels
-from fogspec.effects.templates import render
 
 WIDTH, LEFT, RIGHT = 760, 84, 18
 TOP, FRAME_HEIGHT, GAP = 62, 238, 72

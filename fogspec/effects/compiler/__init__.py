@@ -1,0 +1,1 @@
+"""From a spec, a catalog and measurements to the files that follow from them."""

@@ -1,0 +1,1 @@
+"""Measurements from elsewhere: suites, sweeps, machine libraries, and replays of them."""

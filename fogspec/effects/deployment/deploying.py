@@ -1,0 +1,83 @@
+"""Applying a manifest from start to end: locked, on disk before it costs anything, interruptible."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+from fogspec.base.outcomes import Interrupted, Outcome, WrongFile
+from fogspec.deployment import Machine
+from fogspec.effects.benchmark.benching import interruptible
+from fogspec.effects.compiler import linking
+from fogspec.effects.deployment.applying import Apply
+from fogspec.effects.deployment.livestate import LiveFile, Times
+from fogspec.effects.deployment.ordering import Ordered
+from fogspec.effects.disk.locking import held
+from fogspec.links import link_of
+from fogspec.seams import Deployer, Live
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What serves now, and whether anything was changed for it; `kept` says that the machine is the same as before."""
+
+    machine: Machine
+    changed: bool
+    waited_s: float
+    kept: bool = False
+
+
+def joiner(ordered: Ordered, tell: Callable[[str], None]) -> Callable[[Live], str | None]:
+    """Hands the cloud's public half and address to the robot's end, and says why the link does not answer yet."""
+    application, layout = ordered.opened.loaded.application, ordered.opened.layout
+    joined: set[str] = set()
+
+    def linked(live: Live) -> str | None:
+        if link_of(application).protocol is None:
+            return None
+        if live.link is None or live.address is None:
+            return "the cloud's end of the link says nothing yet"
+        if live.link not in joined:
+            files = linking.join(application, layout, live.address, live.link)
+            tell(f"link: where this is not the robot, copy these to it: {', '.join(map(str, files))}")
+            joined.add(live.link)
+        return linking.unanswered(application, layout)
+
+    return linked
+
+
+def apply(
+    ordered: Ordered, deployer_for: Callable[[str], Deployer], times: Times, tell: Callable[[str], None],
+    confirm: Callable[[], None],
+) -> Applied:  # fmt: skip
+    """Bring what runs to what the manifest says; `confirm` is called before money is spent, and may raise.
+
+    Raises CloudFailed, WrongFile or Interrupted as `Apply.run` does, Refused when another apply runs.
+    """
+    layout = ordered.opened.layout
+    begun = times.now_s()
+    deployer_of = cache(deployer_for)
+    try:
+        with held(layout.state / "deploy.lock", f"an apply of {layout.name}"), interruptible() as interrupt:
+            live = LiveFile.read(layout, times)
+            work = Apply(
+                live, ordered.content, ordered.opened.digest, ordered.candidates, ordered.image,
+                ordered.opened.manifest.spec.patience, deployer_of, tell, lambda: interrupt.asked, joiner(ordered, tell),
+            )  # fmt: skip
+            served = work.current()
+            if served is not None:
+                return Applied(served, work.tidy([served.name]), times.now_s() - begun)
+            if (stays := work.kept()) is not None:
+                work.tidy([stays.name])
+                return Applied(stays, True, times.now_s() - begun, kept=True)
+            confirm()
+            return Applied(work.run(), True, times.now_s() - begun)
+    except KeyboardInterrupt:
+        again = f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything"
+        raise Interrupted("interrupted at once: what was being started may still run", again) from None
+    except (BrokenPipeError, Outcome):
+        raise
+    except OSError as problem:
+        raise WrongFile(
+            f"{problem.filename or layout.state}: {problem.strerror or problem}",
+            f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything",
+        ) from None

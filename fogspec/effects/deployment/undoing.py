@@ -1,0 +1,131 @@
+"""Taking an application down: all that runs under its name, verified gone, whoever started it."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from fogspec.base.diagnostics import Problems
+from fogspec.base.outcomes import CloudFailed, Outcome, WrongFile
+from fogspec.effects.deployment.applying import end
+from fogspec.effects.deployment.livestate import LiveFile, SystemTimes, Times
+from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.locking import held
+from fogspec.manifest import Manifest
+from fogspec.seams import Deployer, Launch, LostContact
+
+
+def layout_of(spec_or_name: str) -> Layout:
+    """The files of the application that a spec's path or a name means; raises WrongFile for neither.
+
+    Of a name, only the live state below the working directory is needed: the spec may be gone.
+    """
+    if spec_or_name.endswith((".yaml", ".yml")) or "/" in spec_or_name:
+        from fogspec.effects.disk.specfiles import load
+
+        found = load([spec_or_name])
+        if len(found) > 1:
+            names = ", ".join(one.application.metadata.name for one in found)
+            raise WrongFile(f"{spec_or_name} has several applications", f"name one of them: {names}")
+        return Layout.of(spec_or_name, found[0].application.metadata.name)
+    layout = Layout(Path(), Path("specs") / f"{spec_or_name}.yaml", spec_or_name)
+    if not layout.state.is_dir() and not layout.compiled.is_dir():
+        raise WrongFile(f"there is no application named {spec_or_name} here", f"looked for {layout.state}")
+    return layout
+
+
+def leave_link(layout: Layout) -> None:
+    """Forget the cloud's end of the link, where the spec is still there and has one."""
+    from fogspec.effects.compiler.linking import leave
+    from fogspec.effects.disk.specfiles import load
+
+    if layout.spec.is_file():
+        for one in load([layout.spec]):
+            if one.application.metadata.name == layout.name:
+                leave(one.application, layout)
+
+
+def down(layout: Layout, deployers: Sequence[Deployer], times: Times, tell: Callable[[str], None]) -> tuple[int, float]:
+    """End everything of one application; how many machines that were, and what they cost in USD.
+
+    Machines that are not in the live state are found by the application's name, also those of a bench that died.
+    Raises Refused while a bench or an apply runs, CloudFailed for what could not be verified gone.
+    """
+    try:
+        with (
+            held(layout.state / "lock", f"a bench of {layout.name}", remove=True),
+            held(layout.state / "deploy.lock", f"an apply of {layout.name}", remove=True),
+        ):
+            done = _down(_live(layout, times, tell), deployers, tell)
+        with contextlib.suppress(OSError):
+            layout.state.rmdir()
+            layout.state.parent.rmdir()
+        return done
+    except (BrokenPipeError, Outcome):
+        raise
+    except OSError as problem:
+        said = f"{problem.filename or layout.state}: {problem.strerror or problem}"
+        raise WrongFile(said, f"run it again: fogspec down {layout.name}") from None
+
+
+def _live(layout: Layout, times: Times, tell: Callable[[str], None]) -> LiveFile:
+    """The live state; a damaged file hides no machine, for all are found by name as well."""
+    try:
+        return LiveFile.read(layout, times)
+    except Problems as problems:
+        tell(f"{layout.live}: {problems.diagnostics[0].message}: machines are found by their names")
+        return LiveFile(layout, times, [])
+
+
+def _down(live: LiveFile, deployers: Sequence[Deployer], tell: Callable[[str], None]) -> tuple[int, float]:
+    by_name, left, ended = {one.name: one for one in deployers}, list[str](), 0
+    spent = live.total_usd()
+    for machine in list(live.machines):
+        with _gathering(left):
+            end(live, machine, by_name[machine.deployer], tell)
+            ended += 1
+    for deployer in deployers:
+        with _gathering(left):
+            ended += _strays(live, deployer, tell)
+    if left:
+        raise CloudFailed(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
+    live.clear()
+    return ended, spent
+
+
+def _strays(live: LiveFile, deployer: Deployer, tell: Callable[[str], None]) -> int:
+    """End what bears the application's name and is in no list; how many there were."""
+    layout = live.layout
+    names = list(deployer.names(layout.name, layout.state))
+    for name in names:
+        deployer.end(Launch(name, None, {}, layout.root, live.folder(name)))
+        tell(f"{name}: gone")
+    if rest := deployer.names(layout.name, layout.state):
+        raise LostContact(f"still there: {', '.join(rest)}")
+    return len(names)
+
+
+@contextlib.contextmanager
+def _gathering(left: list[str]) -> Iterator[None]:
+    try:
+        yield
+    except CloudFailed as failed:
+        left.append(failed.message)
+    except LostContact as lost:
+        left.append(str(lost))
+
+
+def places_of(layout: Layout) -> list[str]:
+    """One infra for each kind of place where machines of the application may be: this host, and clouds if it has any."""
+    from fogspec.effects.disk.specfiles import read_document
+    from fogspec.plan import Plan
+
+    clouds: set[str] = set()
+    with contextlib.suppress(Problems, WrongFile):
+        clouds |= {machine.machine.infra.partition("/")[0] for machine in LiveFile.read(layout, SystemTimes()).machines}
+    with contextlib.suppress(Problems, WrongFile):
+        plan = read_document(layout.plan, Plan)
+        clouds |= {sample.machine.infra.partition("/")[0] for sample in plan.spec.samples}
+    with contextlib.suppress(Problems, WrongFile):
+        clouds |= {read_document(layout.manifest, Manifest).spec.infra.partition("/")[0]}
+    away = sorted(clouds - {"local"})
+    return ["local", *away[:1]]

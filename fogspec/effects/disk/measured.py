@@ -1,0 +1,39 @@
+"""Reading what was measured: whole, sealed, and never guessed at."""
+
+from pathlib import Path
+
+from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.specfiles import read_document
+from fogspec.results import Results, intact
+from fogspec.seams import Recording
+
+
+def read_results(layout: Layout) -> Results | None:
+    """The application's results, None where there are none yet; raises Problems when the file was edited or is damaged."""
+    if not layout.results.exists():
+        return None
+    results = read_document(layout.results, Results)
+    check_seal(results, layout.results)
+    return results
+
+
+def check_seal(results: Results, path: str | Path) -> None:
+    """Raises Problems when the file says something else than what was measured."""
+    if not intact(results):
+        raise Problems([Diagnostic(
+            "FS701", "the results were changed after they were measured: their seal does not hold",
+            Place(str(path), 1, 1),
+            f"restore the file (git checkout -- {path}), or move it away and measure again",
+        )])  # fmt: skip
+
+
+def recordings(path: str) -> tuple[list[Recording], str]:
+    """What a results file recorded, to be replayed, and where it comes from; raises Problems or WrongFile."""
+    results = read_document(Path(path), Results)
+    check_seal(results, path)
+    folder = Path(path).parent
+    found = [
+        Recording(record, folder / record.timings.path if record.timings else None) for record in results.spec.samples
+    ]
+    return found, f"replayed from {Path(path).name}: {results.spec.source or f'measured with {results.spec.runner}'}"

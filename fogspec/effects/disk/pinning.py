@@ -1,0 +1,82 @@
+"""The lock on disk, and the digests of files and folders beside a spec."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from fogspec.base import digest
+from fogspec.effects.disk.files import yaml_text
+from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.specfiles import read_document
+from fogspec.lock import Lock, Pins, paths_named
+from fogspec.spec import Application
+
+# What building and running leave behind in a workspace: it is made again on the machine.
+DERIVED = {"build", "install", "log"}
+ANYWHERE = {"__pycache__", ".git", ".pytest_cache"}
+
+
+def read_lock(path: Path) -> Lock | None:
+    """The lock, None where there is none; raises Problems for one that is damaged."""
+    return read_document(path, Lock) if path.is_file() else None
+
+
+def read_pins(layout: Layout) -> Pins | None:
+    """What the lock says of this application."""
+    lock = read_lock(layout.lock)
+    return None if lock is None else lock.spec.applications.get(layout.name)
+
+
+def lock_text(lock: Lock) -> str:
+    """The file, applications in the order of their names."""
+    data = lock.model_dump(mode="json")
+    applications = data["spec"]["applications"]
+    data["spec"]["applications"] = {name: applications[name] for name in sorted(applications)}
+    return yaml_text(data, "fogspec lock")
+
+
+def files_beside(application: Application, layout: Layout) -> dict[str, str]:
+    """The digest of every file and folder that the spec names and that is there, by name."""
+    folder = layout.spec.parent
+    named = sorted({os.path.normpath(name) for name in paths_named(application)})
+    return {name: tree_digest(folder / name) for name in named if name != "." and (folder / name).exists()}
+
+
+def tree_digest(path: Path) -> str:
+    """sha256 over a file's bytes, or over a folder's files: their names, whether they are executable, their bytes.
+
+    Times, owners and the order of the file system do not count, nor does what building leaves behind.
+    """
+    if not path.is_dir():
+        return digest.of_value(_entry(path))
+    return digest.of_value({found.relative_to(path).as_posix(): _entry(found) for found in _files(path)})
+
+
+def _files(root: Path) -> Iterator[Path]:
+    for parent, folders, names in os.walk(root):
+        here = Path(parent)
+        skipped = ANYWHERE | (DERIVED if here == root else set())
+        yield from (here / name for name in folders if (here / name).is_symlink())
+        folders[:] = [name for name in folders if name not in skipped]
+        yield from (here / name for name in names if not name.endswith(".pyc"))
+
+
+def _entry(path: Path) -> list[str]:
+    if path.is_symlink():
+        return ["link", os.readlink(path)]
+    if not path.is_file():
+        return ["other"]
+    content = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            content.update(block)
+    return ["executable" if os.access(path, os.X_OK) else "file", content.hexdigest()]
+
+
+def drift(application: Application, layout: Layout, pins: Pins | None) -> list[str]:
+    """Which files and folders beside the spec are not what the lock says, by name."""
+    if pins is None:
+        return []
+    now = files_beside(application, layout)
+    return sorted(name for name in now.keys() | pins.files.keys() if now.get(name) != pins.files.get(name))

@@ -1,0 +1,1 @@
+"""The language's own documents, made from its types: JSON Schemas and reference pages."""

@@ -1,0 +1,1 @@
+"""What people read: diagnostics, summaries, the menu, explanations, and the page of an application."""
