@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slurm-up slurm-down slurm-test link-test slurm-faults slurm-figures ros-env ros-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
+.PHONY: help demo test slurm-up slurm-down slurm-test slurm-faults slurm-figures ros-env ros-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -43,9 +43,6 @@ slurm-down: .venv/dev.stamp  ## end that cluster and remove all of it
 
 slurm-test: .venv/dev.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root; CI does not run it yet
 	$(BIN)/python -m pytest tests/slurm
-
-link-test: .venv/dev.stamp ros-env  ## a deployment and its robot joined by a link, from apply to down, as root; CI does not run it yet
-	$(BIN)/python -m pytest tests/ros/test_link_whole.py tests/ros/test_link_apply.py
 
 slurm-faults: .venv/dev.stamp  ## at least 50 faults on the real engine: what leaked, was lost or paid too much (half an hour)
 	$(BIN)/python -m tests.slurm.faults
@@ -85,10 +82,8 @@ generated: .venv/dev.stamp  ## committed schemas, reference pages and compiled s
 tests/editor/node_modules/.stamp: tests/editor/package-lock.json
 	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@; fi
 
-# Left out: what needs a Slurm cluster, and two tests of the whole link that pass alone and hung beside others.
-APART := tests/slurm tests/ros/test_link_whole.py tests/ros/test_link_apply.py
-unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## tests with coverage
-	$(BIN)/python -m pytest $(TEST_ARGS) $(APART:%=--ignore=%) --cov --cov-report=term:skip-covered
+unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## tests with coverage; those that need a Slurm cluster apart
+	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --cov --cov-report=term:skip-covered
 
 faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere; adaptive ones killed at every write; 50 deployments (minutes)
 	$(BIN)/python -m tests.faults.campaign

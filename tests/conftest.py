@@ -1,6 +1,7 @@
 """What all tests share: where shared data may be, and that CI skips nothing."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,11 @@ from xdist.scheduler import LoadScopeScheduling
 # Busy machines are slow; what must be fast is timed elsewhere, as whole processes.
 settings.register_profile("steady", deadline=None)
 settings.load_profile("steady")
+
+# A shell without job control starts what it puts in the background (`make test &`) with Ctrl-C ignored, which every
+# process below would inherit: those that are to end by it would not, and bash could not even trap it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = Path(os.environ.get("FOGSPEC_SHARED", ROOT.parent / "shared"))

@@ -3,6 +3,7 @@
 python -m tests.ros.playing LAUNCH_FILE
 """
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -27,9 +28,18 @@ def main(path: Path) -> int:
             )
     code = running[-1].wait()
     for process in running[:-1]:
-        process.send_signal(signal.SIGINT)
-        process.wait(20)
+        end(process)
     return code
+
+
+def end(process: "subprocess.Popen[bytes]") -> None:
+    """INT, TERM and KILL, five seconds apart, as launch does."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+        process.send_signal(number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(5)
+            return
+    raise TimeoutError(f"{process.args} does not end")
 
 
 if __name__ == "__main__":
