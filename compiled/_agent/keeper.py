@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import agent
+import processes
 
 POLL_S = 0.1
 ALIVE_S = 2.0
@@ -53,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
     except OSError as problem:
         detail = f"cannot be started: {problem}"
     finally:
-        agent.finish(keeper.nodes + keeper.listeners)
+        processes.finish(keeper.nodes + keeper.listeners)
     keeper.say("ended", detail)
     return 0 if asked else 1
 
@@ -104,7 +105,7 @@ class Keeper:
         while not asked:
             for argv, node in zip(self.options.process, self.nodes, strict=True):
                 if (code := node.poll()) is not None:
-                    how = f"was ended by {agent.named(-code)}" if code < 0 else f"ended with exit code {code}"
+                    how = f"was ended by {processes.named(-code)}" if code < 0 else f"ended with exit code {code}"
                     return f"{os.path.basename(argv[0])} {how}"
             self._listeners_alive()
             if self.ready_s is None and self._answers():

@@ -27,15 +27,16 @@ from typing import TYPE_CHECKING, Any
 
 # On a machine this file runs by itself, beside the other.
 if TYPE_CHECKING or __package__:
+    from . import processes
     from .counting import TIMINGS_LIMIT, Timings
 else:
+    import processes
     from counting import TIMINGS_LIMIT, Timings
 
 POLL_S = 0.1
 LOG_LIMIT = 16 * 2**20
 AFTERWARDS_S = 300.0
 PR_SET_CHILD_SUBREAPER = 36
-VMSTAT = Path("/proc/vmstat")
 MEMORY_WORDS = re.compile(r"MemoryError|bad_alloc|[Cc]annot allocate memory|[Oo]ut of memory")
 
 End = tuple[str, str | None, str | None, str | None]  # state, reason, detail, stopped_by
@@ -94,12 +95,12 @@ class _Run:
         # Processes that detach themselves stay below this one, so that they are ended too (Linux).
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-        kills = memory_kills()
+        kills = processes.memory_kills()
         try:
             state, reason, detail, stopped_by = self._start() or self._watch()
         finally:
-            killed = memory_kills() > kills
-            finish(self.children)
+            killed = processes.memory_kills() > kills
+            processes.finish(self.children)
         if stopped_by not in (None, "exit"):
             self.timings.cut()
         if self.options.afterwards:
@@ -188,7 +189,7 @@ class _Run:
 
     def _died(self, codes: list[int | None]) -> End | None:
         if self.asked:
-            return "failed", "interrupted", f"ended by {named(self.asked[0])}", "signal"
+            return "failed", "interrupted", f"ended by {processes.named(self.asked[0])}", "signal"
         for number, code in enumerate(codes):
             if code:
                 return self._crash(number, code)
@@ -201,7 +202,7 @@ class _Run:
 
     def _crash(self, number: int, code: int) -> End:
         words, program = last_line(self._log(number)), os.path.basename(self.options.process[number][0])
-        how = f"was ended by {named(-code)}" if code < 0 else f"ended with exit code {code}"
+        how = f"was ended by {processes.named(-code)}" if code < 0 else f"ended with exit code {code}"
         reason = "out_of_memory" if MEMORY_WORDS.search(words) else "crash"
         return "failed", reason, f"{program} {how}" + (f": {words}" if words else ""), "exit"
 
@@ -237,65 +238,6 @@ def place(out: Path) -> str:
     return str(folder)
 
 
-def finish(children: list[subprocess.Popen[bytes]]) -> None:
-    """End the processes and all they started: INT (what ROS nodes expect), TERM, KILL, each after a while."""
-    for number, patience in ((signal.SIGINT, 2.0), (signal.SIGTERM, 1.0), (signal.SIGKILL, 5.0)):
-        for pid in descendants():
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.kill(pid, number)
-        end = time.monotonic() + patience
-        while descendants() and time.monotonic() < end:
-            time.sleep(0.02)
-        for child in children:
-            child.poll()
-    # Whoever was adopted is buried too: not every machine's first process does that.
-    with contextlib.suppress(ChildProcessError):
-        while os.waitpid(-1, os.WNOHANG)[0]:
-            pass
-
-
-def descendants() -> list[int]:
-    """The living processes below this one, zombies left out (Linux)."""
-    below: dict[int, list[int]] = {}
-    dead = set()
-    for entry in filter(str.isdigit, os.listdir("/proc")):
-        with contextlib.suppress(OSError):
-            state, parent = Path("/proc", entry, "stat").read_bytes().rsplit(b")", 1)[1].split()[:2]
-            below.setdefault(int(parent), []).append(int(entry))
-            if state in b"ZX":
-                dead.add(int(entry))
-    found, frontier = [], [os.getpid()]
-    while frontier:
-        frontier = [pid for parent in frontier for pid in below.get(parent, [])]
-        found += [pid for pid in frontier if pid not in dead]
-    return found
-
-
-def memory_kills() -> int:
-    """How often the kernel ended a process for want of memory in this one's cgroup, or where that cannot be told, here (Linux).
-
-    Somebody else's process on the same host says nothing of ours.
-    """
-    for path in (*own_counters(), VMSTAT):
-        with contextlib.suppress(OSError):
-            if found := re.findall(rb"^oom_kill (\d+)$", path.read_bytes(), re.MULTILINE):
-                return sum(map(int, found))
-    return 0
-
-
-def own_counters() -> list[Path]:
-    """The files in which this process's cgroup, of either version, counts such ends; not of the root, where none is kept."""
-    found = []
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/self/cgroup").read_text().splitlines():
-            _, names, path = line.split(":", 2)
-            if path != "/" and "memory" in names.split(","):
-                found.append(Path(f"/sys/fs/cgroup/memory{path}/memory.oom_control"))
-            elif path != "/" and not names:
-                found.append(Path(f"/sys/fs/cgroup{path}/memory.events"))
-    return found
-
-
 def last_line(path: Path) -> str:
     """The last line of a log that says something, without control characters, 300 characters at most."""
     try:
@@ -306,11 +248,6 @@ def last_line(path: Path) -> str:
         return ""
     words = [line.strip() for line in lines if line.strip()]
     return "".join(c for c in words[-1] if c.isprintable())[:300] if words else ""
-
-
-def named(number: int) -> str:
-    """A signal in words."""
-    return f"signal {number} ({signal.strsignal(number)})"
 
 
 def reserve(out: Path) -> None:

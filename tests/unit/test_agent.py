@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.probe import agent, counting
+from fogspec.probe import agent, counting, processes
 
 AGENT = Path(agent.__file__)
 TIMED = """
@@ -81,7 +81,7 @@ def test_memory_that_runs_out_is_told_from_a_crash(tmp_path):
 def test_the_kernel_s_kills_for_want_of_memory_explain_what_came_of_them(tmp_path, monkeypatch, script):
     # Running a whole machine out of memory is no test's business: the counter is what it would be.
     kills = iter([7])
-    monkeypatch.setattr(agent, "memory_kills", lambda: next(kills, 8))
+    monkeypatch.setattr(processes, "memory_kills", lambda: next(kills, 8))
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     arguments = ["--out", str(tmp_path), "--after", "0.3", "--startup", "0.5", "--warmup", "1"]
     assert agent.main([*arguments, "--process", json.dumps([sys.executable, "-c", TIMED + script])]) == 1
@@ -91,12 +91,12 @@ def test_the_kernel_s_kills_for_want_of_memory_explain_what_came_of_them(tmp_pat
 
 
 def test_the_kernel_s_counter_is_read(tmp_path, monkeypatch):
-    assert agent.memory_kills() >= 0
-    monkeypatch.setattr(agent, "VMSTAT", tmp_path / "vmstat")
-    monkeypatch.setattr(agent, "own_counters", list)
-    assert agent.memory_kills() == 0
+    assert processes.memory_kills() >= 0
+    monkeypatch.setattr(processes, "VMSTAT", tmp_path / "vmstat")
+    monkeypatch.setattr(processes, "own_counters", list)
+    assert processes.memory_kills() == 0
     (tmp_path / "vmstat").write_text("pgfault 12\noom_kill 3\nnr_x 1\n")
-    assert agent.memory_kills() == 3
+    assert processes.memory_kills() == 3
 
 
 def test_a_program_that_is_not_there(tmp_path):

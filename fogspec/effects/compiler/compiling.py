@@ -40,7 +40,7 @@ LINK_FILES = ("link.sh", "policy.xml", "cloud.json5", "robot.json5", "cloud.conf
               "cloud.fastdds.xml", "robot.fastdds.xml")  # fmt: skip
 PROBE_FILES = (
     "agent.py", "counting.py", "keeper.py", "fogspec_probe.py", "fogspec_probe.hpp", "bag.py", "pairing.py", "player.py",
-    "preload.c", "preload.h", "preload.py", "records.py", "ros.py", "topics.py",
+    "preload.c", "preload.h", "preload.py", "processes.py", "records.py", "ros.py", "topics.py",
 )  # fmt: skip
 
 
