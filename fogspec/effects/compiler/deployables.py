@@ -10,12 +10,12 @@ from typing import Any
 
 from fogspec.base import digest
 from fogspec.choice import Choice
+from fogspec.contenders import fallback_rows
 from fogspec.effects.compiler.launching import launch_files, link_of_machine, robot_launch
 from fogspec.effects.disk.files import yaml_text
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.templates import render
 from fogspec.links import link_of
-from fogspec.manifest import fallback_rows
 from fogspec.plan import TaskRef, machine_ref
 from fogspec.spec import Application
 from fogspec.tasks import deploy_task, deployed_processes, listener, ros_environment

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from fogspec.base import units
 from fogspec.choice import Choice, latency_limit_s
+from fogspec.contenders import stand_outs
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.pictures import latencies, menu
 from fogspec.effects.pictures.axes import money, number, requests_unit, seconds
 from fogspec.effects.pictures.chart import Chart, Crowd, Machine
 from fogspec.effects.pictures.drawing_models import interval_of, latency_chart
-from fogspec.manifest import stand_outs
 from fogspec.menu import LEVEL, limit_text, thinned, weights
 from fogspec.models import Models
 from fogspec.spec import Application

@@ -6,9 +6,9 @@ from typing import Any
 from fogspec.asking import Next, most_worth, probability_better
 from fogspec.base import units
 from fogspec.choice import Choice
+from fogspec.contenders import stand_outs
 from fogspec.effects.compiler.compiling import Compiled, money
 from fogspec.effects.reports.summarising import entry_words, no_words
-from fogspec.manifest import stand_outs
 from fogspec.menu import entry_of, limit_text, rounded
 from fogspec.models import Model
 from fogspec.plan import lifetime_s
