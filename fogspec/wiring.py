@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fogspec.catalog import Catalog
-from fogspec.seams import Deployer, ImageRegistry
+from fogspec.seams import CatalogSource, Deployer, ImageRegistry
 
 CATALOGS = {
     "snapshot": "fogspec.plugins.catalogs.snapshot:Snapshot",
@@ -38,9 +38,8 @@ def catalog(path: str | None, clouds: Sequence[str]) -> Catalog:
     `clouds` are those that the spec names. Raises Problems or WrongFile.
     """
     kind = path if path in (None, "snapshot", "skypilot") else "folder" if os.path.isdir(path) else "csv"
-    source = load(CATALOGS, kind or "snapshot")
-    found: Catalog = source(path or "", clouds).load()
-    return found
+    source: CatalogSource = load(CATALOGS, kind or "snapshot")(path or "", clouds)
+    return source.load()
 
 
 def registry() -> ImageRegistry:
