@@ -238,3 +238,7 @@ class Link(Protocol):
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
         """What a reviewer must know or do for this link on this cloud."""
         ...
+
+    def opening(self, application: Application, infra: str, address: str) -> str | None:
+        """How to open the port of the machine at `address`, where the engine does not; None where nothing is to do."""
+        ...

@@ -231,4 +231,11 @@ LINKS = {
         "connectivity: {link: zenoh, topics: [~/debug]}",
         "connectivity: {link: zenoh, topics: [/planner/debug]}",
     ),
+    "FS544": Code(
+        "a link's port is opened by SkyPilot, or by you",
+        "WireGuard needs a UDP port, and SkyPilot opens TCP ports only. Apply tells the command that opens it on AWS, GCP "
+        "and Azure once it knows the machine's address. This is a warning.",
+        "infra: [aws/us-east-1]\nconnectivity: {link: wireguard}",
+        "infra: [aws/us-east-1]\nconnectivity: {link: zenoh}",
+    ),
 }

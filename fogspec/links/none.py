@@ -22,3 +22,7 @@ class NoLink:
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
         """Nothing."""
         return ()
+
+    def opening(self, application: Application, infra: str, address: str) -> str | None:
+        """Nothing."""
+        return None

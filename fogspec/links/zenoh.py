@@ -43,6 +43,10 @@ class Zenoh:
             return (f"{cloud} opens no ports: let the robot reach TCP port {port} of the machine yourself",)
         return ()
 
+    def opening(self, application: Application, infra: str, address: str) -> str | None:
+        """Nothing: SkyPilot opens the port, or `apply` says that it cannot be reached."""
+        return None
+
 
 def _text(config: dict[str, Any]) -> str:
     """JSON, short lists on one line."""

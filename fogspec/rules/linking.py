@@ -37,6 +37,18 @@ def what_a_link_needs(application: Application) -> Iterator[Finding]:
         yield Finding("FS541", LINK, message, "write zenoh, or remove ros.image", ((*ros, "image"),))
 
 
+def port_that_nobody_opens(application: Application) -> Iterator[Finding]:
+    """WireGuard's port on machines that SkyPilot starts, where the link is possible at all."""
+    spec = application.spec
+    elsewhere = any(entry.partition("/")[0] != "local" for entry in spec.infra)
+    if spec.connectivity.link == "wireguard" and elsewhere and not any(what_a_link_needs(application)):
+        message = (
+            "spec.connectivity.link wireguard needs a UDP port that you open by hand: SkyPilot opens TCP ports only"
+        )
+        fix = "write zenoh, or run the command that fogspec apply tells"
+        yield Finding("FS544", LINK, message, fix, severity="warning")
+
+
 def words_of_a_link(application: Application) -> Iterator[Finding]:
     """What passes is said for a link that is there."""
     joined = application.spec.connectivity
@@ -91,4 +103,4 @@ def _texts(path: Path, value: Any, key: str = "") -> Iterator[tuple[Path, str, s
         yield path, key, value
 
 
-RULES = (what_a_link_needs, words_of_a_link, names_that_pass, no_private_keys)
+RULES = (what_a_link_needs, port_that_nobody_opens, words_of_a_link, names_that_pass, no_private_keys)

@@ -159,3 +159,33 @@ def test_config_is_json_and_readable():
     text = LINKS["zenoh"].end(arm("zenoh"), "robot").files["robot.json5"]
     assert json.loads(text)["connect"]["endpoints"] == ["tls/@CLOUD_ADDRESS@:7448"]
     assert max(map(len, text.splitlines())) < 120
+
+
+def test_the_command_that_opens_the_udp_port_is_one_that_a_shell_reads_as_it_is_meant(tmp_path):
+    link, app = LINKS["wireguard"], arm("wireguard")
+    spoken = {
+        "aws/us-east-1": "--protocol udp --port 51820 --cidr 0.0.0.0/0 --group-id sg-1",
+        "gcp/us-central1": "firewall-rules create fogspec-udp-51820 --allow udp:51820 --network sg-1",
+        "azure/eastus": "vm open-port --port 51820 --priority 900 --ids sg-1",
+    }
+    for name in ("aws", "gcloud", "az"):
+        # What asks for the machine at the address is answered, what opens is said.
+        (tmp_path / name).write_text('#!/bin/sh\ncase "$*" in *203.0.113.7*) echo sg-1 ;; *) echo "$*" ;; esac\n')
+        (tmp_path / name).chmod(0o755)
+    for infra, expected in spoken.items():
+        said = link.opening(app, infra, "203.0.113.7")
+        what, _, command = said.partition(": ")
+        assert what == "open UDP port 51820 of 203.0.113.7, or the robot finds nobody there"
+        path = {"PATH": f"{tmp_path}:/usr/bin:/bin"}
+        run = subprocess.run(["bash", "-ec", command], capture_output=True, text=True, env=path)
+        assert (run.returncode, run.stderr) == (0, "")
+        assert run.stdout.strip().endswith(expected)
+        assert infra.partition("/")[2] in said or not infra.startswith("aws")
+        assert "fogspec apply says the command" in link.notes(app, infra.partition("/")[0])[0]
+    assert link.opening(app, "lambda/us-east-1", "203.0.113.7").endswith("SkyPilot opens TCP ports only")
+    assert link.opening(app, "local", "127.0.0.1") is None
+
+
+@pytest.mark.parametrize("name", ["none", "zenoh"])
+def test_a_tcp_port_is_opened_by_skypilot(name):
+    assert LINKS[name].opening(arm(name), "aws/us-east-1", "203.0.113.7") is None

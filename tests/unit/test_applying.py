@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.base.outcomes import CloudFailed, Refused, WrongFile
+from fogspec.deployment import Machine
 from fogspec.effects.deployment.applying import Apply
 from fogspec.effects.deployment.livestate import LiveFile
 from fogspec.effects.deployment.offers import Candidate
@@ -77,7 +78,11 @@ class World:
     said: list[str] = field(default_factory=list)
 
     def apply(
-        self, digest: str, *machines: str, runs: str = "same", linked: Callable[[Live], str | None] | None = None
+        self,
+        digest: str,
+        *machines: str,
+        runs: str = "same",
+        linked: Callable[[Machine, Live], str | None] | None = None,
     ) -> Apply:
         candidates = [
             Candidate(
@@ -189,7 +194,7 @@ def test_silence_starts_nothing_new(world: World) -> None:
 
 def test_ready_means_that_the_link_answers_too(world: World) -> None:
     answers = iter(["the tunnel is not up yet", "the tunnel is not up yet", None])
-    world.apply(FIRST, "b", linked=lambda _live: next(answers)).run()
+    world.apply(FIRST, "b", linked=lambda _machine, _live: next(answers)).run()
     assert world.times.now == pytest.approx(10)
     assert sum("the tunnel is not up yet" in line for line in world.said) == 1, "said once"
 

@@ -18,7 +18,7 @@ ELSEWHERE = {
     "FS802": "tests/unit/test_launchfiles.py",
 }
 
-WARNINGS = {"FS523"}
+WARNINGS = {"FS523", "FS544"}
 
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:

@@ -70,6 +70,7 @@ def said(
         ({"more": "  hardware: { cpus: 0..0 }"}, ["FS535"]),
         ({"more": "  hardware: { cpus: ..2, memory: 64GiB.., memory_per_cpu: ..8GiB }"}, ["FS535"]),
         ({"more": "  connectivity: { link: zenoh }"}, ["FS541", "FS543"]),
+        ({"more": "  connectivity: { link: wireguard, topics: [/tf] }"}, ["FS544"]),
     ],
 )
 def test_rules(change: dict[str, str], codes: list[str]) -> None:

@@ -35,7 +35,7 @@ class Apply:
     deployer_of: Callable[[str], Deployer]
     tell: Callable[[str], None] = lambda _text: None
     stopping: Callable[[], bool] = lambda: False
-    linked: Callable[[Live], str | None] = lambda _live: None
+    linked: Callable[[Machine, Live], str | None] = lambda _machine, _live: None
 
     def current(self) -> Machine | None:
         """The machine that serves this manifest already; None where there is none, or its nodes have ended.
@@ -164,7 +164,7 @@ class Apply:
                 raise Interrupted("interrupted: what was being started is gone, what served before still does")
             live = self._look(machine)
             why = live.detail
-            if live.state == "ready" and (why := self.linked(live)) is None:
+            if live.state == "ready" and (why := self.linked(machine, live)) is None:
                 return machine.model_copy(update={"state": "serving", "address": live.address})
             if live.state == "ended":
                 self._end(machine)

@@ -26,12 +26,12 @@ class Applied:
     kept: bool = False
 
 
-def joiner(ordered: Ordered, tell: Callable[[str], None]) -> Callable[[Live], str | None]:
+def joiner(ordered: Ordered, tell: Callable[[str], None]) -> Callable[[Machine, Live], str | None]:
     """Hands the cloud's public half and address to the robot's end, and says why the link does not answer yet."""
     application, layout = ordered.opened.loaded.application, ordered.opened.layout
     joined: set[str] = set()
 
-    def linked(live: Live) -> str | None:
+    def linked(machine: Machine, live: Live) -> str | None:
         if link_of(application).protocol is None:
             return None
         if live.link is None or live.address is None:
@@ -39,6 +39,8 @@ def joiner(ordered: Ordered, tell: Callable[[str], None]) -> Callable[[Live], st
         if live.link not in joined:
             files = linking.join(application, layout, live.address, live.link)
             tell(f"link: where this is not the robot, copy these to it: {', '.join(map(str, files))}")
+            if (how := link_of(application).opening(application, machine.machine.infra, live.address)) is not None:
+                tell(f"link: {how}")
             joined.add(live.link)
         return linking.unanswered(application, layout)
 
