@@ -1,5 +1,6 @@
 """The menu: the named choices and the Pareto fronts, as people and programs read them."""
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -141,7 +142,12 @@ def why_not(choice: Choice, row: int) -> str | None:
     if choice.latency.unfit[row]:
         return "it failed when it was measured, or has no more memory than a machine that ran out of it"
     asked = choice.confidence if choice.floor is None else choice.floor
-    return f"meets the limits with probability {choice.probability(row) or 0:.2f}, below {asked:g}"
+    return f"meets the limits with probability {floored(choice.probability(row) or 0):g}, below {asked:g}"
+
+
+def floored(probability: float) -> float:
+    """With three digits, never rounded up: 0.8999 must not read "0.9, below 0.9"."""
+    return math.floor(1000 * probability) / 1000
 
 
 def _probability(choice: Choice, row: int) -> float | None:

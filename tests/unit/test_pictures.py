@@ -110,10 +110,23 @@ def test_all_machines_equal_is_drawn():
 
 def test_interval_bars_stay_inside_the_frame():
     wild = [Machine("wild", 1.0, 0.001, 1.0, 1e-6, 1e6, True, True, True, "chosen"), Machine("other", 2.0, 0.002, 1.0)]
-    bars = [n for n in nodes(draw(chart(wild)), "bar") if n.get("y1")]
+    *bars, _legend = (n.get("d") for n in nodes(draw(chart(wild)), "bar"))
     assert len(bars) == 2
     for bar in bars:
-        assert 0 < float(bar.get("y2")) < float(bar.get("y1")) < 800
+        low, high = (float(one) for one in re.fullmatch(r"M\S+ (\S+)h6m-3 0V(\S+)m-3 0h6", bar).groups())
+        assert 0 < high < low < 800
+
+
+def test_without_limits_nothing_is_said_to_meet_or_break_them():
+    assert not {"meets the limits", "does not", "over a limit"} & set(texts(draw(chart(FRONT[:1]))))
+    assert not any("limit" in line for line in plot(chart(FRONT[:1]), 80))
+
+
+def test_the_list_keeps_clear_of_the_longest_role():
+    near = Machine("c6i.large", 16.4, 0.0002, 0.085, role="nearest in metrics.path_length", words="c6i.large, 2 vCPU")
+    found = ElementTree.fromstring(draw(chart([near]))).iter()
+    starts = {node.text: float(node.get("x")) for node in found if node.tag.endswith("text")}
+    assert starts[near.words] > starts[near.role] + 6.6 * len(near.role)
 
 
 def test_a_hundred_thousand_machines_stay_a_small_file():

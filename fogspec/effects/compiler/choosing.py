@@ -51,7 +51,7 @@ def choose_files(
     warnings = warnings_of(application, models, choice)
     menu = make_menu(application, choice, warnings)
     files = {layout.models: _yaml(models, source), layout.menu: _yaml(menu, source)}
-    files |= pictures(application, choice, models, warnings, layout)
+    files |= pictures(application, choice, models, doubts_of(models, choice), layout)
     manifest = None
     if choice.chosen is not None:
         made = deployable(application, layout, choice, sent, files)
@@ -83,19 +83,7 @@ def decide(application: Application, models: Models, predicted: Predicted) -> tu
 
 def warnings_of(application: Application, models: Models, choice: Choice) -> list[str]:
     """What a reviewer must know before believing the figures, most important first."""
-    found = []
-    if models.spec.measured_on_local:
-        found.append(
-            "extrapolated: measured on one host's CPUs and memory, not on machines of the catalog, whose CPUs differ: "
-            "the ranking is a guess, and how far off it is cannot be said"
-        )
-    row = choice.chosen
-    if row is not None and not models.spec.measured_on_local:
-        found += _doubts(choice, row)
-    elif row is None and choice.feasible.any():
-        found.append(
-            "the relaxed method ends beside no machine that meets the limits, though there are some: use exhaustive"
-        )
+    found, row = doubts_of(models, choice), choice.chosen
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
         found += [f"curve of {model.target}{beside}: {text}" for text in model.warnings]
@@ -109,6 +97,22 @@ def warnings_of(application: Application, models: Models, choice: Choice) -> lis
     if unpredicted:
         found.append(f"{unpredicted} admissible machines cannot be predicted, or failed when they were measured")
     return found
+
+
+def doubts_of(models: Models, choice: Choice) -> list[str]:
+    """What speaks against the choice itself; the pictures have room for the first."""
+    if models.spec.measured_on_local:
+        return [
+            "extrapolated: measured on one host's CPUs and memory, not on machines of the catalog, whose CPUs differ: "
+            "the ranking is a guess, and how far off it is cannot be said"
+        ]
+    if choice.chosen is not None:
+        return _doubts(choice, choice.chosen)
+    if choice.feasible.any():
+        return [
+            "the relaxed method ends beside no machine that meets the limits, though there are some: use exhaustive"
+        ]
+    return []
 
 
 def _doubts(choice: Choice, row: int) -> list[str]:

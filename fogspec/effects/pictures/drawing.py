@@ -14,7 +14,7 @@ from fogspec.effects.pictures import latencies, menu
 from fogspec.effects.pictures.axes import money, number, requests_unit, seconds
 from fogspec.effects.pictures.chart import Chart, Crowd, Machine
 from fogspec.effects.pictures.drawing_models import interval_of, latency_chart
-from fogspec.menu import LEVEL, limit_text, thinned, weights
+from fogspec.menu import LEVEL, floored, limit_text, thinned, weights
 from fogspec.models import Models
 from fogspec.spec import Application
 
@@ -22,7 +22,7 @@ ALTERNATIVES = 2
 WORDS = 92
 
 
-def menu_chart(application: Application, choice: Choice, warnings: Sequence[str]) -> Chart:
+def menu_chart(application: Application, choice: Choice, doubts: Sequence[str]) -> Chart:
     """The menu as a picture, for a choice with at least one machine that can be predicted."""
     spec = application.spec
     metric = spec.objective.metric
@@ -38,7 +38,7 @@ def menu_chart(application: Application, choice: Choice, warnings: Sequence[str]
             choice.feasible[rows],
         ),
         y_limit=limit, cost_limit_usd_per_request=spec.constraints.cost, price_limit_usd_per_hour=spec.constraints.price,
-        requests_per_hour=None if rate is None else rate * 3600, level=LEVEL, notes=warnings[:1],
+        requests_per_hour=None if rate is None else rate * 3600, level=LEVEL, notes=[*_none(choice), *doubts[:1]],
     )  # fmt: skip
 
 
@@ -52,6 +52,15 @@ def named(choice: Choice) -> dict[str, int]:
         return dict(list(found.items())[: ALTERNATIVES + 1])
     others = [(role, row) for role, row in stand_outs(choice).items()]
     return {"chosen": choice.chosen, **dict(others[:ALTERNATIVES])}
+
+
+def _none(choice: Choice) -> list[str]:
+    """That no machine meets the limits, and how far off the nearest is."""
+    if choice.feasible.any():
+        return []
+    far = [f"{miss.limit} would have to be {miss.factor:.3g} times as large" for miss in choice.misses]
+    either = " or " if all(miss.alone for miss in choice.misses) else " and "
+    return [": ".join(["no machine meets the limits", *([either.join(far)] if far else [])])]
 
 
 def _latency_limit(application: Application) -> float | None:
@@ -110,19 +119,22 @@ def _described(choice: Choice, row: int, name: str, metric: str | None, factor: 
     gpu = f" {offer.gpu.count:g} {offer.gpu.name}" if offer.gpu else ""
     shape = f", {offer.vcpus:g} vCPU {units.format_number(offer.memory_gib)} GiB{gpu}"
     value = f"{metric} {number(float(choice.x[row]))}" if metric else seconds(float(choice.x[row]))
-    per = "request" if factor == 1 else unit
+    per = "request" if factor == 1 else unit.removeprefix("a ")
     rest = f"{value}, {money(float(choice.cost_usd_per_request[row]) * factor)} per {per}, {money(offer.price_usd_per_hour)}/h"
-    long = f"{name}{shape}, {offer.infra}: {rest}"
-    return long if len(long) <= WORDS else f"{name}, {offer.infra}: {rest}"
+    within = all(choice.values[limit][row] <= bound for limit, bound in choice.bounds.items())
+    if within and not choice.feasible[row] and (probability := choice.probability(row)) is not None:
+        rest += f"; met with probability {floored(probability):g}"
+    ways = (f"{name}{shape}, {offer.infra}: {rest}", f"{name}, {offer.infra}: {rest}", f"{name}: {rest}")
+    return next((words for words in ways if len(words) <= WORDS), ways[-1])
 
 
 def pictures(
-    application: Application, choice: Choice, models: Models, warnings: Sequence[str], layout: Layout
+    application: Application, choice: Choice, models: Models, doubts: Sequence[str], layout: Layout
 ) -> dict[Path, bytes]:
     """The pictures' files; none where nothing can be predicted."""
     if not len(choice.front):
         return {}
-    found = {layout.picture: menu.draw(menu_chart(application, choice, warnings)).encode()}
+    found = {layout.picture: menu.draw(menu_chart(application, choice, doubts)).encode()}
     chart = latency_chart(application, choice, models)
     if chart.panels:
         found[layout.latencies] = latencies.draw(chart).encode()

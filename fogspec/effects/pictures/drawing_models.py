@@ -64,15 +64,23 @@ def _curve(models: Models, gpu: tuple[str, float] | None, vcpus: Floats, memory:
 
 
 def _levels(choice: Choice, rows: np.ndarray) -> list[Level]:
-    """The median machine of each number of vCPUs: of those that were not measured, where there are any."""
+    """For each number of vCPUs the median prediction, and what the intervals of all machines cover together.
+
+    Not one machine's interval: where a few machines were measured, it would be narrow and leave out the others.
+    """
     found = []
     for vcpus in np.unique(choice.offers.vcpus[rows]).tolist():
         here = rows[choice.offers.vcpus[rows] == vcpus]
-        unmeasured = here[~choice.latency.measured[here]]
-        here = unmeasured if len(unmeasured) else here
-        row = int(here[np.argsort(choice.latency.value[here], kind="stable")[(len(here) - 1) // 2]])
-        low, high = interval_of(choice.latency, row) or (None, None)
-        found.append(Level(vcpus, float(choice.latency.value[row]), low, high))
+        intervals = [one for row in _each_once(choice, here) if (one := interval_of(choice.latency, row))]
+        low, high = (min(a for a, _ in intervals), max(b for _, b in intervals)) if intervals else (None, None)
+        found.append(Level(vcpus, float(np.median(choice.latency.value[here])), low, high))
+    return found
+
+
+def _each_once(choice: Choice, rows: np.ndarray) -> list[int]:
+    """One offer of each instance type: what a machine costs elsewhere does not change how fast it is."""
+    _, first = np.unique(choice.latency.of[rows], return_index=True)
+    found: list[int] = rows[first].tolist()
     return found
 
 

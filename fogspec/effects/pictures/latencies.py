@@ -13,7 +13,7 @@ TOP, FRAME_HEIGHT, GAP = 88, 230, 72
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """The typical prediction at a number of vCPUs: latency in seconds, and its interval where there is one."""
+    """What is predicted at a number of vCPUs: the median latency in seconds, and the span of all machines' intervals."""
 
     vcpus: float
     latency_s: float
@@ -118,8 +118,8 @@ def _path(points: Sequence[tuple[float, float]]) -> str:
 def _legend(chart: LatencyChart) -> list[tuple[str, str]]:
     found = [("measured", "measured"), ("curve", "predicted (median)")]
     if any(one.low_s for panel in chart.panels for one in panel.levels):
-        found.append(("band", f"{chart.level:.0%} interval"))
-    found.append(("out", "every machine"))
+        found.append(("band", f"{chart.level:.0%} intervals of all machines"))
+    found.append(("out", "a machine"))
     if any(panel.curve for panel in chart.panels):
         found.append(("paper", "paper's families"))
     return found

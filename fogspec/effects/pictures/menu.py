@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from fogspec.effects.disk.templates import render
-from fogspec.effects.pictures.axes import money
+from fogspec.effects.pictures.axes import CHARACTER, money
 from fogspec.effects.pictures.chart import Chart, Crowd, Floats, Machine, View, per_hour, per_request, y_axis, y_words
 from fogspec.effects.pictures.frame import Dot, Frame, frame, place_labels
 
@@ -33,6 +33,7 @@ def draw(chart: Chart) -> str:
         "picture.svg.j2", title=chart.title, subtitle=subtitle, summary=_summary(chart), width=WIDTH,
         height=bottom + 88 + 15 * len(notes), left=18,
         rows=[(rows_at + 14 + ROW * i, m.role, m.words) for i, m in enumerate(named)],
+        words_left=18 + max([86.0, *(CHARACTER * len(m.role) + 14 for m in named)]),
         frames=[_frame(chart, per_request(chart), top), _frame(chart, per_hour(chart), second)],
         legend=_legend(chart), legend_y=bottom + 66, notes=notes,
     )  # fmt: skip
@@ -118,8 +119,9 @@ def _legend(chart: Chart) -> list[tuple[str, str]]:
         found.append(("front", "Pareto front"))
     if any(m.low for m in chart.machines):
         found.append(("bar", f"{chart.level:.0%} interval"))
+    limited = any(bool(view.forbidden) for view in (per_request(chart), per_hour(chart)))
     if bool(chart.crowd.meets.any()):
-        found.append(("in", "meets the limits"))
+        found.append(("in", "meets the limits" if limited else "any other machine"))
     if not bool(chart.crowd.meets.all()):
         found += [("out", "does not"), ("no", "over a limit")]
     return found

@@ -132,7 +132,10 @@ def _key(chart: Chart) -> list[str]:
     signs = [f"{sign} {role}" for role, sign in _signs(chart).items() if any(m.role == role for m in chart.machines)]
     if any(machine.measured for machine in chart.machines):
         signs.append("o measured")
-    signs += ["# Pareto front", ": meets the limits", ". does not", "% edge of a limit"]
+    limited = any(bool(view.forbidden) for view in (per_request(chart), per_hour(chart)))
+    signs += ["# Pareto front", ": meets the limits" if limited else ": any other machine"]
+    if limited:
+        signs += [". does not", "% edge of a limit"]
     lines = [""]
     for words in signs:
         if len(lines[-1]) + len(words) + 3 > NARROWEST + 30 and lines[-1]:
