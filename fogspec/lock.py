@@ -131,6 +131,21 @@ def paths_named(application: Application) -> Iterator[str]:
         yield from _of_node(node)
 
 
+def files_needed(application: Application, measured: bool) -> Iterator[tuple[str, str]]:
+    """What must be there beside the spec before a machine is started: the field and what it names.
+
+    `measured` says whether requests are sent to it too.
+    """
+    spec, workload = application.spec, application.spec.benchmark.workload
+    named = [("spec.ros.workspace", spec.ros.workspace if spec.ros else None)]
+    nodes = [(f"spec.cloud[{number}]", node) for number, node in enumerate(spec.cloud)]
+    if measured:
+        named.append(("spec.benchmark.workload.bag", workload.bag))
+        nodes += [("spec.benchmark.workload.node", workload.node)] if workload.node else []
+    named += [(f"{field}.parameter_files", name) for field, node in nodes for name in node.parameter_files]
+    return ((field, name) for field, name in named if name is not None)
+
+
 def _of_node(node: Node) -> Iterator[str]:
     yield from node.parameter_files
     if node.cmd is not None:

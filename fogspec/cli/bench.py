@@ -70,6 +70,7 @@ def command(
     from fogspec.effects.benchmark.benching import Terms, bench
     from fogspec.effects.benchmark.offering import Offering, check_prices
     from fogspec.effects.benchmark.preparing import prepare
+    from fogspec.effects.disk.pinning import check_files
     from fogspec.effects.disk.specfiles import load
 
     names = [name.strip() for name in only.split(",") if name.strip()]
@@ -90,6 +91,8 @@ def command(
         if dry_run:
             click.echo("\n".join(offering.lines()))
             continue
+        if runner.name != "replay":
+            check_files(prepared.application, prepared.layout, measured=True)
         _confirm(offering, yes)
         library = _library(prepared, priors) if catalog is not None else None
         terms = Terms(max_usd, resume, catalog, prices, library)

@@ -44,6 +44,18 @@ def test_a_wrong_spec_is_an_error_at_its_place(scene, verb, old, new, place, wor
     assert tree(scene.folder) == before
 
 
+def test_a_file_that_the_spec_names_is_missed_before_a_machine_is_paid_to_miss_it(scene):
+    node = "cloud:\n    - {package: arm, executable: plan, parameter_files: [p.yaml]}"
+    scene.spec.write_text(SPEC.replace("infra:", "ros: {workspace: arm_ws}\n  infra:").replace("cloud:", node))
+    assert scene.run("compile").returncode == 0
+    before = tree(scene.folder)
+    ended = scene.bench()
+    assert ended.returncode == 1
+    assert "specs/tiny.yaml: spec.ros.workspace names arm_ws, which is not there" in ended.stderr
+    assert "spec.cloud[0].parameter_files names p.yaml, which is not there either" in ended.stderr
+    assert tree(scene.folder) == before
+
+
 def test_a_spec_that_is_no_file(scene):
     scene.spec.unlink()
     assert scene.bench().returncode in (1, 2)

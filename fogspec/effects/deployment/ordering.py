@@ -11,6 +11,7 @@ from fogspec.catalog import Catalog
 from fogspec.effects.compiler import linking
 from fogspec.effects.deployment.offers import Candidate, affordable, check_price, exact, price_now, price_words
 from fogspec.effects.disk.manifests import Opened
+from fogspec.effects.disk.pinning import check_files
 from fogspec.effects.review.verifying import verify
 from fogspec.plan import MachineRef, TaskRef
 
@@ -40,8 +41,10 @@ def order(
 ) -> Ordered:
     """The candidates at their prices now; fall-backs that became too dear are left out.
 
-    Raises Refused when the chosen machine costs more than is allowed, or for an image that is not pinned.
+    Raises WrongFile when a file that is to be sent is missing, Refused when the chosen machine costs more than is allowed,
+    or for an image that is not pinned.
     """
+    check_files(opened.loaded.application, opened.layout, measured=False)
     spec, limit = opened.manifest.spec, opened.loaded.application.spec.constraints.price
     chosen = MachineRef(
         infra=spec.infra, instance=spec.instance, cpus=spec.cpus, memory=spec.memory, gpu=spec.gpu, spot=spec.spot,

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from fogspec.base import digest
+from fogspec.base.outcomes import WrongFile
 from fogspec.effects.disk.files import yaml_text
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.specfiles import read_document
-from fogspec.lock import Lock, Pins, paths_named
+from fogspec.lock import Lock, Pins, files_needed, paths_named
 from fogspec.spec import Application
 
 # What building and running leave behind in a workspace: it is made again on the machine.
@@ -41,6 +42,18 @@ def files_beside(application: Application, layout: Layout) -> dict[str, str]:
     folder = layout.spec.parent
     named = sorted({os.path.normpath(name) for name in paths_named(application)})
     return {name: tree_digest(folder / name) for name in named if name != "." and (folder / name).exists()}
+
+
+def check_files(application: Application, layout: Layout, measured: bool) -> None:
+    """Raises WrongFile where something that the spec names is missing: each machine would be paid to find that out."""
+    folder = layout.spec.parent
+    absent = [(field, name) for field, name in files_needed(application, measured) if not (folder / name).exists()]
+    if absent:
+        raise WrongFile(
+            f"{layout.spec}: {absent[0][0]} names {absent[0][1]}, which is not there",
+            *(f"{field} names {name}, which is not there either" for field, name in absent[1:]),
+            f"paths are relative to the spec's folder: {folder}",
+        )
 
 
 def tree_digest(path: Path) -> str:
