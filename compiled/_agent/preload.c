@@ -146,6 +146,7 @@ static void took(const void *subscription, const void *message, const serialized
   uint8_t key[KEY];
   const char *name = ((name_function)REAL("rcl_subscription_get_topic_name"))(subscription);
   if (is("FOGSPEC_PRELOAD_REQUEST", name, "")) take(setting("FOGSPEC_PRELOAD_RESPONSE"), stamp_of(key, message, bytes), taken_ns, times->received_ns);
+  else if (setting("FOGSPEC_PRELOAD_REQUEST") && !strstr("/clock /parameter_events /rosout", name)) write_other(name);
 }
 
 static void published(const void *publisher, const void *message, const serialized_t *bytes) {

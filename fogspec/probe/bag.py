@@ -55,7 +55,7 @@ def messages(path: Path, topics: Collection[str] | None = None) -> Iterator[Mess
 def storage_files(path: Path) -> list[Path]:
     """The files that hold the messages, in order; raises BagError."""
     if not path.exists():
-        raise BagError(f"{path} is not there")
+        raise BagError(f"the bag {path} is not there")
     found = [path] if path.is_file() else [file for file in path.iterdir() if file.suffix in (".db3", ".mcap")]
     if not found and any(file.suffix in COMPRESSED for file in path.iterdir()):
         raise BagError(f"{path} is compressed file by file: decompress it with 'ros2 bag convert'")

@@ -72,13 +72,19 @@ static void write_unmatched(const char *name) {
     now_ns(CLOCK_MONOTONIC) / 1e9));
 }
 
-// A name that was answered and is not the one asked for: said once each, for whoever wonders why nothing is timed.
+// For whoever wonders why nothing is timed: the last such note is what they are told.
+static void write_unanswered(const char *name) {
+  char line[320];
+  append(line, snprintf(line, sizeof line, "{\"note\":\"requests are taken, and none is answered on %.200s\"}\n", name));
+}
+
+// A name that was taken and is not the one asked for: said once each, until one is the one asked for.
 static void write_other(const char *name) {
   static char seen[8][128];
   static int count;
   if (!name || strlen(name) >= sizeof seen[0]) return;
   pthread_mutex_lock(&lock);
-  bool known = count >= 8;
+  bool known = count >= 8 || taken_count > 0;
   for (int i = 0; i < count; i++) known = known || strcmp(seen[i], name) == 0;
   if (!known) {
     char line[320];
@@ -112,6 +118,7 @@ static request_t *find(const uint8_t *key) {
 
 static void take(const char *name, const uint8_t *key, int64_t taken_ns, int64_t received_ns) {
   pthread_mutex_lock(&lock);
+  if (taken_count == 0) write_unanswered(name);
   // A second subscription of the same node takes the same message.
   if (!key || !find(key)) {
     request_t *slot = NULL;

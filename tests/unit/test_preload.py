@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.probe import preload
-from tests.tools.preload import build, cost_s, play
+from tests.tools.preload import build, cost_s, play, played
 
 ACTION = {"FOGSPEC_PRELOAD_ACTION": "/go"}
 TOPICS = {"FOGSPEC_PRELOAD_REQUEST": "/in", "FOGSPEC_PRELOAD_RESPONSE": "/out", "FOGSPEC_STAMPED": "1"}
@@ -74,6 +74,13 @@ def test_responses_to_nobody_other_names_and_failed_calls(node):
     records, _ = play(node, "send /plan 9 0\ntake /other 1 0\ntake /other 2 0\nfail\ntake /plan 3 0\nsend /plan 3 0\n")
     assert [sorted(one) for one in records] == [["at_s", "name", "unmatched"], ["note"]]
     assert records[1]["note"] == "the measured process also takes /other"
+
+
+def test_requests_that_are_taken_and_not_answered_are_said_once_and_other_names_no_more(node):
+    records, _ = played(node, "hear /elsewhere 1\nhear /clock 1\nhear /in 2\nhear /in 3\nhear /later 4\n", TOPICS)
+    assert [one["note"] for one in records] == [
+        "the measured process also takes /elsewhere", "requests are taken, and none is answered on /out",
+    ]  # fmt: skip
 
 
 def test_a_request_that_is_never_answered_is_lost_when_there_is_no_more_room(node):

@@ -34,7 +34,13 @@ def build(folder: Path) -> Path:
 
 
 def play(node: Path, commands: str, asked: dict[str, str] | None = None) -> tuple[list[dict[str, Any]], str]:
-    """Have the node do this with the library in its process; what was written, and what the node said."""
+    """Have the node do this with the library in its process; records and other names, and what the node said."""
+    records, said = played(node, commands, asked)
+    return [one for one in records if "none is answered" not in one.get("note", "")], said
+
+
+def played(node: Path, commands: str, asked: dict[str, str] | None = None) -> tuple[list[dict[str, Any]], str]:
+    """All that was written, and what the node said."""
     timings = node.parent / "timings.jsonl"
     timings.unlink(missing_ok=True)
     environment = {
