@@ -179,6 +179,7 @@ function showAnswer(answer) {
   }
   const body = element("answers");
   body.replaceChildren();
+  body.closest(".wide").hidden = chosen === null;
   if (chosen === null) return;
   for (const [role, i] of [["chosen", chosen], ["cheapest", answer.cheapest], ["fastest", answer.fastest]]) {
     const interval = offers.low[i] === null ? "" : ` [${amount(offers.low[i])}, ${amount(offers.high[i])}]`;
@@ -201,116 +202,9 @@ function showCommand(alpha, latency, cost) {
     `--cost ${limit(cost, `'$${plain(cost)}/request'`)}`;
 }
 
-// ---- picture ----------------------------------------------------------------------------------------------------
-
-const BOX = {width: 720, height: 380, left: 84, right: 706, top: 16, bottom: 332};
-const svg = (name, attributes, text) => {
-  const node = document.createElementNS("http://www.w3.org/2000/svg", name);
-  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
-  if (text !== undefined) node.textContent = text;
-  return node;
-};
-
-function axis(values, start, end) {
-  let low = Infinity, high = -Infinity;
-  for (const value of values) if (value > 0) { low = Math.min(low, Math.log10(value)); high = Math.max(high, Math.log10(value)); }
-  const pad = Math.max(0.06 * (high - low), (0.32 - (high - low)) / 2, 0.03);
-  low -= pad;
-  high += pad;
-  return {low, high, at: (v) => start + (Math.log10(v) - low) / (high - low) * (end - start),
-    inside: (v) => Math.log10(v) >= low && Math.log10(v) <= high};
-}
-
-function ticks(one, most) {
-  for (const steps of [[1, 1.5, 2, 3, 4, 5, 7], [1, 2, 5], [1, 3], [1]]) {
-    const found = [];
-    for (let d = Math.floor(one.low); d <= Math.ceil(one.high); d++)
-      for (const m of steps) if (one.inside(m * 10 ** d)) found.push(m * 10 ** d);
-    if (found.length <= most || steps.length === 1) return found.filter((_, i) => i % Math.ceil(found.length / most) === 0);
-  }
-  return [];
-}
-
-function front(column, among) {
-  const rows = offers.row.map((_, i) => i).filter((i) => among[i]);
-  rows.sort((a, b) => column[a] - column[b] || offers.x[a] - offers.x[b]);
-  const found = [];
-  let least = Infinity;
-  for (const i of rows) if (offers.x[i] < least) { found.push(i); least = offers.x[i]; }
-  return found;
-}
-
-function draw(answer, latency, cost) {
-  const hourly = element("per-hour").checked;
-  const column = hourly ? offers.price : offers.cost, faint = hourly ? data.faint.price : data.faint.cost;
-  const picture = element("picture"), near = (limit, values) => limit > 0 && limit < 10 * Math.max(...values) && limit > 0.1 * Math.min(...values);
-  const xs = column.concat(faint), ys = offers.x.concat(data.faint.x);
-  if (!hourly && cost !== null && near(cost, xs)) xs.push(cost);
-  if (!data.metric && latency !== null && near(latency, ys)) ys.push(latency);
-  const x = axis(xs, BOX.left, BOX.right), y = axis(ys, BOX.bottom, BOX.top);
-  const nodes = [];
-  const clip = (v, low, high) => Math.min(Math.max(v, low), high);
-  const thousand = !hourly && column.reduce((a, b) => a + b, 0) / column.length < 0.01 ? 1000 : 1;
-  for (const value of ticks(y, 9)) {
-    nodes.push(svg("line", {class: "grid", x1: BOX.left, x2: BOX.right, y1: y.at(value), y2: y.at(value)}));
-    nodes.push(svg("text", {class: "soft", x: BOX.left - 8, y: y.at(value) + 4, "text-anchor": "end"}, data.metric ? digits(value, 3) : duration(value)));
-  }
-  for (const value of ticks(x, 8)) {
-    nodes.push(svg("line", {class: "grid", y1: BOX.top, y2: BOX.bottom, x1: x.at(value), x2: x.at(value)}));
-    nodes.push(svg("text", {class: "soft", x: x.at(value), y: BOX.bottom + 18, "text-anchor": "middle"}, money(value * thousand)));
-  }
-  if (!data.metric && latency !== null && latency > 0) {
-    const at = clip(y.at(latency), BOX.top, BOX.bottom);
-    nodes.push(svg("rect", {class: "no", x: BOX.left, y: BOX.top, width: BOX.right - BOX.left, height: at - BOX.top}));
-    nodes.push(svg("line", {class: "limit", x1: BOX.left, x2: BOX.right, y1: at, y2: at}));
-  }
-  if (!hourly && cost !== null && cost > 0) {
-    const at = clip(x.at(cost), BOX.left, BOX.right);
-    nodes.push(svg("rect", {class: "no", x: at, y: BOX.top, width: BOX.right - at, height: BOX.bottom - BOX.top}));
-    nodes.push(svg("line", {class: "limit", y1: BOX.top, y2: BOX.bottom, x1: at, x2: at}));
-  }
-  if (hourly && cost !== null && cost > 0 && !data.metric && !data.costs.requests_per_s) nodes.push(...slope(x, y, cost, clip));
-  const specks = {out: "", in: ""};
-  data.faint.x.forEach((value, i) => { specks.out += `M${x.at(faint[i]).toFixed(1)} ${y.at(value).toFixed(1)}h0`; });
-  offers.x.forEach((value, i) => { specks[answer.meets[i] ? "in" : "out"] += `M${x.at(column[i]).toFixed(1)} ${y.at(value).toFixed(1)}h0`; });
-  for (const kind of ["out", "in"]) nodes.push(svg("path", {class: "speck " + kind, d: specks[kind] || "M0 0"}));
-  const steps = front(column, answer.balanced === null ? answer.meets.map(() => true) : answer.meets);
-  if (steps.length) {
-    const path = steps.map((i, n) => n ? `H${x.at(column[i])}V${y.at(offers.x[i])}` : `M${x.at(column[i])} ${BOX.top}V${y.at(offers.x[i])}`);
-    nodes.push(svg("path", {class: "stairs", d: path.join("") + "H" + BOX.right}));
-  }
-  offers.row.forEach((_, i) => { if (offers.measured[i] && i !== answer.balanced) nodes.push(dot(i, column, x, y, "measured", 4.2)); });
-  if (answer.balanced !== null) {
-    nodes.push(dot(answer.balanced, column, x, y, "chosen", 7));
-    const px = x.at(column[answer.balanced]), left = px > (BOX.left + BOX.right) / 2;
-    nodes.push(svg("text", {class: "label label-chosen", x: px + (left ? -11 : 11), y: y.at(offers.x[answer.balanced]) - 9,
-      "text-anchor": left ? "end" : "start"}, offers.name[answer.balanced]));
-  }
-  nodes.push(svg("text", {class: "soft", x: (BOX.left + BOX.right) / 2, y: BOX.bottom + 38, "text-anchor": "middle"},
-    hourly ? "price of an hour" : thousand === 1 ? "cost of one request" : "cost of 1,000 requests"));
-  picture.replaceChildren(...nodes);
-  picture.setAttribute("aria-label", `${data.metric || data.statistic + " latency"} against ${hourly ? "price of an hour" : "cost of a request"}. ` + element("verdict").textContent);
-}
-
-// The limit on the cost of a request against the price of an hour: latency at most cost / price.
-function slope(x, y, cost, clip) {
-  const edge = [];
-  for (let n = 0; n <= 100; n++) {
-    const price = 10 ** (x.low + (n / 100) * (x.high - x.low));
-    edge.push(`${x.at(price).toFixed(1)} ${clip(y.at(cost * 3600 / price), BOX.top, BOX.bottom).toFixed(1)}`);
-  }
-  const line = "M" + edge.join("L");
-  return [svg("path", {class: "no", d: `${line}L${BOX.right} ${BOX.top}L${BOX.left} ${BOX.top}Z`}), svg("path", {class: "limit", d: line})];
-}
-
-function dot(i, column, x, y, kind, radius) {
-  const node = svg("circle", {class: "dot " + kind, cx: x.at(column[i]), cy: y.at(offers.x[i]), r: radius});
-  node.append(svg("title", {}, `${described(i)}: ${amount(offers.x[i])}, ${money(offers.cost[i])} per request, ${money(offers.price[i])} per hour`));
-  return node;
-}
-
 alphaRange.addEventListener("input", update);
 for (const id of ["per-request", "per-hour"]) element(id).addEventListener("change", update);
+new ResizeObserver(([one]) => { if (widthFor(one.contentRect.width) !== width) update(); }).observe(element("picture"));
 element("back").addEventListener("click", () => {
   alphaRange.value = data.alpha;
   latencyControl.reset();

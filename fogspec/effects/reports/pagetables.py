@@ -38,12 +38,12 @@ def measured_table(results: Results) -> Table:
     """What was measured."""
     heads = ("machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "state", "requests", "mean", "sd", "p50", "p95",
              "p99", "metrics", "took", "spent")  # fmt: skip
-    source = f", {results.spec.source}" if results.spec.source else ""
+    source = f"; {results.spec.source}" if results.spec.source else ""
     rows = [_measured(one) for one in results.spec.samples]
     numbers = (2, 3, 5, 7, 8, 9, 10, 11, 12, 14, 15)
     used = [at for at in range(len(heads)) if any(row[at] for row in rows)]
     return Table(
-        f"Measured with {results.spec.runner}{source}", tuple(heads[at] for at in used),
+        f"Runner: {results.spec.runner}{source}", tuple(heads[at] for at in used),
         [tuple(row[at] for at in used) for row in rows], tuple(i for i, at in enumerate(used) if at in numbers),
     )  # fmt: skip
 

@@ -32,7 +32,8 @@ def page(compiled: Compiled, spec_text: str, command: str, menu_command: str) ->
     data = None
     if chosen is not None and len(chosen.choice.front):
         data = {**menu_data(compiled.application, chosen.choice), "command": menu_command}
-    script = (shipped("templates") / "report.js").read_text(encoding="utf-8")
+    scripts = ("report_picture.js", "report.js")  # what draws first: the other begins as soon as it is read
+    script = "".join((shipped("templates") / name).read_text(encoding="utf-8") for name in scripts)
     samples = planned_table(compiled.plan) if results is None else measured_table(results)
     there = {"menu": data is not None, "why": chosen is not None, "models": chosen is not None}
     return render(
@@ -44,7 +45,7 @@ def page(compiled: Compiled, spec_text: str, command: str, menu_command: str) ->
         menu_picture=_image(compiled, compiled.layout.picture), latency_picture=_image(compiled, compiled.layout.latencies),
         menu_note="" if data is None else _menu_note(data), x_words=_x_words(compiled),
         explanation=explain(compiled) if chosen is not None else "", funnel=_funnel(compiled), samples=samples,
-        models=_models(compiled), costs=_costs(compiled), provenance=list(_flat("", _provenance(compiled))),
+        models=_models(compiled), costs=_costs(compiled), provenance=[(name, value or "none") for name, value in _flat("", _provenance(compiled))],
         source=compiled.layout.relative(compiled.layout.spec), spec_text=spec_text,
     ).encode()  # fmt: skip
 
