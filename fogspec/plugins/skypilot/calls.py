@@ -14,6 +14,7 @@ import sky
 from sky import exceptions
 
 from fogspec.plugins.skypilot.problems import CloudProblem
+from fogspec.plugins.skypilot.verifying import await_gone
 
 PREFIX = "fogspec-"
 LAUNCHES = ("launch", "sky.launch")
@@ -169,6 +170,7 @@ def _end(name: str) -> None:
         sky.get(sky.down(_ours(name)))
     if _launches(name, finished=False) or clusters(names=[name], refresh=True):
         raise CloudProblem("setup", f"{name} is still there", again=True)
+    await_gone(name)
 
 
 def autostop(name: str, idle_minutes: int, down: bool = True) -> None:
