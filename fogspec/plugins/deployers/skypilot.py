@@ -13,7 +13,7 @@ from typing import Any
 from fogspec.base.outcomes import CloudFailed
 from fogspec.deployment import is_of
 from fogspec.plugins.deployers import keeping
-from fogspec.plugins.skypilot.client import Client
+from fogspec.plugins.skypilot.client import Call, Client
 from fogspec.plugins.skypilot.problems import CloudProblem
 from fogspec.seams import CannotStart, Launch, Live, LostContact
 
@@ -56,20 +56,15 @@ class SkyPilotDeployer:
                 return found
             job = self._jobs[launch.name] = found
         try:
-            rows: Sequence[Mapping[str, Any]] = self._ask("jobs", name=launch.name)
-            status = next((row["status"] for row in rows if row["job"] == job), None)
-            if status is None:
-                return Live("ended", "its machine knows no such job")
-            if status not in (*OVER, "RUNNING"):
-                return Live("starting", f"the job is {str(status).lower()}")
-            address = self._address(launch.name)
-            said = keeping.told(self._log(launch.name, job, TAIL_LINES), address)
-            # Nodes that say much push what their keeper says out of the last lines.
-            said = said or keeping.told(self._log(launch.name, job, MANY_LINES), address)
+            status, said = self._heard(launch.name, job)
         except CloudProblem as problem:
             if problem.gone:
                 return Live("gone", problem.detail)
             raise LostContact(problem.detail) from None
+        if status is None:
+            return Live("ended", "its machine knows no such job")
+        if status not in (*OVER, "RUNNING"):
+            return Live("starting", f"the job is {status.lower()}")
         if status in OVER:
             return Live("ended", said.detail if said is not None and said.detail else f"the job ended as {status}")
         return said or Live("starting", "the nodes have not said anything yet")
@@ -104,16 +99,35 @@ class SkyPilotDeployer:
             raise CannotStart(problem.reason, problem.detail, again=problem.again) from None
         return Live("starting", "its machine is being started") if value is None else int(value["job"])
 
-    def _log(self, name: str, job: int, lines: int) -> bytes:
+    def _heard(self, name: str, job: int) -> tuple[str | None, Live | None]:
+        """The job's state and what its log says last; all that it takes is asked at once, for each answer takes seconds."""
         with tempfile.TemporaryDirectory(prefix="fogspec-") as folder:
-            path = Path(folder) / "tail.log"
-            with contextlib.suppress(LostContact):
-                self._ask("log", name=name, job=job, path=str(path), limit=TAIL_BYTES, tail=lines)
-            return path.read_bytes() if path.is_file() else b""
+            log = self._log(name, job, TAIL_LINES, Path(folder))
+            known, clusters = self._client.begin("jobs", name=name), self._client.begin("clusters", names=[name])
+            rows: Sequence[Mapping[str, Any]] = self._answer(known)
+            status = next((str(row["status"]) for row in rows if row["job"] == job), None)
+            address = next((row.get("ip") for row in self._answer(clusters) if row["name"] == name), None)
+            said = keeping.told(self._read(log, Path(folder)), address)
+            if said is None and status in (*OVER, "RUNNING"):
+                # Nodes that say much push what their keeper says out of the last lines.
+                said = keeping.told(self._read(self._log(name, job, MANY_LINES, Path(folder)), Path(folder)), address)
+        return status, said
 
-    def _address(self, name: str) -> str | None:
-        rows = self._ask("clusters", names=[name])
-        return next((row.get("ip") for row in rows if row["name"] == name), None)
+    def _log(self, name: str, job: int, lines: int, folder: Path) -> Call:
+        path = str(folder / "tail.log")
+        return self._client.begin("log", name=name, job=job, path=path, limit=TAIL_BYTES, tail=lines)
+
+    def _read(self, log: Call, folder: Path) -> bytes:
+        """The lines that were asked for; none where they cannot be had just now."""
+        with contextlib.suppress(LostContact):
+            self._answer(log)
+        path = folder / "tail.log"
+        return path.read_bytes() if path.is_file() else b""
+
+    def _answer(self, call: Call) -> Any:
+        if not call.wait(ASK_S):
+            raise LostContact(f"SkyPilot has not answered within {ASK_S:g} s")
+        return call.value()
 
     def _ask(self, op: str, **words: Any) -> Any:
         return self._client.ask(op, ASK_S, **words)
