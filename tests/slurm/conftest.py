@@ -1,24 +1,52 @@
-"""One cluster for all tests here, brought up if none is, and one machine in it that nobody looks after."""
+"""One cluster for all tests here, brought up if none is; one bench that several look at; one machine nobody looks after."""
 
 import os
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from fogspec.plugins.skypilot.client import Client
 from tests.slurm.site import Site
 from tests.tools.slurm import daemons, engine
 from tests.tools.slurm.__main__ import default_folder, down, missing, up
 
 ABANDONED = "fogspec-abandoned"
+SHAPES = {"2CPU--4GB": 0.085, "2CPU--16GB": 0.126, "16CPU--32GB": 0.68, "64CPU--128GB": 2.72}
+
+
+@dataclass
+class Abandoned:
+    """A machine with a lifetime of a minute, and who asked for it."""
+
+    client: Client
+    request: str
+
+    def up(self, patience_s: float = 240.0) -> None:
+        """Wait until it was there."""
+        end = time.monotonic() + patience_s
+        while self.client.ask("launched", 60, request=self.request, name=ABANDONED) is None:
+            assert time.monotonic() < end
+            time.sleep(1)
+
+
+@dataclass
+class Benched:
+    """A project whose application was measured: in so many seconds, and what was left afterwards."""
+
+    site: Site
+    spec: str
+    took_s: float
+    left: list[str]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """An engine is slow on a busy machine."""
     for item in items:
         if Path(__file__).parent in item.path.parents:
-            item.add_marker(pytest.mark.timeout(600))
+            item.add_marker(pytest.mark.timeout(900))
 
 
 @pytest.fixture(scope="session")
@@ -41,34 +69,38 @@ def site(cluster: Path, tmp_path: Path) -> Site:
     return Site(cluster, tmp_path / "project")
 
 
-@pytest.fixture
-def own_sky(cluster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cluster's SkyPilot for what runs in this process."""
-    for name in set(os.environ) - set(given := engine.environment(cluster)):
-        monkeypatch.delenv(name)
-    for name, value in given.items():
-        monkeypatch.setenv(name, value)
-
-
 @pytest.fixture(scope="session")
-def abandoned(cluster: Path, tmp_path_factory: pytest.TempPathFactory) -> float:
-    """A machine that runs a compiled task which hangs, with a lifetime of a minute; when it was launched."""
-    from fogspec.plugins.skypilot.client import Client
-
+def abandoned(cluster: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Abandoned]:
+    """A machine that runs a compiled task which hangs; it is started beside what else is tested."""
     site = Site(cluster, tmp_path_factory.mktemp("abandoned"))
     site.compile(site.write("hangs", ["4CPU--16GB--T4:1"]))
     task = site.task("hangs", "4CPU--16GB--T4:1")
     task["resources"]["autostop"]["idle_minutes"] = 1
     task["run"] = "sleep 3600"
-    before = dict(os.environ)
-    os.environ.update(engine.environment(cluster))
-    try:
-        with Client() as client:
+    before, given = dict(os.environ), engine.environment(cluster)
+    with Client() as client:
+        try:
+            os.environ.clear()
+            os.environ.update(given)
             client.ready()
-            request = client.ask("launch", 60, task=task, name=ABANDONED, root=str(site.project))["request"]
-            while client.ask("launched", 60, request=request, name=ABANDONED) is None:
-                time.sleep(1)
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
-    return time.monotonic()
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
+        asked = client.ask("launch", 120, task=task, name=ABANDONED, root=str(site.project))
+        yield Abandoned(client, asked["request"])
+
+
+@pytest.fixture(scope="session")
+def benched(cluster: Path, abandoned: Abandoned, tmp_path_factory: pytest.TempPathFactory) -> Benched:
+    """An application that was measured on four machines at once."""
+    site = Site(cluster, tmp_path_factory.mktemp("benched") / "project")
+    spec = site.write("life", list(SHAPES))
+    path = site.project / spec
+    path.write_text(path.read_text().replace("alpha: 0.5", "alpha: 0"))
+    site.compile(spec)
+    begun = time.monotonic()
+    assert site.bench(spec).ended() == 0
+    took_s = time.monotonic() - begun
+    left = site.left(spare=ABANDONED)
+    site.compile(spec)
+    return Benched(site, spec, took_s, left)

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.effects.benchmark.journal import Journal
@@ -56,22 +56,29 @@ for number in range(10**9):
 """
 
 
-class Measuring(int):
-    """When so many samples have begun to measure."""
+@dataclass(frozen=True)
+class Once:
+    """When a bench has said this of so many samples."""
+
+    event: str
+    samples: int = 1
 
 
 @dataclass
 class Storm:
     """One bench to its end, however often it is broken off.
 
-    `faults` are (when, name): so many seconds after the start, or as soon as so many samples measure.
+    `faults` are (when, name): so many seconds after the start, or once something was said. `stopped` has what was left
+    after each Ctrl-C, and the exit code.
     """
 
     site: Site
     nodes: dict[str, str]
-    faults: list[tuple[float | Measuring, str]]
+    faults: list[tuple[float | Once, str]]
     chance: random.Random
     done: int = 0
+    stopped: list[tuple[int, list[str]]] = field(default_factory=list)
+    spare: str | None = None
 
     def run(self, name: str, steps: int = 100) -> int:
         """How many controllers it took."""
@@ -96,12 +103,12 @@ class Storm:
         """What the benches said."""
         return self.site.project / "events.jsonl"
 
-    def due(self, when: "float | Measuring", begun: float) -> bool:
+    def due(self, when: float | Once, begun: float) -> bool:
         """Whether it is time for a fault."""
-        if not isinstance(when, Measuring):
+        if not isinstance(when, Once):
             return time.monotonic() - begun >= when
         said = [json.loads(line) for line in self.events.read_text().splitlines() if line.endswith("}")]
-        return len({one["sample"] for one in said if one.get("event") == "measures"}) >= when
+        return len({one["sample"] for one in said if one.get("event") == when.event}) >= when.samples
 
     def apply(self, fault: str, process: "subprocess.Popen[str]", name: str) -> None:
         """Break something."""
@@ -114,7 +121,8 @@ class Storm:
             node = self.chance.choice(list(MACHINES))
             daemons.run(cluster, "scontrol", "update", f"nodename={node}", "state=down", "reason=fault")
             time.sleep(3)
-            daemons.run(cluster, "scontrol", "update", f"nodename={node}", "state=resume")
+            with contextlib.suppress(SystemExit):  # it may have come back by itself
+                daemons.run(cluster, "scontrol", "update", f"nodename={node}", "state=resume")
         elif fault == "server":
             for pid in {*engine.processes(cluster)} - {process.pid, *_below(process.pid)}:
                 _kill(pid, signal.SIGKILL)
@@ -125,7 +133,9 @@ class Storm:
             self._unplug(cluster)
         else:
             _kill(process.pid, signal.SIGINT if fault == "interrupt" else signal.SIGKILL)
-            process.wait()
+            code = process.wait()
+            if fault == "interrupt":
+                self.stopped.append((code, self.site.left(spare=self.spare)))
             if fault == "journal":
                 shutil.rmtree(self.site.project / ".fogspec" / name, ignore_errors=True)
 
@@ -153,10 +163,10 @@ def _kill(pid: int, number: int) -> None:
         os.kill(pid, number)
 
 
-def judge(site: Site, name: str, budget_usd: float = 10.0) -> collections.Counter[str]:
+def judge(site: Site, name: str, budget_usd: float = 10.0, spare: str | None = None) -> collections.Counter[str]:
     """What must never happen, and what became of the samples."""
     tally: collections.Counter[str] = collections.Counter()
-    tally["machines leaked"] += len(site.left())
+    tally["machines leaked"] += len(site.left(spare=spare))
     results = read_document(site.project / "results" / f"{name}.yaml", Results).spec
     journal = site.project / ".fogspec" / name / "journal.jsonl"
     book = Journal(journal).book

@@ -142,10 +142,11 @@ class Site:
         """The catalog."""
         return str(self.cluster / "catalog.csv")
 
-    def jobs(self) -> list[str]:
-        """Names of the machines that Slurm has jobs for: SkyPilot adds its user's hash to them."""
+    def jobs(self, spare: str | None = None) -> list[str]:
+        """Names of the machines that Slurm has jobs for, without those that begin with `spare`."""
         names = daemons.run(self.cluster, "squeue", "-h", "-o", "%j").split()
-        return [re.sub("-[0-9a-f]{8}$", "", name) for name in names]
+        # SkyPilot adds its user's hash to them.
+        return _others([re.sub("-[0-9a-f]{8}$", "", name) for name in names], spare)
 
     def cancel(self, prefix: str) -> None:
         """End jobs behind SkyPilot's back, as a failing node does."""
@@ -154,20 +155,24 @@ class Site:
             if name.startswith(prefix):
                 daemons.run(self.cluster, "scancel", number)
 
-    def left(self, patience_s: float = 40.0, spare: str = "-") -> list[str]:
-        """What still runs or is still known, when it has had time to end; names with `spare` in them do not count."""
+    def left(self, patience_s: float = 40.0, spare: str | None = None) -> list[str]:
+        """What still runs or is still known, when it has had time to end, without names that begin with `spare`."""
         end = time.monotonic() + patience_s
         while (found := self._running(spare)) and time.monotonic() < end:
             time.sleep(0.5)
-        return found + [name for name in engine.clusters(self.cluster) if spare not in name]
+        return found + _others(engine.clusters(self.cluster), spare)
 
-    def _running(self, spare: str) -> list[str]:
+    def _running(self, spare: str | None) -> list[str]:
         """Jobs, and where there is none at all, processes of their user: its connections from outside stay a while."""
         jobs = self.jobs()
-        return [name for name in jobs if spare not in name] or ([] if jobs else login.processes())
+        return _others(jobs, spare) or ([] if jobs else login.processes())
 
     def _argv(self, words: tuple[str, ...]) -> list[str]:
         return [sys.executable, "-m", "fogspec", *words]
 
     def _env(self) -> dict[str, str]:
         return engine.environment(self.cluster) | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+
+
+def _others(names: list[str], spare: str | None) -> list[str]:
+    return [name for name in names if spare is None or not name.startswith(spare)]
