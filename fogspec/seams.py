@@ -46,10 +46,19 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
+class SoFar:
+    """How far a sample is that measures elsewhere: its requests, and the mean of the valid latencies in seconds."""
+
+    requests: int
+    mean_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class Progress:
     """What is known of a started job.
 
-    `timings` is the file of probe records so far, `ready` whether set-up is over. Once `running` is False,
+    `timings` is the file of probe records so far, `so_far` what its machine says where the file is not here yet, `ready`
+    whether set-up is over. Once `running` is False,
     everything worth keeping has been fetched into the job's folder, and looking again, from any process, says
     the same. `again` says of a reason whether trying the same once more can help. `lost` means that nothing can be
     said of it: it was never started, or its results are beyond reach; it is measured again. `recorded` is a record made
@@ -71,6 +80,7 @@ class Progress:
     waited_s: float | None = None
     billed_s: float | None = None
     recorded: Measured | None = None
+    so_far: SoFar | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ Standard library only (Python 3.10 or newer); opens no port. It runs on every sa
 
     python3 agent.py --out DIR [--steps N] --after SECONDS --warmup W --startup SECONDS
                      [--precision P --statistic S] [--callback NAME] [--afterwards '<json argv>']
-                     --process '<json argv>' [--process ...]
+                     [--tell] --process '<json argv>' [--process ...]
 
 The processes find the probe module on PYTHONPATH and append one JSON line a request to FOGSPEC_TIMINGS
 (DIR/timings.jsonl). DIR/outcome.json is written in every end that leaves the agent alive:
@@ -34,6 +34,7 @@ else:
     from counting import TIMINGS_LIMIT, Timings
 
 POLL_S = 0.1
+TELL_S = 2.0
 LOG_LIMIT = 16 * 2**20
 AFTERWARDS_S = 300.0
 PR_SET_CHILD_SUBREAPER = 36
@@ -73,6 +74,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--statistic", choices=("mean", "p50", "p95", "p99"), default="mean")
     parser.add_argument("--callback", help="count requests of this name only; without it, all")
     parser.add_argument("--afterwards", type=json.loads, help="writes the records once the processes have ended")
+    parser.add_argument("--tell", action="store_true", help="print how far it is, now and then")
     parser.add_argument("--process", type=json.loads, action="append", required=True)
     options = parser.parse_args(arguments)
     for argv in [*options.process, *([options.afterwards] if options.afterwards is not None else [])]:
@@ -90,6 +92,7 @@ class _Run:
         self.timings = Timings(out / "timings.jsonl", options.warmup, options.callback)
         self.setup_s: float | None = None
         self.last: float | None = None
+        self.tells = begun
 
     def run(self) -> dict[str, Any]:
         # Processes that detach themselves stay below this one, so that they are ended too (Linux).
@@ -164,6 +167,7 @@ class _Run:
         while True:
             codes = [child.poll() for child in self.children]
             self._read()
+            self._tell()
             end = self._enough() or self._died(codes) or self._late(time.monotonic())
             if end:
                 return end
@@ -176,6 +180,11 @@ class _Run:
         if self.timings.read():
             self.last = time.monotonic()
             self.setup_s = self.last - self.begun if self.setup_s is None else self.setup_s
+
+    def _tell(self) -> None:
+        if self.options.tell and self.timings.requests and time.monotonic() >= self.tells:
+            self.tells = time.monotonic() + TELL_S
+            print(f"=== fogspec so far: {self.timings.so_far()} ===", flush=True)
 
     def _enough(self) -> End | None:
         options, timings = self.options, self.timings

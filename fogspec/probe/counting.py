@@ -59,6 +59,11 @@ class Timings:
         if ok and self.requests > self.warmup:
             self.valid.append(latency)
 
+    def so_far(self) -> str:
+        """How many requests there were, and the mean latency of the valid ones."""
+        mean = f", mean {statistics.fmean(self.valid):.6g} s" if self.valid else ""
+        return f"{self.requests} requests{mean}"
+
     def precise(self, precision: float, statistic: str) -> bool:
         """Whether the 95 % interval is narrower than ± precision; looked at rarely, since it is not free."""
         if len(self.valid) < max(10, self.next_look):

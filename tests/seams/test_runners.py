@@ -19,7 +19,7 @@ from fogspec.plugins.runners.replay import ReplayRunner
 from fogspec.plugins.runners.skypilot import SkyPilotRunner
 from fogspec.plugins.skypilot.problems import CloudProblem
 from fogspec.results import LatencySummary, Measured
-from fogspec.seams import CannotStart, Job, Progress, Recording, Runner
+from fogspec.seams import CannotStart, FindsStrays, Job, Progress, Recording, Runner
 from tests.fakes.sky import Cloud, SimulatedClient
 
 LINE = json.dumps({"name": "work", "start_s": 1.0, "latency_s": 0.25, "ok": True, "metrics": {}, "reason": None})
@@ -192,6 +192,37 @@ def test_two_attempts_do_not_touch_each_other(bed):
     awaited(bed.runner, second)
     bed.runner.end(second)
     assert bed.runner.look(first) == done
+
+
+def test_machines_are_found_by_their_names_until_they_are_gone(bed):
+    job = bed.job("a")
+    bed.runner.start(job)
+    while not bed.runner.look(job).measured_on:
+        time.sleep(0.02)
+    other, folder = bed.anew(), job.folder.parent
+    if not isinstance(other, FindsStrays):
+        assert other.costs == "recorded", "only recordings have no machines"
+        return
+    assert list(other.strays(job.name[:-1], folder)) == [job.name]
+    assert list(other.strays("fogspec-nobody", folder)) == []
+    other.end(job)
+    assert list(bed.runner.strays(job.name, folder)) == []
+
+
+def test_how_far_a_sample_is_elsewhere_is_known_while_it_runs(tmp_path):
+    bed = skypilot(tmp_path)
+    job = bed.job("far")
+    job = replace(job, task={**job.task, "run": str(job.task["run"]).replace("--steps 3", "--steps 60")})
+    bed.runner.start(job)
+    said = set()
+    while (progress := bed.runner.look(job)).running:
+        said.add(progress.so_far)
+        time.sleep(0.02)
+    told = [one for one in said if one is not None]
+    assert told
+    assert all(0 < one.requests <= 61 and one.mean_s == 0.25 for one in told if one.mean_s is not None)
+    assert progress.so_far is None, "the timings are here"
+    bed.runner.end(job)
 
 
 def test_local_has_no_accelerators(tmp_path):

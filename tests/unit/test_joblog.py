@@ -4,10 +4,13 @@ import json
 import random
 from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fogspec.plugins.runners import joblog
+from fogspec.plugins.runners.joblog import Heard
+from fogspec.seams import SoFar
 
 PREFIX = b"\x1b[36m(my-task, pid=123)\x1b[0m "
 TIMING = b'{"name": "work", "start_s": 1.0, "latency_s": 0.2, "ok": true}\n'
@@ -74,13 +77,28 @@ def test_any_damage_is_survived(tmp_path_factory, seed: int) -> None:
 
 def test_where_set_up_ends_is_found_once_though_it_is_written_in_pieces(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
-    assert joblog.begins(log, 0) == 0
+    assert joblog.heard(log, Heard()) == Heard()
     log.write_bytes(b"installing\n" * 50 + PREFIX + b"=== fogspec mea")
-    offset = joblog.begins(log, 0)
-    assert offset is not None
+    heard = joblog.heard(log, Heard())
+    assert not heard.ready
     with open(log, "ab") as file:
         file.write(b"sures ===\n")
-    assert joblog.begins(log, offset) is None
+    assert joblog.heard(log, heard).ready
+
+
+@pytest.mark.parametrize(
+    ("line", "so_far"),
+    [("40 requests, mean 0.22 s", SoFar(40, 0.22)), ("2 requests", SoFar(2, None)),
+     ("2 requests, mean 9e999 s", None), ("2 requests, mean e+- s", None), ("many requests", None)],
+)  # fmt: skip
+def test_how_far_it_is_is_the_last_thing_it_said(tmp_path: Path, line: str, so_far: SoFar | None) -> None:
+    log = tmp_path / "run.log"
+    log.write_bytes(b"=== fogspec measures ===\n" + PREFIX + f"=== fogspec so far: {line} ===\n".encode())
+    heard = joblog.heard(log, Heard())
+    assert (heard.ready, heard.so_far) == (True, so_far)
+    with open(log, "ab") as file:
+        file.write(b"=== fogspec so far: 41 requ")
+    assert joblog.heard(log, heard) == heard
 
 
 def test_last_words_are_the_jobs_own_without_colours(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from fogspec.effects.benchmark.live import COLUMNS, LiveTable
 from fogspec.effects.benchmark.orders import Event
 from fogspec.plan import MachineRef, Sample
 from fogspec.results import LatencySummary, Measured
-from fogspec.seams import Progress
+from fogspec.seams import Progress, SoFar
 
 
 def sample(name: str) -> Sample:
@@ -38,6 +38,9 @@ def test_it_shows_what_happens(tmp_path: Path):
     row = drawn(table)[0]
     assert row == ["a", "aws/r1/a.large", "measures", "3 of 200", "500ms", "40 s", "at most 60 s"]
     assert "of $2.50, committed at most $0.2000" in str(table.table().caption)
+    far = Progress(running=True, so_far=SoFar(12, 0.25))
+    table(Event(sample("b"), "measures", 0.0, 0.2, far, ends_s=100.0))
+    assert drawn(table)[1][3:5] == ["12 of 200", "250ms"], "its timings come when it is over"
     record = Measured(
         id="a", machine=sample("a").machine, measured_on="x", state="ok", requests=200, duration=55.0, spent=0.1,
         latency=LatencySummary(mean=0.5),

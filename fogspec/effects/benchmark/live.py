@@ -52,7 +52,7 @@ class LiveTable:
             self._ends[name] = event.ends_s
         if event.progress is not None:
             self._began.setdefault(name, self._now_s())
-            self._tails.setdefault(name, Tail()).read(event.progress.timings)
+            self._tails.setdefault(name, Tail()).take(event.progress)
         if event.record is not None:
             self._took[name] = event.record.duration
         of = "" if self._budget_usd is None else f" of {money(self._budget_usd)}"

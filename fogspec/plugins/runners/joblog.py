@@ -4,11 +4,14 @@ The log is what a machine said, so it is untrusted: read line by line, lines and
 """
 
 import contextlib
+import math
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from fogspec.plugins.skypilot.problems import plain
+from fogspec.seams import SoFar
 
 LOG_LIMIT = 256 * 2**20
 LINE_LIMIT = 2**20
@@ -17,6 +20,7 @@ PREFIX = re.compile(rb"^(?:\x1b\[[0-9;]*m)*\([^()\n]{0,200}pid=\d+[^()\n]{0,100}
 MARKER = re.compile(rb"^=== fogspec (begin|end) (outcome\.json|timings\.jsonl) ===\s*$")
 TIMINGS = b"timings.jsonl"
 MEASURES = b"=== fogspec measures ==="
+SO_FAR = re.compile(rb"=== fogspec so far: (\d{1,12}) requests(?:, mean ([0-9.e+-]{1,24}) s)? ===")
 READ_BYTES = 2**20
 OOM = re.compile(r"oom[-_ ]kill|out of memory", re.IGNORECASE)
 TAIL_BYTES = 16 * 2**10
@@ -52,13 +56,34 @@ def unpack(log: Path, folder: Path) -> bool:
     return whole
 
 
-def begins(log: Path, offset: int) -> int | None:
-    """Where to look on from `offset` bytes for the line that says that set-up is over; None once it is there."""
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What a growing log said in its first `read_to` bytes: whether set-up is over, and how far the sample is."""
+
+    read_to: int = 0
+    ready: bool = False
+    so_far: SoFar | None = None
+
+
+def heard(log: Path, before: Heard) -> Heard:
+    """What it says now, whole lines only."""
     with contextlib.suppress(OSError), open(log, "rb") as file:
-        file.seek(offset)
+        file.seek(before.read_to)
         new = file.read(READ_BYTES)
-        return None if MEASURES in new else max(offset, offset + len(new) - len(MEASURES))
-    return offset
+        # A line that is longer than what is read at once says nothing.
+        whole = new.rfind(b"\n") + 1 or (len(new) if len(new) == READ_BYTES else 0)
+        told = SO_FAR.findall(new[:whole])
+        so_far = _so_far(*told[-1]) if told else before.so_far
+        return Heard(before.read_to + whole, before.ready or MEASURES in new[:whole], so_far)
+    return before
+
+
+def _so_far(requests: bytes, mean: bytes) -> SoFar | None:
+    with contextlib.suppress(ValueError):
+        mean_s = float(mean) if mean else None
+        if mean_s is None or 0 <= mean_s < math.inf:
+            return SoFar(int(requests), mean_s)
+    return None
 
 
 def _lines(log: Path) -> Iterator[bytes]:

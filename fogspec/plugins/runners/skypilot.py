@@ -7,12 +7,13 @@ needs to go on is in the job's folder: `launch.json` from before a machine can e
 import os
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from fogspec.plugins.runners import ending, joblog
 from fogspec.plugins.runners.ending import LOG, load, save, where
+from fogspec.plugins.runners.joblog import Heard
 from fogspec.plugins.skypilot.client import Call, Client
 from fogspec.plugins.skypilot.problems import CloudProblem
 from fogspec.seams import CannotStart, Job, LostContact, Progress
@@ -33,8 +34,7 @@ Stage = Literal["launch", "find", "launched", "jobs", "follow", "log"]
 class Watch:
     """What this process knows of a job that has not ended: the next question and when it is worth asking.
 
-    `read_to` is how much of its log was searched for the end of set-up, `own` whether this process started it, `reads`
-    how often its log was read to the end.
+    `heard` is what its log said so far, `own` whether this process started it, `reads` how often its log was read to the end.
     """
 
     stage: Stage
@@ -43,7 +43,7 @@ class Watch:
     due_s: float = 0.0
     job: int | None = None
     record: Mapping[str, Any] | None = None
-    read_to: int | None = 0
+    heard: Heard = field(default_factory=Heard)
     own: bool = False
     reads: int = 0
 
@@ -80,9 +80,9 @@ class SkyPilotRunner:
         watch = self._watched.get(job.name) or self._found(job)
         if watch is None:
             return Progress(running=False, lost=True, measured_on=where(job), detail="its launch was never asked for")
-        if watch.stage == "follow" and watch.read_to is not None:
-            watch.read_to = joblog.begins(job.folder / LOG, watch.read_to)
-            watch.progress = replace(watch.progress, ready=watch.read_to is None)
+        if watch.stage == "follow":
+            watch.heard = joblog.heard(job.folder / LOG, watch.heard)
+            watch.progress = replace(watch.progress, ready=watch.heard.ready, so_far=watch.heard.so_far)
         if watch.call is None:
             if time.monotonic() >= watch.due_s:
                 watch.call = self._ask(job, watch)
@@ -96,6 +96,7 @@ class SkyPilotRunner:
                 watch.stage = "find"
             raise LostContact(f"SkyPilot has not answered within {HANGS_S:g} s: {watch.stage}")
         if not watch.progress.running:
+            watch.progress = replace(watch.progress, so_far=None)
             del self._watched[job.name]
             ending.keep(job.folder, watch.progress)
         return watch.progress
