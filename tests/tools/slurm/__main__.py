@@ -21,7 +21,7 @@ def missing() -> str | None:
     """What stands in the way here, and the one command that helps; None where nothing does."""
     path = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/sbin"])
     if os.geteuid() != 0:
-        return "needs root: sudo make slurm-up"
+        return "needs root: sudo -s"
     if absent := [name for name in PROGRAMS if shutil.which(name, path=path) is None]:
         return f"needs {', '.join(absent)}: apt-get install --no-install-recommends {PACKAGES}"
     return None
