@@ -30,6 +30,8 @@ def command(
 ) -> None:  # fmt: skip
     """Launch exactly the task that MANIFEST names, wait until its nodes answer, then end what ran before.
 
+    MANIFEST is a file, or the name of an application: compiled/NAME/manifest.yaml.
+
     Refuses a manifest that is stale or was edited, and a price above the one approved. Idempotent: what runs already
     is left alone. Ctrl-C ends what is being started.
     """

@@ -17,6 +17,8 @@ from fogspec.cli.options import CATALOG, MANIFEST, catalogs_for
 def command(manifest: str, catalog_path: str | None, key: str | None, out: Path | None) -> None:
     """Write an in-toto Statement v1 with SLSA provenance v1 about the manifest and the files approved with it.
 
+    MANIFEST is a file, or the name of an application: compiled/NAME/manifest.yaml.
+
     The chain behind the manifest is recomputed first: where it breaks, nothing is attested (exit 3).
     """
     from fogspec.effects.disk.files import write_bytes

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.outcomes import Differs, Outcome, Refused, WrongCommand, WrongFile
-from fogspec.cli.options import CATALOG, PRIORS, SPEC, library_from
+from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from
 
 if TYPE_CHECKING:
     from fogspec.catalog import Catalog
@@ -62,7 +62,7 @@ def command(
     at_once: int | None, resume: bool, max_usd: float | None, yes: bool, dry_run: bool, catalog_path: str | None,
     priors: Path | None, output: str,
 ) -> None:  # fmt: skip
-    """Measure what is not measured yet.
+    """Measure what is not measured yet of SPEC, a spec or the name of an application in specs/.
 
     Goes on where an earlier bench stopped: finished samples are not measured again, machines that were left running
     are taken down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
@@ -71,11 +71,10 @@ def command(
     from fogspec.effects.benchmark.offering import Offering, check_prices
     from fogspec.effects.benchmark.preparing import prepare
     from fogspec.effects.disk.pinning import check_files
-    from fogspec.effects.disk.specfiles import load
 
     names = [name.strip() for name in only.split(",") if name.strip()]
     unusable = []
-    for one in load([spec]):
+    for one in applications_of(spec):
         prepared = prepare(one.application, one.path, names)
         runner = _runner(prepared, runner_name, recorded, pace)
         runner.at_once = min(runner.at_once, at_once or runner.at_once)

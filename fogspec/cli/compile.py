@@ -16,7 +16,7 @@ from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, SPECS, catalogs_for, li
 @OUTPUT
 @click.option("--check", is_flag=True, help="write nothing; exit 3 when something differs from what would be written")
 def command(specs: tuple[str, ...], catalog_path: str | None, priors: Path | None, output: str, check: bool) -> None:
-    """Write all that can be derived now, and say what is missing for the rest."""
+    """Write all that can be derived now from SPECS, and say what is missing for the rest. SPECS are those in specs/."""
     from fogspec.effects.compiler.compiling import compile_application
     from fogspec.effects.disk.finding import find_specs
     from fogspec.effects.disk.specfiles import load

@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 @click.option("--origins", is_flag=True, help="say behind each value which line set it, or that it is the default")
 @OUTPUT
 def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, output: str) -> None:
-    """Print the applications of SPECS as fogspec reads them.
+    """Print the applications of SPECS as fogspec reads them. SPECS are those in specs/.
 
     Maps merge, lists whose items have names merge by name, other lists replace; null takes a value away.
     """
     from fogspec.base.written import written
+    from fogspec.effects.disk.finding import find_specs
     from fogspec.effects.disk.specfiles import load
 
-    loaded = load(specs, overlays)
+    loaded = load(find_specs(specs), overlays)
     if output == "json":
         click.echo(json.dumps([written(one.application) for one in loaded], indent=2, ensure_ascii=False))
     else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.outcomes import WrongCommand
-from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, catalogs_for, library_from
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, applications_of, catalogs_for, library_from
 
 if TYPE_CHECKING:
     from fogspec.base.fieldbook import FieldPage
@@ -34,24 +34,25 @@ def command(what: str, spec: str | None, catalog_path: str | None, priors: Path 
 
     With a field, SPEC is a spec that is searched for where the field is set.
     """
+    from fogspec.effects.disk.finding import spec_of
+
     if what.upper().startswith("FS") and what[2:].isdigit():
         _code(what.upper(), output)
     elif os.path.exists(what) or what.endswith((".yaml", ".yml")) or "/" in what:
-        _choices(what, None, catalog_path, priors, output)
+        _choices(what, catalog_path, priors, output)
     elif _field(what, spec, output):
         return
-    elif path := spec_of(what):
-        _choices(path, what, catalog_path, priors, output)
+    elif spec_of(what):
+        _choices(what, catalog_path, priors, output)
     else:
         _nothing(what)
 
 
-def _choices(path: str, name: str | None, catalog_path: str | None, priors: Path | None, output: str) -> None:
+def _choices(what: str, catalog_path: str | None, priors: Path | None, output: str) -> None:
     from fogspec.effects.compiler.compiling import compile_application
-    from fogspec.effects.disk.specfiles import load
     from fogspec.effects.reports import explaining
 
-    loaded = [one for one in load([path]) if name in (None, one.application.metadata.name)]
+    loaded = applications_of(what)
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
     compiled = [
         compile_application(one.application, one.path, catalog, library)
@@ -61,17 +62,6 @@ def _choices(path: str, name: str | None, catalog_path: str | None, priors: Path
         click.echo(json.dumps([explaining.facts(one) for one in compiled], indent=2, ensure_ascii=False))
     else:
         click.echo("\n\n".join(explaining.explain(one) for one in compiled))
-
-
-def spec_of(name: str) -> str | None:
-    """The spec in specs/ that has an application of this name."""
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.effects.disk.specfiles import examine
-
-    if not os.path.isdir("specs"):
-        return None
-    loaded, _ = examine(find_specs(["specs"]))
-    return next((one.path for one in loaded if one.application.metadata.name == name), None)
 
 
 def _code(name: str, output: str) -> None:
@@ -90,13 +80,14 @@ def _code(name: str, output: str) -> None:
 def _field(name: str, spec: str | None, output: str) -> bool:
     """Explain the fields of this name; whether there are any."""
     from fogspec.base.fieldbook import matching, pages
+    from fogspec.effects.disk.finding import spec_of
     from fogspec.effects.disk.where import where_set
     from fogspec.effects.reference.pages import field_data, field_text
     from fogspec.spec import Application
 
     known = pages(Application)
     found = matching(known, name)
-    places = where_set(spec, [page.path for page in found]) if spec and found else {}
+    places = where_set(spec_of(spec) or spec, [page.path for page in found]) if spec and found else {}
     if found and output == "json":
         click.echo(
             json.dumps([field_data(page, places.get(page.path, [])) for page in found], indent=2, ensure_ascii=False)

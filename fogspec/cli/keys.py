@@ -2,21 +2,20 @@
 
 import click
 
-from fogspec.cli.options import SPECS
-
 
 @click.command()
-@SPECS
+@click.argument("specs", nargs=-1, required=True, type=click.Path(path_type=str))
 def command(specs: tuple[str, ...]) -> None:
     """Make the robot's private keys for the links of SPECS, once, and print their public halves.
 
     The private halves are made here and stay here, in ~/.fogspec/links, readable by you alone.
     """
     from fogspec.effects.compiler.linking import folder_of, make_keys
+    from fogspec.effects.disk.finding import find_specs
     from fogspec.effects.disk.layout import Layout
     from fogspec.effects.disk.specfiles import load
 
-    for one in load(specs):
+    for one in load(find_specs(specs)):
         name = one.application.metadata.name
         public = make_keys(one.application, Layout.of(one.path, name))
         click.echo(f"{name}: {public}")

@@ -10,7 +10,7 @@ import click
 
 from fogspec.base.outcomes import NothingMeets, WrongCommand
 from fogspec.base.units import UnitError
-from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, catalogs_for, library_from
+from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, applications_of, catalogs_for, library_from
 
 
 @click.command()
@@ -27,13 +27,13 @@ def command(
     spec: str, alpha: float | None, latency: str | None, cost: str | None, name: str | None, catalog_path: str | None,
     priors: Path | None, output: str, color: bool | None,
 ) -> None:  # fmt: skip
-    """Show the choices and the Pareto front; nothing is measured anew and nothing is written."""
-    from fogspec.effects.disk.specfiles import load
+    """Show the choices and the Pareto front of SPEC, a spec or the name of an application in specs/.
+
+    Nothing is measured anew and nothing is written.
+    """
     from fogspec.effects.reports.menus import menu_of, show
 
-    loaded = [one for one in load([spec]) if name is None or one.application.metadata.name == name]
-    if not loaded:
-        raise WrongCommand(f"{spec} has no application named {name}")
+    loaded = applications_of(spec, name)
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
     try:
         served = [

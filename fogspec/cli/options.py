@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.outcomes import Differs
+from fogspec.base.outcomes import Differs, WrongCommand
 
 if TYPE_CHECKING:
     from fogspec.catalog import Catalog
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fogspec.lock import Pins
     from fogspec.numerics.priors import Library
 
-SPECS = click.argument("specs", nargs=-1, required=True, type=click.Path(path_type=str))
+SPECS = click.argument("specs", nargs=-1, type=click.Path(path_type=str))
 SPEC = click.argument("spec", type=click.Path(path_type=str))
 
 
@@ -26,7 +26,15 @@ def _color(_context: click.Context, _parameter: click.Parameter, when: str) -> b
 
 COLOR = click.option("--color", type=click.Choice(["auto", "always", "never"]), default="auto", callback=_color,
                      help="auto: on a terminal, unless NO_COLOR is set")  # fmt: skip
-MANIFEST = click.argument("manifest", type=click.Path(path_type=str))
+
+
+def _manifest(_context: click.Context, _parameter: click.Parameter, given: str) -> str:
+    from fogspec.effects.disk.finding import is_name
+
+    return os.path.join("compiled", given, "manifest.yaml") if is_name(given) else given
+
+
+MANIFEST = click.argument("manifest", type=click.Path(path_type=str), callback=_manifest)
 OUTPUT = click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="form of the answer")
 CATALOG = click.option(
     "--catalog", "catalog_path", type=click.Path(path_type=str), metavar="FROM",
@@ -37,6 +45,24 @@ PRIORS = click.option(
     "--priors", type=click.Path(path_type=Path), metavar="DIR|FILE",
     help="a machine library (fogspec priors build): with one, fewer samples suffice; otherwise what fogspec.lock says",
 )  # fmt: skip
+
+
+def applications_of(what: str, name: str | None = None) -> list["LoadedSpec"]:
+    """The applications of a spec, or the one in specs/ that `what` names; `name` picks one where a spec has several.
+
+    Raises WrongCommand where there is none, Problems where the spec is wrong.
+    """
+    from fogspec.effects.disk.finding import is_name, spec_of
+    from fogspec.effects.disk.specfiles import load
+
+    path = spec_of(what)
+    if path is None and is_name(what) and os.path.isdir("specs"):
+        raise WrongCommand(f"specs/ has no application named {what}", "name its file, such as specs/NAME.yaml")
+    wanted = name or (what if path else None)
+    found = [one for one in load([path or what]) if wanted in (None, one.application.metadata.name)]
+    if not found:
+        raise WrongCommand(f"{path or what} has no application named {wanted}")
+    return found
 
 
 def library_from(path: Path | None) -> "Library | None":

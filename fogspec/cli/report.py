@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from fogspec.base.outcomes import WrongCommand
-from fogspec.cli.options import CATALOG, PRIORS, catalogs_for, library_from
+from fogspec.cli.options import CATALOG, PRIORS, applications_of, catalogs_for, library_from
 
 
 @click.command()
@@ -20,21 +20,13 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
 
     The page has spec, funnel, samples, models, a menu that can be weighed anew, costs and provenance. It needs no network.
     """
-    from fogspec.cli.explain import spec_of
     from fogspec.effects.compiler.compiling import compile_application
     from fogspec.effects.disk.files import write_bytes
-    from fogspec.effects.disk.specfiles import load
     from fogspec.effects.reports.reporting import page
 
-    path = what if Path(what).suffix in (".yaml", ".yml") or "/" in what else spec_of(what)
-    if path is None:
-        raise WrongCommand(f"specs/ has no application named {what}", "give its spec: fogspec report specs/NAME.yaml")
-    wanted = name or (what if path != what else None)
-    loaded = [one for one in load([path]) if wanted in (None, one.application.metadata.name)]
-    if not loaded:
-        raise WrongCommand(f"{path} has no application named {wanted}")
+    loaded = applications_of(what, name)
     if to is not None and len(loaded) > 1:
-        raise WrongCommand(f"{path} has {len(loaded)} applications, {to} holds one: choose with --name")
+        raise WrongCommand(f"{what} has {len(loaded)} applications, {to} holds one: choose with --name")
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
     given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
     for one, catalog in zip(loaded, catalogs, strict=True):

@@ -17,6 +17,8 @@ from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, catalogs_for
 def command(manifest: str, catalog_path: str | None, output: str, attestation: str | None, key: str | None) -> None:
     """Recompute spec, plan, results, models, menu, manifest and task; say which link breaks and how.
 
+    MANIFEST is a file, or the name of an application: compiled/NAME/manifest.yaml.
+
     Nothing is written. Exit code 3 when a link breaks.
     """
     from fogspec.effects.disk.manifests import open_manifest

@@ -130,3 +130,14 @@ def test_the_page_of_every_offering_stays_small(checkout, shared_data):
     assert int(said[1].replace(",", "")) > 1500
     assert "can win under some weight and limits" in page
     assert len(page) < 300_000
+
+
+def test_verbs_take_the_name_of_an_application_as_well_as_its_spec(checkout):
+    for verb in ("compile", "explain", "menu", "config", "validate", "status"):
+        assert fogspec(checkout, verb, "vslam").stdout == fogspec(checkout, verb, "specs/vslam.yaml").stdout
+    (checkout / "compiled" / "vslam" / "manifest.yaml").unlink()
+    assert "compiled/vslam/manifest.yaml" in fogspec(checkout, "apply", "vslam", code=1).stderr
+    assert "no application named slam" in fogspec(checkout, "menu", "slam", code=2).stderr
+    spec = checkout / "specs" / "vslam.yaml"
+    spec.write_text(spec.read_text("utf-8").replace("name: vslam", "nmae: vslam"), "utf-8")
+    assert "write 'name'" in fogspec(checkout, "menu", "vslam", code=1).stderr, "its mistakes, not that it is missing"

@@ -5,13 +5,15 @@ import os
 from collections.abc import Sequence
 
 from fogspec.base.outcomes import WrongFile
+from fogspec.effects.disk.specfiles import examine
 
 
 def find_specs(arguments: Sequence[str] = ()) -> list[str]:
     """The files named, those in folders (`*.yaml`, `*.yml`, at any depth), and those that patterns match, each once.
 
-    Without arguments those in specs/. In a folder, hidden files, files without a word of fogspec, and files that
-    fogspec wrote are left out. Raises WrongFile when an argument leads to nothing.
+    A bare word that is no file is the name of an application in specs/. Without arguments those in specs/. In a folder,
+    hidden files, files without a word of fogspec, and files that fogspec wrote are left out. Raises WrongFile when an
+    argument leads to nothing.
     """
     if not arguments and not os.path.isdir("specs"):
         raise WrongFile("there is no folder specs here", "name files, folders or patterns, or begin with: fogspec init")
@@ -24,11 +26,27 @@ def find_specs(arguments: Sequence[str] = ()) -> list[str]:
             here = sorted(path for path in glob.glob(argument, recursive=True) if os.path.isfile(path))
             nothing = "matches no file"
         else:
-            here, nothing = [argument], ""
+            here, nothing = [spec_of(argument) or argument], ""
         if not here:
             raise WrongFile(f"{argument} {nothing}", "name a file, a folder or a pattern, such as specs/*.yaml")
         found |= dict.fromkeys(os.path.normpath(path) for path in here)
     return list(found)
+
+
+def is_name(argument: str) -> bool:
+    """Whether an argument looks like the name of an application and like no path."""
+    return not (os.path.lexists(argument) or "/" in argument or argument.endswith((".yaml", ".yml")))
+
+
+def spec_of(name: str) -> str | None:
+    """The spec in specs/ that has an application of this name; None for what is no name, or no application's."""
+    if not is_name(name) or not os.path.isdir("specs"):
+        return None
+    guess = os.path.join("specs", f"{name}.yaml")
+    for path in sorted(_specs_in("specs"), key=lambda path: path != guess):
+        if any(one.application.metadata.name == name for one in examine([path])[0]):
+            return path
+    return guess if os.path.isfile(guess) else None  # wrong in a way that hides its name: whoever loads it says how
 
 
 def _specs_in(folder: str) -> list[str]:

@@ -37,6 +37,8 @@ def open_manifest(path: str | os.PathLike[str]) -> Opened:
     elsewhere, so that what it names by relative path cannot be found.
     """
     at = Path(path)
+    if not at.is_file():
+        raise WrongFile(f"{at}: there is no such manifest", "fogspec status says what is missing before there is one")
     manifest = read_document(at, Manifest)
     name = manifest.metadata.name
     whole = Path(os.path.abspath(at))

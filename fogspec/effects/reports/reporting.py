@@ -45,7 +45,7 @@ def page(compiled: Compiled, spec_text: str, command: str, menu_command: str) ->
         menu_picture=_image(compiled, compiled.layout.picture), latency_picture=_image(compiled, compiled.layout.latencies),
         menu_note="" if data is None else _menu_note(data), x_words=_x_words(compiled),
         explanation=explain(compiled) if chosen is not None else "", funnel=_funnel(compiled), samples=samples,
-        models=_models(compiled), costs=_costs(compiled), provenance=[(name, value or "none") for name, value in _flat("", _provenance(compiled))],
+        models=_models(compiled), costs=_costs(compiled), provenance=_flat("", _provenance(compiled)),
         source=compiled.layout.relative(compiled.layout.spec), spec_text=spec_text,
     ).encode()  # fmt: skip
 
@@ -144,4 +144,4 @@ def _flat(name: str, value: Any) -> list[tuple[str, str]]:
         return [row for key, one in value.items() for row in _flat(f"{name}.{key}" if name else str(key), one)]
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [row for i, one in enumerate(value) for row in _flat(f"{name}[{i}]", one)]
-    return [(name, "" if value is None else str(value))]
+    return [(name, "none" if value is None else str(value))]
