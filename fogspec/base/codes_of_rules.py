@@ -41,8 +41,8 @@ NODES = {
         "gains: [1.0, 0.5]",
     ),
     "FS507": Code(
-        "files are named relative to the spec",
-        "Paths from the root of one computer mean nothing on another.",
+        "files are in the spec's folder, named relative to it",
+        "Paths from the root of one computer mean nothing on another, and a machine gets the folder of the spec only.",
         "workspace: /home/me/ros2_ws",
         "workspace: ros2_ws",
     ),

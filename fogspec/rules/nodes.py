@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from posixpath import normpath
 from typing import Any
 
 from fogspec.base.nodes import Path, dotted
@@ -104,7 +105,7 @@ def _parameters(path: Path, values: dict[str, Any]) -> Iterator[Finding]:
 
 
 def paths(application: Application) -> Iterator[Finding]:
-    """Files are named relative to the spec, so that it works on another machine."""
+    """Files are in the spec's folder, named relative to it: that folder is what a machine gets."""
     spec = application.spec
     named: list[tuple[Path, str | None]] = [
         (("spec", "ros", "workspace"), spec.ros.workspace if spec.ros else None),
@@ -118,6 +119,12 @@ def paths(application: Application) -> Iterator[Finding]:
             yield Finding(
                 "FS507", path, f"{dotted(path)} must be a path relative to the spec", "write it like data/run.bag"
             )
+    for path, node in all_nodes(spec):
+        named += [((*path, "cmd", i), word) for i, word in enumerate(node.cmd or [])]
+    for path, file in named:
+        if file is not None and path[1] != "robot" and normpath(file).split("/")[0] == "..":
+            message = f"{dotted(path)} must be in the spec's folder: nothing else is sent to a machine"
+            yield Finding("FS507", path, message, f"move it there: '{normpath(file).lstrip('./')}'")
 
 
 def secrets(application: Application) -> Iterator[Finding]:
