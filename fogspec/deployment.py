@@ -17,7 +17,8 @@ class Machine(Strict):
 
     `starting` until its nodes have answered once, then `serving`; `ending` when it is to go. `manifest` is the digest
     of the manifest that it was started for, `image` the one it runs where it has one, `fallback` counts how many
-    machines before it in that manifest could not be had. `runs` is the digest of all that the machine is given.
+    machines before it in that manifest could not be had. `runs` is the digest of all that the machine is given, `files`
+    the digests of the files and folders beside the spec among that.
     `at` is the reading, in seconds, of this host's clock since its `boot`; `since` is the date in UTC.
     """
 
@@ -27,6 +28,7 @@ class Machine(Strict):
     manifest: str
     machine: MachineRef
     runs: str
+    files: dict[str, str]
     fallback: int = 0
     image: str | None = None
     address: str | None = None

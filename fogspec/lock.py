@@ -121,13 +121,20 @@ def pins_of_measurement(application: Application, pins: Pins | None) -> dict[str
 
 def paths_named(application: Application) -> Iterator[str]:
     """Every word of a spec that names a file or folder beside it, and words of commands, which may name one."""
+    yield from paths_deployed(application)
+    workload = application.spec.benchmark.workload
+    # The probe's bag is what a sample records, not what it reads.
+    yield from filter(None, [workload.bag])
+    if workload.node is not None:
+        yield from _of_node(workload.node)
+
+
+def paths_deployed(application: Application) -> Iterator[str]:
+    """Those of them that what is deployed needs: not what a benchmark alone plays."""
     spec = application.spec
-    client = spec.benchmark.workload.node
     if spec.ros is not None and spec.ros.workspace is not None:
         yield spec.ros.workspace
-    # The probe's bag is what a sample records, not what it reads.
-    yield from filter(None, [spec.benchmark.workload.bag])
-    for node in [*spec.cloud, *([client] if client else [])]:
+    for node in spec.cloud:
         yield from _of_node(node)
 
 

@@ -33,7 +33,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     found = []
     for one, catalog in zip(loaded, catalogs, strict=True):
         differing = difference(one, catalog)
-        found.append((differing, running_changes(differing.layout, SystemTimes(), one.application.spec.secrets)))
+        found.append((differing, running_changes(differing.layout, SystemTimes(), one.application)))
     if output == "json":
         facts = [differences.facts(differing, live) for differing, live in found]
         click.echo(json.dumps(facts, indent=2, ensure_ascii=False))

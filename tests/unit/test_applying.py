@@ -92,7 +92,7 @@ class World:
         ]
         live = LiveFile.read(Layout.of(self.folder / "specs" / "demo.yaml", "demo"), self.times)
         work = Apply(
-            live, b"the manifest", digest, candidates, None, 600.0, lambda _infra: self.deployer, self.said.append
+            live, b"the manifest", digest, candidates, None, {}, 600.0, lambda _infra: self.deployer, self.said.append
         )
         if linked is not None:
             work.linked = linked

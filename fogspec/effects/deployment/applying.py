@@ -6,7 +6,7 @@ steps knows every machine there may be, and ends or keeps it. The old machine go
 
 import contextlib
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from fogspec.base.outcomes import CloudFailed, Interrupted, Refused, WrongFile
@@ -31,6 +31,7 @@ class Apply:
     digest: str
     candidates: Sequence[Candidate]
     image: str | None
+    files: Mapping[str, str]
     patience_s: float
     deployer_of: Callable[[str], Deployer]
     tell: Callable[[str], None] = lambda _text: None
@@ -40,12 +41,18 @@ class Apply:
     def current(self) -> Machine | None:
         """The machine that serves this manifest already; None where there is none, or its nodes have ended.
 
-        Raises CloudFailed where nobody can say: another one beside it would cost twice.
+        None also where files beside the spec have changed since. Raises CloudFailed where nobody can say: another one
+        beside it would cost twice.
         """
         for machine in self.live.machines:
-            if machine.state == "serving" and machine.manifest == self.digest and self._lives(machine):
+            same = machine.manifest == self.digest and self._runs(machine) == machine.runs
+            if machine.state == "serving" and same and self._lives(machine):
                 return machine
         return None
+
+    def _runs(self, machine: Machine) -> str:
+        """What the machine would be given now; where it is not offered any more, what it was given."""
+        return next((one.runs for one in self.candidates if one.number == machine.fallback), machine.runs)
 
     def kept(self) -> Machine | None:
         """The machine that serves an older manifest and is given the same by this one: it goes on under the new manifest.
@@ -83,7 +90,7 @@ class Apply:
     def unfinished(self) -> Machine | None:
         """A machine that an earlier apply of this manifest started and did not see through, if it is still there."""
         for machine in self.live.machines:
-            if machine.state == "starting" and machine.manifest == self.digest:
+            if machine.state == "starting" and machine.manifest == self.digest and machine.runs == self._runs(machine):
                 with contextlib.suppress(CannotStart):
                     if self._look(machine).state in ("starting", "ready"):
                         return machine
@@ -119,7 +126,8 @@ class Apply:
             name=name_of(self.live.layout.name, self.digest, secrets.token_hex(3)),
             deployer=deployer.name, state="starting", manifest=self.digest,
             machine=one.machine.model_copy(update={"price": one.price_usd_per_hour}), runs=one.runs, fallback=one.number,
-            image=self.image, at=times.now_s(), boot=times.boot(), since=date_of(times.date().timestamp()),
+            image=self.image, files=dict(self.files), at=times.now_s(), boot=times.boot(),
+            since=date_of(times.date().timestamp()),
         )  # fmt: skip
         self.live.put(machine)
         return machine

@@ -62,7 +62,7 @@ def apply(
         with held(layout.state / "deploy.lock", f"an apply of {layout.name}"), interruptible() as interrupt:
             live = LiveFile.read(layout, times)
             work = Apply(
-                live, ordered.content, ordered.opened.digest, ordered.candidates, ordered.image,
+                live, ordered.content, ordered.opened.digest, ordered.candidates, ordered.image, ordered.files,
                 ordered.opened.manifest.spec.patience, deployer_of, tell, lambda: interrupt.asked, joiner(ordered, tell),
             )  # fmt: skip
             served = work.current()
@@ -71,6 +71,9 @@ def apply(
             if (stays := work.kept()) is not None:
                 work.tidy([stays.name])
                 return Applied(stays, True, times.now_s() - begun, kept=True)
+            for machine in (one for one in live.machines if one.state == "serving"):
+                what = f"{machine.machine.instance} in {machine.machine.infra}"
+                tell(f"  replaces  {machine.name}: {what}, which ends when the new one answers")
             confirm()
             return Applied(work.run(), True, times.now_s() - begun)
     except KeyboardInterrupt:

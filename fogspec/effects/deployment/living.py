@@ -14,6 +14,7 @@ from fogspec.effects.compiler.compiling import money
 from fogspec.effects.deployment.livestate import LiveFile, Times
 from fogspec.effects.deployment.observing import Observed, observe
 from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.pinning import files_deployed
 from fogspec.effects.disk.redacting import redacted
 from fogspec.effects.disk.specfiles import read_document, read_nodes
 from fogspec.effects.review.comparing import Change, changes
@@ -62,9 +63,12 @@ def running(
     subject = serving or live_file.machines[-1]
     live = _look(live_file, subject, cache(deployer_for))
     approved = _manifest(live_file, subject)
-    differs = differences_of_running(layout, live_file, subject, application.spec.secrets)
+    differs = differences_of_running(layout, live_file, subject, application)
     reasons = [] if fresh else ["the manifest on disk is stale: fogspec diff says why"]
-    reasons += ["another manifest is committed than the one that runs"] if differs else []
+    reasons += (
+        ["another manifest is committed than the one that runs"] if subject.manifest != _committed(layout) else []
+    )
+    reasons += [f"{one.field} changed since it was started" for one in _files_changed(application, layout, subject)]
     reasons += [f"{one.name} is {one.state} too" for one in live_file.machines if one is not subject]
     observed = None
     if live is not None and approved is not None and live.state == "ready":
@@ -76,23 +80,37 @@ def running(
     )  # fmt: skip
 
 
-def differences_of_running(layout: Layout, live: LiveFile, machine: Machine, secrets: list[str]) -> list[Change]:
-    """What differs between the manifest on disk and the one that a machine was started for: running -> manifest."""
-    if layout.manifest.is_file() and digest.of_bytes(layout.manifest.read_bytes()) == machine.manifest:
-        return []
+def differences_of_running(layout: Layout, live: LiveFile, machine: Machine, application: Application) -> list[Change]:
+    """What differs between the manifest on disk, with the files beside the spec, and what a machine was started for."""
+    files = _files_changed(application, layout, machine)
+    if _committed(layout) == machine.manifest:
+        return files
+    secrets = application.spec.secrets
     try:
         nodes, _ = read_nodes(live.folder(machine.name) / "manifest.yaml")
         before: Any = plain(nodes[0])
     except (Problems, Outcome, OSError, IndexError):
         before = {"digest": machine.manifest}
-    return telling(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets)))
+    return telling(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets))) + files
 
 
-def running_changes(layout: Layout, times: Times, secrets: list[str]) -> list[Change] | None:
+def _committed(layout: Layout) -> str | None:
+    """The digest of the manifest on disk."""
+    return digest.of_bytes(layout.manifest.read_bytes()) if layout.manifest.is_file() else None
+
+
+def _files_changed(application: Application, layout: Layout, machine: Machine) -> list[Change]:
+    """Files and folders beside the spec that are not what the machine was given."""
+    now = files_deployed(application, layout)
+    names = sorted(name for name in now.keys() | machine.files.keys() if now.get(name) != machine.files.get(name))
+    return [Change(name, "as it was started", "changed since") for name in names]
+
+
+def running_changes(layout: Layout, times: Times, application: Application) -> list[Change] | None:
     """The same for whatever serves now, asking nobody; None where nothing does."""
     live = LiveFile.read(layout, times)
     serving = next((one for one in live.machines if one.state == "serving"), None)
-    return None if serving is None else differences_of_running(layout, live, serving, secrets)
+    return None if serving is None else differences_of_running(layout, live, serving, application)
 
 
 def _look(live: LiveFile, machine: Machine, deployer_of: Callable[[str], Deployer]) -> Live | None:

@@ -11,19 +11,23 @@ from fogspec.catalog import Catalog
 from fogspec.effects.compiler import linking
 from fogspec.effects.deployment.offers import Candidate, affordable, check_price, exact, price_now, price_words
 from fogspec.effects.disk.manifests import Opened
-from fogspec.effects.disk.pinning import check_files
+from fogspec.effects.disk.pinning import check_files, files_deployed
 from fogspec.effects.review.verifying import verify
 from fogspec.plan import MachineRef, TaskRef
 
 
 @dataclass(frozen=True, slots=True)
 class Ordered:
-    """What a person approved, ready to be launched: the machine and its fall-backs, with the image that they run."""
+    """What a person approved, ready to be launched: the machine and its fall-backs, with the image that they run.
+
+    `files` are digests of the files and folders beside the spec that go along, as they are now.
+    """
 
     opened: Opened
     content: bytes
     candidates: tuple[Candidate, ...]
     image: str | None
+    files: Mapping[str, str]
 
 
 def check_fresh(opened: Opened, catalog: Catalog) -> None:
@@ -58,20 +62,20 @@ def order(
         for one in spec.fallbacks
     ]  # fmt: skip
     found: list[Candidate] = []
-    image = None
+    image, files = None, files_deployed(opened.loaded.application, opened.layout)
     for number, (machine, reference) in enumerate(named):
         reviewed = read_task(opened.layout.compiled, reference)
         task, exactly = exact({**reviewed, **_peer(reviewed, peer)}, machine.infra, spec.image, resolve, ask)
         image = exactly if number == 0 else image
         task = allowed(task, most_usd_per_hour)
-        runs = runs_digest(task, machine, opened)
+        runs = runs_digest(task, machine, opened, files)
         candidate = Candidate(number, machine, task, runs, machine.price, price_now(machine, prices))
         if number == 0:
             check_price(candidate, limit, most_usd_per_hour, prices.about.source)
         elif not affordable(candidate, limit, most_usd_per_hour):
             continue
         found.append(candidate)
-    return Ordered(opened, opened.layout.manifest.read_bytes(), tuple(found), image)
+    return Ordered(opened, opened.layout.manifest.read_bytes(), tuple(found), image, files)
 
 
 def allowed(task: Mapping[str, Any], most_usd_per_hour: float | None) -> Mapping[str, Any]:
@@ -86,11 +90,13 @@ def _peer(task: Mapping[str, Any], peer: Mapping[str, str]) -> dict[str, Any]:
     return {"envs": {**task.get("envs", {}), **peer}} if peer else {}
 
 
-def runs_digest(task: Mapping[str, Any], machine: MachineRef, opened: Opened) -> str:
+def runs_digest(task: Mapping[str, Any], machine: MachineRef, opened: Opened, files: Mapping[str, str]) -> str:
     """Digest of all that the machine is given: a new price or another expectation needs no other machine."""
     resources = {key: value for key, value in task["resources"].items() if key != "max_hourly_cost"}
     sent = {one.path: one.digest for one in opened.manifest.spec.files if one.path != opened.layout.robot.name}
-    return digest.of_value([{**task, "resources": resources}, machine.infra, machine.instance, machine.spot, sent])
+    return digest.of_value(
+        [{**task, "resources": resources}, machine.infra, machine.instance, machine.spot, sent, files]
+    )
 
 
 def read_task(folder: Path, reference: TaskRef) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from fogspec.base import digest
@@ -10,7 +10,7 @@ from fogspec.base.outcomes import WrongFile
 from fogspec.effects.disk.files import yaml_text
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.specfiles import read_document
-from fogspec.lock import Lock, Pins, files_needed, paths_named
+from fogspec.lock import Lock, Pins, files_needed, paths_deployed, paths_named
 from fogspec.spec import Application
 
 # What building and running leave behind in a workspace: it is made again on the machine.
@@ -39,8 +39,17 @@ def lock_text(lock: Lock) -> str:
 
 def files_beside(application: Application, layout: Layout) -> dict[str, str]:
     """The digest of every file and folder that the spec names and that is there, by name."""
+    return _digests(paths_named(application), layout)
+
+
+def files_deployed(application: Application, layout: Layout) -> dict[str, str]:
+    """The same of those that run when the application is deployed."""
+    return _digests(paths_deployed(application), layout)
+
+
+def _digests(words: Iterable[str], layout: Layout) -> dict[str, str]:
     folder = layout.spec.parent
-    named = sorted({os.path.normpath(name) for name in paths_named(application)})
+    named = sorted({os.path.normpath(word) for word in words})
     return {name: tree_digest(folder / name) for name in named if name != "." and (folder / name).exists()}
 
 
