@@ -70,7 +70,6 @@ def command(
     from fogspec.effects.benchmark.benching import Terms, bench
     from fogspec.effects.benchmark.offering import Offering, check_prices
     from fogspec.effects.benchmark.preparing import prepare
-    from fogspec.effects.disk.pinning import check_files
 
     names = [name.strip() for name in only.split(",") if name.strip()]
     unusable = []
@@ -90,8 +89,7 @@ def command(
         if dry_run:
             click.echo("\n".join(offering.lines()))
             continue
-        if runner.name != "replay":
-            check_files(prepared.application, prepared.layout, measured=True)
+        _check_needed(prepared, runner)
         _confirm(offering, yes)
         library = _library(prepared, priors) if catalog is not None else None
         terms = Terms(max_usd, resume, catalog, prices, library)
@@ -131,6 +129,16 @@ def _check_place(prepared: "Prepared", runner: "Runner") -> None:
             f"{prepared.layout.name}: {elsewhere[0].infra} {elsewhere[0].instance} cannot be measured on this machine",
             "to measure here, list shapes such as local/2cpu-4gib under spec.benchmark.machines and compile again",
         )
+
+
+def _check_needed(prepared: "Prepared", runner: "Runner") -> None:
+    """Raises an Outcome for files and secrets that a sample would miss, before a machine is paid to miss them."""
+    from fogspec.effects.disk.pinning import check_files
+    from fogspec.effects.disk.redacting import check_set
+
+    if runner.costs != "recorded":
+        check_files(prepared.application, prepared.layout, measured=True)
+        check_set(prepared.application.spec.secrets if prepared.todo else ())
 
 
 def _catalogs(

@@ -52,6 +52,11 @@ def test_a_secret_is_in_no_file_log_or_result(tmp_path, monkeypatch):
     assert any("timings" in name for name in files)
     assert any(b"$MAP_PASSWORD" in content for name, content in files.items() if name.endswith(".log"))
     assert not [name for name, content in files.items() if SECRET.encode() in content]
+    monkeypatch.delenv("MAP_PASSWORD")
+    before = scene.events()
+    refused = scene.bench("--only", FIRST)
+    assert (refused.returncode, scene.events()) == (2, before), "known before anything is started"
+    assert "the environment does not have MAP_PASSWORD" in refused.stderr
 
 
 def test_a_secret_is_in_no_argv_and_in_nobody_elses_output(tmp_path, monkeypatch):

@@ -272,5 +272,7 @@ def test_secrets_reach_the_nodes_and_no_file(app: Make, monkeypatch: pytest.Monk
     assert [path for path in tiny.folder.rglob("*") if path.is_file() and b"hunter2" in path.read_bytes()] == []
     tiny("down", "tiny")
     monkeypatch.delenv("MY_SECRET")
-    assert "the environment does not have MY_SECRET" in tiny.apply(code=6).stderr
+    refused = tiny.apply(code=2).stderr
+    assert "the environment does not have MY_SECRET, so nothing was started\n  export MY_SECRET=…" in refused
+    assert "starting" not in refused
     assert tiny.machines() == []

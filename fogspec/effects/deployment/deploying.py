@@ -12,6 +12,7 @@ from fogspec.effects.deployment.applying import Apply
 from fogspec.effects.deployment.livestate import LiveFile, Times
 from fogspec.effects.deployment.ordering import Ordered
 from fogspec.effects.disk.locking import held
+from fogspec.effects.disk.redacting import check_set
 from fogspec.links import link_of
 from fogspec.seams import Deployer, Live
 
@@ -53,7 +54,8 @@ def apply(
 ) -> Applied:  # fmt: skip
     """Bring what runs to what the manifest says; `confirm` is called before money is spent, and may raise.
 
-    Raises CloudFailed, WrongFile or Interrupted as `Apply.run` does, Refused when another apply runs.
+    Raises CloudFailed, WrongFile or Interrupted as `Apply.run` does, Refused when another apply runs, WrongCommand for a
+    secret that is not in the environment.
     """
     layout = ordered.opened.layout
     begun = times.now_s()
@@ -71,6 +73,7 @@ def apply(
             if (stays := work.kept()) is not None:
                 work.tidy([stays.name])
                 return Applied(stays, True, times.now_s() - begun, kept=True)
+            check_set(ordered.opened.loaded.application.spec.secrets)
             for machine in (one for one in live.machines if one.state == "serving"):
                 what = f"{machine.machine.instance} in {machine.machine.infra}"
                 tell(f"  replaces  {machine.name}: {what}, which ends when the new one answers")

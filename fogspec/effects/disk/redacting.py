@@ -1,14 +1,25 @@
-"""Keeping secrets out of what is printed: values of named environment variables, and values whose key says so."""
+"""Secrets: that they are there, and out of what is printed: named environment variables, and values whose key says so."""
 
 import os
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from fogspec.base.outcomes import WrongCommand
+
 HIDDEN = "(redacted)"
 SECRET_KEY = re.compile(
     r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_?KEY|PRIVATE_?KEY|(^|_)PSK$|(^|_)AUTH$", re.IGNORECASE
 )
+
+
+def check_set(names: Iterable[str]) -> None:
+    """Raises WrongCommand for secrets that the environment does not have: before anything is started, not after."""
+    if missing := sorted(name for name in names if name not in os.environ):
+        raise WrongCommand(
+            f"spec.secrets: the environment does not have {', '.join(missing)}, so nothing was started",
+            f"export {' '.join(f'{name}=…' for name in missing)}",
+        )
 
 
 def redacted(value: Any, names: Iterable[str] = (), key: str = "") -> Any:
