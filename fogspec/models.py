@@ -131,10 +131,15 @@ def fit(application: Application, results: Results, priors: str | None = None) -
         if (with_it := [one for one in group if target in one.values])
     ]
     body = ModelsBody(
-        statistic=statistic, measured_on_local=any(k.machine.infra == "local" for k in known),
+        statistic=statistic, measured_on_local=stands_in(application, known),
         predictor=Predictor(surrogate=VERSION, priors=priors), models=models, known=known, unusable=unusable,
     )  # fmt: skip
     return Models(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+
+
+def stands_in(application: Application, known: Sequence[Known]) -> bool:
+    """Whether shapes of this host stand in for the machines on offer, instead of being them."""
+    return application.spec.infra != ["local"] and any(one.machine.infra == "local" for one in known)
 
 
 def evidence(records: Sequence[Measured], statistic: Statistic) -> tuple[list[Known], list[Unusable]]:

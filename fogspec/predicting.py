@@ -1,8 +1,8 @@
 """From what was measured to a prediction for every machine on offer, with its uncertainty.
 
 The surrogate (`fogspec.numerics.surrogate`) is conditioned on all usable samples once for each target; a prediction is an
-instance type's, wherever and however it is rented. Shapes of one host (`local/...`) say nothing of how fast other machines
-are: from them the families' curves are read, marked as extrapolated and without interval.
+instance type's, wherever and however it is rented. Shapes of one host (`local/...`) say nothing of how fast machines
+elsewhere are: from them the families' curves are read, marked as extrapolated and without interval.
 """
 
 import math
@@ -72,15 +72,16 @@ class Ground:
         library: Library | None = None,
     ) -> "Ground":  # fmt: skip
         """`machines` are measured, and described by `catalog` where they are no offers."""
-        types = types_of(with_measured(offers, [shape_of(one) for one in machines if one.infra != "local"], catalog))
+        shapes = [shape_of(one) for one in machines if counts(one, offers)]
+        types = types_of(with_measured(offers, shapes, catalog))
         prior = None if library is None else prior_for(library, types.names, types.machines)
         place = {key: row for row, key in enumerate(types.keys)}
         return cls(offers, types, prepare(types.machines, prior), place)
 
     def predicted(self, known: Sequence[Known], unusable: Sequence[Unusable], targets: Sequence[str]) -> "Predicted":
         """Predictions of these targets for every offer, from this evidence."""
-        known = [one for one in known if one.machine.infra != "local"]
-        unusable = [one for one in unusable if one.machine.infra != "local"]
+        known = [one for one in known if counts(one.machine, self.offers)]
+        unusable = [one for one in unusable if counts(one.machine, self.offers)]
         little = max((one.machine.memory for one in unusable if one.short_of_memory), default=0.0)
         unfit = self.types.machines.memory_gib <= little
         unfit[[self.place[shape_of(one.machine).key] for one in unusable if one.unfit]] = True
@@ -119,6 +120,11 @@ def from_evidence(
     """The same from the evidence alone."""
     machines = [*(one.machine for one in known), *(one.machine for one in unusable)]
     return Ground.of(offers, machines, catalog, library).predicted(known, unusable, targets)
+
+
+def counts(machine: MachineRef, offers: Catalog) -> bool:
+    """Whether what was measured there says something of the offers: a shape of this host does of shapes of this host."""
+    return machine.infra != "local" or bool((offers.cloud == "local").all())
 
 
 def shape_of(machine: MachineRef) -> Shape:

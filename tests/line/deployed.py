@@ -27,7 +27,7 @@ spec:
   cloud:
     - cmd: [python3, work.py]
   probe: {callback: work}
-  constraints: {latency: 1s, cost: $1/request}
+  constraints: {latency: 1s, cost: $0.01/1000 requests}
   objective: {alpha: 0.5}
   hardware: {cpus: 1..2, memory: 1GiB..2GiB}
   infra: [local]
