@@ -11,6 +11,7 @@ from fogspec.effects.deployment import observing
 from fogspec.effects.deployment.observing import drift, interval_s, observe
 from fogspec.effects.disk.specfiles import load, read_document
 from fogspec.manifest import Manifest
+from fogspec.plan import MachineRef
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -67,6 +68,7 @@ def paper() -> tuple:
     return loaded.application, expected.model_copy(update={"latency": latency})
 
 
+MACHINE = MachineRef(infra="aws/us-east-1", instance="g4dn.xlarge", cpus=4, memory=16.0, price=0.526)
 # How the spec's own probe names its requests.
 NAME = Rules.of(load([ROOT / "specs/grasp-planning.yaml"])[0].application).callback
 
@@ -79,22 +81,41 @@ def lines(latencies, failed: int = 0) -> bytes:
 
 def test_a_deployment_that_does_what_was_predicted(paper) -> None:
     application, expected = paper
-    seen = observe(lines([expected.latency.predicted] * 50), application, expected, 0.526)
+    seen = observe(lines([expected.latency.predicted] * 50), application, expected, MACHINE)
     assert (seen.requests, seen.drift, seen.breaks) == (50, "none", ())
     assert seen.cost_usd_per_request == pytest.approx(0.526 / 3600 * expected.latency.predicted)
 
 
 def test_over_the_limit_too_dear_and_failing(paper) -> None:
     application, expected = paper
-    seen = observe(lines([9.0] * 50, failed=20), application, expected, 0.526)
+    seen = observe(lines([9.0] * 50, failed=20), application, expected, MACHINE)
     assert seen.drift == "slower"
     assert len(seen.breaks) == 3
     assert "over its limit of 2s" in seen.breaks[0]
     assert "20 of 70 requests failed" in seen.breaks[2]
 
 
+def test_a_change_shows_whatever_was_before_it(paper) -> None:
+    application, expected = paper
+    seen = observe(lines([1.65] * 9000 + [1.9] * 1000), application, expected, MACHINE)
+    assert (seen.requests, seen.drift) == (1000, "slower")
+
+
+def test_a_request_costs_what_the_choice_reckons(paper) -> None:
+    application, expected = paper
+    transfer = application.spec.objective.transfer.model_copy(update={"per_request": 0.002, "price": 0.09})
+    interruption = application.spec.objective.interruption.model_copy(update={"rate": 1 / 3600, "restart": 60.0})
+    objective = application.spec.objective.model_copy(update={"transfer": transfer, "interruption": interruption})
+    spec = application.spec.model_copy(update={"objective": objective})
+    dearer = application.model_copy(update={"spec": spec})
+    spot = MACHINE.model_copy(update={"spot": True})
+    seen = observe(lines([1.65] * 50), dearer, expected, spot)
+    restarts = 1 + 60 / 3600
+    assert seen.cost_usd_per_request == pytest.approx(0.526 / 3600 * 1.65 * restarts + 0.002 * 0.09, rel=1e-3)
+
+
 def test_nothing_seen_yet(paper) -> None:
     application, expected = paper
-    seen = observe(b"", application, expected, 0.526)
+    seen = observe(b"", application, expected, MACHINE)
     assert (seen.requests, seen.value_s, seen.drift, seen.breaks) == (0, None, "unknown", ())
     assert observing.LEAST == 30

@@ -111,6 +111,6 @@ class LiveFile:
         write_yaml(
             self.layout.live,
             state.model_dump(mode="json"),
-            f"fogspec apply {self.layout.relative(self.layout.manifest)}",
+            f"fogspec down {self.layout.name}; fogspec apply {self.layout.relative(self.layout.manifest)}",
         )
         self.machines, self.spent_usd = machines, spent

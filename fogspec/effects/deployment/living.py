@@ -72,7 +72,7 @@ def running(
     reasons += [f"{one.name} is {one.state} too" for one in live_file.machines if one is not subject]
     observed = None
     if live is not None and approved is not None and live.state == "ready":
-        observed = observe(live.timings, application, approved.expected, subject.machine.price)
+        observed = observe(live.timings, application, approved.expected, subject.machine)
     health, why = _health(subject, live, observed, approved)
     return Running(
         "OutOfSync" if differs or not fresh or serving is None else "Synced", health, (*reasons, *why), tuple(differs),
@@ -144,11 +144,11 @@ def _health(
     notes = [live.detail] if live.detail else []
     if observed is None or manifest is None:
         return "Healthy", notes
-    if observed.breaks:
-        return "Degraded", [*notes, *observed.breaks]
-    if observed.drift in ("slower", "faster"):
-        return "Drifted", [*notes, f"the model no longer holds: requests are {observed.drift} than predicted"]
-    return "Healthy", notes
+    notes += observed.breaks
+    drifted = observed.drift in ("slower", "faster")
+    if drifted:
+        notes.append(f"the model no longer holds: requests are {observed.drift} than predicted")
+    return "Degraded" if observed.breaks else "Drifted" if drifted else "Healthy", notes
 
 
 def words(one: Running) -> list[str]:
@@ -175,7 +175,8 @@ def _observed_words(seen: Observed, manifest: Manifest) -> str:
     value = f"observed {expected.statistic} {units.format_duration(_short(seen.value_s))}{_range(seen.interval_s)}"
     failed = f", {seen.failed} failed" if seen.failed else ""
     cost = "" if seen.cost_usd_per_request is None else f", {units.format_cost(_short(seen.cost_usd_per_request))}"
-    return f"{value} of {seen.requests} requests{failed}{cost}; {predicted}"
+    unsaid = ", without an interval: drift cannot be seen" if expected.interval is None else ""
+    return f"{value} of the latest {seen.requests} requests{failed}{cost}; {predicted}{unsaid}"
 
 
 def _range(ends: tuple[float, float] | None) -> str:

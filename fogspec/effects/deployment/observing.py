@@ -13,15 +13,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from fogspec.base import units
+from fogspec.costs import Costs
 from fogspec.effects.benchmark import collecting
 from fogspec.effects.benchmark.statistics import NEEDED, QUANTILES, summary, weights
 from fogspec.manifest import Expected
+from fogspec.plan import MachineRef
 from fogspec.results import LatencySummary
 from fogspec.spec import Application
 
 Drift = Literal["none", "slower", "faster", "unknown"]
-LEAST = 30
+# Few enough that a change shows soon, enough for the interval of a 99th percentile.
+LEAST, LATEST = 30, 1000
 Z95 = statistics.NormalDist().inv_cdf(0.975)
 
 
@@ -42,11 +47,11 @@ class Observed:
     breaks: tuple[str, ...]
 
 
-def observe(timings: bytes, application: Application, expected: Expected, price_usd_per_hour: float) -> Observed:
-    """Compare the latest requests with what was expected."""
+def observe(timings: bytes, application: Application, expected: Expected, machine: MachineRef) -> Observed:
+    """Compare the latest requests with what was expected of this machine."""
     rules = replace(collecting.Rules.of(application), warmup=0)
     with tempfile.NamedTemporaryFile(suffix=".jsonl") as file:
-        file.write(timings)
+        file.writelines(timings.splitlines(keepends=True)[-LATEST:])
         file.flush()
         requests = collecting.read(Path(file.name), rules)
     known = requests.latencies_s
@@ -54,7 +59,7 @@ def observe(timings: bytes, application: Application, expected: Expected, price_
     statistic = expected.latency.statistic
     value = None if found is None else getattr(found, statistic)
     spread = interval_s(known, statistic)
-    cost = None if found is None else _cost(application, price_usd_per_hour, found.mean)
+    cost = None if value is None else _cost(application, machine, value)
     breaks = tuple(_breaks(expected, spread, cost, len(known), requests.failed, rules.valid))
     return Observed(
         len(known), requests.failed, found, value, spread, cost, drift(spread, expected.latency.interval), breaks
@@ -93,12 +98,10 @@ def interval_s(latencies_s: Sequence[float], statistic: str) -> tuple[float, flo
     return None if low < 0 or high >= n else (ordered[low], ordered[high])
 
 
-def _cost(application: Application, price_usd_per_hour: float, mean_s: float) -> float:
-    """USD per request, counted as the spec counts it."""
-    objective = application.spec.objective
-    if objective.billing == "provisioned" and objective.rate:
-        return price_usd_per_hour / 3600 / objective.rate
-    return price_usd_per_hour / 3600 * mean_s
+def _cost(application: Application, machine: MachineRef, latency_s: float) -> float:
+    """USD per request, as the choice reckons it: with data transfer, and the interruptions of a spot machine."""
+    costs = Costs.of(application.spec, np.array([machine.price]), np.array([machine.spot]))
+    return float(costs.per_request(np.array([latency_s]))[0])
 
 
 def _breaks(
