@@ -36,8 +36,7 @@ def command(manifest: str, catalog_path: str | None, output: str, attestation: s
         click.echo(json.dumps(verifying.facts(opened, links), indent=2, ensure_ascii=False))
     else:
         click.echo(verifying.words(opened, links))
-    if broken := [link.name for link in links if link.breaks]:
+    if broken := [link for link in links if link.breaks]:
         raise Differs(
-            f"{opened.layout.manifest}: the chain breaks at {broken[0]}",
-            f"make it again and review it: fogspec compile {opened.layout.spec}",
+            f"{opened.layout.manifest}: the chain breaks at {broken[0].name}", verifying.mend(opened, broken[0])
         )

@@ -122,6 +122,33 @@ def test_a_record_that_does_not_follow_from_its_timings(done: Shell) -> None:
     assert "latency" in line
 
 
+@pytest.mark.parametrize(
+    ("content", "path", "says"),
+    [
+        (b"no gzip", None, "is no gzip file"),
+        (gzip.compress(b"{}\n" * 1000, mtime=0)[:-9], None, "is no gzip file, or not a whole one"),
+        (gzip.compress(b"", mtime=0)[:10] + b"\xff" * 20, None, "is no gzip file"),
+        (None, "../specs/demo.yaml", "lies outside of"),
+    ],
+)
+def test_raw_timings_that_are_none(done: Shell, content: bytes | None, path: str | None, says: str) -> None:
+    raw = with_timings(done, [2.0, 2.1, 2.2])
+    raw.write_bytes(content or raw.read_bytes())
+    file = done.folder / "results/demo.yaml"
+    results = read_document(file, Results)
+    first, *others = results.spec.samples
+    timings = Timings(path=path or f"demo/timings/{raw.name}", digest=digest.of_bytes(raw.read_bytes()))
+    body = results.spec.model_copy(update={"samples": [first.model_copy(update={"timings": timings}), *others]})
+    write_yaml(file, sealed(results.metadata, body).model_dump(mode="json", exclude_none=True), "a test")
+    done("compile", "specs/demo.yaml", *AT)
+    assert says in broken(done)["timings"][0]
+    said = done("verify", MANIFEST, *AT, code=3).err
+    assert "fogspec bench specs/demo.yaml" in said, "compiling again would not mend it"
+    (done.folder / "results").rename(done.folder / "old")
+    replay = ("bench", "specs/demo.yaml", "--runner", "replay", "--from", "old/demo.yaml", "--yes")
+    assert says in done(*replay, code=1).err
+
+
 def test_a_manifest_by_any_path(done: Shell) -> None:
     done("verify", str(done.folder / MANIFEST), *AT)
     done("verify", f"./compiled/../{MANIFEST}", *AT)

@@ -12,7 +12,7 @@ from fogspec.effects.compiler import linking
 from fogspec.effects.deployment.offers import Candidate, affordable, check_price, exact, price_now, price_words
 from fogspec.effects.disk.manifests import Opened
 from fogspec.effects.disk.pinning import check_files, files_deployed
-from fogspec.effects.review.verifying import verify
+from fogspec.effects.review.verifying import mend, verify
 from fogspec.plan import MachineRef, TaskRef
 
 
@@ -36,7 +36,7 @@ def check_fresh(opened: Opened, catalog: Catalog) -> None:
         raise Differs(
             f"{opened.layout.manifest}: is stale or was edited, so nothing was started",
             *(f"{link.name}: {text}" for link in broken for text in link.breaks[:3]),
-            f"make it again and review it: fogspec compile {opened.layout.spec}",
+            mend(opened, broken[0]),
         )
 
 

@@ -1,12 +1,19 @@
 """Reading what was measured: whole, sealed, and never guessed at."""
 
+import gzip
+import io
+import zlib
 from pathlib import Path
 
+from fogspec.base import digest
 from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.base.outcomes import WrongFile
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.specfiles import read_document
-from fogspec.results import Results, intact
+from fogspec.results import Measured, Results, intact
 from fogspec.seams import Recording
+
+SIZE_LIMIT = 256 * 2**20
 
 
 def read_results(layout: Layout) -> Results | None:
@@ -28,11 +35,33 @@ def check_seal(results: Results, path: str | Path) -> None:
         )])  # fmt: skip
 
 
+def raw_timings(record: Measured, folder: Path) -> bytes:
+    """The raw timings that a record of a results file in `folder` names; raises WrongFile where they are not as recorded."""
+    assert record.timings is not None
+    named = Path(record.timings.path)
+    path = folder / named
+    if named.is_absolute() or ".." in named.parts:
+        raise WrongFile(f"{record.id}: {named} lies outside of {folder}")
+    if not path.is_file():
+        raise WrongFile(f"{path} is missing")
+    content = path.read_bytes()
+    if digest.of_bytes(content) != record.timings.digest:
+        raise WrongFile(f"{path} is not what was recorded")
+    try:
+        with gzip.open(io.BytesIO(content)) as packed:
+            return packed.read(SIZE_LIMIT)
+    except (OSError, EOFError, zlib.error):
+        raise WrongFile(f"{path} is no gzip file, or not a whole one") from None
+
+
 def recordings(path: str) -> tuple[list[Recording], str]:
     """What a results file recorded, to be replayed, and where it comes from; raises Problems or WrongFile."""
     results = read_document(Path(path), Results)
     check_seal(results, path)
     folder = Path(path).parent
+    for record in results.spec.samples:
+        if record.timings is not None:
+            raw_timings(record, folder)
     found = [
         Recording(record, folder / record.timings.path if record.timings else None) for record in results.spec.samples
     ]

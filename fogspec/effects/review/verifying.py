@@ -3,7 +3,6 @@
 Each link is checked by itself, so that what is said is where the chain breaks, not only that it does.
 """
 
-import gzip
 import math
 import tempfile
 from collections.abc import Iterator
@@ -14,13 +13,13 @@ from typing import Any, Literal
 from fogspec import __version__, stages
 from fogspec.base import digest
 from fogspec.base.diagnostics import Problems
-from fogspec.base.outcomes import Outcome
+from fogspec.base.outcomes import Outcome, WrongFile
 from fogspec.catalog import Catalog
 from fogspec.effects.benchmark import collecting
 from fogspec.effects.benchmark.statistics import summary, weights
 from fogspec.effects.compiler.compiling import Compiled, compile_application
 from fogspec.effects.disk.manifests import Opened
-from fogspec.effects.disk.measured import read_results
+from fogspec.effects.disk.measured import raw_timings, read_results
 from fogspec.effects.disk.pinning import drift, read_pins
 from fogspec.effects.disk.specfiles import read_document
 from fogspec.effects.review.comparing import changes_in_file, words_of
@@ -139,15 +138,13 @@ def _timings(opened: Opened, results: Results) -> Link:
 def _record(record: Measured, folder: Path, rules: collecting.Rules) -> Iterator[str]:
     assert record.timings is not None
     path = folder / record.timings.path
-    if not path.is_file():
-        yield f"{path} is missing"
-        return
-    content = path.read_bytes()
-    if digest.of_bytes(content) != record.timings.digest:
-        yield f"{path} is not what was recorded"
+    try:
+        content = raw_timings(record, folder)
+    except WrongFile as wrong:
+        yield wrong.message
         return
     with tempfile.NamedTemporaryFile(suffix=".jsonl") as plain:
-        plain.write(gzip.decompress(content))
+        plain.write(content)
         plain.flush()
         requests = collecting.read(Path(plain.name), rules)
     latency = summary(requests.latencies_s, weights(requests.kinds, rules.scenarios))
@@ -208,6 +205,17 @@ def _deployment(opened: Opened, compiled: Compiled) -> Link:
     breaks = [*opened.edited(), *(line for path in rest for line in _differing(path, compiled))]
     breaks += [f"{path} should not be there" for path in compiled.removed]
     return Link("deployment", f"{len(rest)} files that run or are shown", tuple(dict.fromkeys(breaks))[:SHOWN])
+
+
+def mend(opened: Opened, broken: Link) -> str:
+    """What to do about a link that breaks."""
+    layout = opened.layout
+    if broken.name in ("results", "timings"):
+        return f"put back what was measured (git checkout {layout.results.parent}), or measure it: fogspec bench {layout.spec}"
+    if broken.name == "attestation":
+        return f"attest it again: fogspec attest {layout.manifest}"
+    lock = f"fogspec lock {layout.spec}, then " if broken.name == "lock" else ""
+    return f"make it again and review it: {lock}fogspec compile {layout.spec}"
 
 
 def words(opened: Opened, links: list[Link]) -> str:
