@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.outcomes import Differs
+from fogspec.base.outcomes import Differs, WrongFile
 from fogspec.cli.options import CATALOG, catalogs_for
 
 
@@ -29,16 +29,22 @@ def command(
     from fogspec.effects.disk.finding import find_specs
     from fogspec.effects.disk.git import Repository
     from fogspec.effects.disk.specfiles import load
-    from fogspec.effects.review.reviewing import markdown, review
+    from fogspec.effects.review.reviewing import markdown, removed, review
 
     repository = Repository()
     commit = repository.base_of(range_)
-    loaded = load(find_specs(specs))
+    try:
+        loaded = load(find_specs(specs))
+    except WrongFile:
+        if not removed(repository, commit, ()):
+            raise
+        loaded = []  # the change removes the last of them
     reviews = [
         review(one, catalog, repository, commit)
         for one, catalog in zip(loaded, catalogs_for(loaded, catalog_path), strict=True)
     ]
-    text = markdown(reviews, picture_base)
+    gone = removed(repository, commit, [one.application.metadata.name for one in loaded])
+    text = markdown(reviews, gone, picture_base)
     if out is None:
         click.echo(text, nl=False)
     else:

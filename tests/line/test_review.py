@@ -72,8 +72,34 @@ def test_what_is_not_fresh_is_said(repository: Shell) -> None:
     change(repository, "alpha: 0.5", "alpha: 0")
     commit(repository, "forgot to compile")
     ended = repository("review", "HEAD~1", "--exit-code", code=3)
+    assert "### demo: the manifest is not fresh" in ended.out
     assert "**manifest is stale**" in ended.out
+    assert "**to do**: `fogspec compile specs/demo.yaml`, and commit what it writes" in ended.out
     assert "not fresh: demo" in ended.err
+
+
+def test_an_application_that_is_gone_and_one_that_stays(repository: Shell) -> None:
+    other = repository.read("specs/demo.yaml").replace("name: demo", "name: other")
+    repository.write("specs/other.yaml", other)
+    base = commit(repository, "two")
+    git(repository.folder, "rm", "-q", "-r", "specs/demo.yaml", "compiled/demo")
+    said = repository("review", base, *AT).out
+    assert "### demo: no longer deployed" in said
+    assert "- runs on a.large in aws/r1, $0.4/h, $292.00/month" in said
+    assert "`fogspec down demo` ends it" in said
+    assert "### other: no manifest" in said
+    git(repository.folder, "rm", "-q", "-r", "specs")
+    assert "### demo: no longer deployed" in repository("review", base).out
+
+
+def test_warnings_are_new_or_folded_away(repository: Shell) -> None:
+    change(repository, "alpha: 0.5", "alpha: 0")
+    change(repository, "latency: 10s", "latency: 1s")
+    repository("compile", "specs/demo.yaml")
+    said = repository("review", "HEAD").out
+    new, _, old = said.partition("warnings, as before</summary>")
+    assert "- **warning**: no machine meets the limits with constraints.confidence 0.9" in new
+    assert "- curve of latency: " in old
 
 
 def test_a_new_application_and_one_that_is_not_measured(repository: Shell) -> None:

@@ -35,6 +35,13 @@ class Repository:
         except WrongCommand:
             return None
 
+    def paths(self, commit: str) -> list[Path]:
+        """Every file at a commit below the working directory, from here."""
+        return [
+            Path(os.fsdecode(name))
+            for name in self._run("ls-tree", "-r", "-z", "--name-only", commit).split(b"\0")[:-1]
+        ]
+
     def _commit(self, name: str) -> str:
         if name.startswith("-"):
             raise WrongCommand(f"{name} is no commit")

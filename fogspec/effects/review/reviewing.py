@@ -1,7 +1,8 @@
 """A change of manifests for whoever reviews a pull request: the choice, what it costs, why, and whether it is fresh."""
 
+import itertools
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,14 @@ class Review:
         return bool(self.difference.changes) or not self.fresh
 
 
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """An application that is no longer there, and the manifest that it had."""
+
+    name: str
+    manifest: Mapping[str, Any]
+
+
 def review(loaded: LoadedSpec, catalog: Catalog, repository: Repository, commit: str) -> Review:
     """The manifest as committed at `commit` against the one on disk; nothing is written."""
     found = status(loaded.application, loaded.path, catalog)
@@ -56,6 +65,15 @@ def review(loaded: LoadedSpec, catalog: Catalog, repository: Repository, commit:
     told = tuple(telling(iter(every))) if old != new else ()
     left = () if found.to_measure is None else ("",) * found.to_measure
     return Review(Difference(layout, old, new, told, costs(old, new), why, left, refused=found.refused), found)
+
+
+def removed(repository: Repository, commit: str, names: Collection[str]) -> list[Removed]:
+    """Applications that had a manifest at `commit`, and have neither a manifest nor a spec any more; `names` have one."""
+    gone = [
+        path for path in repository.paths(commit)
+        if path.match("compiled/*/manifest.yaml") and path.parent.name not in names and not path.exists()
+    ]  # fmt: skip
+    return [Removed(path.parent.name, redacted(_parsed(path, repository.at(commit, path) or b"{}"))) for path in gone]
 
 
 def _parsed(path: Path, content: bytes) -> Mapping[str, Any]:
@@ -79,12 +97,14 @@ def _inputs(every: Sequence[Change]) -> Iterator[str]:
             yield f"{INPUTS.get(steps[1], steps[1])} changed"
 
 
-def markdown(reviews: Sequence[Review], picture_base: str | None) -> str:
-    """The comment: applications that changed or are not fresh in full, the others by name."""
+def markdown(reviews: Sequence[Review], gone: Sequence[Removed], picture_base: str | None) -> str:
+    """The comment: applications that changed or are not fresh in full, the others by name; and those that are gone."""
     touched = [one for one in reviews if one.touched]
     lines = [MARK, "## fogspec: what this change deploys", ""]
     for one in touched:
         lines += [*_application(one, picture_base), ""]
+    for application in gone:
+        lines += [*_removal(application), ""]
     if rest := [one.difference.layout.name for one in reviews if not one.touched]:
         lines.append(f"Unchanged and fresh: {', '.join(map(escaped, rest))}.")
     return "\n".join(lines).rstrip() + "\n"
@@ -92,7 +112,7 @@ def markdown(reviews: Sequence[Review], picture_base: str | None) -> str:
 
 def _application(one: Review, picture_base: str | None) -> list[str]:
     difference, layout = one.difference, one.difference.layout
-    lines = [f"### {escaped(layout.name)}: {escaped(_headline(difference))}", ""]
+    lines = [f"### {escaped(layout.name)}: {escaped(_headline(one))}", ""]
     lines += [f"- {escaped(text)}" for text in _choice(difference.after)]
     lines += [f"- why: {escaped(text)}" for text in difference.why]
     lines += [f"- **{escaped(stage.name)} is {stage.state}**: {escaped('; '.join(stage.reasons) or 'compile it')}"
@@ -100,19 +120,40 @@ def _application(one: Review, picture_base: str | None) -> list[str]:
     if one.status.refused:
         lines.append(f"- **cannot be compiled**: {escaped(one.status.refused)}")
     if one.status.to_measure:
-        lines.append(f"- {one.status.to_measure} samples to measure")
+        lines.append(f"- {one.status.to_measure} samples to measure: `fogspec bench {_from_here(layout.spec)}`")
     elif one.fresh:
         lines.append("- everything is fresh; no benchmark needed")
-    lines += ["", *_costs(difference)]
+    elif not one.status.refused:
+        lines.append(f"- **to do**: `fogspec compile {_from_here(layout.spec)}`, and commit what it writes")
+    lines += ["", *_costs(difference), *_warnings(difference)]
     if layout.picture.is_file() and picture_base is not None:
         lines += [f"![menu of {escaped(layout.name)}]({picture_base.rstrip('/')}/{_from_here(layout.picture)})", ""]
     return [*lines, *_provenance(difference.after), *_fields(difference.changes)]
 
 
-def _headline(difference: Difference) -> str:
+def _headline(one: Review) -> str:
+    difference = one.difference
     if difference.after is None:
         return "no manifest" if difference.before is None else "the manifest is gone"
-    return headline(difference) if difference.changes or difference.before is None else "the manifest is as it was"
+    if difference.changes or difference.before is None:
+        return headline(difference) + ("" if one.fresh else ", but the manifest is not fresh")
+    return "the manifest is not fresh"
+
+
+def _removal(one: Removed) -> list[str]:
+    """What is no longer deployed; merging ends nothing that runs."""
+    lines = [f"### {escaped(one.name)}: no longer deployed", ""]
+    lines += [f"- {escaped(text)}" for text in itertools.islice(_choice(one.manifest), 1)]
+    return [*lines, f"- what runs of it goes on: `fogspec down {escaped(one.name)}` ends it, before the files are gone"]
+
+
+def _warnings(difference: Difference) -> list[str]:
+    """New ones in full; those that were there before are folded away."""
+    was, now = ((document or {}).get("warnings") or [] for document in (difference.before, difference.after))
+    lines = [f"- **warning**: {escaped(str(text))}" for text in now if text not in was]
+    if old := [f"- {escaped(str(text))}" for text in now if text in was]:
+        lines += ["", f"<details><summary>{len(old)} warnings, as before</summary>", "", *old, "", "</details>"]
+    return [*lines, ""] if lines else []
 
 
 def _choice(manifest: Mapping[str, Any] | None) -> Iterator[str]:
@@ -129,8 +170,6 @@ def _choice(manifest: Mapping[str, Any] | None) -> Iterator[str]:
     sure = f", met with probability {latency['probability_met']}" if latency.get("probability_met") is not None else ""
     expected = f"expected {latency.get('statistic')} latency {latency.get('predicted')}{within}{limit}{sure}"
     yield f"{expected}; {cost.get('predicted')}"
-    for warning in manifest.get("warnings") or ():
-        yield f"warning: {warning}"
 
 
 def _costs(difference: Difference) -> list[str]:
