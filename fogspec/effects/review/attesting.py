@@ -6,11 +6,14 @@ or user, so that whoever makes it from the same files gets the same bytes.
 """
 
 import json
+from pathlib import Path
 from typing import Any
 
 from fogspec import __version__
+from fogspec.base import digest
 from fogspec.base.outcomes import Differs
 from fogspec.catalog import Catalog
+from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.manifests import Opened, references
 from fogspec.effects.review.verifying import Link, verify
 from fogspec.lock import image_of, is_pinned
@@ -56,20 +59,22 @@ def subjects(opened: Opened) -> list[dict[str, Any]]:
     layout = opened.layout
     found = [(layout.manifest, opened.digest)]
     found += [(layout.compiled / one.path, one.digest) for one in references(opened.manifest)]
-    return [{"name": layout.relative(path), "digest": _digest(digest)} for path, digest in found]
+    return [{"name": layout.relative(path), "digest": _digest(value)} for path, value in found]
 
 
 def materials(opened: Opened) -> list[dict[str, Any]]:
-    """What it was made from: spec, plan, results, models, catalog, and the image where it is pinned.
+    """What it was made from: spec, lock, plan, results with their raw timings, models, catalog, and a pinned image.
 
-    The digest of the spec is over what the choice reads of it, as the manifest has it.
+    Digests are of the files' bytes, which any tool can check; annotated is fogspec's own digest, of what is read of them.
     """
     layout, named = opened.layout, opened.manifest.provenance
     found = [
-        _material("spec", named.application.path, named.application.digest),
-        _material("plan", layout.relative(layout.compiled / named.plan.path), named.plan.digest),
-        _material("results", named.results.path, named.results.digest),
-        _material("models", layout.relative(layout.compiled / named.models.path), named.models.digest),
+        _file("spec", layout, layout.spec, named.application.digest),
+        *([_file("lock", layout, layout.lock)] if layout.lock.is_file() else []),
+        _file("plan", layout, layout.plan, named.plan.digest),
+        _file("results", layout, layout.results, named.results.digest),
+        *(_file("timings", layout, path) for path in sorted(layout.timings.glob("*.gz"))),
+        _file("models", layout, layout.models),
         {"name": "catalog", "digest": _digest(named.catalog.digest),
          "annotations": {"source": named.catalog.source, "revision": named.catalog.revision, "date": named.catalog.date}},
     ]  # fmt: skip
@@ -78,6 +83,11 @@ def materials(opened: Opened) -> list[dict[str, Any]]:
         parts = image_of(image)
         found.append(_material("image", f"oci://{parts.registry}/{parts.repository}", parts.digest or ""))
     return found
+
+
+def _file(name: str, layout: Layout, path: Path, read: str | None = None) -> dict[str, Any]:
+    found = _material(name, layout.relative(path), digest.of_bytes(path.read_bytes()))
+    return found if read is None else {**found, "annotations": {"fogspec": read}}
 
 
 def _material(name: str, path: str, text: str) -> dict[str, Any]:
@@ -101,5 +111,5 @@ def check(opened: Opened, data: Any) -> Link:
         else {}
     )
     breaks = [f"it does not attest {name}" if name not in said else f"{name} is not what was attested"
-              for name, digest in now.items() if said.get(name) != digest]  # fmt: skip
+              for name, value in now.items() if said.get(name) != value]  # fmt: skip
     return Link("attestation", f"{len(now)} files", tuple(breaks))
