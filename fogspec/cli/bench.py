@@ -98,7 +98,9 @@ def command(
         if not any(record.state == "ok" for record in benched.results.spec.samples):
             unusable.append(prepared.layout.name)
     if unusable:
-        raise WrongFile(f"{', '.join(unusable)}: no sample could be measured", "the records above say why")
+        raise WrongFile(
+            f"{', '.join(unusable)}: no sample could be measured", "the lines above say why, and where the logs are"
+        )
 
 
 def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: float) -> "Runner":
@@ -194,7 +196,9 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Watche
     if sys.stderr.isatty():
         from fogspec.effects.benchmark.live import LiveTable
 
-        return LiveTable(prepared.todo, prepared.plan.spec.steps, campaign.order.budget_usd, campaign.clock.now_s)
+        body = prepared.plan.spec
+        wall_usd, now_s = campaign.order.budget_usd, campaign.clock.now_s
+        return LiveTable(prepared.todo, body.steps, wall_usd, now_s, warmup=body.warmup)
     return watching.Lines(lambda text: click.echo(text, err=True))
 
 
@@ -212,4 +216,5 @@ def _report(prepared: "Prepared", benched: "Benched", output: str) -> None:
     if results.spec.sampling is not None and results.spec.sampling.ended is not None:
         click.echo(f"sampling ended: {results.spec.sampling.ended}")
     click.echo(f"results   {layout.results}")
-    click.echo(f"next: fogspec compile {layout.spec}")
+    if any(record.state == "ok" for record in results.spec.samples):
+        click.echo(f"next: fogspec compile {layout.spec}")

@@ -46,8 +46,22 @@ def test_it_shows_what_happens(tmp_path: Path):
         latency=LatencySummary(mean=0.5),
     )  # fmt: skip
     table(Event(sample("a"), "is done", 0.1, 0.0, record=record))
-    assert drawn(table)[0][2:] == ["ok: 200 requests, mean 500ms", "3 of 200", "500ms", "55 s", ""]
+    assert drawn(table)[0][2:] == ["ok", "200 of 200", "500ms", "55 s", ""]
     table(Event(sample("later"), "starts", 0.1, 0.2, ends_s=300.0))
     assert [row[0] for row in drawn(table)] == ["a", "b", "later"]
     with table:
         now[0] += 1
+
+
+def test_a_narrow_terminal_shows_whole_names(tmp_path: Path):
+    names = [f"aws-us-east-1-c6i-{size}xlarge" for size in (2, 4)]
+    out = io.StringIO()
+    table = LiveTable([sample(name) for name in names], 200, None, lambda: 0.0, Console(file=out, width=80), warmup=5)
+    timings = tmp_path / "timings.jsonl"
+    timings.write_text(json.dumps({"name": "w", "latency_s": 0.5, "ok": True}) + "\n")
+    for count, shown in ((1, ""), (7, "2 of 200")):
+        timings.write_text((json.dumps({"name": "w", "latency_s": 0.5, "ok": True}) + "\n") * count)
+        table(Event(sample(names[0]), "measures", 0.0, 0.2, Progress(running=True, timings=timings)))
+        assert drawn(table)[0][2] == shown, "warm-up does not count"
+    Console(file=out, width=80).print(table.table())
+    assert all(name in out.getvalue() for name in names)

@@ -109,7 +109,8 @@ def bench(prepared: Prepared, runner: Runner, watch: Watch, terms: Terms | None 
     if left:
         raise CloudFailed("these machines could not be verified gone", *left, again)
     if interrupt.asked:
-        raise Interrupted("interrupted: nothing runs any more", again)
+        kept = f"{len(done(benched.results))} samples are done and kept in {layout.results}"
+        raise Interrupted("interrupted: nothing runs any more", kept, again)
     return benched
 
 

@@ -125,9 +125,14 @@ def machine(sample: Sample) -> str:
     return f"{sample.machine.infra}/{sample.machine.instance}" + (" spot" if sample.machine.spot else "")
 
 
+def verdict(record: Measured) -> str:
+    """State, and the reason where it has one."""
+    return record.state if record.reason is None else f"{record.state}, {record.reason.replace('_', ' ')}"
+
+
 def outcome(record: Measured) -> str:
     """State, and the figures that a person looks for first."""
-    words = record.state if record.reason is None else f"{record.state}, {record.reason.replace('_', ' ')}"
+    words = verdict(record)
     if record.latency is not None:
         words += f": {record.requests} requests, mean {seconds(record.latency.mean)}"
     return f"{words} ({record.detail})" if record.detail else words
