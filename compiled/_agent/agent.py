@@ -101,6 +101,7 @@ class _Run:
         kills = processes.memory_kills()
         try:
             state, reason, detail, stopped_by = self._start() or self._watch()
+            waited_s = self._waited_s(stopped_by)
         finally:
             killed = processes.memory_kills() > kills
             processes.finish(self.children)
@@ -112,14 +113,18 @@ class _Run:
         if killed and (state == "timeout" or reason in ("crash", "no_response")):
             said = "the kernel ended a process for want of memory"
             state, reason, detail = "failed", "out_of_memory", f"{detail}; {said}" if detail else said
-        aborted = stopped_by in ("time", "signal") and self.last is not None
-        waited = time.monotonic() - self.last if aborted and self.last is not None else None
         self.timings.read()
         return {
             "state": state, "reason": reason, "detail": detail, "stopped_by": stopped_by,
             "exit_codes": [child.returncode for child in self.children], "setup_s": self.setup_s,
-            "waited_s": waited, "requests": self.timings.requests, "unreadable": self.timings.unreadable,
+            "waited_s": waited_s, "requests": self.timings.requests, "unreadable": self.timings.unreadable,
         }  # fmt: skip
+
+    def _waited_s(self, stopped_by: str | None) -> float | None:
+        """Since the last request was finished; None where that tells nothing: a process that has ended may have asked."""
+        if stopped_by not in ("time", "signal") or self.last is None:
+            return None
+        return time.monotonic() - self.last if all(child.poll() is None for child in self.children) else None
 
     def _start(self) -> End | None:
         place(self.out)

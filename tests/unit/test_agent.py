@@ -121,6 +121,11 @@ def test_a_hang_after_the_first_request_is_ended_by_time_and_leaves_a_lower_boun
     assert 0.5 < outcome["waited_s"] < 5
 
 
+def test_silence_after_whoever_asked_has_ended_tells_nothing(tmp_path):
+    outcome = run(tmp_path, "say(0.1)", "time.sleep(600)", after=0.6, warmup=0)
+    assert (outcome["state"], outcome["stopped_by"], outcome["waited_s"]) == ("ok", "time", None)
+
+
 def test_a_workload_that_ends_by_itself_was_measured(tmp_path):
     outcome = run(tmp_path, "[say(0.1) for _ in range(4)]", steps=100)
     assert (outcome["state"], outcome["stopped_by"], outcome["requests"]) == ("ok", "exit", 4)

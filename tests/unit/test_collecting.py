@@ -4,6 +4,8 @@ import gzip
 import json
 import math
 import statistics
+from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -72,6 +74,40 @@ def test_a_reason_that_the_machine_gave_stands_and_measurements_are_kept(tmp_pat
 def test_nothing_after_warm_up_is_a_timeout_with_a_lower_bound(tmp_path):
     made = record(tmp_path, line(), progress=Progress(running=False, waited_s=7.5))
     assert (made.state, made.waited, made.latency) == ("timeout", 7.5, None)
+
+
+def answered(*ends_s: float, latency_s: float = 0.01) -> list[dict[str, Any]]:
+    return [{**line(latency_s), "start_s": end_s - latency_s} for end_s in ends_s]
+
+
+@pytest.mark.parametrize(
+    ("ends_s", "waited_s", "timeout_s", "hangs"),
+    [
+        ((1.0, 1.1, 1.2), 12.0, None, True),  # the ten requests of the next second never came
+        ((1.0, 1.1, 1.2), 0.9, None, False),  # a busy machine makes such pauses
+        ((1.0, 6.0, 11.0), 14.0, None, False),  # asked every five seconds, or slow
+        ((1.0, 6.0, 11.0), 16.0, None, True),
+        ((1.0, 6.0, 11.0), 6.5, 1.0, True),  # asked after five seconds at most, and too late after one more
+        ((1.0, 6.0, 11.0), 5.5, 1.0, False),
+        ((1.0, 1.1, 1.2), None, None, False),  # whoever asked has ended
+    ],
+)
+def test_a_node_that_hangs_does_not_count_by_what_it_did_before(tmp_path, ends_s, waited_s, timeout_s, hangs):
+    rules = replace(RULES, warmup=0, timeout_s=timeout_s)
+    made = record(tmp_path, *answered(*ends_s), rules=rules, progress=Progress(running=False, waited_s=waited_s))
+    assert made.requests == 3
+    if hangs:
+        assert (made.state, made.reason) == ("failed", "no_response")
+        assert f"in the last {waited_s:g}s, though all processes ran: the node hangs" in made.detail
+    else:
+        assert (made.state, made.detail) == ("ok", None)
+
+
+def test_a_share_of_the_time_may_be_lost_as_of_the_requests(tmp_path):
+    rules, waited = replace(RULES, warmup=0, valid=0.5), Progress(running=False, waited_s=4.0)
+    made = record(tmp_path, *answered(*(1 + 0.1 * i for i in range(60))), rules=rules, progress=waited)
+    assert (made.state, made.requests) == ("ok", 60)
+    assert made.detail.startswith("no request was finished in the last 4s")
 
 
 @pytest.mark.parametrize(("statistic", "needed"), [("p50", 2), ("p95", 20), ("p99", 100)])

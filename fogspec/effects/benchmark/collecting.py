@@ -14,6 +14,7 @@ from typing import Any, BinaryIO, TypeGuard, get_args
 
 from fogspec.base import digest
 from fogspec.base.units import format_duration
+from fogspec.effects.benchmark import silence
 from fogspec.effects.benchmark.joining import Request, Value, join
 from fogspec.effects.benchmark.statistics import NEEDED, summary, weights
 from fogspec.plan import Sample
@@ -58,11 +59,10 @@ class Rules:
 class Requests:
     """Requests after warm-up: latencies in seconds and metrics of those that succeeded, and what did not.
 
-    `kinds` has the scenario of each latency; `metrics` are (value, scenario).
-
-    `services_s` are the times that the node worked, where the probe tells them. `lost` requests, which got no response, are
-    among those that failed; `unmatched` are responses that belong to no request.
-    `seen` counts warm-up and failures too. `others` are names that were timed beside the one asked for, in the order they came.
+    `kinds` has the scenario of each latency; `metrics` are (value, scenario). `services_s` are the times that the node
+    worked, where the probe tells them. `lost` requests, which got no response, are among those that failed; `unmatched` are
+    responses that belong to no request. `seen` counts warm-up and failures too, and `finished` has them all. `others` are
+    names that were timed beside the one asked for, in the order they came.
     """
 
     latencies_s: list[float] = field(default_factory=list)
@@ -78,6 +78,7 @@ class Requests:
     warning: str | None = None
     first_failure: str | None = None
     others: list[str] = field(default_factory=list)
+    finished: Sequence[Request] = ()
 
 
 def read(path: Path | None, rules: Rules) -> Requests:
@@ -95,6 +96,7 @@ def read(path: Path | None, rules: Rules) -> Requests:
             requests.unmatched += "unmatched" in entry
             requests.warning = _text(entry.get("warning")) or requests.warning
     join(found, values)
+    requests.finished = found
     for one in found[rules.warmup :]:
         _count(one, rules, requests)
     return requests
@@ -150,9 +152,12 @@ def judge(requests: Requests, progress: Progress, rules: Rules) -> tuple[State, 
         return "timeout", None, progress.detail or "no request was answered after warm-up in the time allowed"
     if missing := [name for name in rules.scenarios if name not in requests.kinds]:
         return "insufficient", None, f"no valid request of scenario {', '.join(missing)}"
+    hangs, tolerable = silence.hanging(requests.finished, progress.waited_s, rules.timeout_s, rules.valid)
+    if not tolerable:
+        return "failed", "no_response", hangs
     if n < NEEDED[rules.statistic]:
         return "insufficient", None, f"{n} requests; {rules.statistic} needs {NEEDED[rules.statistic]}"
-    return "ok", None, "; ".join(filter(None, [progress.detail, *_remarks(requests)])) or None
+    return "ok", None, "; ".join(filter(None, [progress.detail, hangs, *_remarks(requests)])) or None
 
 
 def _remarks(requests: Requests) -> Iterator[str | None]:
@@ -171,14 +176,8 @@ def _remarks(requests: Requests) -> Iterator[str | None]:
 def measured(sample: Sample, progress: Progress, rules: Rules, duration_s: float, spent_usd: float) -> Measured:
     """The record of a sample that has ended; `timings` is left to whoever keeps the raw file."""
     if progress.recorded is not None:
-        fresh = {
-            "id": sample.id,
-            "machine": sample.machine,
-            "duration": duration_s,
-            "spent": spent_usd,
-            "timings": None,
-        }
-        return progress.recorded.model_copy(update=fresh)
+        fresh = {"id": sample.id, "machine": sample.machine, "duration": duration_s, "spent": spent_usd}
+        return progress.recorded.model_copy(update={**fresh, "timings": None})
     requests = read(progress.timings, rules)
     state, reason, detail = judge(requests, progress, rules)
     stopped_by: Any = progress.stopped_by if progress.stopped_by in get_args(StoppedBy) else None
