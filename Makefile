@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slurm-up slurm-down slurm-test slurm-faults slurm-figures ros-env ros-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
+.PHONY: help demo test slurm-up slurm-down slurm-test slurm-faults slurm-figures ros-env ros-figures link-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -52,6 +52,9 @@ slurm-figures: .venv/dev.stamp  ## wall time and overhead of the SkyPilot runner
 
 ros-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## every ROS 2 probe against the truth, idle and saturated
 	$(BIN)/python -m tests.ros.figures
+
+link-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## what a link costs, as root
+	$(BIN)/python -m tests.ros.links_figures
 
 demo: .venv/run.stamp  ## the main job, here and now: real measurements, no account, no cloud
 	$(FOGSPEC) validate $(DEMO)

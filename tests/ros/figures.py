@@ -11,6 +11,7 @@ import tempfile
 from pathlib import Path
 
 from tests.ros.namespaces import lacking, network
+from tests.ros.quoting import host, quote
 from tests.ros.trial import Trial, run
 from tests.tools.preload import build, cost_s
 
@@ -32,17 +33,22 @@ def main() -> None:
     """Print one line for each load and probe."""
     parser = argparse.ArgumentParser(prog="python -m tests.ros.figures")
     parser.add_argument("--requests", type=int, default=100)
+    parser.add_argument("--write", action="store_true", help="into the page that quotes them, too")
     options = parser.parse_args()
     if reason := lacking():
         raise SystemExit(reason)
     with tempfile.TemporaryDirectory() as folder:
         library_s = cost_s(build(Path(folder)))
-    print(HEAD)
+    lines = [host(), HEAD]
+    print(*lines, sep="\n")
     for load, kind, busy_s, rate in CASES:
         with tempfile.TemporaryDirectory() as folder, network(Path(folder)) as net:
             trial = run(net, kind, busy_s, options.requests, rate)
         for probe in trial.records:
-            print(line(load, probe, trial, library_s))
+            lines.append(line(load, probe, trial, library_s))
+            print(lines[-1], flush=True)
+    if options.write:
+        quote(parser.prog, lines)
 
 
 def line(load: str, probe: str, trial: Trial, library_s: float) -> str:

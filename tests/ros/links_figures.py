@@ -6,6 +6,7 @@ middleware in its own way, which is shared memory for what is large. Each is mea
 calmest round is told, because other work on the computer only makes it slower.
 """
 
+import argparse
 import json
 import statistics
 import tempfile
@@ -15,6 +16,7 @@ from typing import Any
 
 from tests.ros.joined import Joined, joined, until
 from tests.ros.namespaces import PYTHON
+from tests.ros.quoting import host, quote
 
 NODES = Path(__file__).parent / "nodes"
 COUNT, MIB = 100, 1 << 20
@@ -83,5 +85,16 @@ def lines() -> list[str]:
     return said
 
 
+def main() -> None:
+    """Print the table, and put it into the page that quotes it if asked to."""
+    parser = argparse.ArgumentParser(prog="python -m tests.ros.links_figures")
+    parser.add_argument("--write", action="store_true", help="into the page that quotes them, too")
+    options = parser.parse_args()
+    found = [host(), *lines()]
+    print("\n".join(found))
+    if options.write:
+        quote(parser.prog, found)
+
+
 if __name__ == "__main__":
-    print("\n".join(lines()))
+    main()
