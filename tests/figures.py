@@ -1,13 +1,16 @@
-"""Every figure that README and docs quote: `make figures`.
+"""Every figure that README quotes: `make figures` prints them, `python -m tests.figures --write` writes those of README anew.
 
 Whole processes are timed from outside, one warm-up and then the median of several runs, with its range. Figures
 depend on the machine; ratios within one run are what to compare.
 """
 
 import compileall
+import contextlib
+import io
 import json
 import os
 import platform
+import re
 import resource
 import shutil
 import statistics
@@ -21,10 +24,24 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAPER_SPECS = ("grasp-planning", "vslam", "motion-planning")
 RUNS = 9
+QUOTED = ("machine:", "validate specs/grasp", "compile specs/grasp", "fit and choose, 50,000", "install:")  # in README
+BLOCK = re.compile(r"(tests\.figures --write`:\n\n```text\n).*?(```\n)", re.DOTALL)
 
 
-def main() -> None:
+def main(write: bool) -> None:
     """Print one line a figure."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed if write else sys.stdout):
+        _measure()
+    if write:
+        quoted = "".join(line for line in printed.getvalue().splitlines(keepends=True) if line.startswith(QUOTED))
+        readme = ROOT / "README.md"
+        text = BLOCK.sub(lambda block: block[1] + quoted + block[2], readme.read_text("utf-8"))
+        readme.write_text(text, "utf-8")
+        print(quoted, end="")
+
+
+def _measure() -> None:
     print(f"machine: {platform.machine()}, {os.cpu_count()} CPUs, Python {platform.python_version()}")
     compileall.compile_dir(ROOT / "fogspec", quiet=1)
     with tempfile.TemporaryDirectory() as scratch:
@@ -35,9 +52,9 @@ def main() -> None:
             for verb in ("validate", "compile"):
                 print(_timed(f"{verb} specs/{spec}.yaml", [*_fogspec(), verb, f"specs/{spec}.yaml"], here))
         print(_timed("validate 1,000 specs", [*_fogspec(), "validate", str(_many(here / "many"))], here, 3))
-    _choosing()
-    for module in ("tests.bench_catalog", "tests.bench_runner"):
-        subprocess.run([sys.executable, "-m", module], cwd=ROOT, check=True)
+    _module("tests.bench_choice")
+    _module("tests.bench_catalog")
+    _module("tests.bench_runner")
     _install_size()
 
 
@@ -70,8 +87,11 @@ def _timed(name: str, argv: Sequence[str], cwd: Path, runs: int = RUNS) -> str:
             f"{runs} runs, whole process); largest process so far {peak:.0f} MiB")  # fmt: skip
 
 
-def _choosing() -> None:
-    subprocess.run([sys.executable, "-m", "tests.bench_choice"], cwd=ROOT, check=True)
+def _module(name: str) -> None:
+    print(
+        subprocess.run([sys.executable, "-m", name], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout,
+        end="",
+    )
 
 
 def _install_size() -> None:
@@ -101,4 +121,4 @@ def _size(site: Path, item: dict[str, object]) -> int:
 
 
 if __name__ == "__main__":
-    main()
+    main("--write" in sys.argv[1:])
