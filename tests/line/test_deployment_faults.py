@@ -46,6 +46,14 @@ def test_a_full_disk_starts_nothing_or_leaves_nothing(tiny: Deployed) -> None:
         assert faulty.left(tiny).nothing
 
 
+def test_down_ends_machines_though_the_disk_is_full(tiny: Deployed) -> None:
+    assert faulty.run(tiny, "apply", MANIFEST, "--yes") == 0
+    assert faulty.run(tiny, "down", "tiny", fault=faulty.full(1)) == 1
+    assert tiny.alive() == [], "what cannot be written down must not cost money"
+    assert faulty.run(tiny, "down", "tiny") == 0
+    assert faulty.left(tiny).nothing
+
+
 def test_the_clock_jumps(tiny: Deployed) -> None:
     for days in (-400, 400):
         assert faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.jumped(days)) == 0

@@ -204,9 +204,13 @@ class Apply:
 
 
 def end(live: LiveFile, machine: Machine, deployer: Deployer, tell: Callable[[str], None]) -> None:
-    """End a machine and forget it once it is verified gone; raises CloudFailed when that cannot be verified."""
+    """End a machine and forget it once it is verified gone; raises CloudFailed when that cannot be verified.
+
+    A disk that is full keeps no machine alive: what cannot be written now is written by whoever ends it again.
+    """
     if machine.state != "ending":
-        live.put(machine.model_copy(update={"state": "ending"}))
+        with contextlib.suppress(WrongFile, OSError):
+            live.put(machine.model_copy(update={"state": "ending"}))
     try:
         deployer.end(live.launch(machine))
     except LostContact as lost:
@@ -214,5 +218,5 @@ def end(live: LiveFile, machine: Machine, deployer: Deployer, tell: Callable[[st
             f"{machine.name}: could not be verified gone: {lost}",
             f"it may still cost money: fogspec down {live.layout.name}",
         ) from None
-    live.gone(machine.name)
     tell(f"{machine.name}: gone")
+    live.gone(machine.name)

@@ -78,16 +78,19 @@ def _live(layout: Layout, times: Times, tell: Callable[[str], None]) -> LiveFile
 
 def _down(live: LiveFile, deployers: Sequence[Deployer], tell: Callable[[str], None]) -> tuple[int, float]:
     by_name, left, ended = {one.name: one for one in deployers}, list[str](), 0
+    unwritten: list[WrongFile | OSError] = []
     spent = live.total_usd()
     for machine in list(live.machines):
-        with _gathering(left):
+        with _gathering(left, unwritten):
             end(live, machine, by_name[machine.deployer], tell)
             ended += 1
     for deployer in deployers:
-        with _gathering(left):
+        with _gathering(left, unwritten):
             ended += _strays(live, deployer, tell)
     if left:
         raise CloudFailed(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
+    if unwritten:
+        raise unwritten[0]
     live.clear()
     return ended, spent
 
@@ -105,13 +108,16 @@ def _strays(live: LiveFile, deployer: Deployer, tell: Callable[[str], None]) -> 
 
 
 @contextlib.contextmanager
-def _gathering(left: list[str]) -> Iterator[None]:
+def _gathering(left: list[str], unwritten: list[WrongFile | OSError]) -> Iterator[None]:
+    """What goes wrong with one machine keeps no other one alive."""
     try:
         yield
     except CloudFailed as failed:
         left.append(failed.message)
     except LostContact as lost:
         left.append(str(lost))
+    except (WrongFile, OSError) as problem:
+        unwritten.append(problem)
 
 
 def places_of(layout: Layout) -> list[str]:

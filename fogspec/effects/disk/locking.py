@@ -41,9 +41,11 @@ def held(path: Path, what: str, remove: bool = False) -> Iterator[None]:
                 ) from None
             if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 break
+        holder = {"pid": os.getpid(), "start_ticks": start_ticks(os.getpid()), "host": os.uname().nodename}
         file.truncate(0)
-        json.dump({"pid": os.getpid(), "start_ticks": start_ticks(os.getpid()), "host": os.uname().nodename}, file)
-        file.flush()
+        # On a full disk there is a lock all the same.
+        with contextlib.suppress(OSError):
+            os.write(file.fileno(), json.dumps(holder).encode())
         try:
             yield
         finally:

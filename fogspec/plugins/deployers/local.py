@@ -122,6 +122,8 @@ def _read(path: Path) -> bytes:
 
 
 def _last_line(log: Path) -> str | None:
+    if (said := keeping.told(_read(log), None)) is not None and said.detail:
+        return said.detail
     lines = [line.strip() for line in _read(log).decode("utf-8", "replace").splitlines() if line.strip()]
     return "".join(c for c in lines[-1] if c.isprintable())[:300] if lines else None
 
