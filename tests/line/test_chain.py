@@ -182,6 +182,15 @@ def test_diff_names_the_samples_to_measure(done: Shell) -> None:
     assert "spec.hardware.cpus: 2..8 -> 2..32" in done("diff", *AT).out
 
 
+@pytest.mark.parametrize("content", ["", "- 1\n", "a: [\n", "\0\n"])
+def test_a_manifest_that_is_none_is_damage_not_a_bug(done: Shell, content: str) -> None:
+    done.write(MANIFEST, content)
+    for verb in ("status", "diff"):
+        assert done(verb, "specs/demo.yaml", *AT).err == "", "compile mends it"
+    for verb in ("verify", "attest", "apply"):
+        assert "error[FS" in done(verb, MANIFEST, *AT, code=1).err
+
+
 def test_diff_before_anything_and_when_nothing_meets(shell: Shell) -> None:
     project(shell)
     assert "there is no manifest" in shell("diff", *AT).out

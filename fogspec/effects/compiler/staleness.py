@@ -12,14 +12,13 @@ from typing import Any, Literal
 from fogspec import stages
 from fogspec.base import digest
 from fogspec.base.diagnostics import Problems
-from fogspec.base.nodes import plain
 from fogspec.base.outcomes import Outcome
 from fogspec.catalog import Catalog
 from fogspec.effects.compiler.compiling import Compiled, compile_application, money
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.measured import read_results
 from fogspec.effects.disk.pinning import drift, read_pins
-from fogspec.effects.disk.specfiles import read_document, read_nodes
+from fogspec.effects.disk.specfiles import read_document, read_plain
 from fogspec.keeping import still_serves
 from fogspec.lock import pins_of_measurement
 from fogspec.plan import Plan, PlanBody, TaskRef
@@ -182,7 +181,7 @@ def _what_differs(path: Path, now: bytes) -> list[str]:
     from ruamel.yaml import YAML
 
     try:
-        before = plain(read_nodes(path)[0][0])
+        before = read_plain(path)
     except Problems:
         return ["it is damaged"]
     found = list(differences(before, YAML(typ="safe", pure=True).load(now), ""))

@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 from fogspec.base import digest, units
 from fogspec.base.diagnostics import Problems
-from fogspec.base.nodes import plain
 from fogspec.base.outcomes import Outcome
 from fogspec.deployment import Machine
 from fogspec.effects.compiler.compiling import money
@@ -16,7 +15,7 @@ from fogspec.effects.deployment.observing import Observed, observe
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.pinning import files_deployed
 from fogspec.effects.disk.redacting import redacted
-from fogspec.effects.disk.specfiles import read_document, read_nodes
+from fogspec.effects.disk.specfiles import read_document, read_plain
 from fogspec.effects.review.comparing import Change, changes
 from fogspec.effects.review.differing import read_manifest, telling
 from fogspec.manifest import Manifest
@@ -87,9 +86,8 @@ def differences_of_running(layout: Layout, live: LiveFile, machine: Machine, app
         return files
     secrets = application.spec.secrets
     try:
-        nodes, _ = read_nodes(live.folder(machine.name) / "manifest.yaml")
-        before: Any = plain(nodes[0])
-    except (Problems, Outcome, OSError, IndexError):
+        before: Any = read_plain(live.folder(machine.name) / "manifest.yaml")
+    except (Problems, Outcome, OSError):
         before = {"digest": machine.manifest}
     return telling(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets))) + files
 

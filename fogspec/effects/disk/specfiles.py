@@ -5,13 +5,13 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
 from fogspec import rules
 from fogspec.base.diagnostics import Diagnostic, Place, Problems
-from fogspec.base.nodes import Node, key_place, place_of, places
+from fogspec.base.nodes import Node, key_place, place_of, places, plain
 from fogspec.base.nodes import Path as Steps
 from fogspec.base.outcomes import WrongFile
 from fogspec.base.shape import Checked, check
@@ -135,6 +135,12 @@ def read_nodes(path: str | os.PathLike[str], content: bytes | None = None) -> tu
     if not clean:
         raise Problems(texts.shown(wrong))
     return nodes, texts
+
+
+def read_plain(path: str | os.PathLike[str], content: bytes | None = None) -> Any:
+    """The first document of a file in plain values, None where there is none; raises Problems when it is no YAML."""
+    nodes, _ = read_nodes(path, content)
+    return plain(nodes[0]) if nodes else None
 
 
 def _remade(one: Diagnostic, texts: Texts) -> Diagnostic:

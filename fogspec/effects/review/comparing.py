@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.base.diagnostics import Problems
-from fogspec.base.nodes import plain
-from fogspec.effects.disk.specfiles import read_nodes
+from fogspec.effects.disk.specfiles import read_plain
 
 LONGEST = 80
 
@@ -42,12 +41,12 @@ def changes_in_file(path: Path, content: bytes) -> list[Change]:
 
     Digests only where nothing else differs; one change of the whole where the file is damaged.
     """
-    after = plain(read_nodes(path, content)[0][0])
+    after = read_plain(path, content)
     try:
-        nodes = read_nodes(path)[0]
+        before = read_plain(path)
     except Problems as problems:
         return [Change("", problems.diagnostics[0].message, "a whole file")]
-    found = list(changes(plain(nodes[0]) if nodes else None, after))
+    found = list(changes(before, after))
     return [one for one in found if not one.is_digest] or found
 
 

@@ -2,18 +2,18 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from fogspec.base import units
 from fogspec.base.diagnostics import Problems
-from fogspec.base.nodes import plain
 from fogspec.base.outcomes import Outcome
 from fogspec.catalog import Catalog
 from fogspec.effects.compiler.compiling import Compiled, compile_application, money
 from fogspec.effects.compiler.staleness import status
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.redacting import redacted
-from fogspec.effects.disk.specfiles import LoadedSpec, read_nodes
+from fogspec.effects.disk.specfiles import LoadedSpec, read_plain
 from fogspec.effects.review.comparing import Change, changes
 from fogspec.plan import lifetime_s
 from fogspec.results import done
@@ -75,13 +75,15 @@ def difference(loaded: LoadedSpec, catalog: Catalog) -> Difference:
 
 def read_manifest(layout: Layout) -> Mapping[str, Any] | None:
     """The manifest on disk as plain values, None where there is none; damaged, it has one field that says so."""
-    if not layout.manifest.is_file():
-        return None
+    return manifest_in(layout.manifest) if layout.manifest.is_file() else None
+
+
+def manifest_in(path: Path, content: bytes | None = None) -> Mapping[str, Any]:
+    """The manifest in a file, or in what the file was; damaged, it has one field that says so."""
     try:
-        nodes, _ = read_nodes(layout.manifest)
+        found = read_plain(path, content)
     except Problems as problems:
         return {"damaged": problems.diagnostics[0].message}
-    found = plain(nodes[0]) if nodes else None
     return found if isinstance(found, dict) else {"damaged": "it has no mapping"}
 
 
@@ -90,7 +92,7 @@ def manifest_now(compiled: Compiled) -> Mapping[str, Any] | None:
     content = compiled.files.get(compiled.layout.manifest)
     if content is None:
         return None
-    found: Mapping[str, Any] = plain(read_nodes(compiled.layout.manifest, content)[0][0])
+    found: Mapping[str, Any] = read_plain(compiled.layout.manifest, content)
     return found
 
 

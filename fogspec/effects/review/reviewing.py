@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fogspec.base.nodes import plain
 from fogspec.catalog import Catalog
 from fogspec.effects.compiler.staleness import Status, status
 from fogspec.effects.disk.git import Repository
 from fogspec.effects.disk.redacting import redacted
-from fogspec.effects.disk.specfiles import LoadedSpec, read_nodes
+from fogspec.effects.disk.specfiles import LoadedSpec
 from fogspec.effects.review.comparing import Change, changes, short
 from fogspec.effects.review.differences import NAMES, escaped, headline
-from fogspec.effects.review.differing import Difference, costs, read_manifest, telling
+from fogspec.effects.review.differing import Difference, costs, manifest_in, read_manifest, telling
 
 MARK = "<!-- fogspec review -->"
 INPUTS = {
@@ -58,7 +57,7 @@ def review(loaded: LoadedSpec, catalog: Catalog, repository: Repository, commit:
     found = status(loaded.application, loaded.path, catalog)
     layout, secrets = found.layout, loaded.application.spec.secrets
     content = repository.at(commit, layout.manifest)
-    before = None if content is None else _parsed(layout.manifest, content)
+    before = None if content is None else manifest_in(layout.manifest, content)
     old, new = redacted(before, secrets), redacted(read_manifest(layout), secrets)
     every = list(changes(old, new))
     why = tuple(dict.fromkeys(_inputs(every))) if old and new else ()
@@ -73,12 +72,7 @@ def removed(repository: Repository, commit: str, names: Collection[str]) -> list
         path for path in repository.paths(commit)
         if path.match("compiled/*/manifest.yaml") and path.parent.name not in names and not path.exists()
     ]  # fmt: skip
-    return [Removed(path.parent.name, redacted(_parsed(path, repository.at(commit, path) or b"{}"))) for path in gone]
-
-
-def _parsed(path: Path, content: bytes) -> Mapping[str, Any]:
-    found = plain(read_nodes(path, content)[0][0])
-    return found if isinstance(found, dict) else {"damaged": "it has no mapping"}
+    return [Removed(path.parent.name, redacted(manifest_in(path, repository.at(commit, path) or b""))) for path in gone]
 
 
 def _inputs(every: Sequence[Change]) -> Iterator[str]:
