@@ -8,7 +8,7 @@ import statistics
 import pytest
 
 from tests.ros.namespaces import Net
-from tests.ros.trial import Trial, run
+from tests.ros.trial import Trial, compiled, run
 
 INSIDE_S = 0.004
 BESIDE_S = 0.008
@@ -26,6 +26,14 @@ def test_a_service_closed_loop(net: Net) -> None:
     assert len(trial.good("preload")) == len(trial.truth_s) == 30, trial.client
     close(trial, "preload", "service_s", INSIDE_S)
     close(trial, "preload", "latency_s", INSIDE_S)
+
+
+def test_a_saturated_node_that_is_no_python(net: Net) -> None:
+    """rclcpp is not on PyPI: this node calls rcl as rclcpp does, linked with it from the start."""
+    trial = run(net, "service", 0.03, 30, 60.0, program=compiled(net.folder))
+    assert 15 < len(trial.good("preload")) == len(trial.truth_s) <= 30, trial.client
+    close(trial, "preload", "service_s", INSIDE_S)
+    assert max(one["latency_s"] for one in trial.good("preload")) > 0.2
 
 
 def test_a_saturated_service_waiting_is_told_from_working(net: Net) -> None:

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import statistics
+import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,8 +44,10 @@ class Trial:
         return [one["warning"] for one in self.records[probe] if "warning" in one]
 
 
-def run(net: Net, kind: str, busy_s: float, count: int, rate: float | None = None, *more: str) -> Trial:
-    """`count` requests, closed-loop or at a rate; `more` are words for the node."""
+def run(
+    net: Net, kind: str, busy_s: float, count: int, rate: float | None = None, *more: str, program: Path | None = None
+) -> Trial:
+    """`count` requests, closed-loop or at a rate; `more` are words for the node, `program` takes the place of busy.py."""
     modules = place(net.folder)
     listeners = {"service": (), "action": ("rclpy",), "topic": MATCHES}[kind]
     started = {}
@@ -52,7 +55,13 @@ def run(net: Net, kind: str, busy_s: float, count: int, rate: float | None = Non
         words = [*ASKED[kind], *(["--match", name] if kind == "topic" else [])]
         started[name] = net.python(name, "-m", "fogspec_machine.topics", *words, PYTHONPATH=modules,
                                    FOGSPEC_TIMINGS=str(net.folder / f"{name}.jsonl"))  # fmt: skip
-    node = [str(PYTHON), str(NODES / "busy.py"), kind, str(busy_s), str(net.folder / "truth"), *more]
+    node = [
+        *([str(program)] if program else [str(PYTHON), str(NODES / "busy.py")]),
+        kind,
+        str(busy_s),
+        str(net.folder / "truth"),
+        *more,
+    ]
     node += ["--watchers", str(len(listeners))] if kind == "topic" else []
     server = net.python("server", "-m", "fogspec_machine.preload", *ASKED[kind], "--", *node, PYTHONPATH=modules,
                         FOGSPEC_TIMINGS=str(net.folder / "preload.jsonl"))  # fmt: skip
@@ -81,6 +90,19 @@ def run(net: Net, kind: str, busy_s: float, count: int, rate: float | None = Non
         {name: records(net.folder / f"{name}.jsonl") for name in ("preload", *listeners)},
         [one["busy_s"] for one in records(net.folder / "truth")], cpu_s, client.said(),
     )  # fmt: skip
+
+
+def compiled(folder: Path) -> Path:
+    """busy.c, which is a node without rclpy, compiled against the rcl of the wheels."""
+    ros = PYTHON.parents[1]
+    program = folder / "busy"
+    libraries = ["rcl", "rcutils", "std_srvs__rosidl_typesupport_c", "std_srvs__rosidl_generator_c"]
+    words = [
+        *(f"-I{one}" for one in sorted((ros / "include").iterdir())), str(NODES / "busy.c"), "-o", str(program),
+        f"-L{ros / 'lib'}", "-Wl,--allow-shlib-undefined", *(f"-l{name}" for name in libraries),
+    ]  # fmt: skip
+    subprocess.run(["cc", "-O2", "-rdynamic", "-Wall", "-Wextra", "-Werror", *words], check=True, timeout=120)
+    return program
 
 
 def records(path: Path) -> list[dict[str, Any]]:
