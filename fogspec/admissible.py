@@ -125,6 +125,26 @@ def _filters(hardware: Hardware, infra: Sequence[str]) -> list[tuple[str, Callab
     return found
 
 
+def before_empty(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> str | None:
+    """What the machines have that the last filter was left with, where it removed all: what could be asked for instead."""
+    offers = catalog
+    for name, mask in _filters(hardware, infra):
+        kept = offers.take(mask(offers))
+        if not len(kept) and len(offers):
+            values = {
+                "hardware.gpus": lambda c: sorted({str(gpu) for gpu in c.gpu if gpu}) or ["none"],
+                "hardware.cpus": lambda c: [f"{value:g}" for value in sorted(set(c.vcpus.tolist()))],
+                "hardware.memory": lambda c: [f"{value:g} GiB" for value in sorted(set(c.memory_gib.tolist()))],
+            }.get(name)
+            return None if values is None else f"on offer there for {name}: {_shortened(values(offers))}"
+        offers = kept
+    return None
+
+
+def _shortened(words: list[str]) -> str:
+    return ", ".join(words if len(words) <= 16 else [*words[:8], "...", *words[-4:]])
+
+
 def merge_zones(offers: Catalog, infra: Sequence[str]) -> Catalog:
     """One offer for all zones of a region that `infra` does not name, at the highest of their prices.
 

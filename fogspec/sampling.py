@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.admissible import Admissible, gpu_type, matches_gpu, matches_infra, merge_zones
+from fogspec.admissible import Admissible, before_empty, gpu_type, matches_gpu, matches_infra, merge_zones
 from fogspec.base import units
 from fogspec.base.hardware import Gpu, Offer, local_shape
 from fogspec.base.outcomes import NothingMeets, WrongFile
@@ -66,7 +66,8 @@ def pick(spec: Spec, catalog: Catalog, admissible: Admissible, library: "Library
         else _grid(spec, admissible)
     )  # fmt: skip
     if not found.picks:
-        hints = [admissible.funnel.line(), *_unknown_places(spec.infra, catalog), *found.notes]
+        instead = before_empty(catalog, spec.hardware, spec.infra)
+        hints = [admissible.funnel.line(), *_unknown_places(spec.infra, catalog), *([instead] if instead else [])]
         raise NothingMeets("no machine on offer is admissible", *hints)
     return _distinct(found)
 

@@ -79,8 +79,11 @@ def parse_cost_usd_per_request(text: Any) -> float:
     amount = f"${amount.strip()}" if re.fullmatch(NUMBER, amount.strip()) else amount.strip()
     match = re.fullmatch(rf"\s*({NUMBER})?\s*requests?\s*", per)
     if not slash or not match:
-        number = re.search(NUMBER, amount)
-        raise UnitError("must say per what", f"{amount}/request" if number else "$0.001/request", "FS201")
+        try:
+            parse_money_usd(amount)
+        except UnitError as wrong:
+            amount = wrong.fix or "$0.001"
+        raise UnitError("must say per what", f"{amount}/request", "FS201")
     count = _finite(match[1]) if match[1] else 1.0
     if count < 1:
         raise UnitError("must be per at least one request", f"{amount}/request")

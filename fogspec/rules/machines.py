@@ -38,7 +38,10 @@ def places(application: Application) -> Iterator[Finding]:
         elif cloud not in CLOUDS:
             near = closest(cloud, CLOUDS)
             fix = f"write '{near}{text[len(cloud) :]}'" if near else f"write one of {', '.join(CLOUDS[:6])}, ..."
-            if near is None and (region := REGION.fullmatch(text)):
+            start, _, rest = text.partition("-")
+            if start in CLOUDS and REGION.fullmatch(rest):
+                fix = f"write '{start}/{rest}'"
+            elif near is None and (region := REGION.fullmatch(text)):
                 fix = f"write '{'aws' if region[1] else 'gcp'}/{text}'"
             yield Finding(
                 "FS531", path, f"{dotted(path)} must name a cloud that SkyPilot knows, and '{cloud}' is none", fix

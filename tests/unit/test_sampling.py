@@ -90,3 +90,13 @@ def test_no_machine_is_an_answer_that_says_which_filter_left_none() -> None:
         picked(application(infra=["aws/us-esat-1"]), table(*OFFERS))
     assert caught.value.hints[0] == "7 offers -> 0 after infra"
     assert caught.value.hints[1].startswith("the catalog has no machine in aws/us-esat-1; did you mean aws/us-")
+
+
+@pytest.mark.parametrize(
+    ("hardware", "said"),
+    [({"gpus": ["A100"]}, "for hardware.gpus: T4"), ({"cpus": 3}, "for hardware.cpus: "), ({"memory": "3GiB"}, " GiB")],
+)
+def test_where_no_machine_is_left_what_there_was_is_said(hardware: dict[str, object], said: str) -> None:
+    with pytest.raises(NothingMeets) as ended:
+        picked(application(hardware), table(*OFFERS))
+    assert any("on offer there" in hint and said in hint for hint in ended.value.hints)
