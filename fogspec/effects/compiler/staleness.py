@@ -7,7 +7,7 @@ made from, whatever else of the spec has changed.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from fogspec import stages
 from fogspec.base import digest
@@ -15,10 +15,11 @@ from fogspec.base.diagnostics import Problems
 from fogspec.base.outcomes import Outcome
 from fogspec.catalog import Catalog
 from fogspec.effects.compiler.compiling import Compiled, compile_application, money
+from fogspec.effects.disk.comparing import changes, changes_in_file, words_of
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.measured import read_results
 from fogspec.effects.disk.pinning import drift, read_pins
-from fogspec.effects.disk.specfiles import read_document, read_plain
+from fogspec.effects.disk.specfiles import read_document
 from fogspec.keeping import still_serves
 from fogspec.lock import pins_of_measurement
 from fogspec.plan import Plan, PlanBody, TaskRef
@@ -96,7 +97,7 @@ def _plan(application: Application, layout: Layout, compiled: Compiled) -> Stage
         for name in ("hardware", "infra", "sampler", "steps", "after", "warmup", "setup"):
             before, after = (body.model_dump(mode="json")[name] for body in (was, now))
             where = "spec." if name in ("hardware", "infra") else "spec.benchmark."
-            reasons += differences(before, after, f"{where}{name}")
+            reasons += map(words_of, changes(before, after, f"{where}{name}"))
         picked = "from the new catalog other machines are picked" if other_catalog else "it is not what compile writes"
         reasons = reasons or [picked]
     reasons = reasons or [f"{path} is not what was compiled" for path in _edited(layout, was)][:NAMED]
@@ -178,30 +179,6 @@ def _derived(name: str, path: Path, compiled: Compiled, measured: Stage) -> Stag
 
 def _what_differs(path: Path, now: bytes) -> list[str]:
     """The fields that differ; digests only where nothing else does."""
-    from ruamel.yaml import YAML
-
-    try:
-        before = read_plain(path)
-    except Problems:
-        return ["it is damaged"]
-    found = list(differences(before, YAML(typ="safe", pure=True).load(now), ""))
-    told = [line for line in found if ".digest" not in line.partition(":")[0]] or found
+    told = list(map(words_of, changes_in_file(path, now)))
     more = [f"and {len(told) - NAMED} more fields"] if len(told) > NAMED else []
     return [*told[:NAMED], *more] or ["its text was edited"]
-
-
-def differences(before: Any, now: Any, where: str) -> list[str]:
-    """`constraints.latency: 2s -> 1s`, for every field that differs."""
-    if isinstance(before, Mapping) and isinstance(now, Mapping):
-        keys = [*before, *(key for key in now if key not in before)]
-        return [
-            line for key in keys for line in differences(before.get(key), now.get(key), f"{where}.{key}".strip("."))
-        ]
-    if before == now:
-        return []
-    return [f"{where}: {_short(before)} -> {_short(now)}"]
-
-
-def _short(value: Any) -> str:
-    text = "none" if value is None else ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -12,11 +12,11 @@ from fogspec.deployment import Machine
 from fogspec.effects.compiler.compiling import money
 from fogspec.effects.deployment.livestate import LiveFile, Times
 from fogspec.effects.deployment.observing import Observed, observe
+from fogspec.effects.disk.comparing import Change, changes
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.pinning import files_deployed
 from fogspec.effects.disk.redacting import redacted
 from fogspec.effects.disk.specfiles import read_document, read_plain
-from fogspec.effects.review.comparing import Change, changes
 from fogspec.effects.review.differing import read_manifest, telling
 from fogspec.manifest import Manifest
 from fogspec.seams import CannotStart, Deployer, Live, LostContact

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from fogspec.effects.review.comparing import Change, short, words_of
+from fogspec.effects.disk.comparing import Change, short, words_of
 from fogspec.effects.review.differing import Difference, measuring_words
 
 NAMES = {"price": "machine", "month": "a month", "request": "a request", "latency": "latency"}

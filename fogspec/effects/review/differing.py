@@ -11,10 +11,10 @@ from fogspec.base.outcomes import Outcome
 from fogspec.catalog import Catalog
 from fogspec.effects.compiler.compiling import Compiled, compile_application, money
 from fogspec.effects.compiler.staleness import status
+from fogspec.effects.disk.comparing import Change, changes
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.redacting import redacted
 from fogspec.effects.disk.specfiles import LoadedSpec, read_plain
-from fogspec.effects.review.comparing import Change, changes
 from fogspec.plan import lifetime_s
 from fogspec.results import done
 

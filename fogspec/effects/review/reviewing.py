@@ -9,10 +9,10 @@ from typing import Any
 
 from fogspec.catalog import Catalog
 from fogspec.effects.compiler.staleness import Status, status
+from fogspec.effects.disk.comparing import Change, changes, short
 from fogspec.effects.disk.git import Repository
 from fogspec.effects.disk.redacting import redacted
 from fogspec.effects.disk.specfiles import LoadedSpec
-from fogspec.effects.review.comparing import Change, changes, short
 from fogspec.effects.review.differences import NAMES, escaped, headline
 from fogspec.effects.review.differing import Difference, costs, manifest_in, read_manifest, telling
 

@@ -18,11 +18,11 @@ from fogspec.catalog import Catalog
 from fogspec.effects.benchmark import collecting
 from fogspec.effects.benchmark.statistics import summary, weights
 from fogspec.effects.compiler.compiling import Compiled, compile_application
+from fogspec.effects.disk.comparing import changes_in_file, words_of
 from fogspec.effects.disk.manifests import Opened
 from fogspec.effects.disk.measured import raw_timings, read_results
 from fogspec.effects.disk.pinning import drift, read_pins
 from fogspec.effects.disk.specfiles import read_document
-from fogspec.effects.review.comparing import changes_in_file, words_of
 from fogspec.plan import Plan, digest_without_budget
 from fogspec.results import LatencySummary, Measured, Results
 
