@@ -108,7 +108,7 @@ def predict(
 ) -> Predicted:  # fmt: skip
     """Predictions of these targets for every offer; `catalog` describes measured machines that are no offers."""
     body = models.spec
-    if body.measured_on_local:
+    if body.measured_on_local or not len(offers):
         return Predicted(offers, types_of(offers), {name: _by_curves(models, offers, name) for name in targets})
     return from_evidence(body.known, body.unusable, offers, targets, catalog, library)
 

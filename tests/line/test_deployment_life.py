@@ -257,6 +257,15 @@ def test_down_ends_a_bench_that_died(app: Make, monkeypatch: pytest.MonkeyPatch)
     assert tiny.alive() == []
 
 
+def test_a_host_without_a_price_list_is_an_answer(tiny: Deployed) -> None:
+    (tiny.folder / "fogspec.lock").unlink()
+    for words in (["compile", "specs/tiny.yaml"], ["menu", "specs/tiny.yaml"]):
+        ended = tiny(*words, code=4)
+        assert "no machine meets the limits" in ended.stderr
+    (tiny.folder / "fogspec.lock").mkdir()
+    assert "fogspec.lock" in tiny("status", "specs/tiny.yaml", code=1).stderr
+
+
 def test_down_of_nobody(tiny: Deployed) -> None:
     assert "no application named other" in tiny("down", "other", code=1).stderr
 

@@ -20,7 +20,7 @@ ANYWHERE = {"__pycache__", ".git", ".pytest_cache"}
 
 def read_lock(path: Path) -> Lock | None:
     """The lock, None where there is none; raises Problems for one that is damaged."""
-    return read_document(path, Lock) if path.is_file() else None
+    return read_document(path, Lock) if os.path.lexists(path) else None
 
 
 def read_pins(layout: Layout) -> Pins | None:
