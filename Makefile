@@ -41,7 +41,7 @@ slurm-up: .venv/dev.stamp  ## a Slurm cluster with SkyPilot on this machine, as 
 slurm-down: .venv/dev.stamp  ## end that cluster and remove all of it
 	@$(BIN)/python -m tests.tools.slurm down
 
-slurm-test: .venv/dev.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root; CI does not run it yet
+slurm-test: .venv/dev.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root
 	$(BIN)/python -m pytest tests/slurm
 
 slurm-faults: .venv/dev.stamp  ## at least 50 faults on the real engine: what leaked, was lost or paid too much (half an hour)
@@ -63,7 +63,7 @@ demo: .venv/run.stamp  ## the main job, here and now: real measurements, no acco
 	$(FOGSPEC) compile $(DEMO)
 	$(FOGSPEC) explain $(DEMO)
 
-test: lint types floors generated docs unit  ## everything that CI checks
+test: lint types floors generated docs unit slurm-test  ## everything that CI checks
 
 lint: .venv/dev.stamp  ## style and common mistakes
 	$(BIN)/ruff check .
