@@ -7,7 +7,7 @@ import numpy as np
 
 from fogspec.catalog import Catalog, Floats
 from fogspec.plan import Alternative, MachineRef, Sample, machine_ref, sample_on
-from fogspec.sampling import cheapest_first
+from fogspec.sampling import cheapest_first, nth_sample
 from fogspec.spec import Spec
 
 PLACES = 2
@@ -19,16 +19,16 @@ def alternatives(spec: Spec, samples: Sequence[Sample], offers: Catalog) -> list
     """For each sample, machines to take its place, those to be tried first in front; `offers` are the admissible ones.
 
     The same instance type elsewhere, cheapest first; then the machines nearest in vCPUs and memory with the same
-    accelerators, in the same place where there are any. Machines that the spec lists by name have no neighbours, and
-    shapes of this host nothing. One machine may stand in for several samples, for whichever needs it first; none of the
-    plan's own stands in for another.
+    accelerators, in the same place where there are any. Machines that the spec lists by name have no neighbours; shapes
+    of this host, and further samples of a machine, have nothing in their place. One machine may stand in for several
+    samples, for whichever needs it first; none of the plan's own stands in for another.
     """
     planned = {sample.id for sample in samples}
     found = []
     shapes = np.log2(offers.vcpus), np.log2(offers.memory_gib)
     for sample in samples:
         machine = sample.machine
-        if machine.infra == "local":
+        if machine.infra == "local" or nth_sample(sample.id) > 1:
             continue
         apart = np.abs(shapes[0] - np.log2(machine.cpus)) + np.abs(shapes[1] - np.log2(machine.memory))
         near = _Near.of(offers, machine, apart)

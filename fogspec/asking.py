@@ -10,7 +10,7 @@ from fogspec.catalog import Catalog, Floats
 from fogspec.choice import Choice, choose, latency_within
 from fogspec.costs import Costs
 from fogspec.models import evidence, targets
-from fogspec.numerics.acquisition import Policy, gain, next_wave
+from fogspec.numerics.acquisition import Policy, gains, next_wave
 from fogspec.numerics.priors import Library
 from fogspec.numerics.select import weighed
 from fogspec.numerics.surrogate import Posterior
@@ -29,14 +29,15 @@ def next_samples(
     """The offers to measure next, or none with the reason why sampling ends.
 
     `usd_per_sample` (n,) is what a sample of each offer may cost; a whole wave fits into `left_usd`. A type (cloud,
-    instance, accelerators) with a record is not asked for again, nor is one of `excluded` (cloud, instance). Where no
-    further machine is worth its money and the choice was not measured, it is: that verifies it.
+    instance, accelerators) that could not be measured is not asked for again, nor is one of `excluded` (cloud, instance);
+    one that was measured is, where a second sample is worth most. Where no further sample is worth its money and the
+    choice was not measured, it is: that verifies it.
     """
     if not records:
         return first_wave(offers, usd_per_sample, left_usd, library)
     known, unusable = evidence(records, application.spec.constraints.statistic)
     predicted = from_evidence(known, unusable, offers, targets(application), None, library)
-    state = _State.of(application, predicted, [one.machine for one in records], usd_per_sample, excluded)
+    state = _State.of(application, predicted, [one.machine for one in unusable], usd_per_sample, excluded)
     if not any(one.machine.infra != "local" for one in known):
         return state.again(left_usd, library)
     return state.improving(left_usd, wave)
@@ -55,17 +56,17 @@ class Next:
 
 
 def most_worth(
-    application: Application, predicted: Predicted, tried: Collection[MachineRef], usd_per_sample: Floats
+    application: Application, predicted: Predicted, failed: Collection[MachineRef], usd_per_sample: Floats
 ) -> Next | None:
     """What one more sample would be worth, whether or not it is worth its money; None when nothing is left to try."""
-    state = _State.of(application, predicted, tried, usd_per_sample, ())
+    state = _State.of(application, predicted, failed, usd_per_sample, ())
     choice = choose(application, predicted)
     posterior = choice.latency.posterior
     if posterior is None or state.barred.all():
         return None
-    values = _Question(application, predicted, choice).drawn(posterior)
-    best = values[:, posterior.measured].min(axis=1, initial=np.inf)
-    expected = np.where(state.barred, -1.0, gain(values, best))
+    question = _Question(application, predicted, choice)
+    values = question.drawn(posterior)
+    expected = np.where(state.barred, -1.0, gains(posterior, question))
     one = int(np.argmax(expected / state.bill.usd))
     better = None
     if choice.chosen is not None:
@@ -93,15 +94,15 @@ class _State:
 
     @classmethod
     def of(
-        cls, application: Application, predicted: Predicted, machines: Collection[MachineRef], usd_per_sample: Floats,
+        cls, application: Application, predicted: Predicted, failed: Collection[MachineRef], usd_per_sample: Floats,
         excluded: Collection[tuple[str, str]],
     ) -> "_State":  # fmt: skip
-        """Types of these machines, that are excluded, that are unfit, or that are no offers are barred."""
+        """Types of machines that failed, that are excluded, that are unfit, or that are no offers are barred."""
         types, offered = predicted.types, len(usd_per_sample)
         beyond = np.full(len(types.of) - offered, float(usd_per_sample.mean()))
         bill = Bill.of(types, np.concatenate([usd_per_sample, beyond]))
-        tried = {shape_of(one).key for one in machines}
-        barred = np.array([key in tried or key[:2] in excluded for key in types.keys]) | (bill.row >= offered)
+        useless = {shape_of(one).key for one in failed}
+        barred = np.array([key in useless or key[:2] in excluded for key in types.keys]) | (bill.row >= offered)
         barred[types.of[:offered][predicted.targets["latency"].unfit]] = True
         return cls(application, predicted, bill, barred)
 
@@ -123,12 +124,13 @@ class _State:
             posterior, question, sample_cost=self.bill.usd, left=left_usd, policy=Policy(wave=wave), barred=self.barred
         )
         if found.machines:
-            reasons = [
-                f"may better the choice by {worth:.1%} on average, for at most ${self.bill.usd[one]:.4g}"
-                for one, worth in zip(found.machines, found.worth, strict=True)
-            ]
+            reasons = [self._reason(posterior, *each) for each in zip(found.machines, found.worth, strict=True)]
             return asked(found, self.bill, reasons, left_usd)
         return self._verifying(choice, asked(found, self.bill, (), left_usd).reason, left_usd)
+
+    def _reason(self, posterior: Posterior, one: int, worth: float) -> str:
+        again = "measured again, for one sample may err: " if posterior.measured[one] else ""
+        return f"{again}may better the choice by {worth:.1%} on average, for at most ${self.bill.usd[one]:.4g}"
 
     def _verifying(self, choice: Choice, why: str, left_usd: float) -> Asked:
         """The choice itself, where it was not measured and can be paid for."""

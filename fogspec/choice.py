@@ -38,6 +38,7 @@ class Choice:
     metrics: Mapping[str, Predictions]
     x: Floats
     cost_usd_per_request: Floats
+    costs: Costs
     values: Mapping[str, Floats]
     bounds: Mapping[str, float]
     within_s: Floats
@@ -74,12 +75,43 @@ class Choice:
     @cached_property
     def misses(self) -> tuple[Miss, ...]:
         """For each limit how far it would have to be relaxed; none while some machine meets them all."""
-        return () if self.feasible.any() else select.misses(self.values, self.bounds, self.eligible)
+        if self.feasible.any():
+            return ()
+        return select.misses(self.needs(floors(self.confidence)[-1]), self.bounds, self.eligible)
 
     @cached_property
     def nearest(self) -> int | None:
         """The machine that comes nearest to the limits where none meets them all."""
-        return None if self.feasible.any() else select.nearest(self.values, self.bounds, self.eligible)
+        if self.feasible.any():
+            return None
+        return select.nearest(self.needs(floors(self.confidence)[-1]), self.bounds, self.eligible)
+
+    def needs(self, floor: float | None) -> Mapping[str, Floats]:
+        """What each limit would have to be for each offer to meet it with this probability; the values without one.
+
+        Limits on latency, rate and cost are also asked for what limits on metrics leave of the probability, where they
+        leave enough.
+        """
+        if floor is None or self.latency.posterior is None:
+            return self.values
+        latency = self._latency_needs(floor)
+        found = {"latency": latency, "rate": latency, "cost": self.costs.per_request(latency)}
+        for name, one in self.metrics.items():
+            if one.posterior is not None:
+                found[f"metrics.{name}"] = np.maximum(one.posterior.quantile(floor)[one.of], one.value)
+        return {name: found.get(name, values) for name, values in self.values.items()}
+
+    @property
+    def latency_needs(self) -> Floats:
+        """What a limit on latency would have to be for each offer to meet it with the least probability asked for."""
+        return self._latency_needs(floors(self.confidence)[-1])
+
+    def _latency_needs(self, floor: float) -> Floats:
+        if self.latency.posterior is None:
+            return self.latency.value
+        rest = _of_metrics(self.metrics, self.bounds)
+        asked = floor if rest is None else np.where(rest > floor, floor / np.maximum(rest, floor), floor)
+        return np.asarray(np.maximum(self.latency.posterior.quantile(asked)[self.latency.of], self.latency.value))
 
     def probability(self, row: int) -> float | None:
         """Probability that one offer meets every limit, latency and metrics taken as independent; None if unknown.
@@ -137,7 +169,7 @@ def choose(application: Application, predicted: Predicted) -> Choice:
     pool = measured if spec.benchmark.sampler == "adaptive" and measured.any() else feasible
     first = _First(cost, latency.value, offers.instance, pool)
     return Choice(
-        offers, latency, metrics, x, cost, values, bounds, within_s, eligible, feasible, pool, floor, confidence, scale,
+        offers, latency, metrics, x, cost, costs, values, bounds, within_s, eligible, feasible, pool, floor, confidence, scale,
         objective, chosen=first.by(objective), cheapest=first.by(cost), fastest=first.by(latency.value),
     )  # fmt: skip
 

@@ -1,7 +1,8 @@
 """The sampling plan: which machines are measured, what each costs, and why each is there."""
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -226,12 +227,17 @@ def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
     return [] if image is None or "image" in pins else [f"image {image} is not pinned to a digest: fogspec lock"]
 
 
-def sample_on(machine: MachineRef, reason: str) -> Sample:
-    """The sample that measures this machine; its id depends on the machine alone."""
+def sample_on(machine: MachineRef, reason: str, nth: int = 1) -> Sample:
+    """The `nth` sample that measures this machine; its id depends on the machine and on `nth` alone."""
     gpu = Gpu(machine.gpu.name, machine.gpu.count) if machine.gpu else None
-    return Sample(
-        id=sampling.identity(machine.infra, machine.instance, gpu, machine.spot), machine=machine, reason=reason
-    )
+    name = sampling.identity(machine.infra, machine.instance, gpu, machine.spot, nth)
+    return Sample(id=name, machine=machine, reason=reason)
+
+
+def next_on(machine: MachineRef, reason: str, taken: Collection[str]) -> Sample:
+    """The first sample of this machine whose id is not taken."""
+    numbered = (sample_on(machine, reason, nth) for nth in itertools.count(1))
+    return next(sample for sample in numbered if sample.id not in taken)
 
 
 def machine_ref(offer: Offer) -> MachineRef:

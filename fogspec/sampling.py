@@ -44,14 +44,22 @@ class Picks:
     notes: tuple[str, ...]
 
 
-def identity(infra: str, instance: str, gpu: Gpu | None, spot: bool) -> str:
-    """The id of a machine's sample."""
+def identity(infra: str, instance: str, gpu: Gpu | None, spot: bool, nth: int = 1) -> str:
+    """The id of a machine's sample, or of the `nth` one of the same machine."""
     words = [infra, instance]
     if gpu and infra.startswith("gcp/"):
         words.append(f"{gpu.name}-{gpu.count:g}")  # one host, several accelerators
     if spot:
         words.append("spot")
+    if nth > 1:
+        words.append(f"repeat-{nth}")
     return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
+
+
+def nth_sample(sample_id: str) -> int:
+    """Which sample of its machine this is: 1 for the first."""
+    found = re.search(r"-repeat-([0-9]+)$", sample_id)
+    return int(found[1]) if found else 1
 
 
 def pick(spec: Spec, catalog: Catalog, admissible: Admissible, library: "Library | None" = None) -> Picks:

@@ -5,9 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fogspec.catalog import Floats
 from fogspec.choice import Choice, choose
-from fogspec.costs import Costs
 from fogspec.models import Known, Models, targets
 from fogspec.predicting import Ground, Predicted, shape_of
 from fogspec.spec import Application
@@ -57,12 +55,12 @@ class Weak:
     ratio: float
 
 
-def bindings(application: Application, choice: Choice) -> list[Binding]:
+def bindings(choice: Choice) -> list[Binding]:
     """Every limit at the chosen machine; none when nothing was chosen."""
     row = choice.chosen
     if row is None:
         return []
-    needs = _needs(application, choice)
+    needs = choice.needs(choice.floor)
     found = []
     for name, bound in choice.bounds.items():
         others = choice.eligible.copy()
@@ -78,19 +76,6 @@ def bindings(application: Application, choice: Choice) -> list[Binding]:
             None if nearest is None else str(choice.offers.instance[nearest]),
         ))  # fmt: skip
     return found
-
-
-def _needs(application: Application, choice: Choice) -> dict[str, Floats]:
-    """What each limit would have to be for each offer to meet it with the probability that the choice has to."""
-    if choice.latency.posterior is None or choice.floor is None:
-        return dict(choice.values)
-    latency = choice.latency.posterior.quantile(choice.floor)[choice.latency.of]
-    costs = Costs.of(application.spec, choice.offers.price_usd_per_hour, choice.offers.spot)
-    needs = {"latency": latency, "rate": latency, "cost": costs.per_request(latency), "price": costs.price_usd_per_hour}
-    for name, one in choice.metrics.items():
-        value = one.value if one.posterior is None else one.posterior.quantile(choice.floor)[one.of]
-        needs[f"metrics.{name}"] = value
-    return needs
 
 
 def influences(application: Application, models: Models, ground: Ground | None, choice: Choice) -> list[Influence]:

@@ -60,18 +60,35 @@ function before(i, j) {
   return false;
 }
 
+// What a request costs that takes so long.
+function costOf(i, seconds) {
+  const rate = data.costs.interruptions_per_s;
+  if (data.costs.requests_per_s) return offers.usd_per_s[i] / data.costs.requests_per_s + data.costs.transfer;
+  const paid = offers.spot[i] && rate > 0 ? Math.expm1(rate * seconds) / rate : seconds;
+  return offers.usd_per_s[i] * paid + data.costs.transfer;
+}
+
+// What each limit would have to be for an offer to meet it with the least probability that is enough.
+function needOf(one, i) {
+  if (one.name === "latency" || one.name === "rate") return offers.needs[i];
+  return one.name === "cost" ? costOf(i, offers.needs[i]) : one.needs[i];
+}
+
 // How far each limit would have to move where nothing meets them all.
 function misses(bounds) {
-  const found = [];
-  for (const one of bounds) {
-    const others = offers.row.map((_, i) => bounds.every((other) => other === one || held(other, i)));
-    const alone = others.includes(true);
-    let best = null;
-    for (let i = 0; i < count; i++)
-      if ((!alone || others[i]) && (best === null || one.value[i] < one.value[best])) best = i;
-    if (best === null) continue;
-    const factor = one.bound > 0 ? one.value[best] / one.bound : Infinity;
-    if (factor > 1) found.push({name: one.name, factor, name_of: offers.name[best]});
+  const factor = bounds.map((one) => offers.row.map((_, i) => (one.bound > 0 ? needOf(one, i) / one.bound : Infinity)));
+  const met = (b, i) => needOf(bounds[b], i) <= bounds[b].bound;
+  const least = (score, among) => among.reduce((best, i) => (best === null || score(i) < score(best) ? i : best), null);
+  const all = offers.row.map((_, i) => i), named = bounds.map((_, b) => b);
+  const missed = (b, i) => ({name: bounds[b].name, factor: factor[b][i], name_of: offers.name[i]});
+  let found = named.flatMap((b) => {
+    const others = all.filter((i) => named.every((other) => other === b || met(other, i)));
+    const best = least((i) => needOf(bounds[b], i), others.length ? others : all);
+    return best !== null && factor[b][best] > 1 ? [missed(b, best)] : [];
+  });
+  if (!found.length && bounds.length) {
+    const nearest = least((i) => Math.max(...named.map((b) => factor[b][i])), all);
+    if (nearest !== null) found = named.filter((b) => !met(b, nearest)).map((b) => missed(b, nearest));
   }
   return found.sort((a, b) => b.factor - a.factor);
 }

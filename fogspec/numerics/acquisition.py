@@ -1,13 +1,16 @@
 """Which machines to measure next, when to stop, and which one to choose."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from fogspec.numerics.features import Floats
+from fogspec.numerics.repeats import after_one_more
 from fogspec.numerics.samples import DEFAULT_NOISE
 from fogspec.numerics.surrogate import Posterior
+
+SURE = 0.9  # share of draws within the limits from which on a machine counts as one to be chosen
 
 
 class Question(Protocol):
@@ -99,14 +102,21 @@ class Policy:
     """How the sampler trades money for certainty.
 
     A machine of mean price is worth measuring while it is expected to improve the objective by `worth` (relative),
-    one of another price in proportion; the most improvement per price comes first. `first` machines are measured
-    before the objective guides, `wave` at once, `most` samples in all.
+    one of another price in proportion; a measured one is worth a further sample, up to `each` in all, while that is
+    expected to improve it by `again` times its share of the price of a full sweep. The most improvement for what is
+    asked comes first. `first` machines are measured before the objective guides, `wave` at once, `most` samples in all.
     """
 
-    worth: float = 0.006
+    worth: float = 0.009
+    again: float = 0.2
+    each: int = 3
     first: int = 3
     wave: int = 1
     most: int = 30
+
+    def asked(self, cost: Floats, measured: np.ndarray) -> Floats:
+        """The improvement (N,) from which on a sample of each machine is worth its cost."""
+        return np.asarray(cost * np.where(measured, self.again / cost.sum(), self.worth / cost.mean()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,26 +177,32 @@ def next_wave(
 
     The first wave spreads over what is uncertain (A-optimal design per price), later waves follow expected
     improvement under the limits per price (Alipourfard et al., CherryPick, NSDI 2017; Gelbart et al., Bayesian
-    Optimization with Unknown Constraints, UAI 2014).
+    Optimization with Unknown Constraints, UAI 2014), further samples of measured machines among them.
     """
     policy = policy or Policy()
     tried = np.unique(posterior.observations.machine)
     room = policy.most - len(posterior.observations.machine)
     if room <= 0:
         return Wave((), f"{policy.most} samples were taken, the most allowed")
-    untried = np.ones(len(sample_cost), dtype=bool)
+    allowed = np.ones(len(sample_cost), dtype=bool) if barred is None else ~barred
+    untried = allowed.copy()
     untried[tried] = False
-    if barred is not None:
-        untried &= ~barred
-    if not untried.any():
-        return Wave((), "every machine was measured")
-    if sample_cost[untried].min() > left:
-        return Wave((), f"the cheapest further sample costs {sample_cost[untried].min():.4g}, {left:.4g} is left")
     if not posterior.measured.any() and len(tried) < 2 * policy.first:
+        if not untried.any():
+            return Wave((), "every machine was measured")
+        if sample_cost[untried].min() > left:
+            return _too_dear(sample_cost, untried, left)
         return _spread(posterior, sample_cost, left, untried, min(policy.first, room))
-    return _improving(
-        question.drawn(posterior), posterior.measured, sample_cost, left, untried, policy, min(policy.wave, room)
-    )
+    usable = untried | (allowed & posterior.measured & (posterior.samples < policy.each))
+    if not usable.any():
+        return Wave((), "every machine was measured")
+    if sample_cost[usable].min() > left:
+        return _too_dear(sample_cost, usable, left)
+    return _improving(posterior, question, sample_cost, left, usable, policy, min(policy.wave, room))
+
+
+def _too_dear(cost: Floats, usable: np.ndarray, left: float) -> Wave:
+    return Wave((), f"the cheapest further sample costs {cost[usable].min():.4g}, {left:.4g} is left")
 
 
 def _spread(posterior: Posterior, cost: Floats, left: float, untried: np.ndarray, count: int) -> Wave:
@@ -211,29 +227,73 @@ def _spread(posterior: Posterior, cost: Floats, left: float, untried: np.ndarray
 
 
 def _improving(
-    value: Floats, known: np.ndarray, cost: Floats, left: float, untried: np.ndarray, policy: Policy, count: int
+    posterior: Posterior, question: Question, cost: Floats, left: float, usable: np.ndarray, policy: Policy, count: int
 ) -> Wave:
-    """By the expected gain of each machine over the best of those measured and of the wave before it."""
+    """By what each sample is expected to gain over what was measured and asked for in the wave before it."""
+    value, known = question.drawn(posterior), posterior.measured
+    again = _again(posterior, question, value)
     best = np.min(value[:, known], axis=1, initial=np.inf)
-    asked = policy.worth * cost / cost.mean()
+    asked = np.maximum(policy.asked(cost, known), 1e-12 * cost / cost.mean())
     chosen: list[int] = []
     worth: list[float] = []
     for _ in range(count):
-        expected = gain(value, best)
-        usable = untried & (cost <= left) & (expected >= asked)
-        if not usable.any():
+        expected = np.where(known, again, gain(value, best))
+        good = usable & (cost <= left) & (expected >= asked)
+        if not good.any():
             break
-        pick = _first(np.where(usable, expected / cost, -1.0), cost)
+        pick = _first(np.where(good, expected / asked, -1.0), cost)
         chosen.append(pick)
         worth.append(float(expected[pick]))
         left -= float(cost[pick])
-        untried[pick] = False
-        best = np.minimum(best, value[:, pick])
+        usable[pick] = False
+        if not known[pick]:
+            best = np.minimum(best, value[:, pick])
     if not chosen:
         return Wave(
-            (), f"no further machine is expected to improve the choice by {policy.worth:.1%} per mean price of a sample"
+            (), f"no further sample is expected to improve the choice by {policy.worth:.1%} per mean price of one"
         )
     return Wave(tuple(chosen), "expected improvement per price", tuple(worth))
+
+
+def gains(posterior: Posterior, question: Question) -> Floats:
+    """What one sample of each machine is expected to improve the choice by (N,), relative."""
+    value = question.drawn(posterior)
+    best = np.min(value[:, posterior.measured], axis=1, initial=np.inf)
+    return np.where(posterior.measured, _again(posterior, question, value), gain(value, best))
+
+
+def _again(posterior: Posterior, question: Question, value: Floats) -> Floats:
+    """What one more sample of each measured machine is expected to gain (N,), 0 for the others.
+
+    One of the leader gains where it shows that the second is better, or that the leader breaks a limit; one of another
+    gains where it shows that this is better than the leader.
+    """
+    found = np.zeros(value.shape[1])
+    after = after_one_more(posterior)
+    at, probability = after.at, after.probability
+    if not len(at):
+        return found
+    shaken = posterior.draws.copy()
+    shaken[:, at] = after.log_latency
+    then = question.drawn(replace(posterior, draw=lambda: shaken))[:, at]
+    now = _expected(value[:, at])
+    leader = int(np.argmin(now))
+    if not np.isfinite(now[leader]):
+        found[at] = (probability * np.isfinite(then)).sum(0)
+        return found
+    second = np.min(np.delete(now, leader), initial=np.inf)
+    found[at] = (probability * np.maximum(1 - then / now[leader], 0.0)).sum(0)
+    with np.errstate(invalid="ignore"):
+        lost = np.where(np.isfinite(then[:, leader]), np.maximum(1 - second / then[:, leader], 0.0), 1.0)
+    found[at[leader]] = float(probability[:, leader] @ lost)
+    return found
+
+
+def _expected(value: Floats) -> Floats:
+    """The mean over draws (S, M) of what meets the limits, infinite for machines that mostly do not."""
+    met = np.isfinite(value)
+    mean = np.where(met, value, 0.0).sum(0) / np.maximum(met.sum(0), 1)
+    return np.where(met.mean(0) >= SURE, mean, np.inf)
 
 
 def _first(score: Floats, cost: Floats) -> int:

@@ -69,7 +69,8 @@ def misses(values: Mapping[str, Floats], bounds: Mapping[str, float], eligible: 
     """For each limit, the least relaxation with which some machine meets it; worst first, met ones left out.
 
     A limit that is met by every machine that meets the others, or by any machine when the others cannot be
-    met together, has a factor of at most 1 and does not appear.
+    met together, has a factor of at most 1 and does not appear. Where that leaves none, because each machine breaks two
+    limits or more that others meet, it is those that the nearest machine breaks, to be relaxed together.
     """
     held = {name: values[name] <= bounds[name] for name in bounds}
     found = []
@@ -87,6 +88,12 @@ def misses(values: Mapping[str, Floats], bounds: Mapping[str, float], eligible: 
         factor = value / bound if bound > 0 else float("inf")
         if factor > 1:
             found.append(Miss(name, bound, row, value, factor, alone))
+    if not found and (closest := nearest(values, bounds, eligible)) is not None:
+        over = {name: float(values[name][closest]) for name in bounds if values[name][closest] > bounds[name]}
+        found = [
+            Miss(name, bounds[name], closest, value, value / bounds[name] if bounds[name] > 0 else float("inf"), False)
+            for name, value in over.items()
+        ]
     return tuple(sorted(found, key=lambda miss: (-miss.factor, miss.limit)))
 
 

@@ -78,11 +78,15 @@ class Posterior:
         return np.asarray(np.sqrt(self.weights @ (self.variances + (self.means - self.mean) ** 2)))
 
     @cached_property
+    def samples(self) -> np.ndarray:
+        """How often each machine was measured (N,), complete samples only."""
+        complete = self.observations.machine[~self.observations.lower_bound]
+        return np.bincount(complete, minlength=len(self.machines))
+
+    @cached_property
     def measured(self) -> np.ndarray:
         """Machines with at least one complete sample (N,)."""
-        mask = np.zeros(len(self.machines), dtype=bool)
-        mask[self.observations.machine[~self.observations.lower_bound]] = True
-        return mask
+        return np.asarray(self.samples > 0)
 
     @cached_property
     def extrapolated(self) -> np.ndarray:

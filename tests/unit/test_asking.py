@@ -8,6 +8,7 @@ from fogspec.asking import most_worth, next_samples
 from fogspec.catalog import Catalog
 from fogspec.choice import choose
 from fogspec.models import evidence
+from fogspec.numerics.acquisition import Policy
 from fogspec.plan import machine_ref
 from fogspec.predicting import from_evidence
 from fogspec.results import LatencySummary, Measured
@@ -60,7 +61,8 @@ def test_a_campaign_ends_with_the_best_machine_measured(family, alpha):
     records, reason = campaign(family, app)
     assert "improve" in reason
     names = [one.machine.instance for one in records]
-    assert len(set(names)) == len(names) < 12
+    assert len(names) < 12
+    assert max(map(names.count, names)) <= Policy().each
     known, unusable = evidence(records, "mean")
     choice = choose(app, from_evidence(known, unusable, family, ["latency"]))
     assert choice.chosen is not None
@@ -76,6 +78,25 @@ def test_the_budget_is_never_exceeded_and_the_end_says_why(family, left):
     records, reason = campaign(family, adaptive(latency=2.0), left)
     assert "budget" in reason or "improve" in reason
     assert left > 0.1 or len(records) < 6
+
+
+def test_a_machine_that_was_suspiciously_fast_is_measured_again(family):
+    app = adaptive()
+    app = app.model_copy(update={"spec": app.spec.model_copy(update={
+        "objective": app.spec.objective.model_copy(update={"alpha": 1.0})})})  # fmt: skip
+    records = [record(family, row) for row in range(len(family))]
+    lucky = next(row for row in range(len(family)) if family.vcpus[row] == 32)
+    records[lucky] = record(family, lucky, latency=LatencySummary(mean=records[lucky].latency.mean * 0.8))
+    usd = family.price_usd_per_hour * 0.2
+    asked = next_samples(app, family, records, usd_per_sample=usd)
+    assert [str(family.instance[row]) for row in asked.rows] == [str(family.instance[lucky])]
+    assert "measured again" in asked.reasons[0]
+    honest = record(family, lucky).model_copy(update={"id": "again"})
+    before, after = (
+        choose(app, from_evidence(*evidence(some, "mean"), family, ["latency"]))
+        for some in (records, [*records, honest])
+    )
+    assert after.latency.value[after.chosen] > before.latency.value[before.chosen]
 
 
 def test_waves_measure_several_at_once(family):
@@ -106,7 +127,7 @@ def test_one_more_sample_has_a_worth_and_a_price(family):
     app = adaptive(latency=2.0)
     records = [record(family, row) for row in np.argsort(family.price_usd_per_hour)[:2]]
     known, unusable = evidence(records, "mean")
-    found = most_worth(app, from_evidence(known, unusable, family, ["latency"]), [r.machine for r in records], usd)
+    found = most_worth(app, from_evidence(known, unusable, family, ["latency"]), [], usd)
     assert found is not None
     assert found.gain > 0
     assert found.usd == pytest.approx(usd[found.row])
@@ -128,4 +149,4 @@ def test_a_metric_in_place_of_the_latency(family):
     known, unusable = evidence(records, "mean")
     choice = choose(app, from_evidence(known, unusable, family, ["latency", "path_length"]))
     assert choice.chosen is not None
-    assert family.vcpus[choice.chosen] >= 64
+    assert 20 / family.vcpus[choice.chosen] <= 20 / family.vcpus.max() + 0.03 * 10

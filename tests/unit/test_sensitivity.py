@@ -27,7 +27,7 @@ def predicted() -> Predicted:
 @pytest.mark.parametrize("latency", [1.3, 2.0, 4.0])
 def test_the_choice_changes_where_the_limit_is_said_to(latency):
     app = limited(latency, 1e-3)
-    [first, second] = bindings(app, choose(app, predicted()))
+    [first, second] = bindings(choose(app, predicted()))
     assert (first.limit, second.limit) == ("latency", "cost")
     chosen = choose(app, predicted())
     if first.changes_at is not None:

@@ -19,7 +19,7 @@ from fogspec.effects.disk.pinning import read_pins
 from fogspec.keeping import recorded, still_serves
 from fogspec.lock import pinned, pins_of_measurement
 from fogspec.numerics.priors import Library
-from fogspec.plan import Plan, Sample, Sampling, Wave, machine_ref, sample_on
+from fogspec.plan import Plan, Sample, Sampling, Wave, machine_ref, next_on, sample_on
 from fogspec.spec import Application
 from fogspec.waves import Asked
 
@@ -103,8 +103,10 @@ class Waves:
             return []
         asked = self._asked(left_usd)
         offers = self.admissible.offers
+        taken = {*self.ledger.samples, *(sample.id for wave in self._waves() for sample in wave.samples)}
         samples = [
-            sample_on(machine_ref(offers.offer(row)), why) for row, why in zip(asked.rows, asked.reasons, strict=True)
+            next_on(machine_ref(offers.offer(row)), why, taken)
+            for row, why in zip(asked.rows, asked.reasons, strict=True)
         ]
         waves = [*self._waves(), *([Wave(reason=asked.reason, samples=samples)] if samples else [])]
         for_money = not samples and math.isfinite(left_usd) and bool(self._asked(math.inf).rows)

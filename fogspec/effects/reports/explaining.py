@@ -32,12 +32,11 @@ class Analysis:
         chosen, offers = compiled.chosen, compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
         usd = offers.price_usd_per_hour * lifetime_s(body.after, body.setup) / 3600
-        evidence = chosen.models.spec
-        tried = [*(one.machine for one in evidence.known), *(one.machine for one in evidence.unusable)]
+        failed = [one.machine for one in chosen.models.spec.unusable]
         return cls(
-            bindings(app, chosen.choice),
+            bindings(chosen.choice),
             influences(app, chosen.models, chosen.predicted.ground, chosen.choice),
-            most_worth(app, chosen.predicted, tried, usd) if len(offers) else None,
+            most_worth(app, chosen.predicted, failed, usd) if len(offers) else None,
         )
 
 

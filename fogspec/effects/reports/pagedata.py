@@ -27,10 +27,11 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
     """What the page computes with: the rule's constants, and columns over the offers that can win.
 
     `needed` has for each floor of probability the latency that an offer must be allowed; `within` what its limits leave
-    is computed in the page. `faint` are points of offers that are not there, for the picture.
+    is computed in the page. `needs` is what a limit would have to be where nothing meets them all.
+    `faint` are points of offers that are not there, for the picture.
     """
     spec, costs = application.spec, Costs.of(application.spec, choice.offers.price_usd_per_hour, choice.offers.spot)
-    needed = _needed(choice)
+    needed, needs = _needed(choice), choice.needs(floors(choice.confidence)[-1])
     types = cheapest_of_types(choice, costs)
     rows = types if len(types) <= MOST else undominated(choice, costs, needed, types)
     offers = choice.offers
@@ -56,7 +57,10 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
             "interruptions_per_s": costs.interruptions_per_s,
         },
         "admissible": len(offers), "types": len(types), "complete": len(rows) == len(types),
-        "fixed": [{"name": name, "bound": bound, "value": _numbers(values[rows])} for name, (values, bound) in fixed.items()],
+        "fixed": [
+            {"name": name, "bound": bound, "value": _numbers(values[rows]), "needs": _numbers(needs[name][rows])}
+            for name, (values, bound) in fixed.items()
+        ],
         "offers": {
             "row": rows.tolist(), "name": offers.instance[rows].tolist(),
             "infra": [offers.offer(int(row)).infra for row in rows],
@@ -66,7 +70,7 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
             "price": offers.price_usd_per_hour[rows].tolist(), "usd_per_s": costs.usd_per_s[rows].tolist(),
             "x": choice.x[rows].tolist(), "latency": choice.latency.value[rows].tolist(),
             "cost": choice.cost_usd_per_request[rows].tolist(), "low": low, "high": high,
-            "needed": [_numbers(column[rows]) for column in needed],
+            "needed": [_numbers(column[rows]) for column in needed], "needs": _numbers(choice.latency_needs[rows]),
         },
         "faint": _faint(choice, types, rows),
     }  # fmt: skip
@@ -104,7 +108,8 @@ def undominated(choice: Choice, costs: Costs, needed: list[Floats], rows: Rows) 
     """The rows that no other beats or equals in all that a choice can turn on, ties in cost, latency and name included."""
     measured = choice.latency.measured[rows]
     columns = [choice.x, choice.latency.value, choice.cost_usd_per_request, costs.usd_per_s,
-               choice.offers.price_usd_per_hour, *needed, *choice.values.values()]  # fmt: skip
+               choice.offers.price_usd_per_hour, *needed, choice.latency_needs, *choice.values.values(),
+               *choice.needs(floors(choice.confidence)[-1]).values()]  # fmt: skip
     table = np.column_stack([column[rows] for column in columns])
     names = choice.offers.instance[rows].tolist()
     order = sorted(range(len(rows)), key=lambda i: (*table[i, [2, 1]].tolist(), names[i], int(rows[i])))

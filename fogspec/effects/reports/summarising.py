@@ -104,7 +104,7 @@ def no_words(menu: "Menu") -> list[str]:
         beside = "of those that meet the other limits, " if miss.alone and len(body.limits) > 1 else ""
         lines.append(
             f"  {miss.limit} would have to be {miss.factor:.3g} times as large: limit {miss.bound}, {beside}"
-            f"the nearest is {miss.instance} in {miss.infra} with {miss.nearest_value}"
+            f"the nearest, {miss.instance} in {miss.infra}, needs {miss.nearest_value}"
         )
     if body.nearest is not None:
         lines.append(f"  nearest on all limits: {entry_words(body.nearest)}; {body.nearest.why_not}")

@@ -3,9 +3,11 @@
 import gzip
 import json
 from collections.abc import Callable, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
+from fogspec.sampling import nth_sample
 from fogspec.seams import CannotStart, Job, Progress, Recording
 
 SIZE_LIMIT = 256 * 2**20
@@ -32,11 +34,12 @@ class ReplayRunner:
         self.poll_s = 0.05 if pace else 0.0
 
     def start(self, job: Job) -> None:
-        """Find the recording; raises CannotStart when this machine was not recorded."""
+        """Find the recording; raises CannotStart when this machine was not recorded, or not so often."""
         number = self._find(job)
         if number is None:
             machine = job.sample.machine
-            raise CannotStart("capacity", f"there is no recording of {machine.infra}/{machine.instance}")
+            further = "" if nth_sample(job.sample.id) == 1 else "further "
+            raise CannotStart("capacity", f"there is no {further}recording of {machine.infra}/{machine.instance}")
         job.folder.mkdir(parents=True)
         state = {"recording": number, "at_s": self._now_s()}
         (job.folder / "replay.json").write_text(json.dumps(state), encoding="utf-8")
@@ -70,7 +73,7 @@ class ReplayRunner:
         exact = [n for n in same if self._recordings[n].record.machine.infra == machine.infra]
         # A sweep need not say where it was measured; two places that differ are not mixed up.
         anywhere = [n for n in same if not self._recordings[n].record.machine.infra]
-        return next(iter(exact or anywhere), None)
+        return next(islice(exact or anywhere, nth_sample(job.sample.id) - 1, None), None)
 
 
 def _unpacked(recording: Recording, path: Path) -> Path | None:
