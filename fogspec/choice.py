@@ -30,7 +30,8 @@ class Choice:
     `values` and `bounds` have an entry for each limit; `within_s` is the latency that all limits on latency, rate and
     cost leave each offer; `eligible` are the offers that can be predicted at all. `feasible` offers meet all limits with
     probability `floor` at least: the asked confidence, or `LIKELY` where no offer reaches it, or None where nothing can be
-    said of probabilities. `x` is what alpha weighs: the latency, or a metric. `pool` is what was chosen from.
+    said of probabilities. `x` is what alpha weighs: the latency, or a metric. `pool` is what was chosen from; `exhaustive` is
+    the best of it, which `chosen` is too unless the spec asks for the relaxed method.
     """
 
     offers: Catalog
@@ -50,6 +51,7 @@ class Choice:
     scale: Scale
     objective: Floats
     chosen: int | None
+    exhaustive: int | None
     cheapest: int | None
     fastest: int | None
 
@@ -168,9 +170,10 @@ def choose(application: Application, predicted: Predicted) -> Choice:
     measured = feasible & latency.measured
     pool = measured if spec.benchmark.sampler == "adaptive" and measured.any() else feasible
     first = _First(cost, latency.value, offers.instance, pool)
+    best = first.by(objective)
     return Choice(
-        offers, latency, metrics, x, cost, costs, values, bounds, within_s, eligible, feasible, pool, floor, confidence, scale,
-        objective, chosen=first.by(objective), cheapest=first.by(cost), fastest=first.by(latency.value),
+        offers, latency, metrics, x, cost, costs, values, bounds, within_s, eligible, feasible, pool, floor, confidence,
+        scale, objective, chosen=best, exhaustive=best, cheapest=first.by(cost), fastest=first.by(latency.value),
     )  # fmt: skip
 
 

@@ -195,8 +195,19 @@ class PaperChoice(Strict):
     objective: float | None
 
 
+class BestOfAll(Strict):
+    """The best of all machines that meet the limits."""
+
+    instance: str
+    infra: str
+    objective: float
+
+
 class Provenance(Strict):
-    """Where every figure came from; `application.reads` has a short digest of each field that choosing depends on."""
+    """Where every figure came from; `application.reads` has a short digest of each field that choosing depends on.
+
+    `relaxed` and `exhaustive` say where these methods end if elsewhere than at the chosen machine.
+    """
 
     application: ApplicationRef
     catalog: CatalogRef
@@ -205,6 +216,7 @@ class Provenance(Strict):
     models: ModelRef
     method: Literal["exhaustive", "relaxed"]
     relaxed: PaperChoice | None
+    exhaustive: BestOfAll | None
     builder: Builder
 
 
@@ -259,9 +271,15 @@ def make_manifest(
             application=sources.application, catalog=sources.catalog, plan=sources.plan, results=sources.results,
             models=_model_ref(models, entry, sources.models), method=application.spec.objective.method,
             relaxed=None if relaxed is None or relaxed.row == choice.chosen else _paper_choice(choice, relaxed),
+            exhaustive=None if choice.exhaustive in (None, choice.chosen) else _best_of_all(choice, choice.exhaustive),
             builder=Builder(version=__version__),
         ),
     )  # fmt: skip
+
+
+def _best_of_all(choice: Choice, row: int) -> BestOfAll:
+    best = entry_of(choice, row)
+    return BestOfAll(instance=best.instance, infra=best.infra, objective=best.objective)
 
 
 def _paper_choice(choice: Choice, relaxed: Relaxed) -> PaperChoice:

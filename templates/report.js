@@ -188,7 +188,8 @@ function showAnswer(answer) {
   const total = data.complete ? `${number} of ${count} machine types meet the limits` : "";
   if (chosen === null) {
     const words = answer.misses.map((one) => `${one.name} would have to be ${trim(one.factor.toPrecision(3))} times as large (${one.name_of})`);
-    verdict.textContent = words.length ? "No machine meets the limits: " + words.join("; ") + "." : "No machine is likely enough to meet the limits.";
+    if (!count) verdict.textContent = "Nothing can be said of any machine: no sample counts, or each admissible machine failed.";
+    else verdict.textContent = words.length ? "No machine meets the limits: " + words.join("; ") + "." : "No machine is likely enough to meet the limits.";
   } else {
     const unsure = answer.floor !== null && answer.floor < data.confidence
       ? ` No machine meets the limits with probability ${data.confidence}: this is the best of those more likely to meet them than not.` : "";

@@ -18,7 +18,9 @@ RANDOM_SAMPLES = 9  # as many as the paper's grid has cells
 
 def adaptive(case: Case, setting: Setting, _seed: int) -> Meter:
     """Ours: waves until another sample is not worth its money."""
-    meter, objective, policy = case.meter(), case.objective(setting), Policy()
+    meter, objective = case.meter(), case.objective(setting)
+    # A sweep without repeats has nothing more to say of a machine.
+    policy = Policy(each=min(Policy().each, len(case.noise.factor)))
     posterior = case.space.fit(observations([], []))
     while True:
         wave = next_wave(posterior, objective, sample_cost=case.machines.price_usd_per_hour, policy=policy)

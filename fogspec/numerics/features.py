@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+MOST_NUMBERS = 20_000_000  # in a table of machines by kinds: far beyond any cloud's catalog
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +74,20 @@ def codes(names: list[str]) -> Ints:
 
 
 def same(code: Ints) -> Floats:
-    """One column per value (N x values): machines of one code share a term; an unknown one shares it with none."""
-    values, column = np.unique(code, return_inverse=True)
-    matrix = np.zeros((len(code), len(values)))
-    matrix[np.arange(len(code)), column] = 1.0
-    return matrix[:, values >= 0]
+    """One column per value (N x values): machines of one code share a term; an unknown one shares it with none.
+
+    Of more values than fit into `MOST_NUMBERS`, the most frequent ones are kept.
+    """
+    values, column, count = np.unique(code, return_inverse=True, return_counts=True)
+    kept = np.flatnonzero(values >= 0)
+    if len(kept) * len(code) > MOST_NUMBERS:
+        kept = np.sort(kept[np.argsort(-count[kept], kind="stable")[: MOST_NUMBERS // len(code)]])
+    matrix = np.zeros((len(code), len(kept)))
+    at = np.full(len(values), -1)
+    at[kept] = np.arange(len(kept))
+    rows = np.flatnonzero(at[column] >= 0)
+    matrix[rows, at[column[rows]]] = 1.0
+    return matrix
 
 
 def matern(columns: Floats, lengths: Floats) -> Floats:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from fogspec.numerics import fitting, relaxed
 from fogspec.numerics.families import fit_all
@@ -141,13 +142,18 @@ def test_what_is_committed_is_what_compile_writes():
 
 
 def test_the_relaxed_method_is_in_the_manifest_where_it_ends_elsewhere(checkout):
-    spec = checkout / "specs" / "grasp-planning.yaml"
-    text = spec.read_text().replace("gpus: [none, T4]", "gpus: [none]").replace("latency: 2s", "latency: 5s")
-    spec.write_text(text.replace("alpha: 0.7", "alpha: 0"))
-    manifest = checkout / "compiled/grasp-planning/manifest.yaml"
-    fogspec(checkout, "compile", "specs/grasp-planning.yaml")
-    exhaustive = manifest.read_text()
-    assert "method: exhaustive" in exhaustive
-    spec.write_text(spec.read_text().replace("alpha: 0", "alpha: 0\n    method: relaxed"))
-    fogspec(checkout, "compile", "specs/grasp-planning.yaml")
-    assert "method: relaxed" in manifest.read_text()
+    spec = checkout / "specs" / "motion-planning.yaml"
+    wide = spec.read_text().replace("latency: 10s", "latency: 4min").replace("cost: $2/1000 requests", "cost: $1/request")
+    spec.write_text(wide.replace("alpha: 0.3", "alpha: 1"))
+    manifest = checkout / "compiled/motion-planning-apartment/manifest.yaml"
+    fogspec(checkout, "compile", "specs/motion-planning.yaml")
+    every = yaml.safe_load(manifest.read_text())
+    spec.write_text(spec.read_text().replace("alpha: 1", "alpha: 1\n    method: relaxed"))
+    fogspec(checkout, "compile", "specs/motion-planning.yaml")
+    paper = yaml.safe_load(manifest.read_text())
+    assert (every["provenance"]["method"], paper["provenance"]["method"]) == ("exhaustive", "relaxed")
+    assert every["spec"]["instance"] != paper["spec"]["instance"]
+    assert every["provenance"]["relaxed"]["instance"] == paper["spec"]["instance"]
+    assert paper["provenance"]["exhaustive"]["instance"] == every["spec"]["instance"]
+    assert every["provenance"]["exhaustive"] is paper["provenance"]["relaxed"] is None
+    assert any("use exhaustive" in text for text in paper["warnings"])

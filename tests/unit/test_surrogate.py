@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 
+from fogspec.numerics import features
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import fit, prepare
 from tests.unit.machines import amdahl, family
@@ -108,3 +109,10 @@ def _seconds(work):
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
+
+
+def test_of_too_many_kinds_the_most_frequent_are_kept(monkeypatch):
+    code = np.array([7, 7, 7, 3, 3, 9, -1])
+    assert features.same(code).tolist() == [[0, 1, 0]] * 3 + [[1, 0, 0]] * 2 + [[0, 0, 1], [0, 0, 0]]
+    monkeypatch.setattr(features, "MOST_NUMBERS", 2 * len(code))
+    assert features.same(code).tolist() == [[0, 1]] * 3 + [[1, 0]] * 2 + [[0, 0]] * 2

@@ -118,6 +118,9 @@ def doubts_of(models: Models, choice: Choice) -> list[str]:
 def _doubts(choice: Choice, row: int) -> list[str]:
     """What speaks against the chosen machine."""
     found, name = [], choice.offers.instance[row]
+    if choice.exhaustive is not None and choice.objective[row] > choice.objective[choice.exhaustive]:
+        best = choice.offers.instance[choice.exhaustive]
+        found.append(f"the relaxed method ends at {name}; {best} meets the limits and is better: use exhaustive")
     if not choice.sure:
         found.append(
             f"no machine meets the limits with constraints.confidence {choice.confidence:g}: {name}, the best of those "

@@ -204,6 +204,9 @@ def _next_words(choice: Choice, found: Next | None, local: bool) -> str:
     words = f"{offer.instance} in {offer.infra}, at most {money(found.usd)}: "
     if choice.chosen is None:
         return f"{words}meets the limits with probability {choice.probability(found.row) or 0:.2f}"
+    if choice.latency.measured[found.row]:
+        which = "the choice" if found.row == choice.chosen else "a rival"
+        return f"{words}{which} once more, for one sample may err: betters the choice by {found.gain:.2%} on average"
     if found.row == choice.chosen:
         return f"{words}it is the choice: measuring it verifies it"
     return (

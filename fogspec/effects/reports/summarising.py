@@ -99,6 +99,8 @@ def entry_words(entry: "Entry") -> str:
 def no_words(menu: "Menu") -> list[str]:
     """Why no machine meets the limits, in lines."""
     body = menu.spec
+    if not body.predicted:
+        return ["  nothing can be said of any machine: no sample counts, or each admissible machine failed"]
     lines = ["  no machine meets the limits:"]
     for miss in body.missed:
         beside = "of those that meet the other limits, " if miss.alone and len(body.limits) > 1 else ""
