@@ -143,7 +143,9 @@ def test_what_is_committed_is_what_compile_writes():
 
 def test_the_relaxed_method_is_in_the_manifest_where_it_ends_elsewhere(checkout):
     spec = checkout / "specs" / "motion-planning.yaml"
-    wide = spec.read_text().replace("latency: 10s", "latency: 4min").replace("cost: $2/1000 requests", "cost: $1/request")
+    wide = (
+        spec.read_text().replace("latency: 10s", "latency: 4min").replace("cost: $2/1000 requests", "cost: $1/request")
+    )
     spec.write_text(wide.replace("alpha: 0.3", "alpha: 1"))
     manifest = checkout / "compiled/motion-planning-apartment/manifest.yaml"
     fogspec(checkout, "compile", "specs/motion-planning.yaml")
