@@ -12,6 +12,7 @@ from fogspec.deployment import Machine
 from fogspec.effects.compiler.compiling import money
 from fogspec.effects.deployment.livestate import LiveFile, Times
 from fogspec.effects.deployment.observing import Observed, observe
+from fogspec.effects.deployment.telling import interval_words, short
 from fogspec.effects.disk.comparing import Change, changes
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.pinning import files_deployed
@@ -167,22 +168,16 @@ def words(one: Running) -> list[str]:
 
 def _observed_words(seen: Observed, manifest: Manifest) -> str:
     expected = manifest.expected.latency
-    predicted = f"predicted {units.format_duration(expected.predicted)}{_range(expected.interval)}"
+    predicted = f"predicted {units.format_duration(expected.predicted)}{interval_words(expected.interval)}"
     if seen.value_s is None:
         return f"{predicted}; no request was observed yet"
-    value = f"observed {expected.statistic} {units.format_duration(_short(seen.value_s))}{_range(seen.interval_s)}"
+    value = (
+        f"observed {expected.statistic} {units.format_duration(short(seen.value_s))}{interval_words(seen.interval_s)}"
+    )
     failed = f", {seen.failed} failed" if seen.failed else ""
-    cost = "" if seen.cost_usd_per_request is None else f", {units.format_cost(_short(seen.cost_usd_per_request))}"
+    cost = "" if seen.cost_usd_per_request is None else f", {units.format_cost(short(seen.cost_usd_per_request))}"
     unsaid = ", without an interval: drift cannot be seen" if expected.interval is None else ""
     return f"{value} of the latest {seen.requests} requests{failed}{cost}; {predicted}{unsaid}"
-
-
-def _range(ends: tuple[float, float] | None) -> str:
-    return "" if ends is None else f" [{', '.join(units.format_duration(_short(end)) for end in ends)}]"
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.4g}")
 
 
 def facts(one: Running) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from fogspec.base.outcomes import Differs
 from fogspec.catalog import Catalog
 from fogspec.effects.compiler import linking
 from fogspec.effects.deployment.offers import Candidate, affordable, check_price, exact, price_now, price_words
+from fogspec.effects.deployment.telling import interval_words, short
 from fogspec.effects.disk.manifests import Opened
 from fogspec.effects.disk.pinning import check_files, files_deployed
 from fogspec.effects.review.verifying import mend, verify
@@ -114,6 +115,7 @@ def words(ordered: Ordered) -> list[str]:
     """What will run and what it costs, in lines."""
     manifest, first = ordered.opened.manifest, ordered.candidates[0]
     spec, latency = manifest.spec, manifest.expected.latency
+    limit = "" if latency.limit is None else f", limit {units.format_duration(latency.limit)}"
     gpu = f", {spec.gpu.count:g} {spec.gpu.name}" if spec.gpu else ""
     lines = [
         f"{manifest.metadata.name}: {spec.instance} in {spec.infra}{' spot' if spec.spot else ''} "
@@ -121,7 +123,8 @@ def words(ordered: Ordered) -> list[str]:
         f"  nodes     {len(spec.cloud)} in the cloud, {len(spec.robot)} on the robot; link {spec.connectivity.link}",
         f"  task      {ordered.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
         f"  costs     {price_words(first.price_usd_per_hour)}",
-        f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}",
+        f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}"
+        f"{interval_words(latency.interval)}{limit}; {units.format_cost(short(manifest.expected.cost.predicted))}",
     ]
     if ordered.image is not None:
         lines.append(f"  image     {ordered.image}")

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from fogspec.base import units
 from fogspec.effects.compiler.compiling import money
 from fogspec.effects.compiler.staleness import Status
 
@@ -18,6 +19,16 @@ def words(one: Status, running: Sequence[str] = ()) -> str:
     budget = "" if one.budget_usd is None else f" of a budget of {money(one.budget_usd)}"
     lines.append(f"  {'spent':<9} {money(one.spent_usd)}{budget}")
     return "\n".join([*lines, *running, *_next(one)])
+
+
+def interval_words(ends_s: tuple[float, float] | None) -> str:
+    """` [1.58s, 1.72s]`; nothing for no interval."""
+    return "" if ends_s is None else f" [{', '.join(units.format_duration(short(end)) for end in ends_s)}]"
+
+
+def short(value: float) -> float:
+    """To four figures."""
+    return float(f"{value:.4g}")
 
 
 def _next(one: Status) -> list[str]:
