@@ -14,14 +14,17 @@ from fogspec.base.outcomes import WrongCommand
               help="read nodes and constraints from this Python, XML or YAML launch file; it is not run")  # fmt: skip
 @click.option("--name", help="name of the application; that of the file unless said otherwise")
 def command(spec: Path | None, launch: str | None, name: str | None) -> None:
-    """Write SPEC, specs/NAME.yaml unless said otherwise, and the schema for the editor. Nothing is overwritten."""
+    """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten."""
     from fogspec.effects.compiler.starting import first_data, first_text, name_from
     from fogspec.effects.disk.files import write_bytes
+    from fogspec.effects.disk.finding import is_name
     from fogspec.effects.disk.specfiles import examine
     from fogspec.effects.disk.templates import shipped
     from fogspec.effects.launchfiles import read_launch
     from fogspec.effects.reports.report import show_diagnostics
 
+    if spec and is_name(str(spec)) and not spec.suffix:
+        name, spec = name or str(spec), Path("specs") / f"{spec}.yaml"  # `init mybot` means specs/mybot.yaml
     found = read_launch(launch) if launch else None
     name = name or name_from((spec and spec.name) or (launch and os.path.basename(launch)) or Path.cwd().name)
     spec = spec or Path("specs") / f"{name}.yaml"

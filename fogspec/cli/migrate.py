@@ -22,4 +22,4 @@ def command(files: tuple[str, ...], check: bool) -> None:
         write(one)
         click.echo(f"{one.path}: {', '.join(one.versions)}")
     if not old:
-        click.echo(f"{len(found)} files are at {API_VERSION}, the newest version: nothing to do")
+        click.echo(f"files at {API_VERSION}, the newest version: {len(found)}; nothing to do")

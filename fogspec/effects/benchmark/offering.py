@@ -69,7 +69,8 @@ class Offering:
             return f"{count}: " + ("no budget" if self.wall_usd is None else f"at most {money(self.wall_usd)}")
         wall = self.wall_usd is not None and self.wall_usd < self.worst_usd
         most = min(self.worst_usd, self.worst_usd if self.wall_usd is None else self.wall_usd)
-        return f"{count}: at most {money(most)}" + (", where it stops" if wall else "")
+        when = ", where it stops" if wall else ", if every machine runs until it ends by itself"
+        return f"{count}: at most {money(most)}{when if self.todo else ''}"
 
     def lines(self) -> Iterator[str]:
         """A line a sample."""

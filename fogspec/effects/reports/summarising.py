@@ -20,7 +20,7 @@ def summary(compiled: Compiled) -> str:
     lines.append(_row("plan", str(layout.plan), _plan_words(compiled)))
     lines += [_row("", "", note) for note in body.notes[:NOTES]]
     if len(body.notes) > NOTES:
-        lines.append(_row("", "", f"and {len(body.notes) - NOTES} more notes in the plan"))
+        lines.append(_row("", "", f"more notes in the plan: {len(body.notes) - NOTES}"))
     lines.append(_row("tasks", f"{layout.tasks}/", f"{len(body.samples)} SkyPilot tasks, one a machine"))
     if compiled.chosen is None:
         return "\n".join([*lines, *_unmeasured(compiled)])
