@@ -233,9 +233,8 @@ def _paper(fits: Sequence[Fit]) -> PaperFit | None:
 def _warnings(best: Fit, levels: int) -> list[str]:
     found = []
     if best.n < 5:
-        found.append(
-            f"{best.n} {'sample' if best.n == 1 else 'samples'}: R² of two-parameter curves says nothing here, even on noise it is high"
-        )
+        samples = "1 sample" if best.n == 1 else f"{best.n} samples"
+        found.append(f"{samples}: R² of two-parameter curves says nothing here, even on noise it is high")
     if best.p == 1 and levels > 1:
         found.append("no curve predicts a left-out sample better than the mean: the model is a constant")
     if math.isfinite(best.loo_max) and best.loo_max > fitting.WEAK_ERROR:
