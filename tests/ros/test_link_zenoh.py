@@ -13,6 +13,7 @@ from tests.ros.joined import ADDRESS, Joined, joined, missing, until
 from tests.ros.namespaces import PYTHON
 
 NODE = str(Path(__file__).parent / "nodes" / "over_zenoh.py")
+STRANGER = str(Path(__file__).parent / "nodes" / "stranger.py")
 pytestmark = pytest.mark.skipif(missing("zenoh") is not None, reason=str(missing("zenoh")))
 
 
@@ -30,9 +31,9 @@ def ends(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Joined]:
         yield both
 
 
-def said(both: Joined, side: str, *words: str) -> Any:
+def said(both: Joined, side: str, *words: str, node: str = NODE) -> Any:
     """What a short-lived node at one end prints; None while it cannot even reach its router."""
-    run = both.nets[side].run([str(PYTHON), NODE, *words], 40)
+    run = both.nets[side].run([str(PYTHON), node, *words], 40)
     return json.loads(run.stdout.splitlines()[-1]) if run.returncode == 0 else None
 
 
@@ -46,6 +47,17 @@ def test_named_topics_pass_both_ways_and_others_neither(ends: Joined) -> None:
     ends.nets["robot"].python("camera", NODE, "publish")
     heard = ["image", "pose of image", "secret_image"]
     assert until(lambda: said(ends, "robot", "listen", "3") == heard), "what is secret comes from the robot itself only"
+
+
+def test_what_another_implementation_of_rmw_zenoh_says_passes_and_is_kept_back_the_same(ends: Joined) -> None:
+    served = ends.nets["cloud"].python("stranger", STRANGER, "serve")
+    try:
+        assert until(lambda: "up" in served.said()), served.said()
+        everything = ["/plan", "/pose", "/secret", "/secret_pose"]
+        assert until(lambda: said(ends, "cloud", "look", node=STRANGER) == everything), "at its own end all is there"
+        assert said(ends, "robot", "look", node=STRANGER) == ["/plan", "/pose"]
+    finally:
+        served.stop()
 
 
 def test_a_message_that_is_kept_for_late_joiners_passes(ends: Joined) -> None:
