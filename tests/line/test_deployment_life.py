@@ -266,6 +266,13 @@ def test_a_host_without_a_price_list_is_an_answer(tiny: Deployed) -> None:
     assert "fogspec.lock" in tiny("status", "specs/tiny.yaml", code=1).stderr
 
 
+def test_down_needs_no_spec_that_is_right(tiny: Deployed) -> None:
+    tiny.apply()
+    tiny.change("probe:", "prob:")
+    assert "1 ended" in tiny("down", "tiny").stdout
+    assert (tiny.alive(), tiny.left()) == ([], [])
+
+
 def test_down_of_nobody(tiny: Deployed) -> None:
     assert "no application named other" in tiny("down", "other", code=1).stderr
 

@@ -34,11 +34,11 @@ def layout_of(spec_or_name: str) -> Layout:
 
 
 def leave_link(layout: Layout) -> None:
-    """Forget the cloud's end of the link, where the spec is still there and has one."""
+    """Forget the cloud's end of the link, where the spec is still there, is right, and has one."""
     from fogspec.effects.compiler.linking import leave
     from fogspec.effects.disk.specfiles import load
 
-    if layout.spec.is_file():
+    with contextlib.suppress(Problems, WrongFile):
         for one in load([layout.spec]):
             if one.application.metadata.name == layout.name:
                 leave(one.application, layout)
