@@ -32,6 +32,8 @@ class Abandoned:
             self.was_up = self.client.ask("launched", 60, request=self.request, name=ABANDONED) is not None
             assert time.monotonic() < end
             time.sleep(1)
+        # A worker that a test ends would start again in the user's own environment.
+        self.client.close()
 
 
 @dataclass
