@@ -80,13 +80,17 @@ def stop(folder: Path) -> None:
 
 
 def processes(folder: Path) -> list[int]:
-    """Whatever still runs with this engine's home."""
-    mark, found = f"HOME={folder / 'sky'}".encode(), []
+    """Whatever still runs with this engine's home; an API server's executors write their title over their environment."""
+    marks = {f"HOME={folder / 'sky'}".encode(), b"SKYPILOT_API_SERVER_LOCAL_PORT=%d" % PORT}
+    found = []
     for entry in filter(str.isdigit, os.listdir("/proc")):
+        process = Path("/proc", entry)
         try:
-            said = Path("/proc", entry, "environ").read_bytes().split(b"\0")
+            said = set((process / "environ").read_bytes().split(b"\0"))
+            titled = (process / "cmdline").read_bytes().startswith(b"SkyPilot:")
+            here = titled and any(os.readlink(one).startswith(f"{folder}/sky/") for one in (process / "fd").iterdir())
         except OSError:
             continue
-        if mark in said and b"SKYPILOT_API_SERVER_LOCAL_PORT=%d" % PORT in said and int(entry) != os.getpid():
+        if (here or marks <= said) and int(entry) != os.getpid():
             found.append(int(entry))
     return found
