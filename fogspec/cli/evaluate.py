@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fogspec.base.outcomes import WrongCommand
-from fogspec.cli.options import CATALOG, OUTPUT, catalogs_for
+from fogspec.cli.options import CATALOG, OUTPUT, applications_of, catalogs_for
 
 if TYPE_CHECKING:
     from fogspec.evaluation.running import Campaign
@@ -101,12 +101,11 @@ def _of_sweep(
 ) -> None:
     from fogspec.effects.datasets.libraries import read_library
     from fogspec.effects.datasets.sweeps import read_sweep
-    from fogspec.effects.disk.specfiles import load
     from fogspec.evaluation.replay import Case, Noise
     from fogspec.evaluation.sweeping import replayed
     from fogspec.numerics.priors import prior_for
 
-    loaded = load([spec])
+    loaded = applications_of(spec)
     if len(loaded) != 1:
         raise WrongCommand(f"{spec} has {len(loaded)} applications, a sweep is of one")
     application = loaded[0].application

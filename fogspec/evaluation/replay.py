@@ -11,7 +11,6 @@ from fogspec.numerics.features import Floats, Machines
 from fogspec.numerics.surrogate import Prior, Space, prepare
 
 REPEATS = 8  # a machine's noise is drawn for so many samples of it; further ones start over
-CONFIDENCE = 0.9
 TOLERANCE = 0.05  # how far the scores let a limit be broken
 
 
@@ -91,4 +90,4 @@ class Case:
 
     def objective(self, setting: Setting) -> Objective:
         """The setting's objective over the machines."""
-        return objective_of(self.problem, setting, self.machines.price_usd_per_hour, CONFIDENCE, TOLERANCE)
+        return objective_of(self.problem, setting, self.machines.price_usd_per_hour, TOLERANCE)

@@ -16,7 +16,8 @@ KINDS = ("family", "catalog", "multicloud", "gpu")
 class Setting:
     """One question about a problem: the weight of latency and the limits, None where there is none.
 
-    With a rate of requests whole hours are paid for (provisioned billing), without one busy seconds.
+    With a rate of requests whole hours are paid for (provisioned billing), without one busy seconds. `confidence` is the
+    probability with which the limits must be met.
     """
 
     name: str
@@ -24,6 +25,7 @@ class Setting:
     max_latency_s: float | None
     max_cost_usd_per_request: float | None
     requests_per_second: float | None = None
+    confidence: float = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,7 @@ class Suite:
     problems: tuple[Problem, ...]
 
 
-def objective_of(problem: Problem, setting: Setting, price: Floats, confidence: float, tolerance: float) -> Objective:
+def objective_of(problem: Problem, setting: Setting, price: Floats, tolerance: float) -> Objective:
     """The setting as an objective over the problem's machines, priced in USD per hour (N,)."""
     rate = setting.requests_per_second
     kind = busy if rate is None else partial(provisioned, requests_per_second=rate)
@@ -69,6 +71,6 @@ def objective_of(problem: Problem, setting: Setting, price: Floats, confidence: 
         scale_cost_usd=problem.scale_cost_usd,
         max_latency_s=setting.max_latency_s,
         max_cost_usd=setting.max_cost_usd_per_request,
-        confidence=confidence,
+        confidence=setting.confidence,
         tolerance=tolerance,
     )

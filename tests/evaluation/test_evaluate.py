@@ -8,6 +8,10 @@ import sys
 
 import pytest
 
+from fogspec import wiring
+from fogspec.effects.datasets.sweeps import read_sweep
+from fogspec.effects.disk.specfiles import load
+from fogspec.evaluation.replay import Case
 from tests.conftest import ROOT
 from tests.evaluation.making import write_suite
 
@@ -82,11 +86,25 @@ def test_a_sweep_is_replayed(tmp_path):
     sweep = tmp_path / "sweep.csv"
     rows = [f"c6i.{size},{4.0 / n + 0.1}" for size, n in (("large", 2), ("xlarge", 4), ("2xlarge", 8), ("4xlarge", 16))]
     sweep.write_text("\n".join(["instance_type,latency_s", *rows, "c6i.large,2.2"]) + "\n")
-    found = json.loads(run("evaluate", "specs/grasp-planning.yaml", "--sweep", sweep, "-o", "json").stdout)
+    found = json.loads(run("evaluate", "grasp-planning", "--sweep", sweep, "-o", "json").stdout)
     assert found["machines"] == 4
     assert found["chosen"] == found["best"]
     assert 0 < found["cost_usd"] <= found["full_sweep_usd"] * 1.5
     assert found["bench"] == pytest.approx(found["cost_usd"] / found["full_sweep_usd"])
+
+
+def test_a_sweep_is_judged_by_the_limits_and_the_confidence_of_its_spec(tmp_path):
+    (tmp_path / "sweep.csv").write_text("instance_type,latency_s\nc6i.large,1\nc6i.xlarge,0.5\n")
+    (tmp_path / "spec.yaml").write_text(
+        "apiVersion: fogspec.dev/v1alpha1\nkind: Application\nmetadata: { name: arm }\nspec:\n  cloud: [{ cmd: [plan] }]\n"
+        "  probe: { callback: plan }\n  constraints: { latency: 800ms, network: 50ms, confidence: 0.97 }\n"
+        "  infra: [aws/us-east-1]\n  benchmark: { budget: $1 }\n"
+    )
+    (one,) = load([tmp_path / "spec.yaml"])
+    read = read_sweep(tmp_path / "sweep.csv", one.application, wiring.catalog(None, ["aws"]))
+    asked = Case.of(read.problem, read.machines, None, read.repeats).objective(read.problem.settings[0])
+    assert asked.confidence == 0.97
+    assert asked.limit_s.tolist() == pytest.approx([0.75, 0.75])
 
 
 @pytest.mark.parametrize(

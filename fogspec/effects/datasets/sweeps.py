@@ -89,7 +89,7 @@ def _posed(application: Application, truth_s: Floats, machines: Machines) -> Pro
     latency_limit = latency_limit_s(application)
     data = objective.transfer.per_request * objective.transfer.price
     cost_limit = None if limits.cost is None else limits.cost - data
-    setting = Setting("spec", objective.alpha, latency_limit, cost_limit, rate)
+    setting = Setting("spec", objective.alpha, latency_limit, cost_limit, rate, limits.confidence)
     return Problem(
         id=application.metadata.name, kind="sweep", workload=application.metadata.name, suite="",
         rows=np.arange(len(truth_s)), latency_s=truth_s,
