@@ -44,11 +44,12 @@ def test_a_service_with_the_user_s_client(net: Net) -> None:
 
 
 def test_recorded_calls_of_a_service_whose_answers_are_judged(net: Net) -> None:
-    calls = net.run([str(PYTHON), str(NODES / "calls.py"), str(net.folder / "calls")], 60)
+    (net.folder / "specs").mkdir(exist_ok=True)
+    calls = net.run([str(PYTHON), str(NODES / "calls.py"), str(net.folder / "specs" / "calls")], 60)
     assert calls.returncode == 0, calls.stderr
     spec = {
         "cloud": busy(net, "service", "--fail-every", 10), "probe": {"service": "/plan", "success": "success == true"},
-        "benchmark": {"workload": {"bag": "../calls"}, "valid": "80%"},
+        "benchmark": {"workload": {"bag": "calls"}, "valid": "80%"},
     }  # fmt: skip
     sample, lines = bench(net, spec)
     assert sample["state"] == "ok", sample
@@ -102,10 +103,10 @@ def test_topics_from_a_bag_at_a_rate_inside_the_node(net: Net) -> None:
 
 def test_a_bag_that_the_nodes_record_is_read_afterwards(net: Net) -> None:
     spec = {
-        "cloud": busy(net, "topic"), "probe": {**TOPICS, "bag": "../run"},
+        "cloud": busy(net, "topic"), "probe": {**TOPICS, "bag": "run"},
         "benchmark": {"workload": {"node": node("client", "topic", 4000, "--rate", 10)}, "stop": {"steps": 100, "after": "9s"}},
     }  # fmt: skip
-    words = [str(net.folder / "run"), "/imu=sensor_msgs/msg/Imu", "/pose=geometry_msgs/msg/PoseStamped"]
+    words = [str(net.folder / "specs" / "run"), "/imu=sensor_msgs/msg/Imu", "/pose=geometry_msgs/msg/PoseStamped"]
     spec["cloud"].append(node("recorder", *words))
     sample, _ = bench(net, spec)
     assert sample["state"] == "ok", sample
