@@ -1,6 +1,7 @@
 """`fogspec down`: end everything of an application."""
 
 import json
+from functools import partial
 from typing import TYPE_CHECKING
 
 import click
@@ -8,6 +9,8 @@ import click
 from fogspec.cli.options import OUTPUT
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from fogspec.effects.disk.layout import Layout
     from fogspec.seams import Deployer
 
@@ -36,8 +39,8 @@ def command(spec_or_name: str, output: str) -> None:
     click.echo(f"{layout.name}: {ended}")
 
 
-def _deployers(layout: "Layout") -> "list[Deployer]":
+def _deployers(layout: "Layout") -> "list[Callable[[], Deployer]]":
     from fogspec import wiring
     from fogspec.effects.deployment.undoing import places_of
 
-    return [wiring.deployer(infra) for infra in places_of(layout)]
+    return [partial(wiring.deployer, infra) for infra in places_of(layout)]

@@ -44,10 +44,13 @@ def leave_link(layout: Layout) -> None:
                 leave(one.application, layout)
 
 
-def down(layout: Layout, deployers: Sequence[Deployer], times: Times, tell: Callable[[str], None]) -> tuple[int, float]:
+def down(
+    layout: Layout, deployers: Sequence[Callable[[], Deployer]], times: Times, tell: Callable[[str], None]
+) -> tuple[int, float]:
     """End everything of one application; how many machines that were, and what they cost in USD.
 
-    Machines that are not in the live state are found by the application's name, also those of a bench that died.
+    Machines that are not in the live state are found by the application's name, also those of a bench that died. Where
+    one of the deployers cannot be had, those of the others are ended all the same.
     Raises Refused while a bench or an apply runs, CloudFailed for what could not be verified gone.
     """
     try:
@@ -76,11 +79,15 @@ def _live(layout: Layout, times: Times, tell: Callable[[str], None]) -> LiveFile
         return LiveFile(layout, times, [])
 
 
-def _down(live: LiveFile, deployers: Sequence[Deployer], tell: Callable[[str], None]) -> tuple[int, float]:
-    by_name, left, ended = {one.name: one for one in deployers}, list[str](), 0
+def _down(live: LiveFile, makers: Sequence[Callable[[], Deployer]], tell: Callable[[str], None]) -> tuple[int, float]:
+    deployers, left, ended = list[Deployer](), list[str](), 0
     unwritten: list[WrongFile | OSError] = []
+    for make in makers:
+        with _gathering(left, unwritten):
+            deployers.append(make())
+    by_name = {one.name: one for one in deployers}
     spent = live.total_usd()
-    for machine in list(live.machines):
+    for machine in [one for one in live.machines if one.deployer in by_name]:
         with _gathering(left, unwritten):
             end(live, machine, by_name[machine.deployer], tell)
             ended += 1
@@ -113,7 +120,7 @@ def _gathering(left: list[str], unwritten: list[WrongFile | OSError]) -> Iterato
     try:
         yield
     except CloudFailed as failed:
-        left.append(failed.message)
+        left.append("; ".join([failed.message, *failed.hints]))
     except LostContact as lost:
         left.append(str(lost))
     except (WrongFile, OSError) as problem:
