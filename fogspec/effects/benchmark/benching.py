@@ -2,12 +2,9 @@
 
 import math
 import secrets
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from fogspec import stages
 from fogspec.base import digest
@@ -26,6 +23,7 @@ from fogspec.effects.benchmark.secrecy import Secrets, Teller
 from fogspec.effects.benchmark.straying import adopt_strays
 from fogspec.effects.benchmark.waving import Tasks, Waves
 from fogspec.effects.disk.clock import SystemClock
+from fogspec.effects.disk.interrupts import Interrupt, interruptible
 from fogspec.effects.disk.locking import held
 from fogspec.effects.disk.pinning import read_pins
 from fogspec.keeping import price_rises
@@ -53,19 +51,6 @@ class Terms:
     catalog: Catalog | None = None
     prices: Catalog | None = None
     library: Library | None = None
-
-
-@dataclass(slots=True)
-class Interrupt:
-    """Whether the user asked to stop: the first Ctrl-C stops cleanly, the second at once."""
-
-    asked: bool = False
-
-    def __call__(self, number: int, _frame: Any) -> None:
-        """Handle the signal."""
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,15 +194,3 @@ def check_same_runner(results: Results, runner: Runner) -> None:
             f"the results there were measured with the runner {results.spec.runner}, not {runner.name}: they are not mixed",
             "move the results file away to measure everything anew",
         )
-
-
-@contextmanager
-def interruptible() -> Iterator[Interrupt]:
-    """Ctrl-C and TERM ask first, then insist."""
-    interrupt = Interrupt()
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield interrupt
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

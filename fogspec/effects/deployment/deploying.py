@@ -6,11 +6,11 @@ from functools import cache
 
 from fogspec.base.outcomes import Interrupted, Outcome, WrongFile
 from fogspec.deployment import Machine
-from fogspec.effects.benchmark.benching import interruptible
 from fogspec.effects.compiler import linking
 from fogspec.effects.deployment.applying import Apply
 from fogspec.effects.deployment.livestate import LiveFile, Times
 from fogspec.effects.deployment.ordering import Ordered
+from fogspec.effects.disk.interrupts import interruptible
 from fogspec.effects.disk.locking import held
 from fogspec.effects.disk.redacting import check_set
 from fogspec.links import link_of
