@@ -4,11 +4,12 @@ Standard library only (Python 3.10 or newer); opens no port. It runs on every sa
 
     python3 agent.py --out DIR [--steps N] --after SECONDS --warmup W --startup SECONDS
                      [--precision P --statistic S] [--callback NAME] [--afterwards '<json argv>']
-                     [--tell] --process '<json argv>' [--process ...]
+                     [--tell] [--secret NAME ...] --process '<json argv>' [--process ...]
 
 The processes find the probe module on PYTHONPATH and append one JSON line a request to FOGSPEC_TIMINGS
-(DIR/timings.jsonl). DIR/outcome.json is written in every end that leaves the agent alive:
-state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s, duration_s, waited_s and counts.
+(DIR/timings.jsonl). What they print is kept without the values of the variables that are secrets. DIR/outcome.json is
+written in every end that leaves the agent alive: state (ok, timeout, failed), reason, detail, stopped_by, exit_codes,
+setup_s, duration_s, waited_s and counts.
 """
 
 import argparse
@@ -27,10 +28,11 @@ from typing import TYPE_CHECKING, Any
 
 # On a machine this file runs by itself, beside the other.
 if TYPE_CHECKING or __package__:
-    from . import processes
+    from . import processes, secrecy
     from .counting import TIMINGS_LIMIT, Timings
 else:
     import processes
+    import secrecy
     from counting import TIMINGS_LIMIT, Timings
 
 POLL_S = 0.1
@@ -74,6 +76,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--statistic", choices=("mean", "p50", "p95", "p99"), default="mean")
     parser.add_argument("--callback", help="count requests of this name only; without it, all")
     parser.add_argument("--afterwards", type=json.loads, help="writes the records once the processes have ended")
+    parser.add_argument("--secret", action="append", default=[], help="a variable whose value is not to be printed")
     parser.add_argument("--tell", action="store_true", help="print how far it is, now and then")
     parser.add_argument("--process", type=json.loads, action="append", required=True)
     options = parser.parse_args(arguments)
@@ -89,6 +92,7 @@ class _Run:
     def __init__(self, options: argparse.Namespace, out: Path, begun: float, asked: list[int]) -> None:
         self.options, self.out, self.begun, self.asked = options, out, begun, asked
         self.children: list[subprocess.Popen[bytes]] = []
+        self.output = secrecy.Output(options.secret)
         self.timings = Timings(out / "timings.jsonl", options.warmup, options.callback)
         self.setup_s: float | None = None
         self.last: float | None = None
@@ -105,6 +109,7 @@ class _Run:
         finally:
             killed = processes.memory_kills() > kills
             processes.finish(self.children)
+            self.output.settle()
         if stopped_by not in (None, "exit"):
             self.timings.cut()
         if self.options.afterwards:
@@ -134,9 +139,8 @@ class _Run:
             # Appending lets a log be cut while its process goes on writing.
             with open(self._log(number), "ab") as log:
                 try:
-                    self.children.append(subprocess.Popen(
-                        argv, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                        env=environment, start_new_session=True))  # fmt: skip
+                    self.children.append(self.output.start(
+                        argv, log, stdin=subprocess.DEVNULL, env=environment, start_new_session=True))  # fmt: skip
                 except OSError as problem:
                     return "failed", "setup", f"{argv[0]} cannot be started: {problem.strerror}", None
         return None
@@ -215,6 +219,7 @@ class _Run:
         return "ok", None, None, "exit"
 
     def _crash(self, number: int, code: int) -> End:
+        self.output.settle(self.children[number])
         words, program = last_line(self._log(number)), os.path.basename(self.options.process[number][0])
         how = f"was ended by {processes.named(-code)}" if code < 0 else f"ended with exit code {code}"
         reason = "out_of_memory" if MEMORY_WORDS.search(words) else "crash"

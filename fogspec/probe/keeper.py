@@ -2,12 +2,14 @@
 
 Standard library only (Python 3.10 or newer); opens no port. It runs on the deployed machine, beside agent.py:
 
-    python3 keeper.py --out DIR [--ready '<json argv>'] --process '<json argv>' [--process ...] [--listener ...]
+    python3 keeper.py --out DIR [--ready '<json argv>'] [--secret NAME ...] --process '<json argv>' [--process ...]
+                      [--listener ...]
 
 DIR/state.json says how things stand: state (starting, ready, ended), detail, ready_s, observed, and the public half of
 the link in DIR/link.pub. Probes append one JSON line a request to FOGSPEC_TIMINGS (DIR/timings.jsonl), which is set aside
 as timings.1.jsonl when it is large, so that both together stay bounded. A listener only watches: it may end without ending
-the nodes. For whoever can read no file here, the log has the same every now and then, with the latest requests:
+the nodes. What they print is passed on without the values of the variables that are secrets. For whoever can read no
+file here, the log has the same every now and then, with the latest requests:
 
     === fogspec state {"state": "ready", ..., "latest": [[name, latency_s, ok, scenario], ...]} ===
 """
@@ -27,6 +29,7 @@ from typing import Any
 
 import agent
 import processes
+import secrecy
 
 POLL_S = 0.1
 ALIVE_S = 2.0
@@ -55,6 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
         detail = f"cannot be started: {problem}"
     finally:
         processes.finish(keeper.nodes + keeper.listeners)
+        keeper.output.settle()
     keeper.say("ended", detail)
     return 0 if asked else 1
 
@@ -64,6 +68,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="keeper.py", allow_abbrev=False)
     parser.add_argument("--out", required=True)
     parser.add_argument("--ready", type=json.loads)
+    parser.add_argument("--secret", action="append", default=[])
     parser.add_argument("--process", type=json.loads, action="append", required=True)
     parser.add_argument("--listener", type=json.loads, action="append", default=[])
     options = parser.parse_args(arguments)
@@ -78,6 +83,7 @@ class Keeper:
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options, self.out = options, Path(options.out).absolute()
+        self.output = secrecy.Output(options.secret)
         self.nodes: list[subprocess.Popen[bytes]] = []
         self.listeners: list[subprocess.Popen[bytes]] = []
         self.asking: subprocess.Popen[bytes] | None = None
@@ -98,7 +104,9 @@ class Keeper:
     def _begin(self, argv: list[str]) -> "subprocess.Popen[bytes]":
         path = os.pathsep.join(filter(None, [agent.place(self.out), os.environ.get("PYTHONPATH")]))
         environment = dict(os.environ, PYTHONPATH=path, FOGSPEC_TIMINGS=str(self.out / "timings.jsonl"))
-        return subprocess.Popen(argv, stdin=subprocess.DEVNULL, env=environment, start_new_session=True)
+        options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "env": environment, "start_new_session": True}
+        begun: subprocess.Popen[bytes] = self.output.start(argv, **options)
+        return begun
 
     def keep(self, asked: list[int]) -> str | None:
         """Watch until a node ends, and say how; None when a signal asked to stop."""

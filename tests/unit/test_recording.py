@@ -8,10 +8,10 @@ from fogspec.base import digest
 from fogspec.base.outcomes import Refused, WrongFile
 from fogspec.effects.benchmark.benching import check_same_runner
 from fogspec.effects.benchmark.recording import ResultsFile, set_aside
-from fogspec.effects.benchmark.secrecy import Secrets
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.measured import read_results, recordings
 from fogspec.plan import MachineRef
+from fogspec.probe.secrecy import Secrets
 from fogspec.results import LatencySummary, Measured, intact
 
 MACHINE = MachineRef(infra="local", instance="1cpu-1gib", cpus=1, memory="1GiB", spot=False, price="$0/h")

@@ -19,7 +19,7 @@ from fogspec.effects.benchmark.orders import Order
 from fogspec.effects.benchmark.preparing import Prepared
 from fogspec.effects.benchmark.recording import ResultsFile, set_aside
 from fogspec.effects.benchmark.sampling import Campaign
-from fogspec.effects.benchmark.secrecy import Secrets, Teller
+from fogspec.effects.benchmark.secrecy import Teller
 from fogspec.effects.benchmark.straying import adopt_strays
 from fogspec.effects.benchmark.waving import Tasks, Waves
 from fogspec.effects.disk.clock import SystemClock
@@ -30,6 +30,7 @@ from fogspec.keeping import price_rises
 from fogspec.lock import pinned
 from fogspec.numerics.priors import Library
 from fogspec.plan import Sample, lifetime_s
+from fogspec.probe.secrecy import Secrets
 from fogspec.results import Results, done
 from fogspec.seams import Runner
 

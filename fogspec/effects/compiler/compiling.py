@@ -40,7 +40,7 @@ LINK_FILES = ("link.sh", "policy.xml", "cloud.json5", "robot.json5", "cloud.conf
               "cloud.fastdds.xml", "robot.fastdds.xml")  # fmt: skip
 PROBE_FILES = (
     "agent.py", "counting.py", "keeper.py", "fogspec_probe.py", "fogspec_probe.hpp", "bag.py", "pairing.py", "player.py",
-    "preload.c", "preload.h", "preload.py", "processes.py", "records.py", "ros.py", "topics.py",
+    "preload.c", "preload.h", "preload.py", "processes.py", "records.py", "ros.py", "secrecy.py", "topics.py",
 )  # fmt: skip
 
 
@@ -222,7 +222,7 @@ def task_of(application: Application, plan: Plan, sample: Sample, layout: Layout
     body = plan.spec
     life = lifetime_s(body.after, body.setup)
     ros = ros_environment(application.spec)
-    limits = _limits(application, plan)
+    limits = [*_limits(application, plan), *(word for name in application.spec.secrets for word in ("--secret", name))]
     run = render(
         "run_sample.sh.j2", **ros, limits=limits, lifetime_s=life, processes=measured_processes(application.spec)
     )

@@ -8,6 +8,7 @@ from fogspec.base.outcomes import Interrupted, Outcome, WrongFile
 from fogspec.deployment import Machine
 from fogspec.effects.compiler import linking
 from fogspec.effects.deployment.applying import Apply
+from fogspec.effects.deployment.discreet import discreet
 from fogspec.effects.deployment.livestate import LiveFile, Times
 from fogspec.effects.deployment.ordering import Ordered
 from fogspec.effects.disk.interrupts import interruptible
@@ -59,7 +60,8 @@ def apply(
     """
     layout = ordered.opened.layout
     begun = times.now_s()
-    deployer_of = cache(deployer_for)
+    names = ordered.opened.loaded.application.spec.secrets
+    deployer_of = cache(discreet(deployer_for, names))
     try:
         with held(layout.state / "deploy.lock", f"an apply of {layout.name}"), interruptible() as interrupt:
             live = LiveFile.read(layout, times)
@@ -73,7 +75,7 @@ def apply(
             if (stays := work.kept()) is not None:
                 work.tidy([stays.name])
                 return Applied(stays, True, times.now_s() - begun, kept=True)
-            check_set(ordered.opened.loaded.application.spec.secrets)
+            check_set(names)
             for machine in (one for one in live.machines if one.state == "serving"):
                 what = f"{machine.machine.instance} in {machine.machine.infra}"
                 tell(f"  replaces  {machine.name}: {what}, which ends when the new one answers")

@@ -10,6 +10,7 @@ from fogspec.base.diagnostics import Problems
 from fogspec.base.outcomes import Outcome
 from fogspec.deployment import Machine
 from fogspec.effects.compiler.compiling import money
+from fogspec.effects.deployment.discreet import discreet
 from fogspec.effects.deployment.livestate import LiveFile, Times
 from fogspec.effects.deployment.observing import Observed, observe
 from fogspec.effects.deployment.telling import interval_words, short
@@ -61,7 +62,7 @@ def running(
         return None
     serving = next((one for one in live_file.machines if one.state == "serving"), None)
     subject = serving or live_file.machines[-1]
-    live = _look(live_file, subject, cache(deployer_for))
+    live = _look(live_file, subject, cache(discreet(deployer_for, application.spec.secrets)))
     approved = _manifest(live_file, subject)
     differs = differences_of_running(layout, live_file, subject, application)
     reasons = [] if fresh else ["the manifest on disk is stale: fogspec diff says why"]

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from fogspec.base.outcomes import WrongCommand
+from fogspec.probe.secrecy import Secrets
 
 HIDDEN = "(redacted)"
 SECRET_KEY = re.compile(
@@ -28,18 +29,14 @@ def redacted(value: Any, names: Iterable[str] = (), key: str = "") -> Any:
     `names` are environment variables whose values are secrets; what stands under a key that sounds like a secret is
     hidden whatever it is, unless nothing stands there.
     """
-    known = [os.environ[name] for name in names if len(os.environ.get(name, "")) > 3]
-    return _redacted(value, known, key)
+    return _redacted(value, Secrets.of(names), key)
 
 
-def _redacted(value: Any, known: list[str], key: str) -> Any:
+def _redacted(value: Any, known: Secrets, key: str) -> Any:
     if isinstance(value, Mapping):
         return {name: _redacted(one, known, str(name)) for name, one in value.items()}
     if isinstance(value, (list, tuple)):
         return [_redacted(one, known, key) for one in value]
     if isinstance(value, str) and value and SECRET_KEY.search(key):
         return HIDDEN
-    if isinstance(value, str):
-        for secret in known:
-            value = value.replace(secret, HIDDEN)
-    return value
+    return known.out_of(value) if isinstance(value, str) else value
