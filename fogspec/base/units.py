@@ -5,6 +5,7 @@ Base units: seconds, GiB, USD, USD per request, USD per hour, requests per secon
 writes the shortest text that its parser reads back to the same float.
 """
 
+import difflib
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -42,22 +43,26 @@ MEMORY_GIB = {
     "MB": 1e6 / 2**30, "GB": 1e9 / 2**30, "TB": 1e12 / 2**30,
 }  # fmt: skip
 
+# What people write for a unit, in small letters; where two quantities know a word, each has its own.
 SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms",
     "m": "min", "mins": "min", "minute": "min", "minutes": "min", "hour": "h", "hours": "h", "hr": "h",
     "day": "d", "days": "d", "µs": "us",
-    "g": "GiB", "gi": "GiB", "mi": "MiB", "ti": "TiB", "t": "TiB", "gig": "GiB",
+}  # fmt: skip
+MEMORY_SPELLINGS = {
+    "g": "GiB", "gi": "GiB", "gig": "GiB", "gigabytes": "GB", "m": "MiB", "mi": "MiB", "megabytes": "MB", "t": "TiB",
+    "ti": "TiB", "terabytes": "TB",
 }  # fmt: skip
 
 
 def parse_duration_s(text: Any) -> float:
     """Seconds from `1.5s`, `50ms`, `5min`, `2h`."""
-    return _parse_scaled(text, DURATION_S, "a duration", "s")
+    return _parse_scaled(text, DURATION_S, SPELLINGS, "a duration", "s")
 
 
 def parse_memory_gib(text: Any) -> float:
     """GiB from `64GiB`, `512MiB`, `16GB`."""
-    return _parse_scaled(text, MEMORY_GIB, "a memory size", "GiB")
+    return _parse_scaled(text, MEMORY_GIB, MEMORY_SPELLINGS, "a memory size", "GiB")
 
 
 def parse_money_usd(text: Any) -> float:
@@ -82,8 +87,9 @@ def parse_cost_usd_per_request(text: Any) -> float:
         try:
             parse_money_usd(amount)
         except UnitError as wrong:
-            amount = wrong.fix or "$0.001"
-        raise UnitError("must say per what", f"{amount}/request", "FS201")
+            amount = wrong.fix or ""
+        meant = amount and (not per.strip() or "req" in per.lower())
+        raise _unsaid("must say per what", f"{amount}/request" if meant else None, "$0.001/request")
     count = _finite(match[1]) if match[1] else 1.0
     if count < 1:
         raise UnitError("must be per at least one request", f"{amount}/request")
@@ -96,8 +102,8 @@ def parse_price_usd_per_hour(text: Any) -> float:
     """USD per hour from `$0.526/h`."""
     amount, slash, per = _body(text).partition("/")
     if not slash or per.strip() not in {"h", "hour"}:
-        number = re.search(NUMBER, amount)
-        raise UnitError("must say per hour", f"${number[0]}/h" if number else "$0.50/h", "FS201")
+        number, unit = re.search(NUMBER, amount), _close(per.strip().lower() or "h", {"h": 1.0}, SPELLINGS)
+        raise _unsaid("must say per hour", f"${number[0]}/h" if number and unit == "h" else None, "$0.50/h")
     try:
         return parse_money_usd(amount)
     except UnitError as wrong:
@@ -109,8 +115,9 @@ def parse_transfer_usd_per_gib(text: Any) -> float:
     amount, slash, per = _body(text).partition("/")
     scale = MEMORY_GIB.get(per.strip())
     if not slash or scale is None:
-        number = re.search(NUMBER, amount)
-        raise UnitError("must say per what amount of data", f"${number[0]}/GiB" if number else "$0.09/GiB", "FS201")
+        number, unit = re.search(NUMBER, amount), _close(per.strip().lower() or "gib", MEMORY_GIB, MEMORY_SPELLINGS)
+        fix = f"${number[0]}/{unit}" if number and unit else None
+        raise _unsaid("must say per what amount of data", fix, "$0.09/GiB")
     try:
         return parse_money_usd(amount) / scale
     except UnitError as wrong:
@@ -166,6 +173,11 @@ def parse_count(text: Any) -> float:
         number = re.match(NUMBER, body)
         raise UnitError("must be a number without a unit", number[0] if number else None)
     return _finite(body)
+
+
+def _unsaid(message: str, fix: str | None, example: str) -> UnitError:
+    """What an amount is per is missing, or is of another quantity: then no fix is guessed."""
+    return UnitError(message if fix else f"{message}, such as {example}", fix, "FS201")
 
 
 def _end(text: str, parse: Callable[[Any], float]) -> tuple[float | None, str | None, UnitError | None]:
@@ -252,7 +264,7 @@ def format_range(value: Range, fmt: Callable[[float], str]) -> str:
     return low if low and low == high else f"{low}..{high}"
 
 
-def _parse_scaled(text: Any, units: Mapping[str, float], what: str, usual: str) -> float:
+def _parse_scaled(text: Any, units: Mapping[str, float], spellings: Mapping[str, str], what: str, usual: str) -> float:
     body = _body(text)
     if re.fullmatch(NUMBER, body):
         raise UnitError("must have its unit", f"{body}{usual}", "FS202")
@@ -261,11 +273,19 @@ def _parse_scaled(text: Any, units: Mapping[str, float], what: str, usual: str) 
         raise UnitError(f"must be {what} with its unit, such as 2{usual}")
     scale = units.get(match[2])
     if scale is None:
-        known, name = ", ".join(units), match[2].lower()
-        close = SPELLINGS.get(name) or next((unit for unit in units if unit.lower() == name), None)
-        close = close if close in units else usual
-        raise UnitError(f"must be in one of {known}", f"{match[1]}{close}", "FS203")
+        meant = _close(match[2].lower(), units, spellings)
+        fix = None if meant is None else f"{match[1]}{meant}"
+        raise UnitError(f"must be {what} in one of {', '.join(units)}", fix, "FS203")
     return _finite(match[1], scale)
+
+
+def _close(name: str, units: Mapping[str, float], spellings: Mapping[str, str]) -> str | None:
+    """The unit that a word stands for, written otherwise or mistyped by a letter; None where it could be any."""
+    known = {**{unit.lower(): unit for unit in units}, **spellings}
+    if name in known or len(name) < 4:
+        return known.get(name)
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.75) or [""]
+    return known.get(near[0])
 
 
 def _format_scaled(value: float, units: Mapping[str, float], usual: str) -> str:

@@ -18,6 +18,7 @@ PARSERS = {
     "price": units.parse_price_usd_per_hour,
     "rate": units.parse_rate_per_s,
     "percent": units.parse_percent,
+    "transfer": units.parse_transfer_usd_per_gib,
     "count": units.parse_count,
 }
 
@@ -40,12 +41,17 @@ def test_reads(kind: str, text: Any, value: float) -> None:
     ("kind", "text", "code", "fix"),
     [
         ("duration", 2, "FS202", "2s"), ("duration", "5m", "FS203", "5min"), ("duration", "3 seconds", "FS203", "3s"),
+        ("duration", "800MB", "FS203", None), ("duration", "3 secnds", "FS203", "3s"), ("memory", "4ms", "FS203", None),
+        ("memory", "512m", "FS203", "512MiB"), ("duration", "4 apples", "FS203", None), ("duration", "5 S", "FS203", "5s"),
         ("duration", "-2s", "FS204", None), ("duration", "1e400s", "FS204", None), ("duration", True, "FS303", None),
         ("duration", ["2s"], "FS303", None), ("memory", 4, "FS202", "4GiB"), ("memory", "4G", "FS203", "4GiB"),
         ("memory", "4gb", "FS203", "4GB"), ("money", 2.5, "FS202", "$2.5"), ("money", "2.50 USD", "FS204", "$2.50"),
         ("cost", 0.002, "FS201", "$0.002/request"), ("cost", "$0.002", "FS201", "$0.002/request"),
         ("cost", "0.002/request", "FS202", "$0.002/request"), ("cost", "$2/0 requests", "FS204", "$2/request"),
         ("price", "$0.5", "FS201", "$0.5/h"), ("price", "0.5/h", "FS202", "$0.5/h"), ("rate", 10, "FS201", "10/s"),
+        ("price", "$12/day", "FS201", None), ("price", "$0.5/hr", "FS201", "$0.5/h"), ("cost", "$0.5/h", "FS201", None),
+        ("cost", "$0.5/reqs", "FS201", "$0.5/request"), ("transfer", "$0.09/gb", "FS201", "$0.09/GB"),
+        ("transfer", "$0.09/request", "FS201", None), ("transfer", "$0.09", "FS201", "$0.09/GiB"),
         ("percent", 0.05, "FS202", "5%"), ("percent", 5, "FS202", "5%"), ("count", "4 cpus", "FS204", "4"),
     ],
 )  # fmt: skip
