@@ -216,7 +216,7 @@ def parameter(value: Any) -> str:
 
 
 def ros_environment(spec: Spec) -> dict[str, Any]:
-    """What the scripts say of ROS 2: distribution (None without ROS), workspace, packages, set-up lines."""
+    """What the scripts say of ROS 2: distribution (None without ROS), workspace, packages, set-up lines; and of secrets."""
     ros = spec.ros
     return {
         "distro": ros.distro if ros else None,
@@ -227,5 +227,6 @@ def ros_environment(spec: Spec) -> dict[str, Any]:
         "apt_source": dict(zip(("codename", "sha256"), ROS_APT_PACKAGES[ros.distro], strict=True)) if ros else {},
         "apt_source_version": ROS_APT_SOURCE,
         "compiler": bool(halves(spec).inside),
+        "secrets": spec.secrets,
         "packages": BAG_PACKAGES if spec.probe.bag or spec.benchmark.workload.bag else [],
     }

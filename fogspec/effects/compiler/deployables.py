@@ -66,7 +66,7 @@ def _task(application: Application, layout: Layout, choice: Choice, row: int) ->
     link = link_of_machine(application)
     run = render(
         "run_deploy.sh.j2", **ros, processes=deployed_processes(application), listeners=listener(spec), link=link,
-        ready=spec.deployment.ready, secrets=spec.secrets,
+        ready=spec.deployment.ready,
     )  # fmt: skip
     parts = [] if ros["distro"] is None else [render("setup_ros2.sh.j2", **ros)]
     parts += [render("setup_link.sh.j2", **link)] if link else []
