@@ -30,8 +30,8 @@ from tests.line.deployed import MANIFEST, Deployed
 from tests.line.forking import forked
 
 # What is done in order, and after or before which a process may die.
-STEPS: tuple[tuple[type, str], ...] = (
-    (livestate.LiveFile, "_write"), (livestate.LiveFile, "keep_manifest"), (livestate.LiveFile, "gone"),
+STEPS: tuple[tuple[object, str], ...] = (
+    (files.os, "replace"), (livestate.LiveFile, "_write"), (livestate.LiveFile, "keep_manifest"), (livestate.LiveFile, "gone"),
     (livestate.LiveFile, "clear"), (LocalDeployer, "start"), (LocalDeployer, "look"), (LocalDeployer, "end"),
 )  # fmt: skip
 Fault = Callable[[], None]
@@ -140,7 +140,7 @@ def orphaned(deployed: Deployed) -> None:
 def faults(chance: random.Random) -> Iterator[tuple[str, Fault | None]]:
     """One fault after the other, without end."""
     while True:
-        at, before = chance.randint(1, 9), chance.random() < 0.5
+        at, before = chance.randint(1, 14), chance.random() < 0.5
         yield f"kill -9 {'before' if before else 'after'} step {at}", killed(at, before)
         yield "the disk is full", full(chance.randint(1, 4))
         yield "kill -9 after", killed(at, False)

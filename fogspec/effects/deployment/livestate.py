@@ -77,7 +77,9 @@ class LiveFile:
     def clear(self) -> None:
         """Nothing runs: remove the file and what is left beside it; raises OSError when that cannot be done."""
         assert not self.machines
-        self.layout.live.unlink(missing_ok=True)
+        # One that was killed in the middle of writing leaves the part that it wrote.
+        for path in (self.layout.live, *self.layout.state.glob(f".{self.layout.live.name}.*")):
+            path.unlink(missing_ok=True)
         if self.layout.deployed.is_dir():
             shutil.rmtree(self.layout.deployed)
 
