@@ -11,6 +11,7 @@ import errno
 import itertools
 import os
 import random
+import re
 import signal
 import statistics
 import subprocess
@@ -51,10 +52,17 @@ class Left:
 
 
 def left(deployed: Deployed) -> Left:
-    groups = (
-        [str(path) for path in Path("/sys/fs/cgroup").glob("**/fogspec-*")] if Path("/sys/fs/cgroup").is_dir() else []
-    )
+    """Groups that have processes are somebody else's: what is ours has none left."""
+    paths = Path("/sys/fs/cgroup").glob("**/fogspec-*")
+    groups = [str(path) for path in paths if re.fullmatch(r"fogspec-\d+-\d+", path.name) and not _members(path)]
     return Left(deployed.alive(), deployed.left(), groups)
+
+
+def _members(group: Path) -> bytes:
+    try:
+        return (group / "cgroup.procs").read_bytes()
+    except OSError:
+        return b"it is gone"
 
 
 def run(deployed: Deployed, *words: str, fault: Fault | None = None) -> int:
