@@ -55,3 +55,49 @@ for op, words in [("end", {"name": "production"}), ("launch", {"task": {"run": "
 def test_what_is_not_ours_is_refused_before_skypilot_is_asked() -> None:
     ended = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, timeout=120)
     assert ended.returncode == 0, ended.stderr[-2000:]
+
+
+HANDED = """
+import os, sky
+from pathlib import Path
+from fogspec.plugins.skypilot import calls, handover
+from fogspec.plugins.skypilot.problems import CloudProblem
+
+def launched(task, cluster_name):
+    given = task._to_yaml_config(redact_secrets=False)
+    assert "hunter2" not in str(given), given
+    assert given["secrets"] == {"SKYPILOT_DOCKER_USERNAME": "me", "SKYPILOT_DOCKER_PASSWORD": "you",
+                                "SKYPILOT_DOCKER_SERVER": "x.example"}, given
+    path = Path(given["file_mounts"][handover.THERE])
+    assert (path.stat().st_mode & 0o777, path.read_text()) == (0o600, "export API_KEY='hunter2 '\\"'\\"'$x'\\n")
+    return "a request"
+
+sky.launch = launched
+docker = ["SKYPILOT_DOCKER_USERNAME", "SKYPILOT_DOCKER_PASSWORD", "SKYPILOT_DOCKER_SERVER"]
+os.environ |= {"API_KEY": "hunter2 '$x", **dict(zip(docker, ["me", "you", "x.example"]))}
+task = {"run": "true", "secrets": dict.fromkeys(["API_KEY", *docker])}
+assert calls.launch(task, "fogspec-a", "/") == {"request": "a request"}
+assert handover.place("fogspec-a").exists(), "a local API server reads it later"
+calls.sky.api_status = lambda *_, **__: []
+calls._job_of = lambda name: 1
+calls.launched("a request", "fogspec-a")
+assert not handover.place("fogspec-a").exists()
+def refused(task, cluster_name):
+    raise ValueError("no such thing")
+sky.launch = refused
+try:
+    calls.launch(task, "fogspec-a", "/")
+except ValueError:
+    assert not handover.place("fogspec-a").exists()
+try:
+    calls.launch({"run": "true", "secrets": {"NOT_THERE": None}}, "fogspec-a", "/")
+except CloudProblem as problem:
+    assert "NOT_THERE" in problem.detail
+"""
+
+
+@pytest.mark.usefixtures("no_server")
+def test_secrets_are_in_no_task_that_skypilot_gets_but_in_a_file_of_their_own(tmp_path: Path) -> None:
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}
+    ended = subprocess.run([sys.executable, "-c", HANDED], capture_output=True, text=True, timeout=120, env=environment)
+    assert ended.returncode == 0, ended.stderr[-2000:]

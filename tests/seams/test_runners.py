@@ -86,7 +86,7 @@ def skypilot(folder: Path) -> Bed:
     (folder / "agent").symlink_to(next(iter(fogspec.probe.__path__)))
     cloud = Cloud(folder / "cloud")
     limits = ["--steps", "3", "--after", "5", "--warmup", "1", "--startup", "5"]
-    run = render("run_sample.sh.j2", distro=None, workspace=None, limits=limits, lifetime_s=30,
+    run = render("run_sample.sh.j2", distro=None, workspace=None, secrets=[], limits=limits, lifetime_s=30,
                  processes=[["python3", "work.py"]])  # fmt: skip
 
     def job(name: str, instance: str = "2CPU--4GB") -> Job:

@@ -169,6 +169,47 @@ def test_without_a_runner_that_reads_folders_the_lines_are_in_the_log(tmp_path):
         ]  # fmt: skip
 
 
+HOSTILE = """import os, sys
+out = sys.argv[sys.argv.index("--out") + 1]
+os.makedirs(out)
+os.symlink("/etc/passwd", out + "/outcome.json")
+with open(out + "/timings.jsonl", "wb") as file:
+    file.write(b'{"latency_s": 1.5}\\ntorn')
+    file.truncate(2**40 if "SPARSE" in os.environ else file.tell())
+"""
+
+
+def test_what_nodes_put_in_place_of_results_is_not_followed_and_fills_no_disk(tmp_path):
+    """A terabyte without a byte on disk, and a link to somebody else's file."""
+    (tmp_path / "agent.py").write_text(HOSTILE)
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(tmp_path / "agent.py")}
+    script = rendered_sample(application())
+    run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert run.stdout.splitlines()[1:] == [
+        "=== fogspec begin outcome.json ===", "=== fogspec end outcome.json ===",
+        "=== fogspec begin timings.jsonl ===", '{"latency_s": 1.5}', "torn", "=== fogspec end timings.jsonl ===",
+    ]  # fmt: skip
+    log = tmp_path / "log"
+    with open(log, "wb") as out:
+        subprocess.run(["bash", "-c", script], stdout=out, cwd=tmp_path, env=environment | {"SPARSE": "1"}, timeout=60)
+    assert log.stat().st_size < 2**28 + 1000
+
+
+def test_secrets_come_in_a_file_that_is_gone_before_a_node_starts(tmp_path):
+    (tmp_path / "agent.py").write_text('import os\nprint(os.environ["API_KEY"], os.path.exists(".fogspec/secrets"))')
+    (tmp_path / ".fogspec").mkdir()
+    handed = tmp_path / ".fogspec" / "secrets"
+    handed.write_text("export API_KEY='it'\"'\"'s; $(touch owned)'\n")
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(tmp_path / "agent.py"),
+                   "FOGSPEC_OUT": str(tmp_path / "out"), "SKYPILOT_TASK_ID": "x"}  # fmt: skip
+    script = rendered_sample(application(secrets=["API_KEY"]))
+    run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert run.stdout == "it's; $(touch owned) False\n", run.stderr
+    assert not handed.exists()
+    assert not (tmp_path / "owned").exists()
+    assert "secrets" not in rendered_sample(application())
+
+
 def test_slurm_has_neither_images_nor_spot_and_it_is_said():
     app = application(ros={"image": "docker.io/library/ros:jazzy"})
     one = sample(infra="slurm/lab", instance="4CPU--16GB", spot=True)

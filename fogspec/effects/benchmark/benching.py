@@ -81,12 +81,13 @@ def bench(prepared: Prepared, runner: Runner, watch: Watch, terms: Terms | None 
     disk in every case.
     """
     layout, left = prepared.layout, list[str]()
-    again = f"run the bench of {layout.name} again: it goes on where this one stopped"
+    again = f"the same command goes on where this one stopped; fogspec down {layout.name} ends everything"
     try:
         with held(layout.state / "lock", f"a bench of {layout.name}"), interruptible() as interrupt:
             benched = _measure(_Bench(prepared, runner, terms or Terms(), interrupt, left), watch)
     except KeyboardInterrupt:
-        raise Interrupted("interrupted at once", *map("may still run: {}".format, left), again) from None
+        now = "interrupted at once" if left else "interrupted at once: nothing runs any more"
+        raise Interrupted(now, *map("may still run: {}".format, left), again) from None
     except BrokenPipeError:
         raise
     except OSError as problem:
@@ -114,6 +115,9 @@ def _measure(one: _Bench, watch: Watch) -> Benched:
             going_on = campaign.recover()
             _run(one, campaign, ledger, tasks, going_on)
         return Benched(ledger.results(), teller.folders)
+    except KeyboardInterrupt:
+        one.left[:] = journal.book.open
+        raise
     finally:
         journal.close()
 

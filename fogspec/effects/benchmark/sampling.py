@@ -71,8 +71,7 @@ class Campaign:
                     self._advance(attempt)
                 if self.waiting or self.running:
                     self.clock.sleep(self._pause_s())
-        except KeyboardInterrupt:
-            self.left += self.running
+        except KeyboardInterrupt:  # at once: the journal has what may still run
             raise
         except BaseException:
             self._end_all()

@@ -13,6 +13,7 @@ from typing import Any, cast
 import sky
 from sky import exceptions
 
+from fogspec.plugins.skypilot import handover
 from fogspec.plugins.skypilot.problems import CloudProblem
 from fogspec.plugins.skypilot.verifying import await_gone
 
@@ -29,23 +30,35 @@ def hello() -> dict[str, Any]:
 
 def launch(task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
     """Ask for the task on a new machine of this name; the request's id."""
-    wanted = sky.Task.from_yaml_config(_absolute(task, Path(root)))
-    _afford(wanted, task)
-    return {"request": str(sky.launch(wanted, cluster_name=_ours(name)))}
+    given = _with_secrets(_absolute(task, Path(root)), _ours(name))
+    try:
+        wanted = sky.Task.from_yaml_config(given)
+        _afford(wanted, task)
+        return {"request": str(sky.launch(wanted, cluster_name=name))}
+    except BaseException:
+        handover.forget(name)
+        raise
+
+
+def _with_secrets(task: dict[str, Any], name: str) -> dict[str, Any]:
+    """The task with its secrets in a file, but for those that SkyPilot itself needs."""
+    secrets = handover.values(task.pop("secrets", None) or ())
+    if own := {one: value for one, value in secrets.items() if one.startswith(handover.SKYPILOTS)}:
+        task["secrets"] = own
+    if handed := {one: value for one, value in secrets.items() if one not in own}:
+        file = handover.write(name, handed)
+        task["file_mounts"] = {**(task.get("file_mounts") or {}), handover.THERE: str(file)}
+    return task
 
 
 def _absolute(task: Mapping[str, Any], root: Path) -> dict[str, Any]:
-    """The task with the folders it names made absolute, and its secrets from the environment."""
+    """The task with the folders it names made absolute."""
     whole = dict(task)
     if isinstance(whole.get("workdir"), str):
         whole["workdir"] = str(root / whole["workdir"])
     mounts = whole.get("file_mounts")
     if isinstance(mounts, Mapping):
         whole["file_mounts"] = {to: _source(source, root) for to, source in mounts.items()}
-    if secrets := whole.get("secrets"):
-        if missing := sorted(name for name in secrets if name not in os.environ):
-            raise CloudProblem("setup", f"the environment does not have {', '.join(missing)}")
-        whole["secrets"] = {name: os.environ[name] for name in secrets}
     return whole
 
 
@@ -78,9 +91,11 @@ def launched(request: str, name: str) -> dict[str, Any] | None:
             raise CloudProblem(
                 "setup", "SkyPilot's API server does not know this launch any more", again=True, gone=True
             )
+        handover.forget(name)
         return {"job": job}
     if _word(found[0].status) in UNFINISHED:
         return None
+    handover.forget(name)
     answer: Any = sky.get(cast(Any, request))
     return {"job": answer[0]}
 
@@ -155,6 +170,7 @@ def end(name: str, settle_s: float = 0.0) -> None:
 
     With `settle_s`, look for a launch once more after so many seconds: whoever asked for it was cut off while asking.
     """
+    handover.forget(_ours(name))
     _end(name)
     if settle_s:
         time.sleep(settle_s)
