@@ -10,6 +10,7 @@ from pathlib import Path
 
 TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
+LINE_LIMIT = 2**16
 OTHER = {"unmatched", "metric", "note", "warning"}  # records that are no requests
 
 
@@ -34,6 +35,8 @@ class Timings:
                 *lines, self.rest = (self.rest + new).split(b"\n")
                 for line in filter(None, lines):
                     self._take(line)
+                if len(self.rest) > LINE_LIMIT:  # no record is so long
+                    self.rest, self.unreadable = b"", self.unreadable + 1
         return self.requests > before
 
     def cut(self) -> None:
