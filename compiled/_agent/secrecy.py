@@ -1,7 +1,9 @@
 """Secrets stay where they are: the values of environment variables are taken out of whatever is printed or kept.
 
 Standard library only (Python 3.10 or newer): agent and keeper use it where the nodes run, before anything they print is
-written, and fogspec for what it keeps and shows of them.
+written, and fogspec for what it keeps and shows of them. By itself it passes on records, a line each:
+
+    python3 secrecy.py NAME ... < timings.jsonl
 """
 
 import contextlib
@@ -9,13 +11,15 @@ import json
 import os
 import re
 import subprocess
+import sys
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import IO, Any
 
 SHORTEST = 4
 READ_BYTES = 65536
 SETTLE_S = 2.0
+LINE_LIMIT = 2**20
 
 
 class Secrets:
@@ -46,6 +50,22 @@ class Secrets:
     def out_of_bytes(self, content: bytes) -> bytes:
         """The same for bytes."""
         return self.pattern.sub(lambda found: self.words[found[0]], content)
+
+    def out_of_record(self, line: bytes) -> bytes:
+        """The same for a line of JSON: texts lose them, figures stay, whatever digits they have."""
+        if self.pattern.search(line) is None:
+            return line
+        try:
+            return json.dumps(self._out_of_value(json.loads(line))).encode() + b"\n"
+        except (ValueError, RecursionError):
+            return self.out_of_bytes(line)
+
+    def _out_of_value(self, value: Any) -> Any:
+        if isinstance(value, dict):
+            return {self.out_of(key): self._out_of_value(one) for key, one in value.items()}
+        if isinstance(value, list):
+            return [self._out_of_value(one) for one in value]
+        return self.out_of(value) if isinstance(value, str) else value
 
 
 def _forms(value: str) -> set[str]:
@@ -122,3 +142,17 @@ def _put(target: int, content: bytes) -> None:
     with contextlib.suppress(OSError):
         while content:
             content = content[os.write(target, content) :]
+
+
+def main(names: Sequence[str]) -> None:
+    """Pass standard input on."""
+    secrets, out = Secrets.of(names), sys.stdout.buffer
+    stream = Stream(secrets)
+    while line := sys.stdin.buffer.readline(LINE_LIMIT):
+        # What is too long for a record, or the rest of that, is no record.
+        out.write(stream.feed(line) if stream.held or not line.endswith(b"\n") else secrets.out_of_record(line))
+    out.write(stream.rest())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fogspec.probe import secrecy
 from fogspec.probe.secrecy import Output, Secrets, Stream
 
 VALUES = st.dictionaries(st.text("abc", min_size=2, max_size=5), st.sampled_from(["$X", "$Y", "$Z"]), max_size=3)
+FILTER = str(secrecy.__file__)
 PIECES = st.lists(st.text("abc", max_size=6).map(str.encode), max_size=8)
 
 
@@ -55,3 +57,15 @@ def test_what_a_process_prints_last_is_there(monkeypatch: pytest.MonkeyPatch, tm
     output.settle(process)
     said = (tmp_path / "log").read_bytes()
     assert sorted(said.splitlines()) == [b"$KEY" * 9999, b"lost hunter2-hunter"], "what only begins like one is none"
+
+
+def test_records_keep_their_figures_and_what_is_too_long_for_one_loses_its_secrets_too() -> None:
+    environment = {"PIN": "1234", "KEY": "hunter2-hunter2"}
+    lines = [b'{"latency_s": 0.1234, "reason": "1234 hunter2-hunter2"}', b"no json 1234", b"\xff\0hunter2-hunter2"]
+    long = b"x" * (2**20 - 5) + b"hunter2-hunter2" + b"y" * 2**20
+    said = subprocess.run([sys.executable, FILTER, "PIN", "KEY"], env=environment, capture_output=True,
+                          input=b"\n".join([*lines, long, lines[0], b"torn hunter2-hunter2"])).stdout  # fmt: skip
+    clean = b'{"latency_s": 0.1234, "reason": "$PIN $KEY"}'
+    assert said.split(b"\n") == [
+        clean, b"no json $PIN", b"\xff\0$KEY", long.replace(b"hunter2-hunter2", b"$KEY"), clean, b"torn $KEY"
+    ]  # fmt: skip
