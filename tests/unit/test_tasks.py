@@ -240,6 +240,7 @@ FAKES = {
     "rosdep": 'echo "rosdep $*" >> "$HOME/said"',
     "colcon": 'echo "colcon $* in $PWD" >> "$HOME/said"; mkdir -p install; echo "export BUILT=1" > install/setup.bash',
     "sudo": '[ "$1" = -E ] && shift; "$@"',
+    "dpkg-query": "exit 1",
 }
 
 
@@ -267,6 +268,25 @@ def test_setting_up_twice_installs_builds_and_logs_and_runs_its_own_lines_once(t
     assert "curl" not in said, "ROS 2 is there already"
     assert "ROS 2 jazzy is ready" in (home / ".fogspec" / "setup.log").read_text()
     assert not list(tmp_path.rglob("owned"))
+
+
+@pytest.mark.parametrize(("state", "code"), [("installed", 0), ("config-files", 1)])
+def test_nothing_is_asked_of_root_where_all_is_there_and_who_cannot_be_root_is_told(tmp_path, state, code):
+    """A user of a Slurm cluster, whose nodes have what the spec names, or lack it."""
+    tools, ros = tmp_path / "bin", tmp_path / "ros"
+    (ros / "jazzy").mkdir(parents=True)
+    (ros / "jazzy" / "setup.bash").write_text("")
+    tools.mkdir()
+    for name, body in (FAKES | {"id": "echo 1000", "sudo": "exit 1", "dpkg-query": f"printf {state}"}).items():
+        (tools / name).write_text(f"#!/bin/sh\n{body}\n")
+        (tools / name).chmod(0o755)
+    script = render("setup_ros2.sh.j2", **ros_environment(application(ros={"apt": ["ros-jazzy-x"]}).spec))
+    script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:")
+    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
+    assert run.returncode == code
+    assert not (tmp_path / "said").exists()
+    assert ("only root can do this here" in (tmp_path / ".fogspec" / "setup.log").read_text()) == bool(code)
 
 
 @pytest.mark.parametrize(

@@ -205,9 +205,17 @@ def _cluster(record: Any) -> dict[str, Any]:
         "instance": getattr(resources, "instance_type", None),
         "price_usd_per_hour": _price(handle),
         "launched_at": record["launched_at"],
-        "ip": getattr(handle, "head_ip", None),
+        "ip": _address(handle),
         "labels": dict(getattr(resources, "labels", None) or {}),
     }
+
+
+def _address(handle: Any) -> str | None:
+    """Where the machine itself can be reached; on Slurm SkyPilot's `head_ip` is that of the login node."""
+    if type(getattr(getattr(handle, "launched_resources", None), "cloud", None)).__name__ == "Slurm":
+        addresses = getattr(handle, "stable_internal_external_ips", None)
+        return addresses[0][0] if addresses else None
+    return getattr(handle, "head_ip", None)
 
 
 def _price(handle: Any) -> float | None:
