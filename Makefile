@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slurm-up slurm-down slurm-test slurm-faults slurm-figures ros-env ros-figures link-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
+.PHONY: help demo test slurm-shell slurm-test slurm-faults slurm-figures ros-env ros-figures link-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -35,20 +35,19 @@ help:  ## say what there is
 
 ros-env: .venv-ros/ros.stamp  ## real ROS 2 for the tests that need it (250 MB)
 
-slurm-up: .venv/dev.stamp  ## a Slurm cluster with SkyPilot on this machine, as root, for tests and for trying out
-	@$(BIN)/python -m tests.tools.slurm up
+# Each beside a Slurm cluster with a SkyPilot of its own, in namespaces that end with the command.
+SLURM := $(BIN)/python -m tests.tools.slurm
+slurm-shell: .venv/dev.stamp  ## a shell beside a Slurm cluster with SkyPilot, as root, for trying out; both end together
+	@$(SLURM)
 
-slurm-down: .venv/dev.stamp  ## end that cluster and remove all of it
-	@$(BIN)/python -m tests.tools.slurm down
-
-slurm-test: .venv/dev.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root
-	$(BIN)/python -m pytest tests/slurm
+slurm-test: .venv/dev.stamp .venv-ros/ros.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root
+	$(SLURM) $(BIN)/python -m pytest tests/slurm
 
 slurm-faults: .venv/dev.stamp  ## at least 50 faults on the real engine: what leaked, was lost or paid too much (half an hour)
-	$(BIN)/python -m tests.slurm.faults
+	$(SLURM) $(BIN)/python -m tests.slurm.faults
 
 slurm-figures: .venv/dev.stamp  ## wall time and overhead of the SkyPilot runner on that cluster
-	$(BIN)/python -m tests.slurm.figures
+	$(SLURM) $(BIN)/python -m tests.slurm.figures
 
 ros-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## every ROS 2 probe against the truth, idle and saturated
 	$(BIN)/python -m tests.ros.figures

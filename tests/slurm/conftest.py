@@ -1,4 +1,4 @@
-"""One cluster for all tests here, brought up if none is; one bench that several look at; one machine nobody looks after."""
+"""One cluster for all tests here; one bench that several look at; one machine nobody looks after."""
 
 import os
 import time
@@ -10,8 +10,8 @@ import pytest
 
 from fogspec.plugins.skypilot.client import Client
 from tests.slurm.site import Site
-from tests.tools.slurm import daemons, engine
-from tests.tools.slurm.__main__ import default_folder, down, missing, up
+from tests.tools.slurm import apart, engine
+from tests.tools.slurm.__main__ import missing
 
 ABANDONED = "fogspec-abandoned"
 SHAPES = {"2CPU--4GB": 0.085, "2CPU--16GB": 0.126, "16CPU--32GB": 0.68, "64CPU--128GB": 2.72}
@@ -54,17 +54,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def cluster() -> Iterator[Path]:
-    """The cluster's folder; one that is up already is used, and stays."""
-    folder = default_folder()
-    was_up = daemons.living(folder, "slurmctld") is not None
-    if not was_up:
-        if why := missing():
-            pytest.skip(f"{why}; then: make slurm-test")
-        up(folder)
-    yield folder
-    if not was_up:
-        down(folder)
+def cluster() -> Path:
+    """The folder of the cluster beside which this runs."""
+    if apart.FOLDER not in os.environ:
+        pytest.skip(missing() or "needs a cluster: make slurm-test")
+    return Path(os.environ[apart.FOLDER])
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Faults on the real engine: `python -m tests.slurm.faults [FAULTS [SEED]]` prints what leaked, was lost or cost too much.
+"""Faults on the real engine: `make slurm-faults` prints what leaked, was lost or cost too much.
 
 Each bench is a seed: which nodes have a workload that fails, and what is broken from outside, and when.
 """
@@ -22,8 +22,7 @@ from fogspec.effects.benchmark.journal import Journal
 from fogspec.effects.disk.specfiles import read_document
 from fogspec.results import Results, finished
 from tests.slurm.site import Site
-from tests.tools.slurm import daemons, engine
-from tests.tools.slurm.__main__ import default_folder, down, up
+from tests.tools.slurm import apart, daemons, engine
 
 MACHINES = {"s-1x2": "1CPU--2GB", "c-2x4": "2CPU--4GB", "c-16x32": "16CPU--32GB"}
 ROUNDS = 8
@@ -196,26 +195,20 @@ def drawn(seed: int, site: Site) -> Storm:
 def main(words: Sequence[str], tell: Callable[[str], None] = print) -> int:
     """Benches until enough faults have happened; whether something went wrong."""
     wanted, seed = int(words[0]) if words else 50, int(words[1]) if len(words) > 1 else 0
-    folder = default_folder()
-    was_up = daemons.living(folder, "slurmctld") is not None
-    up(folder)
+    folder = Path(os.environ[apart.FOLDER])
     tally: collections.Counter[str] = collections.Counter()
-    try:
-        while tally["faults"] < wanted:
-            project = Path(tempfile.mkdtemp(prefix="fogspec-storm-")) / "project"
-            storm = drawn(seed, Site(folder, project))
-            tally["controllers"] += storm.run("storm")
-            found = judge(storm.site, "storm")
-            tally.update(found)
-            tally["benches"] += 1
-            tally["faults"] += storm.done + len(storm.nodes)
-            tell(f"seed {seed}: {storm.nodes} {[name for _, name in storm.faults]}: {dict(+found)}")
-            if not wrong(found):
-                shutil.rmtree(project.parent)
-            seed += 1
-    finally:
-        if not was_up:
-            down(folder)
+    while tally["faults"] < wanted:
+        project = Path(tempfile.mkdtemp(prefix="fogspec-storm-")) / "project"
+        storm = drawn(seed, Site(folder, project))
+        tally["controllers"] += storm.run("storm")
+        found = judge(storm.site, "storm")
+        tally.update(found)
+        tally["benches"] += 1
+        tally["faults"] += storm.done + len(storm.nodes)
+        tell(f"seed {seed}: {storm.nodes} {[name for _, name in storm.faults]}: {dict(+found)}")
+        if not wrong(found):
+            shutil.rmtree(project.parent)
+        seed += 1
     tell(", ".join(f"{name} {count}" for name, count in tally.items()))
     return wrong(tally)
 

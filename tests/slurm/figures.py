@@ -3,30 +3,21 @@
 What a cloud adds to it is the time that its machines take to boot; what is printed is SkyPilot's and fogspec's own.
 """
 
+import os
 import tempfile
 import time
 from pathlib import Path
 
 from tests.slurm.site import Site
-from tests.tools.slurm import daemons
-from tests.tools.slurm.__main__ import default_folder, down, up
+from tests.tools.slurm import apart
 
 SHAPES = ("2CPU--4GB", "2CPU--16GB", "16CPU--32GB", "64CPU--128GB")
 
 
 def main() -> None:
-    """Bring the cluster up where it is not, measure four shapes one after the other and all at once."""
-    folder = default_folder()
-    was_up = daemons.living(folder, "slurmctld") is not None
-    begun = time.monotonic()
-    up(folder)
-    print(f"cluster up: {time.monotonic() - begun:.1f} s" if not was_up else "cluster: was up")
-    try:
-        with tempfile.TemporaryDirectory() as scratch:
-            _figures(Site(folder, Path(scratch) / "project"))
-    finally:
-        if not was_up:
-            down(folder)
+    """Measure four shapes one after the other and all at once, beside a cluster."""
+    with tempfile.TemporaryDirectory() as scratch:
+        _figures(Site(Path(os.environ[apart.FOLDER]), Path(scratch) / "project"))
 
 
 def _figures(site: Site) -> None:

@@ -142,6 +142,10 @@ class Site:
         """The catalog."""
         return str(self.cluster / "catalog.csv")
 
+    def links(self, name: str) -> Path:
+        """Where an application's link has its public halves on the computer that applies."""
+        return self.cluster / "sky" / ".fogspec" / "links" / name / "robot"
+
     def jobs(self, spare: str | None = None) -> list[str]:
         """Names of the machines that Slurm has jobs for, without those that begin with `spare`."""
         names = daemons.run(self.cluster, "squeue", "-h", "-o", "%j").split()

@@ -1,25 +1,24 @@
-"""Slurm's daemons on loopback: their configuration, start and end. All state is under one folder."""
+"""Slurm's daemons: their configuration and start. All state is under one folder."""
 
 import contextlib
 import os
 import secrets
-import signal
 import socket
 import subprocess
 import time
 from pathlib import Path
 
+from tests.tools.slurm import network
 from tests.tools.slurm.shapes import CLUSTER, SHAPES
 
 CTLD_PORT = 16917
 NODE_PORT = 17101
-PIDS = ("slurmctld", *(f"slurmd.{one.name}" for one in SHAPES), "sshd", "munged")
 MEMORY_CGROUPS = Path("/sys/fs/cgroup/memory")
 FREEZER_CGROUPS = Path("/sys/fs/cgroup/freezer")
 
 SLURM_CONF = """\
 ClusterName={cluster}
-SlurmctldHost={host}(127.0.0.1)
+SlurmctldHost={host}({controller})
 SlurmctldPort={port}
 SlurmUser=root
 SlurmdUser=root
@@ -41,7 +40,6 @@ SelectTypeParameters=CR_CPU_Memory
 SlurmdParameters=config_overrides
 SchedulerParameters=sched_interval=2,bf_interval=2,batch_sched_delay=0,defer
 EnforcePartLimits=ALL
-CommunicationParameters=NoInAddrAny,NoCtldInAddrAny
 MpiDefault=none
 SwitchType=switch/none
 ReturnToService=2
@@ -66,7 +64,7 @@ def configure(folder: Path) -> None:
         (folder / name).mkdir(parents=True, exist_ok=True)
     confined, host = confines_memory(), socket.gethostname().partition(".")[0]
     conf = SLURM_CONF.format(
-        cluster=CLUSTER, host=host, port=CTLD_PORT, folder=folder,
+        cluster=CLUSTER, host=host, controller=network.CONTROLLER, port=CTLD_PORT, folder=folder,
         proctrack="proctrack/cgroup" if confined else "proctrack/linuxproc",
         task="task/cgroup" if confined else "task/none",
     )  # fmt: skip
@@ -77,7 +75,7 @@ def configure(folder: Path) -> None:
             gres += f"NodeName={one.name} Name=gpu Type={one.gpu.lower()} File={_device(folder, one.name)}\n"
         memory_mib = one.memory_gib * 1024
         conf += (
-            f"NodeName={one.name} NodeHostname={host} NodeAddr=127.0.0.1 Port={NODE_PORT + number} CPUs={one.cpus} "
+            f"NodeName={one.name} NodeAddr={network.address(number)} Port={NODE_PORT} CPUs={one.cpus} "
             f"RealMemory={memory_mib} {generic}State=UNKNOWN\n"
             f"PartitionName={one.name} Nodes={one.name} Default={'NO' if number else 'YES'} MaxTime=01:00:00 "
             "DefaultTime=00:30:00 State=UP OverSubscribe=NO\n"
@@ -110,8 +108,8 @@ def start(folder: Path) -> None:
         f"--pid-file={folder}/run/munged.pid", f"--log-file={folder}/munge/munged.log",
         f"--seed-file={folder}/munge/seed")  # fmt: skip
     run(folder, "slurmctld", "-c", "-f", str(folder / "slurm.conf"))
-    for one in SHAPES:
-        run(folder, "slurmd", "-c", "-f", str(folder / "slurm.conf"), "-N", one.name)
+    for number, one in enumerate(SHAPES):
+        network.on_node(number, ["slurmd", "-c", "-f", str(folder / "slurm.conf"), "-N", one.name])
 
 
 def run(folder: Path, *words: str) -> str:
@@ -137,28 +135,6 @@ def jobs(folder: Path) -> list[str]:
     return run(folder, "squeue", "-h", "-o", "%i %j %T").splitlines()
 
 
-def stop(folder: Path) -> None:
-    """End what was started here, by pid file: jobs first, then daemons; returns when they are gone."""
-    if living(folder, "slurmctld"):
-        with contextlib.suppress(SystemExit):
-            _cancel(folder)
-    for name in PIDS:
-        pid = living(folder, name)
-        if pid is None:
-            continue
-        for child in below(pid) if name == "sshd" else ():
-            _end(child)
-        _end(pid)
-
-
-def _cancel(folder: Path) -> None:
-    for line in jobs(folder):
-        run(folder, "scancel", line.split()[0])
-    end = time.monotonic() + 20
-    while jobs(folder) and time.monotonic() < end:
-        time.sleep(0.3)
-
-
 def living(folder: Path, name: str) -> int | None:
     """The process id of a daemon, if it runs."""
     try:
@@ -177,14 +153,3 @@ def below(pid: int) -> list[int]:
             if int(Path("/proc", entry, "stat").read_bytes().rsplit(b")", 1)[1].split()[1]) == pid:
                 found += [*below(int(entry)), int(entry)]
     return found
-
-
-def _end(pid: int) -> None:
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, number)
-        end = time.monotonic() + 10
-        while time.monotonic() < end:
-            if not Path("/proc", str(pid)).exists():
-                return
-            time.sleep(0.05)

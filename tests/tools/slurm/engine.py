@@ -17,6 +17,9 @@ def environment(folder: Path) -> dict[str, str]:
     kept = {key: value for key, value in os.environ.items() if not key.startswith(("SKY", "SLURM"))}
     home = folder / "sky"
     return kept | {
+        # SkyPilot has pip build a wheel of itself: with what is installed, for there is no network. "0" says just that.
+        "PIP_NO_INDEX": "1",
+        "PIP_NO_BUILD_ISOLATION": "0",
         "HOME": str(home),
         "XDG_CACHE_HOME": str(home / ".cache"),
         "SKYPILOT_API_SERVER_LOCAL_PORT": str(PORT),
@@ -69,14 +72,6 @@ def clusters(folder: Path, refresh: bool = False) -> list[str]:
     )
     names: list[str] = json.loads(ended.stdout.splitlines()[-1])
     return names
-
-
-def stop(folder: Path) -> None:
-    """End the API server, if it runs."""
-    if (folder / "sky" / ".sky").exists():
-        sky(folder, "api", "stop")
-    for pid in processes(folder):
-        os.kill(pid, 9)
 
 
 def processes(folder: Path) -> list[int]:

@@ -1,19 +1,19 @@
-"""The login node: a user, names for the nodes, and an ssh server on loopback that only this user's key opens."""
+"""The login node: a user, names for the nodes, and an ssh server that only this user's key opens."""
 
 import contextlib
 import os
 import pwd
 import shutil
-import subprocess
+import socket
 from pathlib import Path
 
+from tests.tools.slurm import network
 from tests.tools.slurm.daemons import run
-from tests.tools.slurm.shapes import CLUSTER, SHAPES
+from tests.tools.slurm.shapes import SHAPES
 
-USER = "fogtest"
+USER = "lab"
 PORT = 2322
 HOSTS = Path("/etc/hosts")
-MARK = f"# {CLUSTER}"
 
 SSHD = """\
 ListenAddress 127.0.0.1
@@ -37,24 +37,12 @@ def start(folder: Path) -> None:
     """Make the user and the names, start the server."""
     home = folder / "home"
     home.mkdir(exist_ok=True)
-    if USER not in {one.pw_name for one in pwd.getpwall()}:
-        # A password of "*" is one that nobody has; "!" would lock the account, which sshd without PAM refuses.
-        run(
-            folder,
-            "useradd",
-            "--no-create-home",
-            "--password",
-            "*",
-            "--home-dir",
-            str(home),
-            "--shell",
-            "/bin/bash",
-            USER,
-        )
-    forget_names()
-    # SkyPilot asks for every node's address by its name: distinct ones, or it takes them for one.
-    names = "".join(f"127.0.0.{2 + number} {one.name} {MARK}\n" for number, one in enumerate(SHAPES))
-    HOSTS.write_text(HOSTS.read_text() + names)
+    # A password of "*" is one that nobody has; "!" would lock the account, which sshd without PAM refuses.
+    run(folder, "useradd", "--no-create-home", "--password", "*", "--home-dir", str(home), "--shell", "/bin/bash", USER)
+    # SkyPilot asks for every node's address by its name.
+    names = [(network.address(number), one.name) for number, one in enumerate(SHAPES)]
+    names.append((network.CONTROLLER, socket.gethostname()))
+    HOSTS.write_text("".join(f"{address} {name}\n" for address, name in names) + HOSTS.read_text())
     keys = folder / "ssh"
     keys.mkdir(mode=0o700, exist_ok=True)
     for name in ("host", "user"):
@@ -67,23 +55,6 @@ def start(folder: Path) -> None:
     (keys / "sshd_config").write_text(SSHD.format(port=PORT, folder=folder, user=USER))
     Path("/run/sshd").mkdir(exist_ok=True)
     run(folder, "/usr/sbin/sshd", "-f", str(keys / "sshd_config"))
-
-
-def stop() -> None:
-    """Remove the user, what it may still run, and the names."""
-    if USER in {one.pw_name for one in pwd.getpwall()}:
-        subprocess.run(["pkill", "-KILL", "-u", USER], capture_output=True)
-        subprocess.run(["userdel", "--force", USER], capture_output=True)
-    forget_names()
-
-
-def forget_names() -> None:
-    """Take our lines out of the table of host names."""
-    lines = HOSTS.read_text().splitlines(keepends=True)
-    kept = [line for line in lines if not line.rstrip().endswith(MARK)]
-    if kept != lines:
-        # In containers this file is a mount of its own and cannot be renamed over.
-        HOSTS.write_text("".join(kept))
 
 
 def processes() -> list[str]:

@@ -1,0 +1,122 @@
+"""Namespaces for one command and all that it starts: network, mounts and processes; nothing of it outlives the command.
+
+Users, host names and memory cgroups are the command's own too. What it changes in /etc is kept in memory, and /opt/ros is
+the ROS 2 of `make ros-env`.
+"""
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from tests.tools.slurm import nodes, ros
+
+UNSHARE = ("unshare", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc")
+FOLDER = "FOGSPEC_SLURM"
+# Short, as sockets' names must be; after it comes the process that the namespaces end with.
+STATE = Path(tempfile.gettempdir(), "fog-slurm-")
+OPT = Path("/opt")
+CGROUPS = tuple(Path("/sys/fs/cgroup", one) for one in ("memory", "freezer"))
+
+
+def enter(module: str, words: Sequence[str]) -> None:
+    """Become `python -m module words` in namespaces of its own, as their first process."""
+    for folder in STATE.parent.glob(f"{STATE.name}*"):
+        if not Path("/proc", folder.name.removeprefix(STATE.name)).exists():
+            _forget(folder)
+    os.environ[FOLDER] = f"{STATE}{os.getpid()}"
+    os.execvp(UNSHARE[0], [*UNSHARE, sys.executable, "-m", module, *words])
+
+
+def _forget(folder: Path) -> None:
+    """What is left when the first process was killed."""
+    for group in _groups(folder):
+        _remove(group)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _groups(folder: Path) -> list[Path]:
+    return [one / folder.name for one in CGROUPS]
+
+
+@contextlib.contextmanager
+def furnished() -> Iterator[Path]:
+    """Inside: what the namespaces are given, and a folder for all state."""
+    folder = Path(os.environ[FOLDER])
+    folder.mkdir(mode=0o755)
+    groups = [one for one in _groups(folder) if os.access(one.parent / "cgroup.procs", os.W_OK)]
+    try:
+        _run("ip", "link", "set", "lo", "up")
+        _own_etc()
+        if ros.prepare(folder / "opt", nodes.PYTHON):
+            _run("mount", "-t", "overlay", "overlay", "-o", f"lowerdir={folder}/opt:{OPT}", str(OPT))
+            _run("mount", "--bind", f"{folder}/opt/ros", f"{OPT}/ros")
+        for group in groups:
+            group.mkdir()
+        with _bound(groups):
+            yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _own_etc() -> None:
+    """Users and host names of our own; a host's /etc/hosts may be a mount of its own, which an overlay does not show."""
+    hosts = Path("/etc/hosts").read_text()
+    scratch = Path(tempfile.mkdtemp(prefix="fog-etc-"))
+    _run("mount", "-t", "tmpfs", "none", str(scratch))
+    for name in ("upper", "work"):
+        (scratch / name).mkdir()
+    _run("mount", "-t", "overlay", "overlay", "-o", f"lowerdir=/etc,upperdir={scratch}/upper,workdir={scratch}/work",
+         "/etc")  # fmt: skip
+    _run("umount", "--lazy", str(scratch))
+    scratch.rmdir()
+    Path("/etc/hosts").write_text(hosts)
+
+
+@contextlib.contextmanager
+def _bound(groups: Sequence[Path]) -> Iterator[None]:
+    """These cgroups in the place of their hierarchies' roots, so that two clusters have nothing in common."""
+    for group in groups:
+        _run("mount", "--bind", str(group), str(group.parent))
+    try:
+        yield
+    finally:
+        _end_all()
+        for group in groups:
+            _run("umount", "--lazy", str(group.parent))
+            _remove(group)
+
+
+def _remove(group: Path) -> None:
+    for path, _, _ in os.walk(group, topdown=False):
+        with contextlib.suppress(OSError):
+            os.rmdir(path)
+
+
+def _end_all() -> None:
+    """Every process here but this one, which is the first."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(-1, signal.SIGKILL)
+    with contextlib.suppress(ChildProcessError):
+        while True:
+            os.wait()
+
+
+def run(words: Sequence[str]) -> int:
+    """A command as a child of the first process, which also takes leave of those whose parents are gone; its exit code."""
+    # Ctrl-C is the command's to answer.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    child = subprocess.Popen(words, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)).pid
+    while True:
+        ended, status = os.wait()
+        if ended == child:
+            return os.waitstatus_to_exitcode(status)
+
+
+def _run(*words: str) -> None:
+    subprocess.run(words, check=True)
