@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 from tests.tools.slurm import login
@@ -33,6 +34,9 @@ def configure(folder: Path) -> None:
     home = folder / "sky"
     (home / ".slurm").mkdir(parents=True, exist_ok=True)
     (home / ".sky").mkdir(exist_ok=True)
+    # SkyPilot's ssh connections are in /tmp under this name, which is the same for everybody called root on one host:
+    # two clusters would talk through each other's.
+    (home / ".sky" / "user_hash").write_text(f"{zlib.crc32(str(folder).encode()):08x}")
     (home / ".slurm" / "config").write_text(
         f"Host {CLUSTER}\n    HostName 127.0.0.1\n    Port {login.PORT}\n    User {login.USER}\n"
         f"    IdentityFile {folder}/ssh/user\n"
