@@ -102,6 +102,14 @@ def test_warnings_are_new_or_folded_away(repository: Shell) -> None:
     assert "- curve of latency: " in old
 
 
+def test_outside_of_a_repository_it_says_what_to_do(shell: Shell) -> None:
+    said = shell("review", "main", code=2).err
+    assert said.startswith(f"{shell.folder} is in no git repository")
+    assert "fogspec diff says without git" in said
+    git(shell.folder, "init", "-q")
+    assert shell("review", code=2).err == "there is no commit HEAD here\n  commit something first\n"
+
+
 def test_a_new_application_and_one_that_is_not_measured(repository: Shell) -> None:
     repository.write("specs/other.yaml", repository.read("specs/demo.yaml").replace("name: demo", "name: other"))
     said = repository("review", "HEAD", *AT).out

@@ -14,6 +14,7 @@ import numpy as np
 
 from fogspec.base.diagnostics import Diagnostic, Place, Problems
 from fogspec.base.outcomes import WrongFile
+from fogspec.effects.disk.regular import check_file
 from fogspec.evaluation.suite import KINDS, Problem, Setting, Suite, Table
 from fogspec.numerics.features import Floats, Machines, codes
 
@@ -129,6 +130,8 @@ def found(folder: Path, name: str) -> Path:
 
 
 def _opened(path: Any) -> Any:
+    if isinstance(path, Path):
+        check_file(path)
     raw = path.open("rb")
     return io.TextIOWrapper(gzip.open(raw) if path.name.endswith(".gz") else raw, encoding="utf-8", newline="")
 
@@ -148,7 +151,7 @@ def rows(path: Path, required: tuple[str, ...]) -> Iterator[tuple[int, dict[str,
                     raise problem(path, reader.line_num, f"a row has {len(reader.fieldnames or ())} fields")
                 yield reader.line_num, row
     except (OSError, UnicodeDecodeError, EOFError, csv.Error) as wrong:
-        raise WrongFile(f"{path}: cannot be read: {wrong}") from None
+        raise WrongFile(f"{path}: cannot be read: {getattr(wrong, 'strerror', None) or wrong}") from None
 
 
 def number(path: Path, line: int, row: dict[str, str], name: str, *, required: bool = False) -> float:

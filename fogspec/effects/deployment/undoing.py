@@ -22,7 +22,14 @@ def layout_of(spec_or_name: str) -> Layout:
     if spec_or_name.endswith((".yaml", ".yml")) or "/" in spec_or_name:
         from fogspec.effects.disk.specfiles import load
 
-        found = load([spec_or_name])
+        try:
+            found = load([spec_or_name])
+        except Problems as wrong:
+            what = wrong.diagnostics[0]
+            raise WrongFile(
+                f"{what.place.path}:{what.place.line}:{what.place.column}: {what.message}",
+                f"what runs is ended by its application's name too: fogspec down {Path(spec_or_name).stem}",
+            ) from None
         if len(found) > 1:
             names = ", ".join(one.application.metadata.name for one in found)
             raise WrongFile(f"{spec_or_name} has several applications", f"name one of them: {names}")

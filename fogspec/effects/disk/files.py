@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.base.outcomes import WrongFile
+from fogspec.effects.disk.regular import check_file
 
 PLAIN = re.compile(
     r"[A-Za-z_/][-A-Za-z0-9_./@+%=*]*(?: [-A-Za-z0-9_./@+%=*()]+)*"
@@ -45,6 +46,8 @@ def write_bytes(path: Path, content: bytes) -> None:
     """
     temporary = None
     try:
+        if path.exists():
+            check_file(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with open(handle, "wb") as file:

@@ -11,7 +11,16 @@ class Repository:
     """The git repository that the working directory is in."""
 
     def __init__(self) -> None:
-        self.top = Path(self._run("rev-parse", "--show-toplevel").decode().strip())
+        """Raises WrongCommand where the working directory is in no repository, or git does not want to look at it."""
+        try:
+            self.top = Path(self._run("rev-parse", "--show-toplevel").decode().strip())
+        except WrongCommand as failed:
+            raise WrongCommand(
+                f"{os.getcwd()} is in no git repository that can be read",
+                "a review compares what is committed with what is checked out: run it in a clone",
+                "fogspec diff says without git what compile would change",
+                failed.message,
+            ) from None
 
     def base_of(self, range_: str) -> str:
         """The commit that a change starts from: of `BASE..HEAD` or `BASE`, where it and the checked-out commit part.
@@ -45,7 +54,11 @@ class Repository:
     def _commit(self, name: str) -> str:
         if name.startswith("-"):
             raise WrongCommand(f"{name} is no commit")
-        return self._run("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}").decode().strip()
+        try:
+            return self._run("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}").decode().strip()
+        except WrongCommand:
+            hint = "commit something first" if name == "HEAD" else f"fetch it: git fetch origin {name}"
+            raise WrongCommand(f"there is no commit {name} here", hint) from None
 
     def _run(self, *words: str) -> bytes:
         try:
@@ -53,5 +66,5 @@ class Repository:
         except OSError as problem:
             raise WrongCommand(f"git cannot be started: {problem.strerror}") from None
         except subprocess.CalledProcessError as failed:
-            said = failed.stderr.decode("utf-8", "replace").strip() or f"there is no commit {words[-1]}"
+            said = failed.stderr.decode("utf-8", "replace").strip() or f"exit code {failed.returncode}"
             raise WrongCommand(f"git {words[0]}: {said.splitlines()[0]}") from None

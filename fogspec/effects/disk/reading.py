@@ -4,11 +4,11 @@ import dataclasses
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from fogspec.base.diagnostics import Diagnostic, Place
 from fogspec.base.nodes import Node
 from fogspec.effects.disk import yamltext
+from fogspec.effects.disk.regular import read_file
 
 NOT_SHOWN = ("FS509",)  # what looks like a private key must not be in CI's log too
 MISSING = ("FS302", "FS501", "FS503", "FS512", "FS522")
@@ -66,8 +66,7 @@ def documents_of(
         return [], False
     texts.lines[name] = []
     try:
-        with Path(path).open("rb") as file:
-            content = file.read(most_bytes + 1)
+        content = read_file(path, most_bytes + 1)
     except OSError as problem:
         message = f"the file cannot be read: {(problem.strerror or str(problem)).lower()}"
         wrong.append(Diagnostic("FS101", message, Place(name, 1, 1)))

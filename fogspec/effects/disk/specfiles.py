@@ -4,7 +4,6 @@ import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
@@ -110,7 +109,7 @@ def read_document(path: str | os.PathLike[str], model: type[M]) -> M:
     Raises Problems when it was edited or cut short, WrongFile when it is not there.
     """
     name, texts, wrong = os.fspath(path), Texts(), list[Diagnostic]()
-    if not Path(path).is_file():
+    if not os.path.exists(path):
         raise WrongFile(f"{name}: there is no such file")
     nodes, clean = documents_of(path, texts, wrong, MOST_BYTES_OF_OUR_OWN)
     if clean and len(nodes) != 1:

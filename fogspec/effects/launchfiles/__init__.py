@@ -1,10 +1,10 @@
 """Reading ROS 2 launch files without running them: what starts, with which parameters, and what could not be read."""
 
 import os
-from pathlib import Path
 
 from fogspec.base.diagnostics import Diagnostic, Place, Problems
 from fogspec.effects.disk import yamltext
+from fogspec.effects.disk.regular import read_file
 from fogspec.effects.launchfiles.found import Found
 
 
@@ -15,7 +15,7 @@ def read_launch(path: str | os.PathLike[str]) -> Found:
     """
     name = os.fspath(path)
     try:
-        content = Path(path).read_bytes()
+        content = read_file(path)
     except OSError as problem:
         message = f"the launch file cannot be read: {(problem.strerror or '').lower()}"
         raise Problems([Diagnostic("FS801", message, Place(name, 1, 1))]) from None

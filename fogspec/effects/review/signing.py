@@ -4,11 +4,11 @@ The cryptography is securesystemslib's: `pip install 'fogspec[attest]'`.
 """
 
 import json
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from fogspec.base.outcomes import WrongCommand, WrongFile
 from fogspec.effects.disk.manifests import Opened
+from fogspec.effects.disk.regular import read_file
 from fogspec.effects.review import attesting
 from fogspec.effects.review.verifying import Link
 
@@ -74,6 +74,6 @@ def _library() -> _Library:
 
 def _read(path: str) -> bytes:
     try:
-        return Path(path).read_bytes()
+        return read_file(path)
     except OSError as problem:
         raise WrongFile(f"{path}: cannot be read: {problem.strerror}") from None

@@ -1,11 +1,13 @@
 """A catalog from a CSV file in SkyPilot's columns, plain or gzipped."""
 
 import gzip
+import os
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from fogspec.base.filekinds import not_a_file
 from fogspec.base.outcomes import WrongFile
 from fogspec.catalog import About, Catalog
 from fogspec.plugins.catalogs.cache import cached
@@ -51,6 +53,8 @@ def table(path: str | Path, cloud: str | None, about: About, shown: str | None =
 
 def _bytes(path: str | Path) -> bytes:
     try:
+        if (what := not_a_file(os.stat(path).st_mode)) is not None:
+            raise WrongFile(f"{path}: the catalog cannot be read: {what}")
         return Path(path).read_bytes()
     except OSError as problem:
         raise WrongFile(f"{path}: the catalog cannot be read: {problem.strerror}") from None
