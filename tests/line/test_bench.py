@@ -5,9 +5,15 @@ import hashlib
 import json
 import os
 import signal
+from contextlib import nullcontext
 
 import pytest
 
+from fogspec.base.outcomes import Differs
+from fogspec.effects.benchmark.benching import bench
+from fogspec.effects.benchmark.preparing import prepare
+from fogspec.effects.disk.specfiles import load
+from fogspec.plugins.runners.local import LocalRunner
 from tests.line.scenes import HALTING, SPEC, WORK, Scene, environments, tree, until
 
 FIRST, SECOND = "local-1cpu-1gib", "local-2cpu-1gib"
@@ -181,6 +187,17 @@ def test_two_benches_at_once_are_one_too_many(halting):
     assert second.returncode == 5
     assert f"process {bench.pid}" in second.stderr
     assert (scene.started(), bench.poll()) == ([FIRST], None)
+
+
+def test_what_another_bench_measured_meanwhile_is_not_lost(tmp_path):
+    scene = Scene.made(tmp_path / "scene")
+    application = load([scene.spec])[0].application
+    prepared = prepare(application, scene.spec, [])
+    assert scene.bench("--only", FIRST).returncode == 0
+    before = scene.results.read_bytes()
+    with pytest.raises(Differs, match="has changed since this bench began"):
+        bench(prepared, LocalRunner(), lambda _campaign: nullcontext(lambda _event: None))
+    assert scene.results.read_bytes() == before
 
 
 def test_the_shells_credentials_and_thread_counts_stay_out_of_a_sample(halting):

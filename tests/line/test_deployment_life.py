@@ -1,6 +1,7 @@
 """A manifest's life on this host, as a user lives it: spec, bench, manifest, apply, status, change, diff, apply, down."""
 
 import json
+import os
 import signal
 import time
 from collections.abc import Callable
@@ -233,12 +234,13 @@ def test_ctrl_c_ends_what_was_being_started(app: Make) -> None:
     assert tiny.machines() == []
 
 
-def test_two_applies_at_once(app: Make) -> None:
+def test_whoever_applies_is_alone(app: Make) -> None:
     tiny = app(SPEC + "  deployment: {ready: ['false']}\n")
     first = tiny.begin("apply", MANIFEST, "--yes")
     until(lambda: tiny.machines())
-    assert "is already running" in tiny.apply(code=5).stderr
-    assert "is already running" in tiny("down", "tiny", code=5).stderr
+    holder = f"must wait: apply of tiny (process {first.pid} on {os.uname().nodename}) has not ended"
+    for words in (["apply", "tiny", "--yes"], ["down", "tiny"], ["bench", "tiny", "--runner", "local"]):
+        assert f"{words[0]} of tiny {holder}" in tiny(*words, code=5).stderr
     first.send_signal(signal.SIGTERM)
     first.communicate(timeout=60)
 
@@ -275,14 +277,18 @@ def test_down_needs_no_spec_that_is_right(tiny: Deployed) -> None:
 
 def test_down_of_nobody(tiny: Deployed) -> None:
     assert "no application named other" in tiny("down", "other", code=1).stderr
+    for name in (".", "..", ""):
+        assert "is no application's name" in tiny("down", name, code=1).stderr
 
 
 def test_secrets_reach_the_nodes_and_no_file(app: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MY_SECRET", "hunter2-hunter2")
     prints = (
-        'echo "my secret is $MY_SECRET"; env >&2; while [ ! -e end ]; do sleep 0.1; done; echo "$MY_SECRET"; exit 1'
+        "import os, sys, time; print('my secret is', os.environ['MY_SECRET'], flush=True); print(os.environ, file=sys.stderr)\n"
+        "while not os.path.exists('end'): time.sleep(0.1)\n"
+        "sys.exit(os.environ['MY_SECRET'])"
     )
-    node = f"    - cmd: [sh, -c, '{prints}']\n"
+    node = f"    - cmd: [python3, -c, {json.dumps(prints)}]\n"
     tiny = app(SPEC.replace("  probe:", f"{node}  probe:") + "  secrets: [MY_SECRET]\n")
     said = [tiny.apply()]
     environments = [Path(f"/proc/{pid}/environ").read_bytes() for pid in tiny.alive()]

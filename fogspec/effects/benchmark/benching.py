@@ -76,14 +76,15 @@ class _Bench:
 def bench(prepared: Prepared, runner: Runner, watch: Watch, terms: Terms | None = None) -> Benched:
     """Measure what is to be measured.
 
-    Raises Refused when another bench of this application runs, CloudFailed for machines that could not be
-    verified gone, Interrupted when the user stopped it, WrongFile for a disk that cannot be written; results are on
-    disk in every case.
+    Raises Refused while another bench, apply or down of this application runs, Differs where results changed meanwhile,
+    CloudFailed for machines that could not be verified gone, Interrupted when the user stopped it, WrongFile for a disk
+    that cannot be written; results are on disk in every case.
     """
     layout, left = prepared.layout, list[str]()
     again = f"the same command goes on where this one stopped; fogspec down {layout.name} ends everything"
     try:
-        with held(layout.state / "lock", f"a bench of {layout.name}"), interruptible() as interrupt:
+        with held(layout.state / "lock", f"bench of {layout.name}"), interruptible() as interrupt:
+            prepared.check_current()
             benched = _measure(_Bench(prepared, runner, terms or Terms(), interrupt, left), watch)
     except KeyboardInterrupt:
         now = "interrupted at once" if left else "interrupted at once: nothing runs any more"

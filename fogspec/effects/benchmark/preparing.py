@@ -1,5 +1,6 @@
 """From reviewed files to a campaign: the plan, its tasks, and results that are there already, all checked."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ class Prepared:
     """What is to be measured: `todo` of the plan's samples, by tasks that are as they were reviewed.
 
     `results` are those that count already; `outdated` says that the file on disk measured something else; `only`
-    that the samples were named by the user.
+    that the samples were named by the user. `read` are the results as they were on disk.
     """
 
     application: Application
@@ -35,6 +36,12 @@ class Prepared:
     outdated: bool
     only: bool
     todo: tuple[Sample, ...]
+    read: Results | None = None
+
+    def check_current(self) -> None:
+        """Raises Differs where another bench has measured since this was prepared: its samples must not be lost."""
+        if read_results(self.layout) != self.read:
+            raise Differs(f"{self.layout.results} has changed since this bench began", "run the bench again")
 
 
 def prepare(application: Application, spec_path: str | Path, only: Sequence[str]) -> Prepared:
@@ -46,7 +53,7 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
     """
     layout = Layout.of(spec_path, application.metadata.name)
     again = f"fogspec compile {layout.spec}"
-    if not layout.plan.is_file():
+    if not os.path.lexists(layout.plan):
         raise Differs(f"{layout.name} has no plan yet", again)
     plan = read_document(layout.plan, Plan)
     if plan.spec.application.digest != stages.planned_digest(application):
@@ -65,7 +72,7 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
     counting = None if outdated else results
     return Prepared(
         application, layout, plan, digest.of_bytes(layout.plan.read_bytes()), tasks, counting, outdated,
-        bool(only), tuple(_todo(plan, counting, only)),
+        bool(only), tuple(_todo(plan, counting, only)), results,
     )  # fmt: skip
 
 

@@ -55,15 +55,15 @@ def apply(
 ) -> Applied:  # fmt: skip
     """Bring what runs to what the manifest says; `confirm` is called before money is spent, and may raise.
 
-    Raises CloudFailed, WrongFile or Interrupted as `Apply.run` does, Refused when another apply runs, WrongCommand for a
-    secret that is not in the environment.
+    Raises CloudFailed, WrongFile or Interrupted as `Apply.run` does, Refused while another apply, bench or down runs,
+    WrongCommand for a secret that is not in the environment.
     """
     layout = ordered.opened.layout
     begun = times.now_s()
     names = ordered.opened.loaded.application.spec.secrets
     deployer_of = cache(discreet(deployer_for, names))
     try:
-        with held(layout.state / "deploy.lock", f"an apply of {layout.name}"), interruptible() as interrupt:
+        with held(layout.state / "lock", f"apply of {layout.name}"), interruptible() as interrupt:
             live = LiveFile.read(layout, times)
             work = Apply(
                 live, ordered.content, ordered.opened.digest, ordered.candidates, ordered.image, ordered.files,
@@ -79,7 +79,8 @@ def apply(
             for machine in (one for one in live.machines if one.state == "serving"):
                 what = f"{machine.machine.instance} in {machine.machine.infra}"
                 tell(f"  replaces  {machine.name}: {what}, which ends when the new one answers")
-            confirm()
+            with interrupt.question():
+                confirm()
             return Applied(work.run(), True, times.now_s() - begun)
     except KeyboardInterrupt:
         again = f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything"

@@ -12,12 +12,22 @@ class Interrupt:
     """Whether the user asked to stop: the first Ctrl-C stops cleanly, the second at once."""
 
     asked: bool = False
+    answering: bool = False
 
     def __call__(self, number: int, _frame: Any) -> None:
         """Handle the signal."""
-        if self.asked:
+        if self.asked or self.answering:
             raise KeyboardInterrupt
         self.asked = True
+
+    @contextmanager
+    def question(self) -> Iterator[None]:
+        """While somebody is asked for an answer, the first Ctrl-C is one."""
+        self.answering = True
+        try:
+            yield
+        finally:
+            self.answering = False
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""One bench of an application at a time: a lock that the kernel drops with the process that held it."""
+"""One bench, apply or down of an application at a time: a lock that the kernel drops with the process that held it."""
 
 import contextlib
 import fcntl
@@ -24,7 +24,7 @@ def start_ticks(pid: int) -> int | None:
 
 @contextlib.contextmanager
 def held(path: Path, what: str, remove: bool = False) -> Iterator[None]:
-    """Hold the lock at `path`; raises Refused, naming the holder, when another process has it.
+    """Hold the lock at `path` for `what`; raises Refused, naming what holds it, when another process does.
 
     What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
     to clean up. With `remove` the file goes when it is over; a lock on a file that has gone is no lock: it is taken anew.
@@ -36,12 +36,16 @@ def held(path: Path, what: str, remove: bool = False) -> Iterator[None]:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise Refused(
-                    f"{what} is already running{_holder(path)}", "wait for it, or stop it with Ctrl-C there"
-                ) from None
+                hint = "wait for it, or stop it with Ctrl-C there"
+                raise Refused(f"{what} must wait: {_holder(path)} has not ended", hint) from None
             if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 break
-        holder = {"pid": os.getpid(), "start_ticks": start_ticks(os.getpid()), "host": os.uname().nodename}
+        holder = {
+            "what": what,
+            "pid": os.getpid(),
+            "start_ticks": start_ticks(os.getpid()),
+            "host": os.uname().nodename,
+        }
         file.truncate(0)
         # On a full disk there is a lock all the same.
         with contextlib.suppress(OSError):
@@ -57,6 +61,6 @@ def held(path: Path, what: str, remove: bool = False) -> Iterator[None]:
 def _holder(path: Path) -> str:
     try:
         holder = json.loads(path.read_text(encoding="utf-8"))
-        return f" (process {holder['pid']} on {holder['host']})"
+        return f"{holder['what']} (process {holder['pid']} on {holder['host']})"
     except (OSError, ValueError, KeyError, TypeError):
-        return ""
+        return "another process"
