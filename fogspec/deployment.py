@@ -2,7 +2,9 @@
 
 import re
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
 
 from fogspec.base import digest
 from fogspec.base.fields import Duration, Money, Strict
@@ -10,6 +12,12 @@ from fogspec.plan import MachineRef, PlanMetadata
 
 HOURS_PER_DAY = 24
 LONGEST = 24
+
+
+def _date(text: str) -> str:
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("a date says its time zone")
+    return text
 
 
 class Machine(Strict):
@@ -22,7 +30,7 @@ class Machine(Strict):
     `at` is the reading, in seconds, of this host's clock since its `boot`; `since` is the date in UTC.
     """
 
-    name: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
     deployer: str
     state: Literal["starting", "serving", "ending"]
     manifest: str
@@ -34,7 +42,7 @@ class Machine(Strict):
     address: str | None = None
     at: Duration
     boot: str
-    since: str
+    since: Annotated[str, AfterValidator(_date)]
 
     def up_s(self, now_s: float, boot: str, today: datetime) -> float:
         """Seconds since it was started: by the clock that never jumps, or over a restart of this host by the date."""

@@ -192,6 +192,8 @@ def _body(text: Any) -> str:
     """The text of a scalar; a number is written as it was most likely typed."""
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
         raise UnitError("must be written as one text, such as 2s, 4GiB or $2.50", None, "FS303")
+    if not isinstance(text, str) and not math.isfinite(text):
+        raise UnitError("must be finite")
     return format_number(text) if isinstance(text, (int, float)) else text.strip()
 
 
@@ -273,8 +275,7 @@ def _parse_scaled(text: Any, units: Mapping[str, float], spellings: Mapping[str,
         raise UnitError(f"must be {what} with its unit, such as 2{usual}")
     scale = units.get(match[2])
     if scale is None:
-        meant = _close(match[2].lower(), units, spellings)
-        fix = None if meant is None else f"{match[1]}{meant}"
+        fix = (meant := _close(match[2].lower(), units, spellings)) and f"{match[1]}{meant}"
         raise UnitError(f"must be {what} in one of {', '.join(units)}", fix, "FS203")
     return _finite(match[1], scale)
 
@@ -291,8 +292,7 @@ def _close(name: str, units: Mapping[str, float], spellings: Mapping[str, str]) 
 def _format_scaled(value: float, units: Mapping[str, float], usual: str) -> str:
     texts = [f"{format_number(value / scale)}{unit}" for unit, scale in units.items()
              if value and _exactly(format_number(value / scale), scale) == value]  # fmt: skip
-    best = min(texts, key=len, default=None)
-    return best if best is not None else f"{format_number(value)}{usual}"
+    return min(texts, key=len, default=f"{format_number(value)}{usual}")
 
 
 def _exactly(number: str, scale: float) -> float:

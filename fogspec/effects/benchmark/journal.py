@@ -12,14 +12,17 @@ last line, which says nothing that had happened yet and is cut off. Entries:
 import contextlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fogspec.base.outcomes import Differs
+from fogspec.effects.disk.regular import check_file
 from fogspec.plan import Sample
 from fogspec.results import Measured
+
+MOST = 1e12  # of seconds, of USD: more is garbage
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,23 +65,44 @@ class Book:
         """Add one entry; raises KeyError, TypeError or ValueError for one that nobody wrote like this."""
         kind = entry["do"]
         if kind == "campaign":
-            self.campaign, self.spent_usd = entry, float(entry["base_usd"])
+            _name(entry["application"])
+            self.campaign, self.spent_usd = entry, _amount(entry["base_usd"])
             self.campaigns += 1
         elif kind == "start":
-            sample = Sample.model_validate(entry["sample"])
-            known = {"instead_of": None, **entry}
-            facts = {key: known[key] for key in Started.__slots__ if key != "sample"}
-            self.open[entry["name"]] = Started(sample=sample, **facts)
+            self.open[entry["name"]] = _started(entry)
             self.attempts += 1
         elif kind == "end":
             started = self.open.pop(entry["name"])
-            self.spent_usd += float(entry["spent_usd"])
+            self.spent_usd += _amount(entry["spent_usd"])
             if entry["record"] is not None:
                 self.unwritten[started.name] = started, Measured.model_validate(entry["record"])
         elif kind == "written":
             del self.unwritten[entry["name"]]
         else:
             raise ValueError(kind)
+
+
+def _started(entry: Mapping[str, Any]) -> Started:
+    instead_of = entry.get("instead_of")
+    return Started(
+        _name(entry["name"]), _name(entry["runner"]), _name(entry["application"]), Sample.model_validate(entry["sample"]),
+        _amount(entry["price_usd_per_hour"]), _amount(entry["lifetime_s"]), _amount(entry["at_s"]), _name(entry["boot"]),
+        None if instead_of is None else _name(instead_of),
+    )  # fmt: skip
+
+
+def _amount(value: Any) -> float:
+    """Seconds or USD; raises ValueError for what is no such number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= MOST:
+        raise ValueError(value)
+    return float(value)
+
+
+def _name(value: Any) -> str:
+    """A word that may be a folder's name; raises ValueError for any other."""
+    if not isinstance(value, str) or not value.isprintable() or "/" in value or value in (".", ".."):
+        raise ValueError(value)
+    return value
 
 
 class Journal:
@@ -89,6 +113,8 @@ class Journal:
         self.path, self._sync = path, sync
         self.book = Book()
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            check_file(path)
         self._file = open(path, "ab+", buffering=0)  # noqa: SIM115 -- held until close
         self._sync_folder()
         self._file.seek(0)
@@ -101,7 +127,7 @@ class Journal:
     def _replay(self, number: int, line: bytes) -> None:
         try:
             self.book.take(json.loads(line))
-        except (ValueError, KeyError, TypeError, AttributeError) as wrong:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as wrong:
             raise Differs(
                 f"{self.path}:{number}: this line of the journal cannot be read",
                 "it says which machines were started; look for machines left running, then delete the file",

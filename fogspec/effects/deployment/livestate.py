@@ -1,5 +1,7 @@
 """The live state on disk: one file that is written whole before each step, and a folder for each launch."""
 
+import dataclasses
+import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
+from fogspec.base.diagnostics import Problems
 from fogspec.deployment import LiveBody, LiveState, Machine
 from fogspec.effects.disk.clock import SystemClock
 from fogspec.effects.disk.files import write_bytes, write_yaml
@@ -56,9 +59,13 @@ class LiveFile:
     @classmethod
     def read(cls, layout: Layout, times: Times) -> "LiveFile":
         """What the file says, nothing where there is none; raises Problems for one that was damaged."""
-        if not layout.live.is_file():
+        if not os.path.lexists(layout.live):
             return cls(layout, times, [])
-        body = read_document(layout.live, LiveState).spec
+        try:
+            body = read_document(layout.live, LiveState).spec
+        except Problems as wrong:
+            fix = f"fogspec down {layout.name} finds what runs by its name and ends it"
+            raise Problems([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics]) from None
         return cls(layout, times, list(body.machines), body.spent)
 
     def put(self, machine: Machine, *, ends: bool = False) -> None:

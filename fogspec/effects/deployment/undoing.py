@@ -1,6 +1,7 @@
 """Taking an application down: all that runs under its name, verified gone, whoever started it."""
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -35,6 +36,8 @@ def layout_of(spec_or_name: str) -> Layout:
             raise WrongFile(f"{spec_or_name} has several applications", f"name one of them: {names}")
         return Layout.of(spec_or_name, found[0].application.metadata.name)
     layout = Layout(Path(), Path("specs") / f"{spec_or_name}.yaml", spec_or_name)
+    if os.path.basename(spec_or_name) != spec_or_name or spec_or_name in (".", "..", ""):
+        raise WrongFile(f"{spec_or_name!r} is no application's name", "name one, or its spec")
     if not layout.state.is_dir() and not layout.compiled.is_dir():
         raise WrongFile(f"there is no application named {spec_or_name} here", f"looked for {layout.state}")
     return layout
@@ -61,10 +64,7 @@ def down(
     Raises Refused while a bench or an apply runs, CloudFailed for what could not be verified gone.
     """
     try:
-        with (
-            held(layout.state / "lock", f"a bench of {layout.name}", remove=True),
-            held(layout.state / "deploy.lock", f"an apply of {layout.name}", remove=True),
-        ):
+        with held(layout.state / "lock", f"down of {layout.name}", remove=True):
             done = _down(_live(layout, times, tell), deployers, tell)
         with contextlib.suppress(OSError):
             layout.state.rmdir()
@@ -94,10 +94,13 @@ def _down(live: LiveFile, makers: Sequence[Callable[[], Deployer]], tell: Callab
             deployers.append(make())
     by_name = {one.name: one for one in deployers}
     spent = live.total_usd()
-    for machine in [one for one in live.machines if one.deployer in by_name]:
+    for machine in list(live.machines):
         with _gathering(left, unwritten):
-            end(live, machine, by_name[machine.deployer], tell)
-            ended += 1
+            if machine.deployer in by_name:
+                end(live, machine, by_name[machine.deployer], tell)
+                ended += 1
+            elif not left:
+                raise LostContact(f"{machine.name}: nobody here can end what {machine.deployer} runs")
     for deployer in deployers:
         with _gathering(left, unwritten):
             ended += _strays(live, deployer, tell)

@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import os
 import zlib
 from pathlib import Path
 
@@ -18,7 +19,7 @@ SIZE_LIMIT = 256 * 2**20
 
 def read_results(layout: Layout) -> Results | None:
     """The application's results, None where there are none yet; raises Problems when the file was edited or is damaged."""
-    if not layout.results.exists():
+    if not os.path.lexists(layout.results):
         return None
     results = read_document(layout.results, Results)
     check_seal(results, layout.results)

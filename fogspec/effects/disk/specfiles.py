@@ -109,7 +109,7 @@ def read_document(path: str | os.PathLike[str], model: type[M]) -> M:
     Raises Problems when it was edited or cut short, WrongFile when it is not there.
     """
     name, texts, wrong = os.fspath(path), Texts(), list[Diagnostic]()
-    if not os.path.exists(path):
+    if not os.path.lexists(path):
         raise WrongFile(f"{name}: there is no such file")
     nodes, clean = documents_of(path, texts, wrong, MOST_BYTES_OF_OUR_OWN)
     if clean and len(nodes) != 1:
@@ -144,6 +144,6 @@ def read_plain(path: str | os.PathLike[str], content: bytes | None = None) -> An
 
 def _remade(one: Diagnostic, texts: Texts) -> Diagnostic:
     """The diagnostic of a generated file: it is mended by making the file again, not by hand."""
-    first = texts.lines.get(one.place.path, [""])[0]
+    first = next(iter(texts.lines.get(one.place.path, [])), "")
     command = first.partition("Make it again: ")[2].strip()
     return dataclasses.replace(one, fix=f"make it again: {command}") if command else one
