@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slurm-shell slurm-test slurm-faults slurm-figures ros-env ros-figures link-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
+.PHONY: help demo test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -45,6 +45,9 @@ slurm-test: .venv/dev.stamp .venv-ros/ros.stamp  ## benches and deployments thro
 
 slurm-faults: .venv/dev.stamp  ## at least 50 faults on the real engine: what leaked, was lost or paid too much (half an hour)
 	$(SLURM) $(BIN)/python -m tests.slurm.faults
+
+slurm-lives: .venv/dev.stamp  ## 50 deployments on the real engine, each with faults: what down leaves (half an hour)
+	$(SLURM) $(BIN)/python -m tests.slurm.lives
 
 slurm-figures: .venv/dev.stamp  ## wall time and overhead of the SkyPilot runner on that cluster
 	$(SLURM) $(BIN)/python -m tests.slurm.figures

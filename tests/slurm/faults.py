@@ -4,7 +4,6 @@ Each bench is a seed: which nodes have a workload that fails, and what is broken
 """
 
 import collections
-import contextlib
 import json
 import os
 import random
@@ -21,6 +20,7 @@ from pathlib import Path
 from fogspec.effects.benchmark.journal import Journal
 from fogspec.effects.disk.specfiles import read_document
 from fogspec.results import Results, finished
+from tests.slurm import breaking
 from tests.slurm.site import Site
 from tests.tools.slurm import apart, daemons, engine
 
@@ -117,49 +117,25 @@ class Storm:
             if jobs := self.site.jobs():
                 self.site.cancel(self.chance.choice(jobs))
         elif fault == "node":
-            node = self.chance.choice(list(MACHINES))
-            daemons.run(cluster, "scontrol", "update", f"nodename={node}", "state=down", "reason=fault")
-            time.sleep(3)
-            with contextlib.suppress(SystemExit):  # it may have come back by itself
-                daemons.run(cluster, "scontrol", "update", f"nodename={node}", "state=resume")
+            breaking.node_down(cluster, self.chance.choice(list(MACHINES)))
         elif fault == "server":
-            for pid in {*engine.processes(cluster)} - {process.pid, *_below(process.pid)}:
-                _kill(pid, signal.SIGKILL)
+            for pid in {*engine.processes(cluster)} - {process.pid, *daemons.below(process.pid)}:
+                breaking.kill(pid)
         elif fault == "worker":
-            for pid in _below(process.pid):
-                _kill(pid, signal.SIGKILL)
+            breaking.kill_below(process.pid)
         elif fault == "network":
-            self._unplug(cluster)
+            breaking.unplug(cluster)
         else:
-            _kill(process.pid, signal.SIGINT if fault == "interrupt" else signal.SIGKILL)
+            breaking.kill(process.pid, signal.SIGINT if fault == "interrupt" else signal.SIGKILL)
             code = process.wait()
             if fault == "interrupt":
                 self.stopped.append((code, self.site.left(spare=self.spare)))
             if fault == "journal":
                 shutil.rmtree(self.site.project / ".fogspec" / name, ignore_errors=True)
 
-    def _unplug(self, cluster: Path) -> None:
-        """The login node cannot be reached for a while, and what was connected breaks off."""
-        pid = daemons.living(cluster, "sshd")
-        assert pid is not None
-        os.kill(pid, signal.SIGSTOP)
-        for child in _below(pid):
-            _kill(child, signal.SIGKILL)
-        time.sleep(10)
-        os.kill(pid, signal.SIGCONT)
-
 
 OUTSIDE = ("machine", "node", "server", "worker", "network", "controller", "interrupt", "journal")
 INSIDE = ("crash", "memory", "stuck", "garbage", "noise")
-
-
-def _below(pid: int) -> list[int]:
-    return daemons.below(pid)
-
-
-def _kill(pid: int, number: int) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(pid, number)
 
 
 def judge(site: Site, name: str, budget_usd: float = 10.0, spare: str | None = None) -> collections.Counter[str]:

@@ -9,7 +9,7 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from tests.slurm.conftest import ABANDONED, Benched
-from tests.slurm.site import Site
+from tests.slurm.site import Site, recorded
 
 SMALL = "2CPU--4GB"
 
@@ -93,26 +93,3 @@ def test_an_apply_that_was_killed_leaves_nothing_after_down(site: Site) -> None:
     (site.project / ".fogspec" / "killed-apply" / "deployment.yaml").unlink()
     assert "1 ended" in site.run("down", "killed-apply").stdout
     assert site.left(spare=ABANDONED) == []
-
-
-def recorded(site: Site, name: str) -> None:
-    """Results as an earlier bench left them."""
-    from fogspec import stages
-    from fogspec.effects.disk.files import write_yaml
-    from fogspec.effects.disk.specfiles import load, read_document
-    from fogspec.plan import Plan
-    from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
-
-    plan = read_document(site.project / "compiled" / name / "plan.yaml", Plan)
-    application = load([str(site.project / "specs" / f"{name}.yaml")])[0].application
-    records = [
-        Measured(id=one.id, machine=one.machine, measured_on="a test", state="ok", requests=20, duration=60.0,
-                 latency=LatencySummary(mean=0.22), spent=0.001)
-        for one in plan.spec.samples
-    ]  # fmt: skip
-    body = ResultsBody(
-        application=stages.measured_digest(application), plan=None, pins=None, reads=plan.spec.application.reads,
-        runner="skypilot", source="a test", spent=0.001, samples=records,
-    )  # fmt: skip
-    results = sealed(plan.metadata, body)
-    write_yaml(site.project / "results" / f"{name}.yaml", results.model_dump(mode="json", exclude_none=True), "a test")
