@@ -76,6 +76,11 @@ def test_from_apply_to_down(shell: Shell, cloud: Cloud) -> None:
 def test_the_deployment_is_found_by_its_label_when_the_state_is_lost(shell: Shell, cloud: Cloud) -> None:
     shell("apply", MANIFEST, *AT, "--yes")
     (shell.folder / ".fogspec/demo/deployment.yaml").unlink()
+    (name,) = cloud.machines
+    refused = shell("apply", MANIFEST, *AT, "--yes", code=5).err
+    assert name in refused, "a second one beside it would cost twice, and nobody would know"
+    assert "fogspec down demo" in refused
+    assert list(cloud.machines) == [name]
     assert "1 ended" in shell("down", "demo").out
     assert cloud.machines == {}
 

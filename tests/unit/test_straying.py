@@ -41,19 +41,22 @@ def test_the_dearest_machine_that_a_name_may_mean_is_charged_for_all_of_its_life
     assert campaign.journal.book.open == {}
 
 
-def test_they_are_left_alone_unless_that_is_asked_for(campaign, monkeypatch):
+@pytest.mark.parametrize("benches", [1, 2])
+def test_they_are_left_alone_unless_that_is_asked_for(campaign, monkeypatch, benches):
+    """Also by a folder that has measured before: another clone of the repository may measure now."""
     monkeypatch.setattr(FaultyRunner, "strays", lambda *_: [named(campaign, "s1")])
-    campaign.journal.begin("simulated", "a", "p", 0.0)
+    for _ in range(benches):
+        campaign.journal.begin("simulated", "a", "p", 0.0)
     with pytest.raises(Refused, match="another bench"):
         adopt_strays(campaign, samples(3), resume=False)
     assert campaign.journal.book.open == {}
 
 
-def test_a_journal_that_has_seen_benches_is_believed(campaign, monkeypatch):
+def test_a_bench_that_starts_nothing_believes_its_journal(campaign, monkeypatch):
     monkeypatch.setattr(FaultyRunner, "strays", lost)
     for _ in range(2):
         campaign.journal.begin("simulated", "a", "p", 0.0)
-    adopt_strays(campaign, samples(3), resume=False)
+    adopt_strays(campaign, samples(3), resume=False, starts=False)
 
 
 def test_who_cannot_be_asked_stops_the_bench_before_it_spends(campaign, monkeypatch):

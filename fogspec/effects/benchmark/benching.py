@@ -112,7 +112,8 @@ def _measure(one: _Bench, watch: Watch) -> Benched:
         with watch(campaign) as watcher:
             teller = Teller(watcher, secret)
             campaign.tell = teller
-            adopt_strays(campaign, one.prepared.plan.spec.samples, one.terms.resume)
+            starts = bool(one.prepared.todo) or one.prepared.plan.spec.sampler == "adaptive"
+            adopt_strays(campaign, one.prepared.plan.spec.samples, one.terms.resume, starts)
             going_on = campaign.recover()
             _run(one, campaign, ledger, tasks, going_on)
         return Benched(ledger.results(), teller.folders)

@@ -12,14 +12,14 @@ from fogspec.seams import FindsStrays, LostContact
 STRAY = "unknown"
 
 
-def adopt_strays(campaign: Campaign, samples: Sequence[Sample], resume: bool) -> None:
+def adopt_strays(campaign: Campaign, samples: Sequence[Sample], resume: bool, starts: bool = True) -> None:
     """Take machines of this application over that are not in the journal: they are taken down, and paid in full.
 
-    Raises Refused unless that was asked for, since a bench on another host may still need them; CloudFailed when the
-    runner cannot be asked. A journal that has seen benches is believed unless asked otherwise.
+    Raises Refused unless that was asked for, since a bench in another folder or on another host may still need them;
+    CloudFailed when the runner cannot be asked. A bench that starts nothing, with a journal, need not ask.
     """
     runner, book, prefix = campaign.runner, campaign.journal.book, campaign.order.prefix
-    if not isinstance(runner, FindsStrays) or not (resume or book.campaigns <= 1):
+    if not isinstance(runner, FindsStrays) or not (resume or starts or book.campaigns <= 1):
         return
     try:
         found = runner.strays(prefix, campaign.order.attempts)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from fogspec.base.outcomes import CloudFailed, Interrupted, Refused, WrongFile
-from fogspec.deployment import Machine, date_of, name_of
+from fogspec.deployment import Machine, date_of, is_launch_of, name_of
 from fogspec.effects.deployment.livestate import LiveFile
 from fogspec.effects.deployment.offers import Candidate
 from fogspec.seams import CannotStart, Deployer, Live, LostContact
@@ -79,6 +79,19 @@ class Apply:
         except LostContact as lost:
             raise CloudFailed(f"{machine.name}: nobody can say how it is: {lost}", "safe to run again") from None
         return live.state in ("starting", "ready")
+
+    def strangers(self) -> list[str]:
+        """Machines that were started to serve this application and that the live state does not have.
+
+        Raises CloudFailed where nobody can say: another one beside them would cost twice.
+        """
+        layout, known = self.live.layout, {machine.name for machine in self.live.machines}
+        deployers = {one.name: one for one in (self.deployer_of(c.machine.infra) for c in self.candidates)}
+        try:
+            found = [name for one in deployers.values() for name in one.names(layout.name, layout.state)]
+        except LostContact as lost:
+            raise CloudFailed(f"{layout.name}: nobody can say what runs of it: {lost}", "safe to run again") from None
+        return sorted(name for name in set(found) - known if is_launch_of(name, layout.name))
 
     def tidy(self, keep: Sequence[str]) -> bool:
         """End all machines but these; whether there were any. Raises CloudFailed for one not verified gone."""

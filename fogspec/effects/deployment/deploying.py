@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
-from fogspec.base.outcomes import Interrupted, Outcome, WrongFile
+from fogspec.base.outcomes import Interrupted, Outcome, Refused, WrongFile
 from fogspec.deployment import Machine
 from fogspec.effects.compiler import linking
 from fogspec.effects.deployment.applying import Apply
@@ -55,8 +55,8 @@ def apply(
 ) -> Applied:  # fmt: skip
     """Bring what runs to what the manifest says; `confirm` is called before money is spent, and may raise.
 
-    Raises CloudFailed, WrongFile or Interrupted as `Apply.run` does, Refused while another apply, bench or down runs,
-    WrongCommand for a secret that is not in the environment.
+    Raises CloudFailed, WrongFile or Interrupted as `Apply.run` does, Refused while another apply, bench or down runs or where
+    a machine serves that this folder does not know, WrongCommand for a secret that is not in the environment.
     """
     layout = ordered.opened.layout
     begun = times.now_s()
@@ -76,6 +76,11 @@ def apply(
                 work.tidy([stays.name])
                 return Applied(stays, True, times.now_s() - begun, kept=True)
             check_set(names)
+            if strangers := work.strangers():
+                raise Refused(
+                    f"{layout.name} runs already, started from another folder or by an apply whose live state is lost",
+                    *strangers, f"fogspec down {layout.name} ends it",
+                )  # fmt: skip
             for machine in (one for one in live.machines if one.state == "serving"):
                 what = f"{machine.machine.instance} in {machine.machine.infra}"
                 tell(f"  replaces  {machine.name}: {what}, which ends when the new one answers")
