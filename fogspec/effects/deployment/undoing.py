@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from fogspec.base.diagnostics import Problems
-from fogspec.base.outcomes import CloudFailed, Outcome, WrongFile
+from fogspec.base.outcomes import CloudFailed, Interrupted, Outcome, WrongFile
 from fogspec.effects.deployment.applying import end
 from fogspec.effects.deployment.livestate import LiveFile, SystemTimes, Times
 from fogspec.effects.disk.layout import Layout
@@ -70,6 +70,9 @@ def down(
             layout.state.rmdir()
             layout.state.parent.rmdir()
         return done
+    except KeyboardInterrupt:
+        again = f"run it again: fogspec down {layout.name}"
+        raise Interrupted("interrupted: what was not said to be gone may still run", again) from None
     except (BrokenPipeError, Outcome):
         raise
     except OSError as problem:

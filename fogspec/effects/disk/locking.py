@@ -7,7 +7,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from fogspec.base.outcomes import Refused
+from fogspec.base.filekinds import not_a_file
+from fogspec.base.outcomes import Refused, WrongFile
 
 
 def start_ticks(pid: int) -> int | None:
@@ -26,10 +27,14 @@ def start_ticks(pid: int) -> int | None:
 def held(path: Path, what: str, remove: bool = False) -> Iterator[None]:
     """Hold the lock at `path` for `what`; raises Refused, naming what holds it, when another process does.
 
+    Raises WrongFile for what is no file.
+
     What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
     to clean up. With `remove` the file goes when it is over; a lock on a file that has gone is no lock: it is taken anew.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists() and (kind := not_a_file(path.stat().st_mode)) is not None:
+        raise WrongFile(f"{path}: {kind}", "remove it")
     with contextlib.ExitStack() as files:
         while True:
             file = files.enter_context(open(path, "a+", encoding="utf-8"))
