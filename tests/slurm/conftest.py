@@ -9,11 +9,22 @@ from pathlib import Path
 import pytest
 
 from fogspec.plugins.skypilot.client import Client
-from tests.slurm.site import Site
+from tests.slurm.looking import Looking
+from tests.slurm.site import WORK, Site
 from tests.tools.slurm import apart, engine
 from tests.tools.slurm.__main__ import missing
 
 ABANDONED = "fogspec-abandoned"
+SECRET = "hunter2-correct-horse"
+# Tells its secret in a log, and in the record of the first request, which is not counted.
+TELLING = WORK.replace(
+    "while True:",
+    """\
+print(os.environ["MAP_PASSWORD"], flush=True)
+fogspec_probe.start("work")
+fogspec_probe.stop("work", ok=False, reason="refused " + os.environ["MAP_PASSWORD"])
+while True:""",
+)
 SHAPES = {"2CPU--4GB": 0.085, "2CPU--16GB": 0.126, "16CPU--32GB": 0.68, "64CPU--128GB": 2.72}
 
 
@@ -38,12 +49,13 @@ class Abandoned:
 
 @dataclass
 class Benched:
-    """A project whose application was measured: in so many seconds, and what was left afterwards."""
+    """A project whose application was measured: in so many seconds, what was left afterwards, and what others saw of it."""
 
     site: Site
     spec: str
     took_s: float
     left: list[str]
+    seen: Looking
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -92,14 +104,17 @@ def abandoned(cluster: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 def benched(cluster: Path, abandoned: Abandoned, tmp_path_factory: pytest.TempPathFactory) -> Benched:
     """An application that was measured on four machines at once."""
     site = Site(cluster, tmp_path_factory.mktemp("benched") / "project")
-    spec = site.write("life", list(SHAPES))
+    spec = site.write("life", list(SHAPES), work=TELLING)
     path = site.project / spec
-    path.write_text(path.read_text().replace("alpha: 0.5", "alpha: 0").replace("cpus: 1..128", "cpus: 2..64"))
+    text = path.read_text().replace("alpha: 0.5", "alpha: 0").replace("cpus: 1..128", "cpus: 2..64")
+    path.write_text(text.replace("  benchmark:", "  secrets: [MAP_PASSWORD]\n  benchmark:"))
+    os.environ["MAP_PASSWORD"] = SECRET
     site.compile(spec)
     begun = time.monotonic()
-    assert site.bench(spec).ended() == 0
+    with Looking(SECRET) as seen:
+        assert site.bench(spec).ended() == 0
     took_s = time.monotonic() - begun
     abandoned.up()
     left = site.left(spare=ABANDONED)
     site.compile(spec)
-    return Benched(site, spec, took_s, left)
+    return Benched(site, spec, took_s, left, seen)

@@ -1,10 +1,16 @@
 """`fogspec bench --runner skypilot` on a real SkyPilot over a real Slurm, through the command line."""
 
+import gzip
+import tempfile
+from pathlib import Path
+
 import pytest
 
+from fogspec.deployment import prefix_of
 from fogspec.effects.disk.specfiles import read_document
 from fogspec.manifest import Manifest
-from tests.slurm.conftest import SHAPES, Benched
+from tests.slurm.conftest import SECRET, SHAPES, Benched
+from tests.slurm.looking import holding
 
 
 def test_four_shapes_at_once_from_the_spec_to_the_manifest(benched: Benched) -> None:
@@ -28,3 +34,27 @@ def test_four_shapes_at_once_from_the_spec_to_the_manifest(benched: Benched) -> 
     assert benched.took_s < longest_s + 30, "they ran at the same time"
     manifest = read_document(site.project / "compiled" / "life" / "manifest.yaml", Manifest)
     assert manifest.spec.infra.startswith("slurm/fogtest/")
+
+
+def test_a_secret_reaches_the_workload_and_is_in_no_file_and_on_no_command_line(benched: Benched) -> None:
+    site, seen = benched.site, benched.seen
+    assert holding(site.project.rglob("*"), SECRET) == []
+    kept = [path for name in ("sky", "home", "log", "ctld", "tmp") for path in (site.cluster / name).rglob("*")]
+    # SkyPilot leaves the scripts of jobs in the node's folder for temporary files.
+    kept += Path(tempfile.gettempdir()).glob("sky_app_*")
+    assert len(kept) > 50
+    assert holding(kept, SECRET) == [], "neither SkyPilot nor Slurm nor the node keeps it"
+    assert list(Path(tempfile.gettempdir()).glob(f"{prefix_of('life')}*.secrets")) == []
+    assert seen.told == set()
+    for one in site.results("life").values():
+        assert one.timings is not None
+        packed = site.project / "results" / one.timings.path
+        assert b"refused $MAP_PASSWORD" in gzip.decompress(packed.read_bytes()), "the workload had it"
+
+
+def test_on_a_machine_fogspec_listens_on_no_port_and_lets_nobody_write(benched: Benched) -> None:
+    seen = benched.seen
+    assert seen.seen == {"agent.py", "work.py"}, "both were looked at"
+    assert [name for name, ours in seen.ports if ours] == []
+    assert "skylet" in {name for name, _ in seen.ports}, "what SkyPilot runs there is seen"
+    assert seen.writable == set()
