@@ -234,6 +234,21 @@ def test_ctrl_c_ends_what_was_being_started(app: Make) -> None:
     assert tiny.machines() == []
 
 
+def test_ctrl_c_twice_names_what_may_still_run_and_what_ends_it(app: Make) -> None:
+    tiny = app(SPEC + "  deployment: {ready: ['false']}\n")
+    applying = tiny.begin("apply", MANIFEST, "--yes")
+    until(lambda: tiny.alive())
+    for _ in range(2):
+        applying.send_signal(signal.SIGINT)
+        time.sleep(0.05)
+    _, err = applying.communicate(timeout=60)
+    assert applying.returncode == 130, err
+    assert [f"may still run: {one['name']}" in err for one in tiny.machines()] == [True] * len(tiny.machines())
+    assert "fogspec down tiny ends everything" in err or tiny.alive() == []
+    tiny("down", "tiny")
+    assert (tiny.alive(), tiny.machines()) == ([], [])
+
+
 def test_whoever_applies_is_alone(app: Make) -> None:
     tiny = app(SPEC + "  deployment: {ready: ['false']}\n")
     first = tiny.begin("apply", MANIFEST, "--yes")

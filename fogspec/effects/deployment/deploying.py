@@ -62,6 +62,7 @@ def apply(
     begun = times.now_s()
     names = ordered.opened.loaded.application.spec.secrets
     deployer_of = cache(discreet(deployer_for, names))
+    live: LiveFile | None = None
     try:
         with held(layout.state / "lock", f"apply of {layout.name}"), interruptible() as interrupt:
             live = LiveFile.read(layout, times)
@@ -89,7 +90,8 @@ def apply(
             return Applied(work.run(), True, times.now_s() - begun)
     except KeyboardInterrupt:
         again = f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything"
-        raise Interrupted("interrupted at once: what was being started may still run", again) from None
+        begun_now = [one.name for one in live.machines if one.state != "serving"] if live is not None else []
+        raise Interrupted("interrupted at once", *map("may still run: {}".format, begun_now), again) from None
     except (BrokenPipeError, Outcome):
         raise
     except OSError as problem:
