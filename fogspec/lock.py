@@ -3,9 +3,10 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from datetime import date
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from fogspec.base.fields import Strict
 from fogspec.spec import Application, Node
@@ -15,13 +16,17 @@ DOCKER_HUB = "docker.io"
 PART = r"[a-z0-9]+(?:(?:\.|_{1,2}|-+)[a-z0-9]+)*"  # of a repository's name: OCI Distribution Specification 1.1
 
 
+def _date(text: str) -> str:
+    return text and date.fromisoformat(text).isoformat()
+
+
 class CatalogPin(Strict):
     """The catalog's provenance; `origin` is what `--catalog` was given, relative to the lock where it is a path."""
 
     origin: str
     source: str
     revision: str
-    date: str
+    date: Annotated[str, AfterValidator(_date)]
     digest: str
 
 

@@ -25,7 +25,7 @@ def _whole(value: float) -> int | float:
     return int(value) if value == int(value) else value
 
 
-Count = Annotated[float, PlainSerializer(_whole, return_type=int | float)]
+Count = Annotated[float, Field(allow_inf_nan=False), PlainSerializer(_whole, return_type=int | float)]
 
 
 class GpuShape(Strict):

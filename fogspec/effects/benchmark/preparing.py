@@ -12,6 +12,7 @@ from fogspec.base.outcomes import Differs, WrongCommand
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.measured import read_results
 from fogspec.effects.disk.pinning import drift, read_pins
+from fogspec.effects.disk.regular import read_file
 from fogspec.effects.disk.specfiles import read_document
 from fogspec.lock import pins_of_measurement
 from fogspec.plan import Plan, Sample
@@ -86,9 +87,10 @@ def _task(layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
     if sample.task is None:
         raise Differs(f"{layout.plan}: sample {sample.id} has no task", again)
     path = layout.compiled / sample.task.path
-    if not path.is_file():
-        raise Differs(f"{path} is missing", again)
-    content = path.read_bytes()
+    try:
+        content = read_file(path)
+    except OSError as problem:
+        raise Differs(f"{path}: cannot be read: {problem.strerror}", again) from None
     if digest.of_bytes(content) != sample.task.digest:
         raise Differs(f"{path} is not what was compiled: what is reviewed is what runs", again)
     return read_task(content)

@@ -4,6 +4,7 @@ What is on disk is compared with what compile would write now: a stage is fresh 
 made from, whatever else of the spec has changed.
 """
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,7 +123,7 @@ def _edited(layout: Layout, body: PlanBody) -> Iterator[str]:
     """Tasks that are missing or not what the plan says."""
     for task in filter(None, (sample.task for sample in body.samples)):
         path = layout.compiled / task.path
-        if not path.is_file() or digest.of_bytes(path.read_bytes()) != task.digest:
+        if not os.path.isfile(path) or digest.of_bytes(path.read_bytes()) != task.digest:
             yield task.path
 
 

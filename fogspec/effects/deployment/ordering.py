@@ -13,6 +13,7 @@ from fogspec.effects.deployment.offers import Candidate, affordable, check_price
 from fogspec.effects.deployment.telling import interval_words, short
 from fogspec.effects.disk.manifests import Opened
 from fogspec.effects.disk.pinning import check_files, files_deployed
+from fogspec.effects.disk.regular import read_file
 from fogspec.effects.review.verifying import mend, verify
 from fogspec.plan import MachineRef, TaskRef
 
@@ -104,7 +105,10 @@ def read_task(folder: Path, reference: TaskRef) -> dict[str, Any]:
     """The reviewed task, parsed; raises Differs for another one."""
     from ruamel.yaml import YAML
 
-    content = (folder / reference.path).read_bytes()
+    try:
+        content = read_file(folder / reference.path)
+    except OSError as problem:
+        raise Differs(f"{folder / reference.path}: cannot be read: {problem.strerror}") from None
     if digest.of_bytes(content) != reference.digest:
         raise Differs(f"{folder / reference.path} is not what the manifest says: what is reviewed is what runs")
     task: dict[str, Any] = YAML(typ="safe", pure=True).load(content)

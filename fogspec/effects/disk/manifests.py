@@ -7,6 +7,7 @@ from pathlib import Path
 from fogspec.base import digest
 from fogspec.base.outcomes import WrongFile
 from fogspec.effects.disk.layout import Layout
+from fogspec.effects.disk.regular import read_file
 from fogspec.effects.disk.specfiles import LoadedSpec, load, read_document
 from fogspec.manifest import Manifest
 from fogspec.plan import TaskRef
@@ -65,8 +66,12 @@ def references(manifest: Manifest) -> list[TaskRef]:
 
 
 def _difference(path: Path, reference: TaskRef) -> str | None:
-    if not path.is_file():
+    try:
+        content = read_file(path)
+    except FileNotFoundError:
         return f"{path} is missing"
-    if digest.of_bytes(path.read_bytes()) != reference.digest:
+    except OSError as problem:
+        return f"{path} cannot be read: {problem.strerror}"
+    if digest.of_bytes(content) != reference.digest:
         return f"{path} is not what the manifest says: what is reviewed is what runs"
     return None
