@@ -125,7 +125,7 @@ def test_nodes_that_end_are_said(bed: Bed) -> None:
     where = launch.root / "specs" if bed.cloud is None else bed.cloud.machines[launch.name].folder / "sky_workdir"
     (where / "crash").touch()
     live = bed.until(launch, "ended")
-    assert live.detail == "python3 ended with exit code 1"
+    assert live.detail == "python3 ended with exit code 1: no such model"
     bed.deployer.end(launch)
     assert bed.names() == []
 

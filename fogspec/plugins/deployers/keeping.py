@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from typing import Any, Literal, TypeGuard
 
 from fogspec.seams import Live
@@ -10,6 +11,11 @@ STATES: dict[str, Literal["starting", "ready", "ended"]] = {
     "starting": "starting", "ready": "ready", "ended": "ended"
 }  # fmt: skip
 TAIL_BYTES = 2**20
+WORDS_BYTES = 16384
+# What SkyPilot puts before each line of a job, and says of the job's end itself.
+PREFIX = re.compile(r"^\([^()]*pid=\d+[^()]*\) ")
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+PLATFORM = ("ERROR: Job ", "✓ Job finished", "⚙︎ ", "├── ", "└── ", "srun: ")
 TOLD = re.compile(rb"=== fogspec state (\{.*\}) ===")
 
 
@@ -33,7 +39,18 @@ def told(log: bytes, address: str | None) -> Live | None:
         return None
     rows = _facts(lines[-1]).get("latest")
     records = [_record(row) for row in rows if _sound(row)] if isinstance(rows, list) else []
-    return live(lines[-1], "".join(f"{json.dumps(one)}\n" for one in records).encode(), address)
+    return with_words(live(lines[-1], "".join(f"{json.dumps(one)}\n" for one in records).encode(), address), log)
+
+
+def with_words(said: Live, log: bytes) -> Live:
+    """What the nodes printed last is why they ended."""
+    if said.state != "ended" or not said.detail:
+        return said
+    for line in reversed(log[-WORDS_BYTES:].decode("utf-8", "replace").splitlines()):
+        words = "".join(c for c in PREFIX.sub("", COLOUR.sub("", line)) if c.isprintable()).strip()
+        if words and "=== fogspec state " not in words and not words.startswith(PLATFORM):
+            return replace(said, detail=f"{said.detail}: {words}"[:300])
+    return said
 
 
 def _sound(row: object) -> TypeGuard[list[Any]]:

@@ -67,6 +67,7 @@ class LocalDeployer:
         out = launch.folder / "out"
         timings = b"".join(_read(out / name) for name in ("timings.1.jsonl", "timings.jsonl"))
         said = keeping.live(_read(out / "state.json"), timings, "127.0.0.1")
+        said = keeping.with_words(said, _read(launch.folder / "run.log"))
         if marked.found(MARK, launch.name):
             return said
         return Live("ended" if said.state == "ended" else "gone", said.detail or _last_line(launch.folder / "run.log"))
