@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,6 +78,19 @@ def test_plain_tcp_is_refused(ends: Joined) -> None:
 
 def test_the_other_end_answers_as_itself(ends: Joined) -> None:
     assert ends.script("robot", "check").returncode == 0
+
+
+def test_who_is_not_the_robot_can_tell_whether_the_other_end_answers_as_itself(ends: Joined) -> None:
+    """`fogspec apply` on another computer has public halves only; no stranger passes for the machine."""
+    here, mine = ends.keys("robot", home="desk"), ends.keys("robot")
+    here.mkdir(parents=True)
+    for name in ("peer", "peer.pem", "address"):
+        shutil.copy(mine / name, here)
+    assert ends.script("robot", "check", home="desk").returncode == 0
+    shutil.copy(mine / "public.pem", here / "peer.pem")
+    refused = ends.script("robot", "check", home="desk")
+    assert refused.returncode == 1
+    assert "does not answer as CN=cloud" in refused.stderr
 
 
 def test_a_private_key_is_readable_by_its_owner_alone_and_at_its_own_end_only(ends: Joined) -> None:
