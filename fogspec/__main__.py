@@ -1,5 +1,16 @@
-"""`python -m fogspec` is the same program as `fogspec`."""
+"""The program: `fogspec`, or `python -m fogspec`."""
 
-from fogspec.cli import main
+import sys
 
-main()
+
+def main() -> None:
+    """The command line; Ctrl-C while it is still being loaded is no mistake to be shown."""
+    try:
+        from fogspec.cli import main as command_line
+    except KeyboardInterrupt:
+        sys.exit(130)
+    command_line()
+
+
+if __name__ == "__main__":
+    main()
