@@ -9,22 +9,20 @@ from pathlib import Path
 import pytest
 
 from fogspec.plugins.skypilot.client import Client
+from tests.slurm import robot
 from tests.slurm.looking import Looking
-from tests.slurm.site import WORK, Site
+from tests.slurm.site import Site
 from tests.tools.slurm import apart, engine
 from tests.tools.slurm.__main__ import missing
 
 ABANDONED = "fogspec-abandoned"
 SECRET = "hunter2-correct-horse"
 # Tells its secret in a log, and in the record of the first request, which is not counted.
-TELLING = WORK.replace(
-    "while True:",
-    """\
+TELLS = """\
 print(os.environ["MAP_PASSWORD"], flush=True)
 fogspec_probe.start("work")
 fogspec_probe.stop("work", ok=False, reason="refused " + os.environ["MAP_PASSWORD"])
-while True:""",
-)
+"""
 SHAPES = {"2CPU--4GB": 0.085, "2CPU--16GB": 0.126, "16CPU--32GB": 0.68, "64CPU--128GB": 2.72}
 
 
@@ -102,12 +100,13 @@ def abandoned(cluster: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 @pytest.fixture(scope="session")
 def benched(cluster: Path, abandoned: Abandoned, tmp_path_factory: pytest.TempPathFactory) -> Benched:
-    """An application that was measured on four machines at once."""
+    """An application with a robot and a secret that was measured on four machines at once."""
     site = Site(cluster, tmp_path_factory.mktemp("benched") / "project")
-    spec = site.write("life", list(SHAPES), work=TELLING)
+    spec = site.write("life", list(SHAPES))
     path = site.project / spec
     text = path.read_text().replace("alpha: 0.5", "alpha: 0").replace("cpus: 1..128", "cpus: 2..64")
     path.write_text(text.replace("  benchmark:", "  secrets: [MAP_PASSWORD]\n  benchmark:"))
+    robot.write(site, spec, TELLS)
     os.environ["MAP_PASSWORD"] = SECRET
     site.compile(spec)
     begun = time.monotonic()

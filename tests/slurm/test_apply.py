@@ -1,14 +1,19 @@
-"""The life of a manifest on a real SkyPilot over a real Slurm: apply, status, another alpha, diff, apply, down."""
+"""The life of a manifest on a real SkyPilot over a real Slurm: a robot is served, another alpha, diff, apply, down."""
 
 import json
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
 from typing import Any
 
+import pytest
 from ruamel.yaml import YAML
 
 from tests.slurm.conftest import ABANDONED, Benched
+from tests.slurm.robot import Robot
 from tests.slurm.site import Site, recorded
 
 SMALL = "2CPU--4GB"
@@ -38,23 +43,35 @@ def observed(site: Site, spec: str, patience_s: float = 240.0) -> dict[str, Any]
         time.sleep(2)
 
 
-def test_from_measurements_to_a_deployment_and_back(benched: Benched) -> None:
+@pytest.fixture
+def robot(benched: Benched, tmp_path: Path) -> Iterator[Robot]:
+    found = Robot(tmp_path / "robot", benched.site)
+    yield found
+    found.net.close()
+
+
+def test_from_measurements_to_a_robot_that_is_served_and_back(benched: Benched, robot: Robot) -> None:
     site, spec, at = benched.site, benched.spec, ("--catalog", benched.site.prices)
+    assert "fogspec keys" in site.run("apply", manifest("life"), *at, "--yes", code=5).stderr
+    robot.make_keys(spec, "life")
     begun = time.monotonic()
     said = site.run("apply", manifest("life"), *at, "--yes", "-o", "json")
     assert "a month" in said.stderr
+    assert str(site.links("life") / "peer") in said.stderr, "what to copy to the robot is said"
     took_s, waited_s = time.monotonic() - begun, json.loads(said.stdout)["waited_s"]
     (first,) = machines(site, "life")
     assert (first["state"], first["machine"]["instance"]) == ("serving", SMALL)
     assert first["name"] in site.jobs()
     assert "no changes" in site.run("apply", manifest("life"), *at, "--yes").stdout
 
+    robot.take("life")
+    slow = robot.plays("life")
     live = observed(site, spec)
     own_s = took_s - waited_s + live["ready_s"]
     print(f"from apply to the first answer: {took_s:.1f} s; without SkyPilot's share: {own_s:.1f} s "
           "(fogspec's start, checks and end, and the nodes' own start)")  # fmt: skip
-    assert (live["sync"], live["spent_usd"] > 0) == ("Synced", True)
-    assert 0.1 < live["observed"]["p50_s"] < 0.5
+    assert (live["sync"], live["health"], live["spent_usd"] > 0) == ("Synced", "Healthy", True)
+    assert live["observed"]["p50_s"] < median(slow), "what the robot sees has the way in it"
 
     path = site.project / spec
     path.write_text(path.read_text().replace("alpha: 0", "alpha: 1"))
@@ -67,10 +84,13 @@ def test_from_measurements_to_a_deployment_and_back(benched: Benched) -> None:
     assert site.jobs(ABANDONED) == [one["name"] for one in machines(site, "life")], "the old machine is gone"
     (second,) = machines(site, "life")
     assert second["machine"]["instance"] != SMALL
+    robot.take("life")
+    assert median(robot.plays("life")) < median(slow) / 2
 
     assert "nothing is left" in site.run("down", "life").stdout
     assert site.left(spare=ABANDONED) == []
     assert not (site.project / ".fogspec" / "life" / "deployment.yaml").exists()
+    assert not (site.links("life") / "peer").exists()
 
 
 def test_an_apply_that_was_killed_leaves_nothing_after_down(site: Site) -> None:

@@ -1,6 +1,6 @@
 """What stands for an installed ROS 2 on the nodes: the packages of `make ros-env`, and of `ros2` what launches a file.
 
-`ros2` itself is not on PyPI, nor is rmw_zenoh: over zenoh, nodes are written with pyzeros, which speaks its protocol.
+`ros2` itself is not on PyPI, nor is rmw_zenoh: nodes say what its nodes say, with the package eclipse-zenoh.
 """
 
 import shutil
@@ -16,7 +16,7 @@ SETUP = 'export ROS_DISTRO={distro} PATH="/opt/ros/{distro}/bin:$PATH"\n'
 ROS2 = """\
 #!/bin/sh
 [ "$1" = launch ] || exit 2
-PYTHONPATH=/opt/ros/{distro} exec python3 -m tests.ros.playing "$2"
+PYTHONPATH="/opt/ros/{distro}${{PYTHONPATH:+:$PYTHONPATH}}" exec python3 -m tests.ros.playing "$2"
 """
 
 
