@@ -26,9 +26,9 @@ CGROUPS = tuple(Path("/sys/fs/cgroup", one) for one in ("memory", "freezer"))
 
 def enter(module: str, words: Sequence[str]) -> None:
     """Become `python -m module words` in namespaces of its own, as their first process."""
-    for folder in STATE.parent.glob(f"{STATE.name}*"):
-        if not Path("/proc", folder.name.removeprefix(STATE.name)).exists():
-            _forget(folder)
+    for name in {one.name for place in (STATE.parent, *CGROUPS) for one in place.glob(f"{STATE.name}*")}:
+        if not Path("/proc", name.removeprefix(STATE.name)).exists():
+            _forget(STATE.with_name(name))
     os.environ[FOLDER] = f"{STATE}{os.getpid()}"
     os.execvp(UNSHARE[0], [*UNSHARE, sys.executable, "-m", module, *words])
 
