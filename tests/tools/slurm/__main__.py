@@ -50,6 +50,7 @@ def main(words: list[str]) -> int:
         os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
         if not words:
             os.environ.update(engine.environment(folder))
+            os.environ["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
             print(f"# sinfo, squeue, sky and fogspec are this cluster's here; prices: --catalog {folder}/catalog.csv; "
                   f"memory is confined: {daemons.confines_memory()}; everything ends with this shell")  # fmt: skip
         return apart.run(words or [os.environ.get("SHELL", "bash")])
