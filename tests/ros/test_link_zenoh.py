@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import stat
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from tests.ros.joined import ADDRESS, Joined, joined, missing, until
 from tests.ros.namespaces import PYTHON
 
 NODE = str(Path(__file__).parent / "nodes" / "over_zenoh.py")
+DUMB = "import socket; s = socket.create_server(('127.0.0.1', 7448)); s.accept()[0].send(b'hello'); s.accept()"
 STRANGER = str(Path(__file__).parent / "nodes" / "stranger.py")
 pytestmark = pytest.mark.skipif(missing("zenoh") is not None, reason=str(missing("zenoh")))
 
@@ -87,6 +89,11 @@ def test_who_is_not_the_robot_can_tell_whether_the_other_end_answers_as_itself(e
     for name in ("peer", "peer.pem", "address"):
         shutil.copy(mine / name, here)
     assert ends.script("robot", "check", home="desk").returncode == 0
+    (here / "address").write_text("127.0.0.1\n")
+    listening = ends.nets["robot"].start("stranger", [sys.executable, "-c", DUMB])
+    assert ends.script("robot", "check", home="desk").returncode == 1, "whatever listens there is not the machine"
+    listening.stop()
+    shutil.copy(mine / "address", here)
     shutil.copy(mine / "public.pem", here / "peer.pem")
     refused = ends.script("robot", "check", home="desk")
     assert refused.returncode == 1
