@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from tests.slurm.site import Site
@@ -10,17 +10,20 @@ from tests.tools.slurm import engine, login
 
 MARK = "FOGSPEC_TEST_LIFE"
 PATIENCE_S = 40.0
-KINDS = ("jobs", "clusters", "processes", "commands", "folders", "files")
+KINDS = ("jobs", "clusters", "processes", "commands", "files", "keys")
+# SkyPilot makes them and forgets them where Slurm itself has ended the job: nobody else can know whose they are.
+SKYPILOTS = "SkyPilot's folders on the cluster"
 
 
 def now(site: Site, name: str) -> dict[str, list[str]]:
-    """Slurm's jobs, processes of the jobs' user, fogspec's own processes with its workers, and folders on the nodes."""
+    """Slurm's jobs, processes of the jobs' user, fogspec's own and its workers, keys of links and folders on the nodes."""
     prefix = f"fogspec-{name}-"
     return {
         "jobs": [job for job in site.jobs() if job.startswith(prefix)],
         "processes": [line for line in login.processes() if prefix.encode() in _about(line.split()[0])],
         "commands": [pid for pid in filter(str.isdigit, os.listdir("/proc")) if _is_command(pid, name)],
-        "folders": [str(path) for path in folders(site.cluster, name)],
+        "keys": [str(key) for path in folders(site.cluster, name) for key in path.glob(".fogspec/links/*/*/private*")],
+        SKYPILOTS: [str(path) for path in folders(site.cluster, name)],
     }
 
 
@@ -53,11 +56,15 @@ def clusters(site: Site, name: str, attempts: int = 3) -> list[str]:
 
 
 def settled(site: Site, name: str) -> dict[str, list[str]]:
-    """What is there when everything has had time to end, the clusters included."""
+    """What is there when everything has had time to end."""
     end = time.monotonic() + PATIENCE_S
-    while any((found := now(site, name)).values()) and time.monotonic() < end:
+    while _any(found := now(site, name)) and time.monotonic() < end:
         time.sleep(0.5)
-    return {**found, "clusters": clusters(site, name)}
+    return found
+
+
+def _any(found: Mapping[str, list[str]]) -> bool:
+    return any(those for kind, those in found.items() if kind in KINDS)
 
 
 def _about(pid: str) -> bytes:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.slurm import breaking, leftovers
+from tests.slurm import breaking, leftovers, robot
 from tests.slurm.clock import Clock
 from tests.slurm.fates import FAULTS, LANES, OF_A_COMMAND, Fault, drawn
 from tests.slurm.site import Site, recorded
@@ -33,6 +33,8 @@ DISK = "2m"
 DAY_S = 86400
 DOWNS = 5
 AT_ONCE = 2
+BUG = 70
+LINKED = 1  # the lane whose applications have a robot and a link
 
 
 @dataclass
@@ -84,10 +86,15 @@ class Life:
             "  benchmark:", "  deployment: {patience: 5min}\n  benchmark:"
         )
         path.write_text(text)
+        linked = self.seed % len(LANES) == LINKED
+        if linked:
+            robot.write(self.site, self.spec, tells="")
         self.site.compile(self.spec)
         recorded(self.site, self.name)
         self.site.compile(self.spec)
-        self.expected = leftovers.tree(self.project)
+        if linked:
+            self.site.run("keys", self.spec)
+        self.expected, self.keys = leftovers.tree(self.project), leftovers.tree(self.site.links(self.name))
 
     def command(self, *words: str, folder: Path | None = None, faults: Sequence[Fault] = ()) -> int:
         """Run fogspec and break things meanwhile; its exit code. What happens only to a command may come too late."""
@@ -116,8 +123,8 @@ class Life:
             if fault.name not in OF_A_COMMAND:
                 self.strike(fault.name, process)
         self.did[-1] += f" {process.returncode}"
-        if "Traceback" in self.said(begun):
-            self.wrong.append(f"{words[0]}: a traceback")
+        if re.search("^Traceback", self.said(begun), re.MULTILINE) or process.returncode == BUG:
+            self.wrong.append(f"{words[0]}: a bug")
         return process.returncode
 
     def said(self, begun: int) -> str:
@@ -173,8 +180,7 @@ class Life:
     def look(self) -> None:
         """What is there must be seen, or else a judgement that finds nothing would be worth nothing."""
         if not self.seen >= {*leftovers.KINDS} - {"commands"}:
-            found = {**leftovers.now(self.site, self.name), "clusters": leftovers.clusters(self.site, self.name)}
-            found["files"] = leftovers.files(self.project, self.expected)
+            found = self.found(leftovers.now(self.site, self.name), self.project, self.expected)
             self.seen.update(kind for kind, those in found.items() if those)
 
     def end(self, faults: Sequence[Fault]) -> None:
@@ -206,10 +212,16 @@ class Life:
 
     def judge(self, root: Path, expected: set[str]) -> None:
         """What is left though nothing should be."""
-        found = {**leftovers.settled(self.site, self.name), "files": leftovers.files(root, expected)}
+        found = self.found(leftovers.settled(self.site, self.name), root, expected)
         for kind, those in found.items():
             self.left[kind] += len(those)
-            self.wrong += [f"{kind}: {one}" for one in those]
+            self.wrong += [f"{kind}: {one}" for one in those if kind in leftovers.KINDS]
+
+    def found(self, running: dict[str, list[str]], root: Path, expected: set[str]) -> dict[str, list[str]]:
+        """What runs, with SkyPilot's records, files, and keys of the link: only the robot's own may stay."""
+        keys = running["keys"] + leftovers.files(self.site.links(self.name), self.keys)
+        clusters, files = leftovers.clusters(self.site, self.name), leftovers.files(root, expected)
+        return {**running, "clusters": clusters, "files": files, "keys": keys}
 
     def close(self) -> None:
         """Its disk goes; the files of a life that went wrong are kept, and what every one has said."""
@@ -265,7 +277,7 @@ def summary(lives: Sequence[Life]) -> str:
     struck = collections.Counter(fault for life in lives for fault in life.struck)
     left = sum((life.left for life in lives), collections.Counter[str]())
     faults = ", ".join(f"{count} {FAULTS[name]}" for name, count in struck.most_common())
-    kinds = ", ".join(f"{left[kind]} {kind}" for kind in leftovers.KINDS)
+    kinds = ", ".join(f"{left[kind]} {kind}" for kind in (*leftovers.KINDS, leftovers.SKYPILOTS))
     broken, wrong = sum(bool(life.struck) for life in lives), sum(bool(life.wrong) for life in lives)
     return f"{broken} with faults: {faults}; left after down: {kinds}; {wrong} lives went wrong"
 
