@@ -66,12 +66,12 @@ function draw(answer, latency, cost) {
   if (!data.metric && latency !== null && latency > 0) {
     const at = clip(y.at(latency), BOX.top, BOX.bottom);
     nodes.push(svg("rect", {class: "no", x: BOX.left, y: BOX.top, width: BOX.right - BOX.left, height: at - BOX.top}));
-    nodes.push(svg("line", {class: "limit", x1: BOX.left, x2: BOX.right, y1: at, y2: at}));
+    if (at === y.at(latency)) nodes.push(svg("line", {class: "limit", x1: BOX.left, x2: BOX.right, y1: at, y2: at}));
   }
   if (!hourly && cost !== null && cost > 0) {
     const at = clip(x.at(cost), BOX.left, BOX.right);
     nodes.push(svg("rect", {class: "no", x: at, y: BOX.top, width: BOX.right - at, height: BOX.bottom - BOX.top}));
-    nodes.push(svg("line", {class: "limit", y1: BOX.top, y2: BOX.bottom, x1: at, x2: at}));
+    if (at === x.at(cost)) nodes.push(svg("line", {class: "limit", y1: BOX.top, y2: BOX.bottom, x1: at, x2: at}));
   }
   if (hourly && cost !== null && cost > 0 && !data.metric && !data.costs.requests_per_s) nodes.push(...slope(x, y, cost, clip));
   const specks = {out: "", in: ""};

@@ -127,6 +127,14 @@ def test_the_sliders_choose_as_menu_does(browser, checkout, tmp_path, monkeypatc
     assert len(chosen) > (name != "grasp-planning"), "a grid on which the choice never moves proves nothing"
 
 
+def test_a_limit_is_drawn_where_it_is_or_not_at_all(browser, checkout, tmp_path):
+    """One beyond the picture is not drawn at its edge, where the scale would say something else of it."""
+    view = browser.open(written(loaded(checkout, "grasp-planning"), tmp_path / "report.html"))
+    for latency, drawn in (("2", 1), ("100000", 0), ("0.000001", 0)):
+        move(view, "0.7", latency, None)
+        assert view.evaluate("document.querySelectorAll('#picture .limit').length") == drawn, latency
+
+
 DATA = {"transfer": {"per_request": "0.1MB", "price": "$0.01/GiB"}}
 PROVISIONED = {"billing": "provisioned", "rate": "20/s", **DATA}
 OTHERS = {
