@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from typing import Any, Literal, TypeGuard
 
+from fogspec.plugins.skypilot.problems import plain
 from fogspec.seams import Live
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {
@@ -14,7 +15,6 @@ TAIL_BYTES = 2**20
 WORDS_BYTES = 16384
 # What SkyPilot puts before each line of a job, and says of the job's end itself.
 PREFIX = re.compile(r"^\([^()]*pid=\d+[^()]*\) ")
-COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 PLATFORM = ("ERROR: Job ", "✓ Job finished", "⚙︎ ", "├── ", "└── ", "srun: ")
 TOLD = re.compile(rb"=== fogspec state (\{.*\}) ===")
 
@@ -44,13 +44,18 @@ def told(log: bytes, address: str | None) -> Live | None:
 
 def with_words(said: Live, log: bytes) -> Live:
     """What the nodes printed last is why they ended."""
-    if said.state != "ended" or not said.detail:
+    if said.state != "ended" or not said.detail or (words := last_words(log)) is None:
         return said
+    return replace(said, detail=f"{said.detail}: {words}"[:300])
+
+
+def last_words(log: bytes) -> str | None:
+    """The last line that nodes have printed; what is said of them is not theirs."""
     for line in reversed(log[-WORDS_BYTES:].decode("utf-8", "replace").splitlines()):
-        words = "".join(c for c in PREFIX.sub("", COLOUR.sub("", line)) if c.isprintable()).strip()
+        words = PREFIX.sub("", plain(line)).strip()
         if words and "=== fogspec state " not in words and not words.startswith(PLATFORM):
-            return replace(said, detail=f"{said.detail}: {words}"[:300])
-    return said
+            return words[:300]
+    return None
 
 
 def _sound(row: object) -> TypeGuard[list[Any]]:

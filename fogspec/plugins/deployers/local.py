@@ -66,11 +66,11 @@ class LocalDeployer:
         """What its keeper says while it has processes."""
         out = launch.folder / "out"
         timings = b"".join(_read(out / name) for name in ("timings.1.jsonl", "timings.jsonl"))
-        said = keeping.live(_read(out / "state.json"), timings, "127.0.0.1")
-        said = keeping.with_words(said, _read(launch.folder / "run.log"))
+        log = _read(launch.folder / "run.log")
+        said = keeping.with_words(keeping.live(_read(out / "state.json"), timings, "127.0.0.1"), log)
         if marked.found(MARK, launch.name):
             return said
-        return Live("ended" if said.state == "ended" else "gone", said.detail or _last_line(launch.folder / "run.log"))
+        return Live("ended" if said.state == "ended" else "gone", said.detail or _words(log))
 
     def end(self, launch: Launch) -> None:
         """TERM, which the keeper passes on; then KILL for all that bears the name, whether deployed or measured."""
@@ -122,11 +122,10 @@ def _read(path: Path) -> bytes:
         return b""
 
 
-def _last_line(log: Path) -> str | None:
-    if (said := keeping.told(_read(log), None)) is not None and said.detail:
-        return said.detail
-    lines = [line.strip() for line in _read(log).decode("utf-8", "replace").splitlines() if line.strip()]
-    return "".join(c for c in lines[-1] if c.isprintable())[:300] if lines else None
+def _words(log: bytes) -> str | None:
+    """What its keeper said last, or else the nodes."""
+    said = keeping.told(log, None)
+    return said.detail if said is not None and said.detail else keeping.last_words(log)
 
 
 def _group(pid: int) -> str | None:
