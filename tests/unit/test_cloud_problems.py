@@ -65,3 +65,8 @@ def test_a_problem_survives_the_pipe() -> None:
     problem = CloudProblem("image", "no such image", again=True, gone=True)
     assert heard(problem.told()).told() == problem.told()
     assert heard({"reason": "rm -rf", "detail": 3}).told()["reason"] == "setup"
+
+
+def test_what_a_failing_api_server_was_doing_is_not_told() -> None:
+    said = "Failed to get request 1: 500   + Exception Group Traceback (most recent call last):\n  | File x\n  | ValueError"
+    assert classified(RuntimeError(said)).detail == "Failed to get request 1: 500"

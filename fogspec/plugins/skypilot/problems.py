@@ -13,6 +13,8 @@ from typing import Any, get_args
 from fogspec.results import Reason
 
 DETAIL_LIMIT = 500
+# An API server that fails sends what it was doing; nothing in it is about the machine.
+SERVERS_OWN = re.compile(r"[\s+|]*Exception Group Traceback \(most recent call last\):.*", re.DOTALL)
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 # The first that is found decides: a quota is often told of as a lack of capacity, and never the other way round.
@@ -103,6 +105,7 @@ def _causes(problem: BaseException) -> Iterator[BaseException]:
 
 
 def _detail(problem: BaseException, text: str) -> str:
+    text = SERVERS_OWN.sub("", text)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     said = " | ".join(dict.fromkeys(lines)) or type(problem).__name__
     return said if len(said) <= DETAIL_LIMIT else f"{said[: DETAIL_LIMIT - 2]} …"
