@@ -130,11 +130,6 @@ def idle(folder: Path, patience_s: float = 60.0) -> None:
         time.sleep(0.3)
 
 
-def jobs(folder: Path) -> list[str]:
-    """The jobs that there are now."""
-    return run(folder, "squeue", "-h", "-o", "%i %j %T").splitlines()
-
-
 def living(folder: Path, name: str) -> int | None:
     """The process id of a daemon, if it runs."""
     try:

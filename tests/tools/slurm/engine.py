@@ -55,12 +55,6 @@ def configure(folder: Path) -> None:
     (home / ".sky" / "config.yaml").write_text("\n".join(lines) + "\n")
 
 
-def sky(folder: Path, *words: str, timeout_s: float = 120.0) -> "subprocess.CompletedProcess[str]":
-    """SkyPilot's command line on this engine."""
-    program = str(Path(sys.executable).parent / "sky")
-    return subprocess.run([program, *words], env=environment(folder), capture_output=True, text=True, timeout=timeout_s)
-
-
 KNOWN = """
 import json, sky
 mode = sky.StatusRefreshMode.%s
