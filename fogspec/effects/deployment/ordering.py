@@ -123,7 +123,7 @@ def words(ordered: Ordered) -> list[str]:
     gpu = f", {spec.gpu.count:g} {spec.gpu.name}" if spec.gpu else ""
     lines = [
         f"{manifest.metadata.name}: {spec.instance} in {spec.infra}{' spot' if spec.spot else ''} "
-        f"({spec.cpus:g} vCPUs, {units.format_memory(spec.memory)}{gpu})",
+        f"({spec.cpus:g} vCPU{'' if spec.cpus == 1 else 's'}, {units.format_memory(spec.memory)}{gpu})",
         f"  nodes     {len(spec.cloud)} in the cloud, {len(spec.robot)} on the robot; link {spec.connectivity.link}",
         f"  task      {ordered.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
         f"  costs     {price_words(first.price_usd_per_hour)}",
