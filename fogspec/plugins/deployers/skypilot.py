@@ -4,7 +4,6 @@ What the nodes do is read from the end of the job's log, which works on every in
 """
 
 import contextlib
-import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 from fogspec.base.outcomes import CloudFailed
 from fogspec.deployment import is_of
 from fogspec.plugins.deployers import keeping
+from fogspec.plugins.skypilot import handover
 from fogspec.plugins.skypilot.client import Call, Client
 from fogspec.plugins.skypilot.problems import CloudProblem
 from fogspec.seams import CannotStart, Launch, Live, LostContact
@@ -37,10 +37,8 @@ class SkyPilotDeployer:
 
     def start(self, launch: Launch) -> None:
         """Ask for the machine; whether it can be had is said by `look`."""
-        secrets = launch.task.get("secrets")
-        if isinstance(secrets, Mapping) and (missing := sorted(name for name in secrets if name not in os.environ)):
-            raise CannotStart("setup", f"the environment does not have {', '.join(missing)}")
         try:
+            handover.check(launch.task)
             self._ask("launch", task=launch.task, name=launch.name, root=str(launch.root.absolute()))
         except CloudProblem as problem:
             raise CannotStart(problem.reason, problem.detail, again=problem.again) from None

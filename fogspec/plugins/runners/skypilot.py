@@ -4,7 +4,6 @@ No method waits for SkyPilot: a question is asked in one call and its answer tak
 needs to go on is in the job's folder: `launch.json` from before a machine can exist, `ended.json` once it is over.
 """
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,6 +13,7 @@ from typing import Any, Literal
 from fogspec.plugins.runners import ending, joblog
 from fogspec.plugins.runners.ending import LOG, load, save, where
 from fogspec.plugins.runners.joblog import Heard
+from fogspec.plugins.skypilot import handover
 from fogspec.plugins.skypilot.client import Call, Client
 from fogspec.plugins.skypilot.problems import CloudProblem
 from fogspec.seams import CannotStart, Job, LostContact, Progress
@@ -64,9 +64,10 @@ class SkyPilotRunner:
 
     def start(self, job: Job) -> None:
         """Ask for the machine; whether it can be had is said by `look`."""
-        secrets = job.task.get("secrets")
-        if isinstance(secrets, Mapping) and (missing := sorted(name for name in secrets if name not in os.environ)):
-            raise CannotStart("setup", f"the environment does not have {', '.join(missing)}")
+        try:
+            handover.check(job.task)
+        except CloudProblem as problem:
+            raise CannotStart(problem.reason, problem.detail) from None
         job.folder.mkdir(parents=True)
         save(job.folder / "launch.json", {"name": job.name, "at_s": time.time()})
         call = self._client.begin("launch", task=job.task, name=job.name, root=str(job.root.absolute()))

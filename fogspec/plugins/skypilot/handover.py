@@ -26,6 +26,13 @@ def values(names: Iterable[str]) -> dict[str, str]:
     return {one: os.environ[one] for one in wanted}
 
 
+def check(task: Mapping[str, object]) -> None:
+    """Raise CloudProblem for a secret of the task that the environment does not have: before anything is asked for."""
+    secrets = task.get("secrets")
+    if isinstance(secrets, Mapping):
+        values(secrets)
+
+
 def write(name: str, secrets: Mapping[str, str]) -> Path:
     """Write them as lines for a shell."""
     forget(name)
