@@ -90,6 +90,9 @@ def test_no_machine_is_an_answer_that_says_which_filter_left_none() -> None:
         picked(application(infra=["aws/us-esat-1"]), table(*OFFERS))
     assert caught.value.hints[0] == "7 offers -> 0 after infra"
     assert caught.value.hints[1].startswith("the catalog has no machine in aws/us-esat-1; did you mean aws/us-")
+    with pytest.raises(NothingMeets) as caught:
+        picked(application(infra=["slurm/lab"]), table(*OFFERS))
+    assert "no machine in slurm/lab; --catalog takes a list of its machines" in caught.value.hints[1]
 
 
 @pytest.mark.parametrize(
