@@ -57,10 +57,10 @@ for number in range(10**9):
 
 @dataclass(frozen=True)
 class Once:
-    """When a bench has said this of so many samples."""
+    """When the bench that runs has said this of the sample on this node."""
 
     event: str
-    samples: int = 1
+    node: str
 
 
 @dataclass
@@ -86,11 +86,12 @@ class Storm:
         self.site.compile(spec)
         begun, waiting = time.monotonic(), list(self.faults)
         for number in range(1, ROUNDS + 1):
+            before = self.events.stat().st_size if self.events.exists() else 0
             bench = self.site.bench(spec, "--resume", log=self.events)
             end = time.monotonic() + ROUND_S
             while bench.process.poll() is None:
                 assert time.monotonic() < end, f"it does not end: {self.site.project}"
-                if waiting and self.due(waiting[0][0], begun):
+                if waiting and self.due(waiting[0][0], begun, before):
                     self.apply(waiting.pop(0)[1], bench.process, name)
                 time.sleep(0.2)
             if bench.process.returncode in (0, 1):
@@ -102,12 +103,12 @@ class Storm:
         """What the benches said."""
         return self.site.project / "events.jsonl"
 
-    def due(self, when: float | Once, begun: float) -> bool:
-        """Whether it is time for a fault."""
+    def due(self, when: float | Once, begun: float, before: int) -> bool:
+        """Whether it is time for a fault; what this bench says comes after so many bytes."""
         if not isinstance(when, Once):
             return time.monotonic() - begun >= when
-        said = [json.loads(line) for line in self.events.read_text().splitlines() if line.endswith("}")]
-        return len({one["sample"] for one in said if one.get("event") == when.event}) >= when.samples
+        said = [json.loads(line) for line in self.events.read_bytes()[before:].splitlines() if line.endswith(b"}")]
+        return any(one.get("event") == when.event and when.node in one["sample"] for one in said)
 
     def apply(self, fault: str, process: "subprocess.Popen[str]", name: str) -> None:
         """Break something."""
@@ -126,7 +127,10 @@ class Storm:
         elif fault == "network":
             breaking.unplug(cluster)
         else:
-            breaking.kill(process.pid, signal.SIGINT if fault == "interrupt" else signal.SIGKILL)
+            breaking.kill(process.pid, signal.SIGINT if fault in ("interrupt", "insist") else signal.SIGKILL)
+            if fault == "insist":
+                time.sleep(self.chance.uniform(0.2, 3))
+                breaking.kill(process.pid, signal.SIGINT)
             code = process.wait()
             if fault == "interrupt":
                 self.stopped.append((code, self.site.left(spare=self.spare)))
@@ -134,7 +138,7 @@ class Storm:
                 shutil.rmtree(self.site.project / ".fogspec" / name, ignore_errors=True)
 
 
-OUTSIDE = ("machine", "node", "server", "worker", "network", "controller", "interrupt", "journal")
+OUTSIDE = ("machine", "node", "server", "worker", "network", "controller", "interrupt", "insist", "journal")
 INSIDE = ("crash", "memory", "stuck", "garbage", "noise")
 
 

@@ -10,13 +10,13 @@ from tests.slurm.site import Site
 def test_what_breaks_is_a_state_of_a_sample_and_nothing_is_measured_twice(site: Site) -> None:
     nodes = {"s-1x2": "memory", "c-2x4": "crash", "c-16x32": "garbage"}
     broken = [
-        (Once("sets up"), "interrupt"),
-        (Once("measures"), "controller"),
-        (Once("measures"), "worker"),
-        (Once("measures"), "server"),
+        (Once("sets up", "c-16x32"), "interrupt"),
+        (Once("measures", "c-16x32"), "controller"),
+        (Once("measures", "c-16x32"), "worker"),
+        (Once("measures", "c-16x32"), "server"),
     ]
     storm = Storm(site, nodes, [*broken], random.Random(1), spare=ABANDONED)
-    assert storm.run("storm", steps=400) == 3, "one bench was stopped, one killed, and one ended"
+    assert storm.run("storm", steps=500) == 3, "one bench was stopped, one killed, and one ended"
     assert storm.done == len(broken)
     assert storm.stopped == [(130, [])], "Ctrl-C in the middle of launches leaves nothing"
 
