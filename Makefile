@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types floors generated docs unit faults figures figures-svg evaluation mutants lock clean
+.PHONY: help demo test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types floors generated docs unit coverage faults figures figures-svg evaluation mutants lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -87,7 +87,10 @@ generated: .venv/dev.stamp  ## committed schemas, reference pages and compiled s
 tests/editor/node_modules/.stamp: tests/editor/package-lock.json
 	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@; fi
 
-unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## tests with coverage; those that need a Slurm cluster apart
+unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## all tests but those that need a Slurm cluster
+	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm
+
+coverage: .venv/dev.stamp tests/editor/node_modules/.stamp  ## which lines those tests reach (takes half as long again)
 	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --cov --cov-report=term:skip-covered
 
 faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere; adaptive ones killed at every write; 50 deployments (minutes)
