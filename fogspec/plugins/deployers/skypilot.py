@@ -14,7 +14,7 @@ from fogspec.deployment import is_of
 from fogspec.plugins.deployers import keeping
 from fogspec.plugins.skypilot import handover
 from fogspec.plugins.skypilot.client import Call, Client
-from fogspec.plugins.skypilot.problems import CloudProblem
+from fogspec.plugins.skypilot.problems import FORGOTTEN, CloudProblem
 from fogspec.seams import CannotStart, Launch, Live, LostContact
 
 LABEL = "fogspec-application"
@@ -89,7 +89,7 @@ class SkyPilotDeployer:
         try:
             found = self._ask("find", name=name)
             if found is None:
-                return Live("gone", "its launch was never asked for")
+                return Live("gone", FORGOTTEN)
             value = found if "job" in found else self._ask("launched", request=found["request"], name=name)
         except CloudProblem as problem:
             if problem.gone:

@@ -15,7 +15,7 @@ from fogspec.plugins.runners.ending import LOG, load, save, where
 from fogspec.plugins.runners.joblog import Heard
 from fogspec.plugins.skypilot import handover
 from fogspec.plugins.skypilot.client import Call, Client
-from fogspec.plugins.skypilot.problems import CloudProblem
+from fogspec.plugins.skypilot.problems import FORGOTTEN, CloudProblem
 from fogspec.seams import CannotStart, Job, LostContact, Progress
 
 AT_ONCE = 8
@@ -182,7 +182,7 @@ class SkyPilotRunner:
 
     def _after_find(self, job: Job, watch: Watch, value: Mapping[str, Any] | None) -> None:
         if value is None:
-            watch.progress = replace(watch.progress, running=False, lost=True, detail="its launch was never asked for")
+            watch.progress = replace(watch.progress, running=False, lost=True, detail=FORGOTTEN)
         elif "job" in value:
             self._after_launched(job, watch, value)
         else:

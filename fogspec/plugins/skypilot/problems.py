@@ -13,6 +13,7 @@ from typing import Any, get_args
 from fogspec.results import Reason
 
 DETAIL_LIMIT = 500
+FORGOTTEN = "SkyPilot knows of no launch of it: none was asked for, or its API server has begun anew since"
 # An API server that fails sends what it was doing; nothing in it is about the machine.
 SERVERS_OWN = re.compile(r"[\s+|]*Exception Group Traceback \(most recent call last\):.*", re.DOTALL)
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
