@@ -101,3 +101,45 @@ def test_secrets_are_in_no_task_that_skypilot_gets_but_in_a_file_of_their_own(tm
     environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}
     ended = subprocess.run([sys.executable, "-c", HANDED], capture_output=True, text=True, timeout=120, env=environment)
     assert ended.returncode == 0, ended.stderr[-2000:]
+
+
+ENDED = """
+from types import SimpleNamespace
+from fogspec.plugins.skypilot import calls
+
+log, machines = [], []
+def launch(status):
+    return SimpleNamespace(request_id="r", cluster_name="fogspec-a", name="sky.launch", created_at=1, status=status)
+def asked(ids=None, all_status=True, **_):
+    return [one for one in launches if all_status or one.status in calls.UNFINISHED]
+def down(name):
+    log.append("down")
+    if not machines:
+        raise calls.exceptions.ClusterDoesNotExist("it is not there")
+    machines.clear()
+def cancel(ids, silent):
+    log.append("cancel")
+    launches[:] = [launch("CANCELLED")]
+def arrives(seconds):
+    log.append(f"{seconds:g} s")
+    launches.append(launch("PENDING"))
+calls.sky.api_status, calls.sky.down, calls.sky.api_cancel, calls.sky.get = asked, down, cancel, lambda value: value
+calls.clusters, calls.await_gone, calls.time = lambda **_: machines, lambda name: None, SimpleNamespace(sleep=arrives)
+
+launches = []
+calls.end("fogspec-a", settle_s=5)
+assert log == ["down", "5 s", "cancel", "down"], ("a launch that arrives late is broken off", log)
+log.clear()
+calls.end("fogspec-a", settle_s=5)
+assert log == ["down"], ("its launch is known: no other comes", log)
+log.clear()
+launches, machines = [], ["fogspec-a"]
+calls.end("fogspec-a", settle_s=5)
+assert log == ["down"], ("the machine was there", log)
+"""
+
+
+@pytest.mark.usefixtures("no_server")
+def test_what_skypilot_knows_nothing_of_is_looked_for_once_more() -> None:
+    ended = subprocess.run([sys.executable, "-c", ENDED], capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr[-2000:]

@@ -2,7 +2,8 @@
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import pytest
 
@@ -110,6 +111,25 @@ def test_an_api_server_that_dies_while_it_is_asked(shell: Shell, cloud: Cloud) -
     shell("apply", MANIFEST, *AT, "--yes")
     assert len(cloud.machines) == 1, "asked for once"
     shell("down", "demo")
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_launch_that_its_api_server_forgot_is_made_once_more(shell: Shell, cloud: Cloud, times: int) -> None:
+    forgotten: list[str] = []
+
+    def forgets(op: str, words: Mapping[str, Any]) -> None:
+        if op == "find" and words["name"] not in forgotten and len(forgotten) < times:
+            forgotten.append(words["name"])
+            cloud.end(words["name"])
+
+    cloud.fails = forgets
+    said = shell("apply", MANIFEST, *AT, "--yes", code=0 if times == 1 else 6).err
+    assert f"{forgotten[0]}: gone" in said, "verified before another is started"
+    assert f"{forgotten[0]}: its machine is gone: SkyPilot knows of no launch of it" in said
+    assert len(cloud.machines) == 2 - times
+    assert ("safe to run again" in said) == (times == 2)
+    shell("down", "demo")
+    assert cloud.machines == {}
 
 
 def test_a_machine_that_was_reclaimed(shell: Shell, cloud: Cloud) -> None:

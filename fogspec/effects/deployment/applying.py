@@ -18,6 +18,10 @@ from fogspec.seams import CannotStart, Deployer, Live, LostContact
 NO_CAPACITY = ("capacity", "quota")
 
 
+class _Gone(Exception):
+    """A machine went away before its nodes answered."""
+
+
 @dataclass(slots=True)
 class Apply:
     """One application of a manifest.
@@ -120,17 +124,34 @@ class Apply:
         for one in self.candidates:
             if begun is not None and one.number < begun.fallback:
                 continue
+            served, begun = self._tried(one, begun), None
+            if served is not None:
+                self.live.put(served, ends=True)
+                self.tidy([served.name])
+                return served
+        raise CloudFailed("the manifest names no machine that may be started")
+
+    def _tried(self, one: Candidate, begun: Machine | None) -> Machine | None:
+        """The machine once it answers, or None where the next is to be tried.
+
+        One that goes away before it answers, or whose launch is forgotten, is started once more: verified gone before.
+        """
+        again = True
+        while True:
             machine, begun = begun or self._journaled(one), None
             try:
-                served = self._wait(self._started(machine, one))
+                return self._wait(self._started(machine, one))
             except CannotStart as no:
-                end(self.live, machine, self.deployer_of(machine.machine.infra), self.tell)
+                self._end(machine)
                 self._next(one, no)
-                continue
-            self.live.put(served, ends=True)
-            self.tidy([served.name])
-            return served
-        raise CloudFailed("the manifest names no machine that may be started")
+                return None
+            except _Gone as gone:
+                self._end(machine)
+                why = f"{machine.name}: its machine is gone: {gone}"
+                if not again or self.stopping():
+                    raise CloudFailed(why, "safe to run again") from None
+                again = False
+                self.tell(f"{why}; it is started once more")
 
     def _journaled(self, one: Candidate) -> Machine:
         """The machine's record, on disk before anything is started."""
@@ -177,7 +198,10 @@ class Apply:
         raise CloudFailed(f"{what}: {no.detail}", *hints)
 
     def _wait(self, machine: Machine) -> Machine:
-        """The machine once its nodes and its end of the link answer, else none is left of it."""
+        """The machine once its nodes and its end of the link answer, else none is left of it.
+
+        Raises _Gone for one that went away, which may not be verified yet.
+        """
         said = ""
         while True:
             if self.stopping():
@@ -191,10 +215,7 @@ class Apply:
                 self._end(machine)
                 raise WrongFile(f"{machine.name}: the nodes do not run: {live.detail or 'they ended without a word'}")
             if live.state == "gone":
-                self._end(machine)
-                raise CloudFailed(
-                    f"{machine.name}: its machine is gone: {live.detail or 'nobody said why'}", "safe to run again"
-                )
+                raise _Gone(live.detail or "nobody said why")
             if why and why != said:
                 said = why
                 self.tell(f"{machine.name}: {said}")

@@ -14,7 +14,7 @@ from fogspec.plugins.runners import ending, joblog
 from fogspec.plugins.runners.ending import LOG, load, save, where
 from fogspec.plugins.runners.joblog import Heard
 from fogspec.plugins.skypilot import handover
-from fogspec.plugins.skypilot.client import Call, Client
+from fogspec.plugins.skypilot.client import SETTLE_S, Call, Client
 from fogspec.plugins.skypilot.problems import FORGOTTEN, CloudProblem
 from fogspec.seams import CannotStart, Job, LostContact, Progress
 
@@ -23,7 +23,6 @@ LAUNCH_POLL_S = 2.0
 JOB_POLL_S = 10.0
 HANGS_S = 300.0
 READS = 3  # of a log without the end that every job's has: it may have been cut on its way
-SETTLE_S = 5.0
 STRAYS_S = 240.0  # the first question may have to start an API server
 OVER = ("SUCCEEDED", "FAILED", "FAILED_SETUP", "FAILED_DRIVER", "CANCELLED")
 NO_MACHINE = ("quota", "capacity", "budget")  # refusals of a machine: nothing was up, so nothing is paid

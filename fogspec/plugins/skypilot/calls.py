@@ -168,25 +168,28 @@ def waiting(prefix: str = PREFIX) -> list[str]:
 def end(name: str, settle_s: float = 0.0) -> None:
     """Break off its launch, take it down, and verify with its cloud that it is gone.
 
-    With `settle_s`, look for a launch once more after so many seconds: whoever asked for it was cut off while asking.
+    With `settle_s`, what SkyPilot knows nothing of is looked for once more after so many seconds: whoever asked for it may
+    have been cut off while asking.
     """
     handover.forget(_ours(name))
-    _end(name)
-    if settle_s:
+    if not _end(name) and settle_s:
         time.sleep(settle_s)
-        if _launches(name, finished=False) or clusters(names=[name]):
-            _end(name)
+        _end(name)
 
 
-def _end(name: str) -> None:
-    pending = [one.request_id for one in _launches(name, finished=False)]
-    if pending:
+def _end(name: str) -> bool:
+    """Whether SkyPilot knew of it, or of a launch of it."""
+    asked = _launches(name, finished=True)
+    if pending := [one.request_id for one in asked if _word(one.status) in UNFINISHED]:
         sky.get(sky.api_cancel(pending, silent=True))
+    known = bool(asked)
     with contextlib.suppress(exceptions.ClusterDoesNotExist):
         sky.get(sky.down(_ours(name)))
+        known = True
     if _launches(name, finished=False) or clusters(names=[name], refresh=True):
         raise CloudProblem("setup", f"{name} is still there", again=True)
     await_gone(name)
+    return known
 
 
 def autostop(name: str, idle_minutes: int, down: bool = True) -> None:
