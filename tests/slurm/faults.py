@@ -57,7 +57,7 @@ for number in range(10**9):
 
 @dataclass(frozen=True)
 class Once:
-    """When the bench that runs has said this of the sample on this node."""
+    """When the bench that runs has said this of the sample on this node, or that it ends."""
 
     event: str
     node: str
@@ -108,7 +108,7 @@ class Storm:
         if not isinstance(when, Once):
             return time.monotonic() - begun >= when
         said = [json.loads(line) for line in self.events.read_bytes()[before:].splitlines() if line.endswith(b"}")]
-        return any(one.get("event") == when.event and when.node in one["sample"] for one in said)
+        return any(one.get("event") in (when.event, "ends") and when.node in one["sample"] for one in said)
 
     def apply(self, fault: str, process: "subprocess.Popen[str]", name: str) -> None:
         """Break something."""
