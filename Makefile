@@ -90,7 +90,7 @@ tests/editor/node_modules/.stamp: tests/editor/package-lock.json
 unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## all tests but those that need a Slurm cluster
 	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm
 
-coverage: .venv/dev.stamp tests/editor/node_modules/.stamp  ## which lines those tests reach (takes half as long again)
+coverage: .venv/dev.stamp tests/editor/node_modules/.stamp  ## which lines those tests reach
 	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --cov --cov-report=term:skip-covered
 
 faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere; adaptive ones killed at every write; 50 deployments (minutes)

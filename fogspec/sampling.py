@@ -188,9 +188,11 @@ def _unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
             continue
         places = {*catalog.cloud, *map("/".join, zip(catalog.cloud, catalog.region, strict=True))}
         close = difflib.get_close_matches(entry, sorted(places), n=3)
-        hint = f"; did you mean {', '.join(close)}?" if close else ""
-        if entry.partition("/")[0] not in places:
-            hint = hint or "; --catalog takes a list of its machines and prices, and fogspec lock pins it"
+        hint = ""
+        if close:
+            hint = f"; did you mean {', '.join(close)}?"
+        elif entry.partition("/")[0] not in places:
+            hint = "; --catalog takes a list of its machines and prices, and fogspec lock pins it"
         yield f"the catalog has no machine in {entry}{hint}"
 
 

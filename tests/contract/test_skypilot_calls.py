@@ -127,14 +127,14 @@ calls.sky.api_status, calls.sky.down, calls.sky.api_cancel, calls.sky.get = aske
 calls.clusters, calls.await_gone, calls.time = lambda **_: machines, lambda name: None, SimpleNamespace(sleep=arrives)
 
 launches = []
-calls.end("fogspec-a", settle_s=5)
+calls.end("fogspec-a")
 assert log == ["down", "5 s", "cancel", "down"], ("a launch that arrives late is broken off", log)
 log.clear()
-calls.end("fogspec-a", settle_s=5)
+calls.end("fogspec-a")
 assert log == ["down"], ("its launch is known: no other comes", log)
 log.clear()
 launches, machines = [], ["fogspec-a"]
-calls.end("fogspec-a", settle_s=5)
+calls.end("fogspec-a")
 assert log == ["down"], ("the machine was there", log)
 """
 

@@ -93,7 +93,7 @@ class Cloud:
     def waiting(self, prefix: str = "fogspec-") -> list[str]:
         return []
 
-    def end(self, name: str, settle_s: float = 0.0) -> None:
+    def end(self, name: str) -> None:
         machine = self.machines.pop(name, None)
         if machine is not None:
             if machine.process is not None:

@@ -1,6 +1,8 @@
 """A manifest's life on a cloud, with SkyPilot as the tests simulate it; tests/slurm does it with the real one."""
 
 import json
+import os
+import signal
 import time
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -129,6 +131,22 @@ def test_a_launch_that_its_api_server_forgot_is_made_once_more(shell: Shell, clo
     assert len(cloud.machines) == 2 - times
     assert ("safe to run again" in said) == (times == 2)
     shell("down", "demo")
+    assert cloud.machines == {}
+
+
+def test_after_ctrl_c_a_machine_that_goes_away_is_not_started_once_more(shell: Shell, cloud: Cloud) -> None:
+    asked: list[str] = []
+
+    def interrupts(op: str, words: Mapping[str, Any]) -> None:
+        if op == "launch":
+            asked.append(words["name"])
+        elif op == "find" and words["name"] in cloud.machines:
+            cloud.end(words["name"])
+            os.kill(os.getpid(), signal.SIGINT)
+
+    cloud.fails = interrupts
+    assert "what was being started is gone" in shell("apply", MANIFEST, *AT, "--yes", code=130).err
+    assert len(asked) == 1
     assert cloud.machines == {}
 
 

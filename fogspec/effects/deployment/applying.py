@@ -16,6 +16,7 @@ from fogspec.effects.deployment.offers import Candidate
 from fogspec.seams import CannotStart, Deployer, Live, LostContact
 
 NO_CAPACITY = ("capacity", "quota")
+STOPPED = "interrupted: what was being started is gone, what served before still does"
 
 
 class _Gone(Exception):
@@ -147,8 +148,10 @@ class Apply:
                 return None
             except _Gone as gone:
                 self._end(machine)
+                if self.stopping():
+                    raise Interrupted(STOPPED) from None
                 why = f"{machine.name}: its machine is gone: {gone}"
-                if not again or self.stopping():
+                if not again:
                     raise CloudFailed(why, "safe to run again") from None
                 again = False
                 self.tell(f"{why}; it is started once more")
@@ -206,7 +209,7 @@ class Apply:
         while True:
             if self.stopping():
                 self._end(machine)
-                raise Interrupted("interrupted: what was being started is gone, what served before still does")
+                raise Interrupted(STOPPED)
             live = self._look(machine)
             why = live.detail
             if live.state == "ready" and (why := self.linked(machine, live)) is None:

@@ -13,7 +13,7 @@ from fogspec.base.outcomes import CloudFailed
 from fogspec.deployment import is_of
 from fogspec.plugins.deployers import keeping
 from fogspec.plugins.skypilot import handover
-from fogspec.plugins.skypilot.client import SETTLE_S, Call, Client
+from fogspec.plugins.skypilot.client import Call, Client
 from fogspec.plugins.skypilot.problems import FORGOTTEN, CloudProblem
 from fogspec.seams import CannotStart, Launch, Live, LostContact
 
@@ -70,7 +70,7 @@ class SkyPilotDeployer:
     def end(self, launch: Launch) -> None:
         """Take its machine down; raises LostContact until its cloud says that it is gone."""
         try:
-            self._client.ask("end", DOWN_S, name=launch.name, settle_s=SETTLE_S)
+            self._client.ask("end", DOWN_S, name=launch.name)
         except (CloudProblem, CloudFailed) as problem:
             raise LostContact(str(problem)) from None
         self._jobs.pop(launch.name, None)

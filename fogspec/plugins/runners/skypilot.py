@@ -14,7 +14,7 @@ from fogspec.plugins.runners import ending, joblog
 from fogspec.plugins.runners.ending import LOG, load, save, where
 from fogspec.plugins.runners.joblog import Heard
 from fogspec.plugins.skypilot import handover
-from fogspec.plugins.skypilot.client import SETTLE_S, Call, Client
+from fogspec.plugins.skypilot.client import Call, Client
 from fogspec.plugins.skypilot.problems import FORGOTTEN, CloudProblem
 from fogspec.seams import CannotStart, Job, LostContact, Progress
 
@@ -105,7 +105,8 @@ class SkyPilotRunner:
         """Take its machine down; raises LostContact until the cloud says that it is gone."""
         call = self._ending.get(job.name)
         if call is None:
-            call = self._ending[job.name] = self._client.begin("end", name=job.name, settle_s=self._unsettled_s(job))
+            self._await_launch(job)
+            call = self._ending[job.name] = self._client.begin("end", name=job.name)
             call.wait(1.0)
         if not call.done and time.monotonic() - call.asked_s < HANGS_S:
             raise LostContact("its machine is being taken down")
@@ -118,15 +119,13 @@ class SkyPilotRunner:
             raise LostContact(problem.detail) from None
         self._watched.pop(job.name, None)
 
-    def _unsettled_s(self, job: Job) -> float:
-        """How long a launch may yet arrive at the API server; raises LostContact while it is on its way from here."""
+    def _await_launch(self, job: Job) -> None:
+        """Raise LostContact while its launch is on its way from here."""
         watch = self._watched.get(job.name)
         if watch is not None and watch.stage == "launch" and watch.call is not None and not watch.call.wait(1.0):
             if time.monotonic() - watch.call.asked_s < HANGS_S:
                 raise LostContact("its launch is on its way to SkyPilot")
             self._client.close()
-        launch = load(job.folder / "launch.json")
-        return SETTLE_S if launch is not None and "request" not in launch else 0.0
 
     def strays(self, prefix: str, folder: Path) -> Sequence[str]:
         """Names of machines that SkyPilot has, or is about to have."""

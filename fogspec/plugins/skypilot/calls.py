@@ -20,6 +20,7 @@ from fogspec.plugins.skypilot.verifying import await_gone
 PREFIX = "fogspec-"
 LAUNCHES = ("launch", "sky.launch")
 UNFINISHED = ("PENDING", "RUNNING")
+SETTLE_S = 5.0  # how long a question may yet arrive at the API server after whoever asked it was cut off
 
 
 def hello() -> dict[str, Any]:
@@ -165,15 +166,15 @@ def waiting(prefix: str = PREFIX) -> list[str]:
     return [name for name in dict.fromkeys(names) if name.startswith(prefix)]
 
 
-def end(name: str, settle_s: float = 0.0) -> None:
+def end(name: str) -> None:
     """Break off its launch, take it down, and verify with its cloud that it is gone.
 
-    With `settle_s`, what SkyPilot knows nothing of is looked for once more after so many seconds: whoever asked for it may
-    have been cut off while asking.
+    What SkyPilot knows nothing of is looked for once more a little later: whoever asked for it may have been cut off while
+    asking.
     """
     handover.forget(_ours(name))
-    if not _end(name) and settle_s:
-        time.sleep(settle_s)
+    if not _end(name):
+        time.sleep(SETTLE_S)
         _end(name)
 
 

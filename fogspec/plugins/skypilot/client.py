@@ -17,7 +17,6 @@ from fogspec.seams import LostContact
 
 WORKER = "fogspec.plugins.skypilot.worker"
 START_S = 240.0
-SETTLE_S = 5.0  # how long a question may yet arrive at the API server after whoever asked it was cut off
 TAIL_BYTES = 2000
 
 

@@ -5,6 +5,7 @@ Both are in namespaces of their own, end with the command, and leave nothing.
 
 import os
 import shutil
+import signal
 import sys
 from pathlib import Path
 
@@ -45,6 +46,8 @@ def main(words: list[str]) -> int:
             os.execvp(words[0], words)
         apart.enter("tests.tools.slurm", words)
     os.environ["PATH"] += ":/usr/sbin:/sbin"
+    # A first process that does not say what it does on TERM is never ended by it.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with apart.furnished() as folder:
         up(folder)
         os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
