@@ -78,7 +78,7 @@ floors: .venv/dev.stamp  ## who may import whom
 	$(BIN)/lint-imports
 
 generated: .venv/dev.stamp  ## committed schemas, reference pages and compiled specs are what the code writes
-	$(BIN)/python -m fogspec.effects.reference.schemas --check
+	$(BIN)/python -m tools.json_schemas --check
 	$(BIN)/python -m tests.docs.reference --check
 	$(FOGSPEC) compile specs/grasp-planning.yaml specs/vslam.yaml specs/motion-planning.yaml --check
 	$(BIN)/python -m tests.tools.paper_figures --check

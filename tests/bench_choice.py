@@ -5,14 +5,14 @@ import time
 
 import numpy as np
 
-from fogspec import wiring
-from fogspec.catalog import About, Catalog, texts
-from fogspec.choice import choose
-from fogspec.models import Models, fit
-from fogspec.plan import MachineRef, PlanMetadata
-from fogspec.predicting import predict
-from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
-from fogspec.spec import Application
+from fogspec.backends import registry
+from fogspec.catalog.table import About, Catalog, texts
+from fogspec.choice.choose import choose
+from fogspec.model.fit import Models, fit
+from fogspec.model.predict import predict
+from fogspec.plan.schema import MachineRef, PlanMetadata
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.spec.schema import Application
 
 OFFERS, RUNS = 50_000, 21
 
@@ -57,7 +57,7 @@ def measured(names: dict[str, tuple[float, float]] | None = None) -> Models:
 
 def main() -> None:
     """Print the median, least and greatest time of each step."""
-    catalog = wiring.catalog(None, ("aws",))
+    catalog = registry.catalog(None, ("aws",))
     of_type = np.array([str(name).partition(".")[0] for name in catalog.instance])
     family = catalog.take(np.isin(of_type, ("c6i", "m6i", "r6i")) & ~catalog.spot)
     grid = {f"{f}.{size}": (v, v * r) for f, r in (("c6i", 2), ("m6i", 4), ("r6i", 8))

@@ -11,13 +11,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from fogspec import stages
+from fogspec.base.files import write_yaml
 from fogspec.base.units import parse_duration_s
-from fogspec.effects.disk.files import write_yaml
-from fogspec.effects.disk.specfiles import load, read_document
-from fogspec.plan import Plan
-from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
-from tests.line.scenes import SPEC, Scene
+from fogspec.plan.schema import Plan
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.spec import fingerprints
+from fogspec.spec.loader import load, read_document
+from tests.support.scenes import SPEC, Scene
 
 SAMPLES = 6
 LOCAL = SPEC.replace(
@@ -73,7 +73,7 @@ def parallel(folder: Path) -> str:
         )
         for number, one in enumerate(plan.spec.samples)
     ]  # fmt: skip
-    body = ResultsBody(application=stages.measured_digest(load([str(spec)])[0].application), runner="skypilot",
+    body = ResultsBody(application=fingerprints.measured_digest(load([str(spec)])[0].application), runner="skypilot",
                        spent=0.09, samples=records)  # fmt: skip
     recorded = sealed(plan.metadata, body).model_dump(mode="json", exclude_none=True)
     write_yaml(folder / "recorded.yaml", recorded, "bench_runner")

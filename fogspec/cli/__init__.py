@@ -9,7 +9,7 @@ import click
 
 from fogspec import __version__
 from fogspec.base.diagnostics import Problems
-from fogspec.base.outcomes import Outcome
+from fogspec.base.errors import Outcome
 
 VERBS = {
     "init": "write a commented, valid spec",
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         click.echo("interrupted", err=True)
         code = 130
     except Problems as problems:
-        from fogspec.effects.reports.report import show_diagnostics
+        from fogspec.report.diagnostics import show_diagnostics
 
         show_diagnostics(problems.diagnostics)
         code = 1
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     except Exception as bug:
-        from fogspec.effects.reports.report import bug_paragraph
+        from fogspec.report.diagnostics import bug_paragraph
 
         click.echo(bug_paragraph(bug), err=True)
         code = 70

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.outcomes import Refused, WrongCommand
+from fogspec.base.errors import Refused, WrongCommand
 from fogspec.base.units import UnitError, format_price, parse_price_usd_per_hour
 from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, catalogs_for, clouds_of, load_catalog
 
 if TYPE_CHECKING:
-    from fogspec.catalog import Catalog
-    from fogspec.effects.disk.manifests import Opened
+    from fogspec.catalog.table import Catalog
+    from fogspec.compile.bundle import Opened
 
 
 @click.command()
@@ -35,21 +35,23 @@ def command(
     Refuses a manifest that is stale or was edited, and a price above the one approved. Idempotent: what runs already
     is left alone. Ctrl-C ends what is being started.
     """
-    from fogspec import wiring
-    from fogspec.effects.deployment.deploying import apply
-    from fogspec.effects.deployment.livestate import SystemTimes
-    from fogspec.effects.deployment.ordering import check_fresh, order, words
-    from fogspec.effects.disk.manifests import open_manifest
+    from fogspec.backends import registry
+    from fogspec.compile.bundle import open_manifest
+    from fogspec.deploy.preflight import check_fresh, order, words
+    from fogspec.deploy.session import apply
+    from fogspec.deploy.state import SystemTimes
 
     opened = open_manifest(manifest)
     catalog = catalogs_for([opened.loaded], catalog_path)[0]
     check_fresh(opened, catalog)
-    ask = wiring.registry().digest
+    ask = registry.registry().digest
     ordered = order(opened, _prices(opened, prices, catalog), _price(most), resolve_image, ask)
     click.echo("\n".join(words(ordered)), err=True)
     if dry_run:
         return
-    applied = apply(ordered, wiring.deployer, SystemTimes(), lambda text: click.echo(text, err=True), lambda: _ask(yes))
+    applied = apply(
+        ordered, registry.deployer, SystemTimes(), lambda text: click.echo(text, err=True), lambda: _ask(yes)
+    )
     machine = applied.machine
     if output == "json":
         click.echo(

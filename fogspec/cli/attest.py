@@ -21,14 +21,14 @@ def command(manifest: str, catalog_path: str | None, key: str | None, out: Path 
 
     The chain behind the manifest is recomputed first: where it breaks, nothing is attested (exit 3).
     """
-    from fogspec.effects.disk.files import write_bytes
-    from fogspec.effects.disk.manifests import open_manifest
-    from fogspec.effects.review import attesting
+    from fogspec.audit import attest
+    from fogspec.base.files import write_bytes
+    from fogspec.compile.bundle import open_manifest
 
     opened = open_manifest(manifest)
-    text = attesting.text(attesting.statement(opened, catalogs_for([opened.loaded], catalog_path)[0]))
+    text = attest.text(attest.statement(opened, catalogs_for([opened.loaded], catalog_path)[0]))
     if key is not None:
-        from fogspec.effects.review.signing import sign
+        from fogspec.audit.sign import sign
 
         text = sign(text, key)
     if out is None:

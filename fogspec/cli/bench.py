@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.outcomes import Differs, Outcome, Refused, WrongCommand, WrongFile
+from fogspec.base.errors import Differs, Outcome, Refused, WrongCommand, WrongFile
 from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from
 
 if TYPE_CHECKING:
-    from fogspec.catalog import Catalog
-    from fogspec.effects.benchmark.benching import Benched
-    from fogspec.effects.benchmark.offering import Offering
-    from fogspec.effects.benchmark.preparing import Prepared
-    from fogspec.effects.benchmark.sampling import Campaign
-    from fogspec.effects.benchmark.watching import Watcher
-    from fogspec.effects.disk.specfiles import LoadedSpec
+    from fogspec.backends.protocol import Runner
+    from fogspec.bench.campaign import Campaign
+    from fogspec.bench.prepare import Prepared
+    from fogspec.bench.progress import Watcher
+    from fogspec.bench.quote import Offering
+    from fogspec.bench.run import Benched
+    from fogspec.catalog.table import Catalog
     from fogspec.numerics.priors import Library
-    from fogspec.seams import Runner
+    from fogspec.spec.loader import LoadedSpec
 
 RUNNERS = ["local", "replay", "skypilot"]
 
@@ -67,9 +67,9 @@ def command(
     Goes on where an earlier bench stopped: finished samples are not measured again, machines that were left running
     are taken down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
     """
-    from fogspec.effects.benchmark.benching import Terms, bench
-    from fogspec.effects.benchmark.offering import Offering, check_prices
-    from fogspec.effects.benchmark.preparing import prepare
+    from fogspec.bench.prepare import prepare
+    from fogspec.bench.quote import Offering, check_prices
+    from fogspec.bench.run import Terms, bench
 
     names = [name.strip() for name in only.split(",") if name.strip()]
     unusable = []
@@ -104,7 +104,7 @@ def command(
 
 
 def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: float) -> "Runner":
-    from fogspec import wiring
+    from fogspec.backends import registry
 
     local = all(sample.machine.infra == "local" for sample in prepared.plan.spec.samples)
     name = name or ("replay" if recorded is not None else "local" if local else "skypilot")
@@ -113,13 +113,13 @@ def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: 
     if name not in RUNNERS:
         raise WrongCommand(f"--runner: say where to measure: {', '.join(RUNNERS)}")
     if recorded is None:
-        runner: Runner = wiring.runner(name)()
+        runner: Runner = registry.runner(name)()
         return runner
-    from fogspec.effects.benchmark.recordings import replayable
-    from fogspec.effects.disk.clock import SystemClock
+    from fogspec.base.clock import SystemClock
+    from fogspec.bench.replay import replayable
 
     found, source = replayable(recorded, prepared.plan.spec.after)
-    replay: Runner = wiring.runner(name)(found, source, SystemClock().now_s, pace)
+    replay: Runner = registry.runner(name)(found, source, SystemClock().now_s, pace)
     return replay
 
 
@@ -135,8 +135,8 @@ def _check_place(prepared: "Prepared", runner: "Runner") -> None:
 
 def _check_needed(prepared: "Prepared", runner: "Runner") -> None:
     """Raises an Outcome for files and secrets that a sample would miss, before a machine is paid to miss them."""
-    from fogspec.effects.disk.pinning import check_files
-    from fogspec.effects.disk.redacting import check_set
+    from fogspec.base.redaction import check_set
+    from fogspec.spec.lock_io import check_files
 
     if runner.costs != "recorded":
         check_files(prepared.application, prepared.layout, measured=True)
@@ -172,8 +172,8 @@ def _catalogs(
 
 def _library(prepared: "Prepared", path: Path | None) -> "Library | None":
     """What an adaptive campaign knows of machines beforehand: from the command line, else what the lock says."""
-    from fogspec.effects.datasets.libraries import locked_library
-    from fogspec.effects.disk.pinning import read_pins
+    from fogspec.model.priors import locked_library
+    from fogspec.spec.lock_io import read_pins
 
     return library_from(path) or locked_library(prepared.layout, read_pins(prepared.layout))
 
@@ -189,28 +189,28 @@ def _confirm(offering: "Offering", yes: bool) -> None:
 
 
 def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Watcher":
-    from fogspec.effects.benchmark import watching
+    from fogspec.bench import progress
 
     if output == "json":
-        return watching.Events(click.echo)
+        return progress.Events(click.echo)
     if sys.stderr.isatty():
-        from fogspec.effects.benchmark.live import LiveTable
+        from fogspec.bench.live_table import LiveTable
 
         body = prepared.plan.spec
         wall_usd, now_s = campaign.order.budget_usd, campaign.clock.now_s
         return LiveTable(prepared.todo, body.steps, wall_usd, now_s, warmup=body.warmup)
-    return watching.Lines(lambda text: click.echo(text, err=True))
+    return progress.Lines(lambda text: click.echo(text, err=True))
 
 
 def _report(prepared: "Prepared", benched: "Benched", output: str) -> None:
-    from fogspec.effects.benchmark import watching
+    from fogspec.bench import progress
 
     layout, results = prepared.layout, benched.results
     if output == "json":
         click.echo(json.dumps(results.model_dump(mode="json", exclude_none=True)))
         return
     for record in results.spec.samples:
-        click.echo(f"  {record.id}: {watching.outcome(record)}")
+        click.echo(f"  {record.id}: {progress.outcome(record)}")
         if record.state != "ok" and record.id in benched.folders:
             click.echo(f"    logs: {benched.folders[record.id]}")
     if results.spec.sampling is not None and results.spec.sampling.ended is not None:

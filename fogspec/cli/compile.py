@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.outcomes import Differs, NothingMeets
+from fogspec.base.errors import Differs, NothingMeets
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, SPECS, catalogs_for, library_from
 
 
@@ -17,10 +17,10 @@ from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, SPECS, catalogs_for, li
 @click.option("--check", is_flag=True, help="write nothing; exit 3 when something differs from what would be written")
 def command(specs: tuple[str, ...], catalog_path: str | None, priors: Path | None, output: str, check: bool) -> None:
     """Write all that can be derived now from SPECS, and say what is missing for the rest. SPECS are those in specs/."""
-    from fogspec.effects.compiler.compiling import compile_application
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.effects.disk.specfiles import load
-    from fogspec.effects.reports import summarising
+    from fogspec.compile.compiler import compile_application
+    from fogspec.report import summary
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import load
 
     loaded = load(find_specs(specs))
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
@@ -30,9 +30,9 @@ def command(specs: tuple[str, ...], catalog_path: str | None, priors: Path | Non
     ]
     changed = [path for one in compiled for path in (one.differing() if check else one.write())]
     if output == "json":
-        click.echo(json.dumps([summarising.facts(one) for one in compiled], indent=2, ensure_ascii=False))
+        click.echo(json.dumps([summary.facts(one) for one in compiled], indent=2, ensure_ascii=False))
     else:
-        click.echo("\n\n".join(summarising.summary(one) for one in compiled))
+        click.echo("\n\n".join(summary.summary(one) for one in compiled))
     if check and changed:
         again = f"fogspec compile {' '.join(specs)}"
         raise Differs(

@@ -9,7 +9,7 @@ import click
 from fogspec.cli.options import OUTPUT, SPECS
 
 if TYPE_CHECKING:
-    from fogspec.effects.disk.specfiles import LoadedSpec
+    from fogspec.spec.loader import LoadedSpec
 
 
 @click.command()
@@ -29,9 +29,9 @@ def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, ou
 
     Maps merge, lists whose items have names merge by name, other lists replace; null takes a value away.
     """
-    from fogspec.base.written import written
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.effects.disk.specfiles import load
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import load
+    from fogspec.spec.render import written
 
     loaded = load(find_specs(specs), overlays)
     if output == "json":
@@ -41,9 +41,9 @@ def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, ou
 
 
 def _lines(loaded: "LoadedSpec", origins: bool) -> Iterator[str]:
-    from fogspec.base.flow import block
-    from fogspec.base.nodes import find
-    from fogspec.base.written import written
+    from fogspec.base.yaml.flow import block
+    from fogspec.base.yaml.positions import find
+    from fogspec.spec.render import written
 
     lines = list(block(written(loaded.application)))
     width = min(60, max(len(line) for line, _ in lines))

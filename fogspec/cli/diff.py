@@ -4,7 +4,7 @@ import json
 
 import click
 
-from fogspec.base.outcomes import Differs
+from fogspec.base.errors import Differs
 from fogspec.cli.options import CATALOG, catalogs_for
 
 
@@ -21,12 +21,12 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     Field by field, with the difference in cost, which input changed, and whether anything must be measured first.
     Values of secrets are not shown. Nothing is written.
     """
-    from fogspec.effects.deployment.livestate import SystemTimes
-    from fogspec.effects.deployment.living import running_changes
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.effects.disk.specfiles import load
-    from fogspec.effects.review import differences
-    from fogspec.effects.review.differing import difference
+    from fogspec.audit import changes
+    from fogspec.audit.diff import difference
+    from fogspec.deploy.health import running_changes
+    from fogspec.deploy.state import SystemTimes
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import load
 
     loaded = load(find_specs(specs))
     catalogs = catalogs_for(loaded, catalog_path)
@@ -35,10 +35,10 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
         differing = difference(one, catalog)
         found.append((differing, running_changes(differing.layout, SystemTimes(), one.application)))
     if output == "json":
-        facts = [differences.facts(differing, live) for differing, live in found]
+        facts = [changes.facts(differing, live) for differing, live in found]
         click.echo(json.dumps(facts, indent=2, ensure_ascii=False))
     else:
-        show = differences.markdown if output == "markdown" else differences.text
+        show = changes.markdown if output == "markdown" else changes.text
         click.echo("\n\n".join(show(differing, live) for differing, live in found))
     if exit_code and (others := [differing.layout.name for differing, live in found if differing.differs or live]):
         raise Differs(f"not what compile would write now, or not what runs: {', '.join(others)}")

@@ -11,8 +11,8 @@ from fogspec.cli.options import OUTPUT
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from fogspec.effects.disk.layout import Layout
-    from fogspec.seams import Deployer
+    from fogspec.backends.protocol import Deployer
+    from fogspec.base.layout import Layout
 
 
 @click.command()
@@ -24,8 +24,8 @@ def command(spec_or_name: str, output: str) -> None:
     That is what was applied, what an apply that was killed had started, and machines of a bench that died, here or
     elsewhere. Idempotent; other applications are not touched.
     """
-    from fogspec.effects.deployment.livestate import SystemTimes
-    from fogspec.effects.deployment.undoing import down, layout_of, leave_link
+    from fogspec.deploy.down import down, layout_of, leave_link
+    from fogspec.deploy.state import SystemTimes
 
     layout = layout_of(spec_or_name)
     count, spent_usd = down(layout, _deployers(layout), SystemTimes(), lambda text: click.echo(text, err=True))
@@ -33,14 +33,14 @@ def command(spec_or_name: str, output: str) -> None:
     if output == "json":
         click.echo(json.dumps({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}))
         return
-    from fogspec.effects.compiler.compiling import money
+    from fogspec.compile.compiler import money
 
     ended = "nothing runs" if not count else f"{count} ended, {money(spent_usd)} spent; nothing is left"
     click.echo(f"{layout.name}: {ended}")
 
 
 def _deployers(layout: "Layout") -> "list[Callable[[], Deployer]]":
-    from fogspec import wiring
-    from fogspec.effects.deployment.undoing import places_of
+    from fogspec.backends import registry
+    from fogspec.deploy.down import places_of
 
-    return [partial(wiring.deployer, infra) for infra in places_of(layout)]
+    return [partial(registry.deployer, infra) for infra in places_of(layout)]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fogspec.base.outcomes import WrongCommand
+from fogspec.base.errors import WrongCommand
 from fogspec.cli.options import CATALOG, OUTPUT, applications_of, catalogs_for
 
 if TYPE_CHECKING:
@@ -72,8 +72,8 @@ def _of_suite(
     suite: Path, priors: Path | None, kinds: tuple[str, ...], campaigns: "list[Campaign]", choices: Path | None,
     workers: int, output: str,
 ) -> None:  # fmt: skip
-    from fogspec.effects.datasets.evaluating import evaluate
-    from fogspec.effects.disk.files import write_bytes
+    from fogspec.base.files import write_bytes
+    from fogspec.evaluation.evaluate import evaluate
     from fogspec.evaluation.running import by_kind
     from fogspec.evaluation.suite import KINDS
 
@@ -99,10 +99,10 @@ def _of_suite(
 def _of_sweep(
     spec: str, sweep: Path, catalog_path: str | None, priors: Path | None, campaign: "Campaign", output: str
 ) -> None:
-    from fogspec.effects.datasets.libraries import read_library
-    from fogspec.effects.datasets.sweeps import read_sweep
     from fogspec.evaluation.replay import Case, Noise
     from fogspec.evaluation.sweeping import replayed
+    from fogspec.evaluation.sweeps import read_sweep
+    from fogspec.model.priors import read_library
     from fogspec.numerics.priors import prior_for
 
     loaded = applications_of(spec)

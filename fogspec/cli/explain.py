@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.outcomes import WrongCommand
+from fogspec.base.errors import WrongCommand
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, applications_of, catalogs_for, library_from
 
 if TYPE_CHECKING:
-    from fogspec.base.fieldbook import FieldPage
+    from fogspec.spec.field_docs import FieldPage
 
 
 def _completions(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[str]:
     """Fields and codes that begin like this, for the shell."""
-    from fogspec.base.codebook import CODES
-    from fogspec.base.fieldbook import pages
-    from fogspec.spec import Application
+    from fogspec.spec.codebook import CODES
+    from fogspec.spec.field_docs import pages
+    from fogspec.spec.schema import Application
 
     return [one for one in (*(page.path for page in pages(Application)), *CODES) if one.startswith(begun)]
 
@@ -34,7 +34,7 @@ def command(what: str, spec: str | None, catalog_path: str | None, priors: Path 
 
     With a field, SPEC is a spec that is searched for where the field is set.
     """
-    from fogspec.effects.disk.finding import spec_of
+    from fogspec.spec.discover import spec_of
 
     if what.upper().startswith("FS") and what[2:].isdigit():
         _code(what.upper(), output)
@@ -49,8 +49,8 @@ def command(what: str, spec: str | None, catalog_path: str | None, priors: Path 
 
 
 def _choices(what: str, catalog_path: str | None, priors: Path | None, output: str) -> None:
-    from fogspec.effects.compiler.compiling import compile_application
-    from fogspec.effects.reports import explaining
+    from fogspec.compile.compiler import compile_application
+    from fogspec.report import explain
 
     loaded = applications_of(what)
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
@@ -59,15 +59,15 @@ def _choices(what: str, catalog_path: str | None, priors: Path | None, output: s
         for one, catalog in zip(loaded, catalogs, strict=True)
     ]
     if output == "json":
-        click.echo(json.dumps([explaining.facts(one) for one in compiled], indent=2, ensure_ascii=False))
+        click.echo(json.dumps([explain.facts(one) for one in compiled], indent=2, ensure_ascii=False))
     else:
-        click.echo("\n\n".join(explaining.explain(one) for one in compiled))
+        click.echo("\n\n".join(explain.explain(one) for one in compiled))
 
 
 def _code(name: str, output: str) -> None:
-    from fogspec.base.codebook import CODES
-    from fogspec.base.suggest import closest
-    from fogspec.effects.reference.pages import code_text
+    from fogspec.spec.codebook import CODES
+    from fogspec.spec.reference import code_text
+    from fogspec.spec.suggest import closest
 
     if name not in CODES:
         near = closest(name, CODES)
@@ -79,11 +79,11 @@ def _code(name: str, output: str) -> None:
 
 def _field(name: str, spec: str | None, output: str) -> bool:
     """Explain the fields of this name; whether there are any."""
-    from fogspec.base.fieldbook import matching, pages
-    from fogspec.effects.disk.finding import spec_of
-    from fogspec.effects.disk.where import where_set
-    from fogspec.effects.reference.pages import field_data, field_text
-    from fogspec.spec import Application
+    from fogspec.spec.discover import spec_of
+    from fogspec.spec.field_docs import matching, pages
+    from fogspec.spec.locate import where_set
+    from fogspec.spec.reference import field_data, field_text
+    from fogspec.spec.schema import Application
 
     known = pages(Application)
     found = matching(known, name)
@@ -100,9 +100,9 @@ def _field(name: str, spec: str | None, output: str) -> bool:
 
 
 def _nothing(name: str) -> None:
-    from fogspec.base.fieldbook import pages
-    from fogspec.base.suggest import closest
-    from fogspec.spec import Application
+    from fogspec.spec.field_docs import pages
+    from fogspec.spec.schema import Application
+    from fogspec.spec.suggest import closest
 
     near = closest(name.rpartition(".")[2], [page.path.rpartition(".")[2] for page in pages(Application)])
     hint = f"did you mean {near}?" if near else "all fields: fogspec explain spec"

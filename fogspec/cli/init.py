@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.outcomes import WrongCommand
+from fogspec.base.errors import WrongCommand
 
 
 @click.command()
@@ -15,13 +15,13 @@ from fogspec.base.outcomes import WrongCommand
 @click.option("--name", help="name of the application; that of the file unless said otherwise")
 def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten."""
-    from fogspec.effects.compiler.starting import first_data, first_text, name_from
-    from fogspec.effects.disk.files import write_bytes
-    from fogspec.effects.disk.finding import is_name
-    from fogspec.effects.disk.specfiles import examine
-    from fogspec.effects.disk.templates import shipped
-    from fogspec.effects.launchfiles import read_launch
-    from fogspec.effects.reports.report import show_diagnostics
+    from fogspec.base.files import write_bytes
+    from fogspec.base.templates import shipped
+    from fogspec.report.diagnostics import show_diagnostics
+    from fogspec.spec.discover import is_name
+    from fogspec.spec.launch_import import read_launch
+    from fogspec.spec.loader import examine
+    from fogspec.spec.scaffold import first_data, first_text, name_from
 
     if spec and is_name(str(spec)) and not spec.suffix:
         name, spec = name or str(spec), Path("specs") / f"{spec}.yaml"  # `init mybot` means specs/mybot.yaml

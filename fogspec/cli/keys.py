@@ -10,10 +10,10 @@ def command(specs: tuple[str, ...]) -> None:
 
     The private halves are made here and stay here, in ~/.fogspec/links, readable by you alone.
     """
-    from fogspec.effects.compiler.linking import folder_of, make_keys
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.effects.disk.layout import Layout
-    from fogspec.effects.disk.specfiles import load
+    from fogspec.base.layout import Layout
+    from fogspec.deploy.link import folder_of, make_keys
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import load
 
     for one in load(find_specs(specs)):
         name = one.application.metadata.name

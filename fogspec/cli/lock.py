@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.outcomes import Differs
+from fogspec.base.errors import Differs
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, clouds_of, library_from, load_catalog, located
 
 
@@ -26,14 +26,14 @@ def command(
     SPECS are those in specs/.
     What is locked stays as it is, except for files beside the specs: these are read anew.
     """
-    from fogspec import wiring
-    from fogspec.effects.compiler import relocking
-    from fogspec.effects.disk.files import write_bytes
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.effects.disk.layout import Layout
-    from fogspec.effects.disk.pinning import lock_text, read_lock, read_pins
-    from fogspec.effects.disk.specfiles import load
-    from fogspec.lock import PriorsPin
+    from fogspec.backends import registry
+    from fogspec.base.files import write_bytes
+    from fogspec.base.layout import Layout
+    from fogspec.compile import lock_update
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import load
+    from fogspec.spec.lock_io import lock_text, read_lock, read_pins
+    from fogspec.spec.lockfile import PriorsPin
 
     library = library_from(priors)
     wanted = []
@@ -43,10 +43,10 @@ def command(
         origin = _origin(catalog_path, layout.root) or (pins.catalog.origin if pins else "snapshot")
         about = load_catalog(located(origin, layout), clouds_of(one)).about
         pin = PriorsPin(origin=_beside(priors, layout.root), digest=library.digest) if priors and library else None
-        wanted.append(relocking.Wanted(one.application, layout, origin, about, pin))
-    ask = (lambda _name: "not asked for yet") if check else wiring.registry().digest
-    locks = relocking.relock(wanted, ask, ["catalog"] if check else upgrade, whole=not specs)
-    changes = {path: relocking.differences(read_lock(path), lock) for path, lock in locks.items()}
+        wanted.append(lock_update.Wanted(one.application, layout, origin, about, pin))
+    ask = (lambda _name: "not asked for yet") if check else registry.registry().digest
+    locks = lock_update.relock(wanted, ask, ["catalog"] if check else upgrade, whole=not specs)
+    changes = {path: lock_update.differences(read_lock(path), lock) for path, lock in locks.items()}
     if not check:
         for path, lock in locks.items():
             if changes[path] or not path.is_file():

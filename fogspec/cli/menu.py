@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.outcomes import NothingMeets, WrongCommand
+from fogspec.base.errors import NothingMeets, WrongCommand
 from fogspec.base.units import UnitError
 from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, applications_of, catalogs_for, library_from
 
@@ -31,7 +31,7 @@ def command(
 
     Nothing is measured anew and nothing is written.
     """
-    from fogspec.effects.reports.menus import menu_of, show
+    from fogspec.report.menu import menu_of, show
 
     loaded = applications_of(spec, name)
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)

@@ -2,7 +2,7 @@
 
 import click
 
-from fogspec.base.outcomes import Differs
+from fogspec.base.errors import Differs
 
 
 @click.command()
@@ -10,9 +10,9 @@ from fogspec.base.outcomes import Differs
 @click.option("--check", is_flag=True, help="write nothing; exit 3 when a file is not at the newest version")
 def command(files: tuple[str, ...], check: bool) -> None:
     """Bring FILES, specs in folders or those that patterns match, to the newest apiVersion; comments and order stay."""
-    from fogspec.effects.compiler.migrating import migrate, write
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.spec import API_VERSION
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.migrate import migrate, write
+    from fogspec.spec.schema import API_VERSION
 
     found = [migrate(path) for path in find_specs(files)]
     old = [one for one in found if one.changed]

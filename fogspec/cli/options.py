@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.outcomes import Differs, WrongCommand
+from fogspec.base.errors import Differs, WrongCommand
 
 if TYPE_CHECKING:
-    from fogspec.catalog import Catalog
-    from fogspec.effects.disk.layout import Layout
-    from fogspec.effects.disk.specfiles import LoadedSpec
-    from fogspec.lock import Pins
+    from fogspec.base.layout import Layout
+    from fogspec.catalog.table import Catalog
     from fogspec.numerics.priors import Library
+    from fogspec.spec.loader import LoadedSpec
+    from fogspec.spec.lockfile import Pins
 
 SPECS = click.argument("specs", nargs=-1, type=click.Path(path_type=str))
 SPEC = click.argument("spec", type=click.Path(path_type=str))
@@ -29,7 +29,7 @@ COLOR = click.option("--color", type=click.Choice(["auto", "always", "never"]), 
 
 
 def _manifest(_context: click.Context, _parameter: click.Parameter, given: str) -> str:
-    from fogspec.effects.disk.finding import is_name
+    from fogspec.spec.discover import is_name
 
     return os.path.join("compiled", given, "manifest.yaml") if is_name(given) else given
 
@@ -52,8 +52,8 @@ def applications_of(what: str, name: str | None = None) -> list["LoadedSpec"]:
 
     Raises WrongCommand where there is none, Problems where the spec is wrong.
     """
-    from fogspec.effects.disk.finding import is_name, spec_of
-    from fogspec.effects.disk.specfiles import load
+    from fogspec.spec.discover import is_name, spec_of
+    from fogspec.spec.loader import load
 
     path = spec_of(what)
     if path is None and is_name(what) and os.path.isdir("specs"):
@@ -69,7 +69,7 @@ def library_from(path: Path | None) -> "Library | None":
     """The machine library that the command line names; None leaves it to the lock. Raises WrongFile and Problems."""
     if path is None:
         return None
-    from fogspec.effects.datasets.libraries import read_library
+    from fogspec.model.priors import read_library
 
     return read_library(path)
 
@@ -80,8 +80,8 @@ def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> list["Cata
     Raises Differs when the catalog is no longer the one that was locked, WrongFile or Problems when it cannot be read.
     Says what was left out of a catalog that was asked for, and that a catalog is older than a spec allows.
     """
-    from fogspec.effects.disk.layout import Layout
-    from fogspec.effects.disk.pinning import read_pins
+    from fogspec.base.layout import Layout
+    from fogspec.spec.lock_io import read_pins
 
     known: dict[tuple[str | None, tuple[str, ...]], Catalog] = {}
     said: dict[str, None] = {}
@@ -105,9 +105,9 @@ def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> list["Cata
 
 def load_catalog(origin: str | None, clouds: tuple[str, ...]) -> "Catalog":
     """The catalog from there, for these clouds."""
-    from fogspec import wiring
+    from fogspec.backends import registry
 
-    return wiring.catalog(origin, clouds)
+    return registry.catalog(origin, clouds)
 
 
 def clouds_of(one: "LoadedSpec") -> tuple[str, ...]:

@@ -18,8 +18,8 @@ def command() -> None:
 @click.option("--out", type=click.Path(path_type=Path), default=Path("priors.zip"), show_default=True, metavar="FILE")
 def build(source: Path | None, out: Path) -> None:
     """Write a machine library for `--priors`."""
-    from fogspec.effects.datasets import sparecores
-    from fogspec.effects.datasets.libraries import read_library, rows_of, write_library
+    from fogspec.model import sparecores
+    from fogspec.model.priors import read_library, rows_of, write_library
 
     if source is not None and source.is_dir():
         machines, latencies = rows_of(source)

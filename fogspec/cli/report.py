@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.outcomes import WrongCommand
+from fogspec.base.errors import WrongCommand
 from fogspec.cli.options import CATALOG, PRIORS, applications_of, catalogs_for, library_from
 
 
@@ -20,9 +20,9 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
 
     The page has spec, funnel, samples, models, a menu that can be weighed anew, costs and provenance. It needs no network.
     """
-    from fogspec.effects.compiler.compiling import compile_application
-    from fogspec.effects.disk.files import write_bytes
-    from fogspec.effects.reports.reporting import page
+    from fogspec.base.files import write_bytes
+    from fogspec.compile.compiler import compile_application
+    from fogspec.report.html import page
 
     loaded = applications_of(what, name)
     if to is not None and len(loaded) > 1:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.outcomes import Differs, WrongFile
+from fogspec.base.errors import Differs, WrongFile
 from fogspec.cli.options import CATALOG, catalogs_for
 
 
@@ -25,11 +25,11 @@ def command(
 
     The choice, what it costs before and after, which inputs changed, provenance, and whether everything is fresh.
     """
-    from fogspec.effects.disk.files import write_bytes
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.effects.disk.git import Repository
-    from fogspec.effects.disk.specfiles import load
-    from fogspec.effects.review.reviewing import markdown, removed, review
+    from fogspec.audit.git import Repository
+    from fogspec.audit.review import markdown, removed, review
+    from fogspec.base.files import write_bytes
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import load
 
     repository = Repository()
     commit = repository.base_of(range_)

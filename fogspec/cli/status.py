@@ -4,7 +4,7 @@ import json
 
 import click
 
-from fogspec.base.outcomes import Differs
+from fogspec.base.errors import Differs
 from fogspec.cli.options import CATALOG, OUTPUT, catalogs_for
 
 
@@ -19,30 +19,30 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     What runs is told in two words: sync (Synced, OutOfSync: is it what the manifest says) and health (Healthy, Drifted,
     Degraded, Progressing, Missing, Unknown: do its nodes answer, as fast as the model predicted).
     """
-    from fogspec import wiring
-    from fogspec.effects.compiler.staleness import status
-    from fogspec.effects.deployment import living, telling
-    from fogspec.effects.deployment.livestate import SystemTimes
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.effects.disk.specfiles import load
+    from fogspec.audit import freshness, status
+    from fogspec.backends import registry
+    from fogspec.deploy import health
+    from fogspec.deploy.state import SystemTimes
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import load
 
     loaded = load(find_specs(specs))
     found = [
-        status(one.application, one.path, catalog)
+        freshness.status(one.application, one.path, catalog)
         for one, catalog in zip(loaded, catalogs_for(loaded, catalog_path), strict=True)
     ]
     lives = [
-        living.running(loaded_one.application, one.layout, one.fresh, SystemTimes(), wiring.deployer)
+        health.running(loaded_one.application, one.layout, one.fresh, SystemTimes(), registry.deployer)
         for loaded_one, one in zip(loaded, found, strict=True)
     ]
     if output == "json":
         facts = [
-            {**telling.facts(one), "deployment": None if live is None else living.facts(live)}
+            {**status.facts(one), "deployment": None if live is None else health.facts(live)}
             for one, live in zip(found, lives, strict=True)
         ]
         click.echo(json.dumps(facts, indent=2, ensure_ascii=False))
     else:
-        told = [telling.words(one, living.words(live) if live else ()) for one, live in zip(found, lives, strict=True)]
+        told = [status.words(one, health.words(live) if live else ()) for one, live in zip(found, lives, strict=True)]
         click.echo("\n\n".join(told))
     others = [
         one.layout.name

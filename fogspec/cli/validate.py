@@ -14,9 +14,9 @@ from fogspec.cli.options import COLOR
 @COLOR
 def command(files: tuple[str, ...], overlays: tuple[str, ...], output: str, color: bool | None) -> None:
     """Check FILES, or the specs in folders, or those that patterns match; without any, those in specs/."""
-    from fogspec.effects.disk.finding import find_specs
-    from fogspec.effects.disk.specfiles import examine
-    from fogspec.effects.reports.report import show_diagnostics
+    from fogspec.report.diagnostics import show_diagnostics
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import examine
 
     paths = find_specs(files)
     loaded, diagnostics = examine(paths, overlays)

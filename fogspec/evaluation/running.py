@@ -6,9 +6,10 @@ from typing import Any
 
 from fogspec.evaluation.answering import METHODS, OWN_METHOD
 from fogspec.evaluation.replay import Case, Noise
-from fogspec.evaluation.sampling import SAMPLERS
+from fogspec.evaluation.samplers import SAMPLERS
 from fogspec.evaluation.scores import Score, calibration, score, summary
-from fogspec.evaluation.suite import KINDS, Problem, Table
+from fogspec.evaluation.suite import KINDS, Problem
+from fogspec.model.tables import Table
 from fogspec.numerics.priors import Library, prior_for
 
 

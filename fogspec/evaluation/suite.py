@@ -1,13 +1,13 @@
 """A suite: machines, their true latencies under workloads, and selection problems over them."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from fogspec.model.tables import Table
 from fogspec.numerics.acquisition import Objective, busy, provisioned
-from fogspec.numerics.features import Floats, Machines
+from fogspec.numerics.features import Floats
 
 KINDS = ("family", "catalog", "multicloud", "gpu")
 
@@ -41,15 +41,6 @@ class Problem:
     scale_latency_s: float
     scale_cost_usd: float
     settings: tuple[Setting, ...]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Machines by name (`cloud/type`)."""
-
-    names: tuple[str, ...]
-    machines: Machines
-    row: Mapping[str, int] = field(repr=False)
 
 
 @dataclass(frozen=True)

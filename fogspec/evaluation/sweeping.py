@@ -7,7 +7,7 @@ import numpy as np
 from fogspec.evaluation.answering import METHODS
 from fogspec.evaluation.replay import Case, Run
 from fogspec.evaluation.running import Campaign
-from fogspec.evaluation.sampling import SAMPLERS
+from fogspec.evaluation.samplers import SAMPLERS
 from fogspec.evaluation.scores import Score, score
 from fogspec.numerics.features import Floats
 

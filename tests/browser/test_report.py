@@ -12,20 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fogspec import stages, wiring
-from fogspec.choice import floors, latency_needed
-from fogspec.costs import Costs
-from fogspec.effects.compiler.choosing import decide
-from fogspec.effects.compiler.compiling import Compiled, compile_application
-from fogspec.effects.disk.files import write_yaml
-from fogspec.effects.disk.layout import Layout
-from fogspec.effects.disk.specfiles import LoadedSpec, load
-from fogspec.effects.reports import pagedata
-from fogspec.effects.reports.menus import changed
-from fogspec.effects.reports.reporting import page
-from fogspec.plan import PlanMetadata
-from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
-from fogspec.spec import Application
+from fogspec.backends import registry
+from fogspec.base.files import write_yaml
+from fogspec.base.layout import Layout
+from fogspec.catalog.cost import Costs
+from fogspec.choice.choose import floors, latency_needed
+from fogspec.compile.compiler import Compiled, compile_application
+from fogspec.compile.decision import decide
+from fogspec.plan.schema import PlanMetadata
+from fogspec.report import page_data
+from fogspec.report.html import page
+from fogspec.report.menu import changed
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.spec import fingerprints
+from fogspec.spec.loader import LoadedSpec, load
+from fogspec.spec.schema import Application
 
 ALPHAS = ("0", "0.25", "0.5", "0.8", "1")
 # In seconds and USD per request: wide, about where machines differ, and hopeless.
@@ -58,7 +59,7 @@ def written_catalog(path: Path, offers) -> None:
 
 
 def compiled(one: LoadedSpec, catalog: str | None = None) -> Compiled:
-    return compile_application(one.application, one.path, wiring.catalog(catalog, ("aws",)))
+    return compile_application(one.application, one.path, registry.catalog(catalog, ("aws",)))
 
 
 def written(one: LoadedSpec, to: Path, catalog: str | None = None, made: Compiled | None = None) -> Path:
@@ -121,7 +122,7 @@ def same_as_menu(browser, one: LoadedSpec, made: Compiled, to: Path, limits, alp
     ids=lambda value: {1: "only those that can win", 1500: "every type"}.get(value, value),
 )
 def test_the_sliders_choose_as_menu_does(browser, checkout, tmp_path, monkeypatch, name, most):
-    monkeypatch.setattr(pagedata, "MOST", most)
+    monkeypatch.setattr(page_data, "MOST", most)
     one = loaded(checkout, name)
     chosen = same_as_menu(browser, one, compiled(one), tmp_path / "report.html", LIMITS[name], ALPHAS)
     assert len(chosen) > (name != "grasp-planning"), "a grid on which the choice never moves proves nothing"
@@ -148,7 +149,7 @@ OTHERS = {
 
 @pytest.mark.parametrize("other", OTHERS)
 def test_every_rule_of_the_choice_is_in_the_page(browser, checkout, tmp_path, monkeypatch, other):
-    monkeypatch.setattr(pagedata, "MOST", 1)
+    monkeypatch.setattr(page_data, "MOST", 1)
     patch, offers = OTHERS[other]
     one = loaded(checkout, "vslam")
     document = one.application.model_dump(mode="json", exclude_unset=True)
@@ -189,7 +190,9 @@ def measured_here(one: LoadedSpec) -> None:
         )
         for sample in compiled(one).plan.spec.samples
     ]  # fmt: skip
-    body = ResultsBody(application=stages.measured_digest(one.application), runner="local", spent=0.0, samples=records)
+    body = ResultsBody(
+        application=fingerprints.measured_digest(one.application), runner="local", spent=0.0, samples=records
+    )
     metadata = PlanMetadata(name=one.application.metadata.name)
     path = Layout.of(one.path, metadata.name).results
     write_yaml(path, sealed(metadata, body).model_dump(mode="json"), "a test")

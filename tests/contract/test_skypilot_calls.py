@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.plugins.catalogs.csv_file import CLOUDS as CSV_CLOUDS
-from fogspec.rules.machines import CLOUDS
+from fogspec.catalog.sources.csv import CLOUDS as CSV_CLOUDS
+from fogspec.spec.rules.machines import CLOUDS
 
 PYTHONS = [sys.executable, *filter(None, os.environ.get("FOGSPEC_SKYPILOT_PYTHONS", "").split(os.pathsep))]
 
@@ -38,7 +38,7 @@ def test_the_calls_and_exceptions_are_there(python: str) -> None:
 
 
 SCRIPT = """
-from fogspec.plugins.skypilot import calls
+from fogspec.backends.skypilot import calls
 for op, words in [("end", {"name": "production"}), ("launch", {"task": {"run": "true"}, "name": "x", "root": "/"}),
                   ("jobs", {"name": "x"}), ("autostop", {"name": "x", "idle_minutes": 1}), ("find", {"name": "fogspe"}),
                   ("clusters", {"prefix": ""}), ("log", {"name": "x", "job": 1, "path": "/dev/null", "limit": 1})]:
@@ -60,8 +60,8 @@ def test_what_is_not_ours_is_refused_before_skypilot_is_asked() -> None:
 HANDED = """
 import os, sky
 from pathlib import Path
-from fogspec.plugins.skypilot import calls, handover
-from fogspec.plugins.skypilot.problems import CloudProblem
+from fogspec.backends.skypilot import calls, handover
+from fogspec.backends.skypilot.errors import CloudProblem
 
 def launched(task, cluster_name):
     given = task._to_yaml_config(redact_secrets=False)
@@ -105,7 +105,7 @@ def test_secrets_are_in_no_task_that_skypilot_gets_but_in_a_file_of_their_own(tm
 
 ENDED = """
 from types import SimpleNamespace
-from fogspec.plugins.skypilot import calls
+from fogspec.backends.skypilot import calls
 
 log, machines = [], []
 def launch(status):

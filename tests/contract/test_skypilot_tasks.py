@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from fogspec import wiring
-from fogspec.effects.disk.specfiles import read_document
-from fogspec.plan import Plan
+from fogspec.backends import registry
+from fogspec.plan.schema import Plan
+from fogspec.spec.loader import read_document
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECS = ("grasp-planning", "vslam", "motion-planning")
@@ -76,7 +76,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def snapshot() -> str:
     """The bundled catalog in SkyPilot's layout."""
-    catalog = wiring.catalog(None, [])
+    catalog = registry.catalog(None, [])
     rows = [",".join(HEAD)]
     for row in range(len(catalog)):
         gpu = [catalog.gpu[row], f"{catalog.gpu_count[row]:g}"] if catalog.gpu[row] else ["", ""]

@@ -1,6 +1,6 @@
 """Pages of the reference that need the command line and the whole of docs/: `python -m tests.docs.reference [--check]`.
 
-Fields and codes are written by `python -m fogspec.effects.reference.schemas`, from the same types.
+Fields and codes are written by `python -m tools.json_schemas`, from the same types.
 """
 
 import importlib
@@ -11,10 +11,10 @@ from typing import Any
 
 import click
 
-from fogspec.base import outcomes
-from fogspec.base.fieldbook import FieldPage, pages
+from fogspec.base import errors
 from fogspec.cli import VERBS, fogspec
-from fogspec.effects.reference.schemas import KINDS, model_of
+from fogspec.spec.field_docs import FieldPage, pages
+from tools.json_schemas import KINDS, model_of
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTE = "<!-- Generated: do not edit. Make it again: python -m tests.docs.reference -->\n"
@@ -66,7 +66,7 @@ def _verb(command: click.Command, context: click.Context, level: int) -> list[st
 
 
 def _exit_codes() -> dict[int, str]:
-    kinds = [kind for kind in vars(outcomes).values() if isinstance(kind, type) and kind is not outcomes.Outcome]
+    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and kind is not errors.Outcome]
     return OTHER_ENDS | {kind.exit_code: " ".join((kind.__doc__ or "").split()) for kind in kinds}
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from fogspec.effects.disk.specfiles import examine
+from fogspec.spec.loader import examine
 from tests.docs.blocks import ROOT, Block, blocks, pages
 
 REPLACED = (

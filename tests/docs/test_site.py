@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.fieldbook import pages as field_pages
-from fogspec.spec import Application
+from fogspec.spec.field_docs import pages as field_pages
+from fogspec.spec.schema import Application
 from tests.docs import reference
 from tests.docs.blocks import ROOT, pages
 
@@ -59,7 +59,7 @@ def test_the_page_of_fields_says_what_explain_says() -> None:
 
 
 def test_files_that_pages_name_are_there() -> None:
-    made = re.compile(r"^(specs/(NAME|places|tiny|lab|my-planner)|results/NAME|fogspec/plugins/runners/mine)")
+    made = re.compile(r"^(specs/(NAME|places|tiny|lab|my-planner)|results/NAME|fogspec/backends/mine)")
     missing = [f"{page.name}: {name}" for page in pages() for name in IN_CODE.findall(page.read_text("utf-8"))
                if not made.match(name) and not (ROOT / name).exists()]  # fmt: skip
     assert not missing

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.unit.machines import FAMILIES, SIZES, amdahl, family
+from tests.support.machines import FAMILIES, SIZES, amdahl, family
 
 SERIAL = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
 SETTINGS = (("cheap", 0.0), ("balanced", 0.5), ("fast", 1.0))

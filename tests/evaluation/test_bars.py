@@ -2,9 +2,9 @@
 
 import pytest
 
-from fogspec.effects.datasets.libraries import read_library
-from fogspec.effects.datasets.suites import read_suite
 from fogspec.evaluation.running import Campaign, by_kind, run
+from fogspec.evaluation.suites import read_suite
+from fogspec.model.priors import read_library
 
 # kind, sampler, with priors, every so many problems, ok5 at least, bench at most, violation5 at most
 BARS = [

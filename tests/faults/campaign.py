@@ -11,7 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from fogspec.results import finished
+from fogspec.results.schema import finished
 from tests.faults.controllers import bench, place
 from tests.faults.simulation import World
 

@@ -3,12 +3,12 @@
 import os
 from collections.abc import Callable
 
-from fogspec.deployment import prefix_of
-from fogspec.effects.benchmark.orders import Order
-from fogspec.effects.benchmark.sampling import Campaign
-from fogspec.effects.benchmark.straying import adopt_strays
-from fogspec.plan import MachineRef, Sample
-from fogspec.results import finished
+from fogspec.backends.naming import prefix_of
+from fogspec.bench.campaign import Campaign
+from fogspec.bench.orphans import adopt_strays
+from fogspec.bench.types import Order
+from fogspec.plan.schema import MachineRef, Sample
+from fogspec.results.schema import finished
 from tests.faults.simulation import (
     AFTER_S,
     RULES,

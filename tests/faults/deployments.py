@@ -23,17 +23,17 @@ from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 
-from fogspec.effects.deployment import livestate
-from fogspec.effects.disk import files
-from fogspec.plugins.deployers.local import LocalDeployer
-from fogspec.seams import Launch, LostContact
-from tests.line.deployed import MANIFEST, Deployed
-from tests.line.forking import forked
+from fogspec.backends.local.deployer import LocalDeployer
+from fogspec.backends.protocol import Launch, LostContact
+from fogspec.base import files
+from fogspec.deploy import state
+from tests.support.deployed import MANIFEST, Deployed
+from tests.support.forking import forked
 
 # What is done in order, and after or before which a process may die.
 STEPS: tuple[tuple[object, str], ...] = (
-    (files.os, "replace"), (livestate.LiveFile, "_write"), (livestate.LiveFile, "keep_manifest"), (livestate.LiveFile, "gone"),
-    (livestate.LiveFile, "clear"), (LocalDeployer, "start"), (LocalDeployer, "look"), (LocalDeployer, "end"),
+    (files.os, "replace"), (state.LiveFile, "_write"), (state.LiveFile, "keep_manifest"), (state.LiveFile, "gone"),
+    (state.LiveFile, "clear"), (LocalDeployer, "start"), (LocalDeployer, "look"), (LocalDeployer, "end"),
 )  # fmt: skip
 Fault = Callable[[], None]
 
@@ -114,8 +114,8 @@ def jumped(days: int) -> Fault:
     """The date is another one, every time it is asked for."""
 
     def put() -> None:
-        true, count = livestate.SystemTimes.date, itertools.count(1)
-        livestate.SystemTimes.date = lambda self: true(self) + timedelta(days=days * next(count))  # type: ignore[method-assign]
+        true, count = state.SystemTimes.date, itertools.count(1)
+        state.SystemTimes.date = lambda self: true(self) + timedelta(days=days * next(count))  # type: ignore[method-assign]
 
     return put
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fogspec.effects.benchmark import collecting
-from fogspec.effects.benchmark.journal import Journal
-from fogspec.results import Measured, finished
-from fogspec.seams import CannotStart, Job, LostContact, Progress
+from fogspec.backends.protocol import CannotStart, Job, LostContact, Progress
+from fogspec.bench.journal import Journal
+from fogspec.bench.record import Rules
+from fogspec.results.schema import Measured, finished
 
 SETUP_S, AFTER_S, SLACK_S = 120.0, 300.0, 120.0
-RULES = collecting.Rules(warmup=1, valid=0.9, statistic="mean")
+RULES = Rules(warmup=1, valid=0.9, statistic="mean")
 
 
 class Killed(BaseException):

@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from fogspec.catalog import Catalog
+from fogspec.backends.replay import ReplayRunner
+from fogspec.bench import run
+from fogspec.bench.journal import Journal
+from fogspec.bench.prepare import prepare
+from fogspec.bench.progress import Lines
+from fogspec.bench.replay import replayable
+from fogspec.catalog.table import Catalog
 from fogspec.cli.options import catalogs_for
-from fogspec.effects.benchmark import benching
-from fogspec.effects.benchmark.journal import Journal
-from fogspec.effects.benchmark.preparing import prepare
-from fogspec.effects.benchmark.recordings import replayable
-from fogspec.effects.benchmark.watching import Lines
-from fogspec.effects.compiler.compiling import compile_application
-from fogspec.effects.disk.specfiles import LoadedSpec, load
-from fogspec.plugins.runners.replay import ReplayRunner
+from fogspec.compile.compiler import compile_application
+from fogspec.spec.loader import LoadedSpec, load
 
 SPEC = """\
 apiVersion: fogspec.dev/v1alpha1
@@ -88,9 +88,9 @@ def run(folder: Path) -> None:
     clock = FastClock()
     found, source = replayable(str(folder / "sweep.csv"), 60.0)
     runner = ReplayRunner(found, source, clock.now_s)
-    with mock.patch.object(benching, "SystemClock", return_value=clock):
-        benching.bench(prepare(one.application, one.path, []), runner, lambda _: Lines(lambda _: None),
-                       benching.Terms(catalog=catalog))  # fmt: skip
+    with mock.patch.object(run, "SystemClock", return_value=clock):
+        run.bench(prepare(one.application, one.path, []), runner, lambda _: Lines(lambda _: None),
+                       run.Terms(catalog=catalog))  # fmt: skip
 
 
 @contextmanager

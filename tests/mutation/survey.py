@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.base.diagnostics import Diagnostic
-from fogspec.effects.disk.specfiles import examine_text
+from fogspec.spec.loader import examine_text
 from tests.mutation.mutants import Mutant, mutants
 
 ROOT = Path(__file__).resolve().parents[2]

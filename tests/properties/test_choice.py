@@ -6,13 +6,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec import choice
-from fogspec.catalog import Catalog
-from fogspec.models import Models, fit
-from fogspec.plan import MachineRef, PlanMetadata
-from fogspec.predicting import predict
-from fogspec.results import LatencySummary, Measured, ResultsBody, sealed
-from fogspec.spec import Application
+from fogspec.catalog.table import Catalog
+from fogspec.choice import choose
+from fogspec.model.fit import Models, fit
+from fogspec.model.predict import predict
+from fogspec.plan.schema import MachineRef, PlanMetadata
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.spec.schema import Application
 from tests.bench_choice import application, offers
 
 
@@ -46,8 +46,8 @@ def among(seed: int, count: int = 60) -> Catalog:
     return offers(count, seed)
 
 
-def choose(app: Application, models: Models, catalog: Catalog) -> choice.Choice:
-    return choice.choose(app, predict(models, catalog, ["latency"]))
+def choose(app: Application, models: Models, catalog: Catalog) -> choose.Choice:
+    return choose.choose(app, predict(models, catalog, ["latency"]))
 
 
 seeds = st.integers(0, 200)

@@ -9,14 +9,13 @@ import jsonschema
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fogspec.base.flow import block, flow
-from fogspec.base.nodes import plain
-from fogspec.base.shape import check
 from fogspec.base.units import Range
-from fogspec.base.written import written
-from fogspec.effects.disk import yamltext
-from fogspec.effects.disk.specfiles import examine_text
-from fogspec.spec import (
+from fogspec.base.yaml import reader
+from fogspec.base.yaml.flow import block, flow
+from fogspec.base.yaml.positions import plain
+from fogspec.spec.loader import examine_text
+from fogspec.spec.render import written
+from fogspec.spec.schema import (
     Application,
     Benchmark,
     Constraints,
@@ -30,6 +29,7 @@ from fogspec.spec import (
     Spec,
     Stop,
 )
+from fogspec.spec.validate import check
 
 ROOT = Path(__file__).resolve().parents[2]
 SCHEMA = jsonschema.Draft202012Validator(json.loads((ROOT / "schemas" / "Application.json").read_text("utf-8")))
@@ -98,7 +98,7 @@ def test_a_spec_that_is_written_and_read_is_the_same_spec(application: Applicati
 @given(values)
 @settings(max_examples=400, deadline=None)
 def test_a_value_in_flow_style_is_read_back_with_its_types(value: Any) -> None:
-    (node,), wrong = yamltext.documents(f"value: {flow(value)}\n", "x.yaml")
+    (node,), wrong = reader.documents(f"value: {flow(value)}\n", "x.yaml")
     assert wrong == []
     assert json.dumps(plain(node)) == json.dumps({"value": value})
 
@@ -106,7 +106,7 @@ def test_a_value_in_flow_style_is_read_back_with_its_types(value: Any) -> None:
 BASES = [
     plain(node)
     for path in sorted((ROOT / "specs").glob("*.yaml"))
-    for node in yamltext.documents(path.read_text("utf-8"), path.name)[0]
+    for node in reader.documents(path.read_text("utf-8"), path.name)[0]
 ]
 ODD = st.one_of(
     st.none(), st.booleans(), st.integers(-5, 500), st.floats(-2, 100).filter(lambda one: not one.is_integer()), texts,
@@ -135,7 +135,7 @@ def test_types_and_schema_accept_the_same_documents(data: st.DataObject) -> None
     for step in parents:
         target = target[step]
     target[last] = data.draw(ODD)
-    node, wrong = yamltext.documents(f"{flow(document)}\n", "x.yaml")
+    node, wrong = reader.documents(f"{flow(document)}\n", "x.yaml")
     assert wrong == []
     by_types = check(Application, node[0]).wrong
     by_schema = list(SCHEMA.iter_errors(document))

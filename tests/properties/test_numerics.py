@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from fogspec.numerics.acquisition import Policy, busy, choose, next_wave
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import prepare
-from tests.unit.machines import family
+from tests.support.machines import family
 
 MACHINES = family()
 SPACE = prepare(MACHINES, draws=64)

@@ -6,9 +6,9 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.base.outcomes import NothingMeets
-from fogspec.plan import Plan, make_plan
-from tests.unit.catalogs import application, table
+from fogspec.base.errors import NothingMeets
+from fogspec.plan.schema import Plan, make_plan
+from tests.support.catalogs import application, table
 
 FAMILIES = {"c6i": 2, "m6i": 4, "r6i": 8, "x2g": 16}
 REGIONS = ("us-east-1", "us-west-1", "eu-west-1")

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.relaxing import chosen_by_relaxing, relax
+from fogspec.choice.relaxed import chosen_by_relaxing, relax
 from tests.properties.test_choice import HURT, MODELS, alphas, among, choose, costs, limits, seeds, with_limits
 
 

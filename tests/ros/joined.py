@@ -13,11 +13,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from fogspec.effects.compiler.launching import launch_files
-from fogspec.effects.disk.layout import Layout
-from fogspec.links import link_of, port_of
-from fogspec.links.wireguard import interface
-from fogspec.spec import Application
+from fogspec.base.layout import Layout
+from fogspec.compile.launch_files import launch_files
+from fogspec.compile.links import link_of, port_of
+from fogspec.compile.links.wireguard import interface
+from fogspec.spec.schema import Application
 from tests.ros.namespaces import Net, Process
 
 ADDRESS = {"robot": "10.77.0.1", "cloud": "10.77.0.2"}

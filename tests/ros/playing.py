@@ -10,7 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.unit.launching import launched
+from tests.support.launching import launched
 
 
 def main(path: Path) -> int:

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from tests.ros.benching import NODES, bench, node, truth
 from tests.ros.namespaces import PYTHON, Net
-from tests.unit.test_bag import record
+from tests.unit.agent.test_bag import record
 
 TOPICS = {"request": "/imu", "response": "/pose"}
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.effects.disk.specfiles import load
-from tests.line.deployed import MANIFEST, SPEC, Deployed
+from fogspec.spec.loader import load
 from tests.ros.joined import ADDRESS, Joined, joined, missing
 from tests.ros.namespaces import PYTHON, ROOT
+from tests.support.deployed import MANIFEST, SPEC, Deployed
 
 NODE = str(Path(__file__).parent / "nodes" / "tunnel.py")
 # While machines are measured the link is not there, and nothing of ROS 2 may reach this host's network.

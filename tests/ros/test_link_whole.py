@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-import fogspec.probe
-from fogspec.effects.compiler.launching import link_of_machine, robot_launch
-from fogspec.effects.disk.templates import render
-from fogspec.spec import Application
-from fogspec.tasks import LINK_PEER, deployed_processes, ros_environment
+import fogspec.agent
+from fogspec.base.templates import render
+from fogspec.compile.launch_files import link_of_machine, robot_launch
+from fogspec.compile.tasks import LINK_PEER, deployed_processes, ros_environment
+from fogspec.spec.schema import Application
 from tests.ros.joined import ADDRESS, joined, missing, until
 from tests.ros.namespaces import PYTHON, ROOT
 
@@ -40,7 +40,7 @@ def test_the_generated_files_bring_the_robots_request_to_the_cloud_and_back(tmp_
         both.layout.robot.write_bytes(text)
 
         public = both.script("robot", "keys").stdout.strip()
-        agent = Path(next(iter(fogspec.probe.__path__))) / "agent.py"
+        agent = Path(next(iter(fogspec.agent.__path__))) / "agent.py"
         words = {**ros_environment(app.spec), "processes": deployed_processes(app), "listeners": [], "ready": None}
         run = render("run_deploy.sh.j2", **words, link=link_of_machine(app))
         out = tmp_path / "out"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fogspec.probe.agent import place
+from fogspec.agent.agent import place
 from tests.ros.namespaces import PYTHON, Net
 
 NODES = Path(__file__).parent / "nodes"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.plugins.skypilot.client import Client
+from fogspec.backends.skypilot.client import Client
 from tests.slurm import robot
 from tests.slurm.looking import Looking
 from tests.slurm.site import Site

@@ -17,9 +17,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fogspec.effects.benchmark.journal import Journal
-from fogspec.effects.disk.specfiles import read_document
-from fogspec.results import Results, finished
+from fogspec.bench.journal import Journal
+from fogspec.results.schema import Results, finished
+from fogspec.spec.loader import read_document
 from tests.slurm import breaking
 from tests.slurm.site import Site
 from tests.tools.slurm import apart, daemons, engine

@@ -14,11 +14,11 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from fogspec import stages
-from fogspec.effects.disk.files import write_yaml
-from fogspec.effects.disk.specfiles import load, read_document
-from fogspec.plan import Plan
-from fogspec.results import LatencySummary, Measured, Results, ResultsBody, sealed
+from fogspec.base.files import write_yaml
+from fogspec.plan.schema import Plan
+from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, sealed
+from fogspec.spec import fingerprints
+from fogspec.spec.loader import load, read_document
 from tests.tools.slurm import daemons, engine, login
 
 SPEC = """\
@@ -195,7 +195,7 @@ def recorded(site: Site, name: str) -> None:
         for one in plan.spec.samples
     ]  # fmt: skip
     body = ResultsBody(
-        application=stages.measured_digest(application), plan=None, pins=None, reads=plan.spec.application.reads,
+        application=fingerprints.measured_digest(application), plan=None, pins=None, reads=plan.spec.application.reads,
         runner="skypilot", source="a test", spent=0.001, samples=records,
     )  # fmt: skip
     results = sealed(plan.metadata, body)

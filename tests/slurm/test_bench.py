@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.deployment import prefix_of
-from fogspec.effects.disk.specfiles import read_document
-from fogspec.manifest import Manifest
+from fogspec.backends.naming import prefix_of
+from fogspec.compile.manifest import Manifest
+from fogspec.spec.loader import read_document
 from tests.slurm.conftest import SECRET, SHAPES, Benched
 from tests.slurm.looking import holding
 

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from fogspec.effects.disk.specfiles import read_document
-from fogspec.results import Results
+from fogspec.results.schema import Results
+from fogspec.spec.loader import read_document
 from tests.slurm.conftest import ABANDONED
 from tests.slurm.site import Site
 from tests.tools.slurm import daemons

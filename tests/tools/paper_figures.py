@@ -11,23 +11,23 @@ from pathlib import Path
 
 import numpy as np
 
-from fogspec import wiring
-from fogspec.admissible import admit
-from fogspec.choice import Choice, choose
-from fogspec.effects.disk.layout import Layout
-from fogspec.effects.disk.measured import read_results
-from fogspec.effects.disk.specfiles import load
-from fogspec.effects.disk.templates import render
-from fogspec.effects.pictures import drawing, latencies, menu
-from fogspec.effects.pictures.axes import axis, money, seconds
-from fogspec.effects.pictures.drawing_models import latency_chart
-from fogspec.effects.pictures.frame import Dot, Frame, frame
-from fogspec.models import Models, fit, targets
+from fogspec.backends import registry
+from fogspec.base.layout import Layout
+from fogspec.base.templates import render
+from fogspec.catalog.filters import admit
+from fogspec.charts import drawing, menu_svg, model_svg
+from fogspec.charts.axes import axis, money, seconds
+from fogspec.charts.drawing_models import latency_chart
+from fogspec.charts.frame import Dot, Frame, frame
+from fogspec.choice.choose import Choice, choose
+from fogspec.model.fit import Models, fit, targets
+from fogspec.model.predict import predict
 from fogspec.numerics import fitting
 from fogspec.numerics.families import fit_all
 from fogspec.numerics.frontier import pareto
-from fogspec.predicting import predict
-from fogspec.spec import Application, Constraints
+from fogspec.results.io import read_results
+from fogspec.spec.loader import load
+from fogspec.spec.schema import Application, Constraints
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "figures"
@@ -61,7 +61,7 @@ def cases() -> Iterator[Case]:
             results = read_results(Layout.of(one.path, application.metadata.name))
             assert results is not None
             clouds = tuple({entry.split("/")[0] for entry in application.spec.infra})
-            catalog = wiring.catalog(None, clouds)
+            catalog = registry.catalog(None, clouds)
             offers = admit(catalog, application.spec.hardware, application.spec.infra).offers
             models = fit(application, results)
             predicted = predict(models, offers, targets(application), catalog)
@@ -88,8 +88,8 @@ def files() -> dict[Path, str]:
             "Pareto frontiers", [_frontier(one, *_corner(i)) for i, one in enumerate(four)],
             [("measured", "measured, frontier dotted"), ("in", "predicted"), ("curve", "frontier of all machines")],
         ),
-        FOLDER / "menu.svg": menu.draw(drawing.menu_chart(shown.application, shown.choice, [])),
-        FOLDER / "latency.svg": latencies.draw(latency_chart(shown.application, shown.choice, shown.models)),
+        FOLDER / "menu.svg": menu_svg.draw(drawing.menu_chart(shown.application, shown.choice, [])),
+        FOLDER / "latency.svg": model_svg.draw(latency_chart(shown.application, shown.choice, shown.models)),
     }  # fmt: skip
 
 

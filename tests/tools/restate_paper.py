@@ -10,12 +10,12 @@ import re
 import sys
 from pathlib import Path
 
-from fogspec import stages
-from fogspec.effects.disk.files import write_yaml
-from fogspec.effects.disk.layout import Layout
-from fogspec.effects.disk.specfiles import load
-from fogspec.plan import GpuShape, MachineRef, PlanMetadata
-from fogspec.results import LatencySummary, Measured, Results, ResultsBody, sealed
+from fogspec.base.files import write_yaml
+from fogspec.base.layout import Layout
+from fogspec.plan.schema import GpuShape, MachineRef, PlanMetadata
+from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, sealed
+from fogspec.spec import fingerprints
+from fogspec.spec.loader import load
 
 ROOT = Path(__file__).resolve().parents[2]
 APPLICATIONS = {
@@ -39,7 +39,7 @@ def main(folder: Path) -> None:
     applications = {one.application.metadata.name: one for one in load(specs)}
     for app, name in APPLICATIONS.items():
         loaded = applications[name]
-        results = restated(name, stages.measured_digest(loaded.application), [r for r in rows if r["app"] == app])
+        results = restated(name, fingerprints.measured_digest(loaded.application), [r for r in rows if r["app"] == app])
         layout = Layout.of(ROOT / "specs" / Path(loaded.path).name, name)
         made = "python -m tests.tools.restate_paper PAPER_FOLDER"
         write_yaml(layout.results, results.model_dump(mode="json", exclude_none=True), made)

@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from fogspec.probe.preload import compiled
+from fogspec.agent.preload import compiled
 
 HERE = Path(__file__).parent
 ASKED = {"FOGSPEC_PRELOAD_SERVICE": "/plan"}

@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[3]
 WHEELS = ROOT / ".venv-ros"
 DISTRO = "jazzy"
-PLAYER = ("tests/ros/playing.py", "tests/unit/launching.py")
+PLAYER = ("tests/ros/playing.py", "tests/support/launching.py")
 
 SETUP = 'export ROS_DISTRO={distro} PATH="/opt/ros/{distro}/bin:$PATH"\n'
 ROS2 = """\

@@ -1,0 +1,115 @@
+"""A manifest's provenance as an in-toto Statement (v1) with SLSA's provenance predicate (v1).
+
+Specifications: in-toto Attestation Framework v1, https://github.com/in-toto/attestation/tree/main/spec/v1, and SLSA
+v1.0 Provenance, https://slsa.dev/spec/v1.0/provenance. The statement depends on the files alone: it has no clock, host
+or user, so that whoever makes it from the same files gets the same bytes.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from fogspec import __version__
+from fogspec.audit.verify import Link, verify
+from fogspec.base import digest
+from fogspec.base.errors import Differs
+from fogspec.base.layout import Layout
+from fogspec.catalog.table import Catalog
+from fogspec.compile.bundle import Opened, references
+from fogspec.spec.lockfile import image_of, is_pinned
+
+STATEMENT = "https://in-toto.io/Statement/v1"
+PREDICATE = "https://slsa.dev/provenance/v1"
+# A type of build is named by a URI; a tag URI (RFC 4151) needs no web page to stand behind it.
+BUILD = "tag:fogspec.dev,2026:compile/v1"
+BUILDER = "tag:fogspec.dev,2026:fogspec"
+
+
+def statement(opened: Opened, catalog: Catalog) -> dict[str, Any]:
+    """The statement; raises Differs when the chain behind the manifest does not hold: nothing else may be attested."""
+    links = verify(opened, catalog)
+    if broken := [link for link in links if link.breaks]:
+        raise Differs(
+            f"{opened.layout.manifest}: not attested, for the chain breaks at {broken[0].name}",
+            *broken[0].breaks, f"see: fogspec verify {opened.layout.manifest}",
+        )  # fmt: skip
+    return {
+        "_type": STATEMENT,
+        "subject": subjects(opened),
+        "predicateType": PREDICATE,
+        "predicate": {
+            "buildDefinition": {
+                "buildType": BUILD,
+                "externalParameters": {"spec": opened.manifest.provenance.application.path, "application": opened.layout.name},
+                "internalParameters": {"links": [link.name for link in links]},
+                "resolvedDependencies": materials(opened),
+            },
+            "runDetails": {"builder": {"id": BUILDER, "version": {"fogspec": __version__}}},
+        },
+    }  # fmt: skip
+
+
+def text(data: dict[str, Any]) -> str:
+    """The statement's bytes: JSON with sorted keys."""
+    return json.dumps(data, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def subjects(opened: Opened) -> list[dict[str, Any]]:
+    """What is attested: the manifest and every file that is approved with it, by path from the folder of specs' root."""
+    layout = opened.layout
+    found = [(layout.manifest, opened.digest)]
+    found += [(layout.compiled / one.path, one.digest) for one in references(opened.manifest)]
+    return [{"name": layout.relative(path), "digest": _digest(value)} for path, value in found]
+
+
+def materials(opened: Opened) -> list[dict[str, Any]]:
+    """What it was made from: spec, lock, plan, results with their raw timings, models, catalog, and a pinned image.
+
+    Digests are of the files' bytes, which any tool can check; annotated is fogspec's own digest, of what is read of them.
+    """
+    layout, named = opened.layout, opened.manifest.provenance
+    found = [
+        _file("spec", layout, layout.spec, named.application.digest),
+        *([_file("lock", layout, layout.lock)] if layout.lock.is_file() else []),
+        _file("plan", layout, layout.plan, named.plan.digest),
+        _file("results", layout, layout.results, named.results.digest),
+        *(_file("timings", layout, path) for path in sorted(layout.timings.glob("*.gz"))),
+        _file("models", layout, layout.models),
+        {"name": "catalog", "digest": _digest(named.catalog.digest),
+         "annotations": {"source": named.catalog.source, "revision": named.catalog.revision, "date": named.catalog.date}},
+    ]  # fmt: skip
+    image = opened.manifest.spec.image
+    if image is not None and is_pinned(image):
+        parts = image_of(image)
+        found.append(_material("image", f"oci://{parts.registry}/{parts.repository}", parts.digest or ""))
+    return found
+
+
+def _file(name: str, layout: Layout, path: Path, read: str | None = None) -> dict[str, Any]:
+    found = _material(name, layout.relative(path), digest.of_bytes(path.read_bytes()))
+    return found if read is None else {**found, "annotations": {"fogspec": read}}
+
+
+def _material(name: str, path: str, text: str) -> dict[str, Any]:
+    return {"name": name, "uri": path, "digest": _digest(text)}
+
+
+def _digest(text: str) -> dict[str, str]:
+    algorithm, _, value = text.partition(":")
+    return {algorithm: value}
+
+
+def check(opened: Opened, data: Any) -> Link:
+    """Whether a statement attests this manifest as it is now."""
+    now = {one["name"]: one["digest"] for one in subjects(opened)}
+    if not isinstance(data, dict) or (data.get("_type"), data.get("predicateType")) != (STATEMENT, PREDICATE):
+        return Link("attestation", "", ("it is no in-toto Statement v1 with SLSA provenance v1",))
+    listed = data.get("subject")
+    said = (
+        {one.get("name"): one.get("digest") for one in listed if isinstance(one, dict)}
+        if isinstance(listed, list)
+        else {}
+    )
+    breaks = [f"it does not attest {name}" if name not in said else f"{name} is not what was attested"
+              for name, value in now.items() if said.get(name) != value]  # fmt: skip
+    return Link("attestation", f"{len(now)} files", tuple(breaks))

@@ -1,0 +1,82 @@
+"""Two documents compared field by field."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fogspec.base.diagnostics import Problems
+from fogspec.spec.loader import read_plain
+
+LONGEST = 80
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One field that differs; None stands for a field that is not there, or is null."""
+
+    field: str
+    before: Any
+    after: Any
+
+    @property
+    def is_digest(self) -> bool:
+        """Whether it says no more than that something else differs."""
+        return any(isinstance(one, str) and one.startswith("sha256:") for one in (self.before, self.after))
+
+
+def changes(before: Any, after: Any, at: str = "") -> Iterator[Change]:
+    """Every field that differs, in the order of the documents."""
+    if isinstance(before, Mapping) and isinstance(after, Mapping):
+        for key in [*before, *(key for key in after if key not in before)]:
+            yield from changes(before.get(key), after.get(key), f"{at}.{key}" if at else str(key))
+    elif _is_table(before) and _is_table(after):
+        yield from changes(_by_name(before), _by_name(after), at)
+    elif before != after:
+        yield Change(at, before, after)
+
+
+def changes_in_file(path: Path, content: bytes) -> list[Change]:
+    """The fields in which a YAML file on disk differs from what it should be.
+
+    Digests only where nothing else differs; one change of the whole where the file is damaged.
+    """
+    after = read_plain(path, content)
+    try:
+        before = read_plain(path)
+    except Problems as problems:
+        return [Change("", problems.diagnostics[0].message, "a whole file")]
+    found = list(changes(before, after))
+    return [one for one in found if not one.is_digest] or found
+
+
+def words_of(change: Change) -> str:
+    """`expected.latency.limit: 2s -> 1s`."""
+    return f"{change.field}: {short(change.before)} -> {short(change.after)}".removeprefix(": ")
+
+
+def short(value: Any) -> str:
+    """A value in a few words."""
+    if value is None:
+        return "none"
+    if isinstance(value, Mapping):
+        text = ", ".join(f"{key}: {short(one)}" for key, one in value.items() if one not in (None, [], {}))
+    else:
+        text = ", ".join(map(short, value)) if isinstance(value, list) else str(value)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
+def _is_table(value: Any) -> bool:
+    """Whether it is a list of machines or of files, which are compared by name, whatever their order."""
+    return isinstance(value, list) and bool(value) and all(isinstance(one, Mapping) and _name(one) for one in value)
+
+
+def _by_name(table: list[Mapping[str, Any]]) -> dict[str, Any]:
+    return {_name(one): one for one in table}
+
+
+def _name(one: Mapping[str, Any]) -> str:
+    """What a machine or a file in a list is called; nothing for anything else."""
+    if "instance" in one:
+        return f"{one['instance']} in {one.get('infra', '')}{' spot' if one.get('spot') else ''}"
+    return str(one["path"]) if one.keys() == {"path", "digest"} else ""

@@ -1,0 +1,217 @@
+"""A change of manifests for whoever reviews a pull request: the choice, what it costs, why, and whether it is fresh."""
+
+import itertools
+import os
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fogspec.audit.changes import NAMES, escaped, headline
+from fogspec.audit.compare import Change, changes, short
+from fogspec.audit.diff import Difference, costs, manifest_in, read_manifest, telling
+from fogspec.audit.freshness import Status, status
+from fogspec.audit.git import Repository
+from fogspec.base.redaction import redacted
+from fogspec.catalog.table import Catalog
+from fogspec.spec.loader import LoadedSpec
+
+MARK = "<!-- fogspec review -->"
+INPUTS = {
+    "application": "the spec",
+    "catalog": "the catalog",
+    "plan": "the plan",
+    "results": "the results",
+    "models": "the models",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Review:
+    """One application: its manifest at the base and now, and how fresh everything is."""
+
+    difference: Difference
+    status: Status
+
+    @property
+    def fresh(self) -> bool:
+        """Whether what is committed follows from its inputs."""
+        return self.status.fresh
+
+    @property
+    def touched(self) -> bool:
+        """Whether there is anything to look at."""
+        return bool(self.difference.changes) or not self.fresh
+
+
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """An application that is no longer there, and the manifest that it had."""
+
+    name: str
+    manifest: Mapping[str, Any]
+
+
+def review(loaded: LoadedSpec, catalog: Catalog, repository: Repository, commit: str) -> Review:
+    """The manifest as committed at `commit` against the one on disk; nothing is written."""
+    found = status(loaded.application, loaded.path, catalog)
+    layout, secrets = found.layout, loaded.application.spec.secrets
+    content = repository.at(commit, layout.manifest)
+    before = None if content is None else manifest_in(layout.manifest, content)
+    old, new = redacted(before, secrets), redacted(read_manifest(layout), secrets)
+    every = list(changes(old, new))
+    why = tuple(dict.fromkeys(_inputs(every))) if old and new else ()
+    told = tuple(telling(iter(every))) if old != new else ()
+    left = () if found.to_measure is None else ("",) * found.to_measure
+    return Review(Difference(layout, old, new, told, costs(old, new), why, left, refused=found.refused), found)
+
+
+def removed(repository: Repository, commit: str, names: Collection[str]) -> list[Removed]:
+    """Applications that had a manifest at `commit`, and have neither a manifest nor a spec any more; `names` have one."""
+    gone = [
+        path for path in repository.paths(commit)
+        if path.match("compiled/*/manifest.yaml") and path.parent.name not in names and not path.exists()
+    ]  # fmt: skip
+    return [Removed(path.parent.name, redacted(manifest_in(path, repository.at(commit, path) or b""))) for path in gone]
+
+
+def _inputs(every: Sequence[Change]) -> Iterator[str]:
+    """Which inputs the two manifests were made from differ, from what they say of their provenance."""
+    for change in every:
+        steps = change.field.split(".")
+        if steps[0] != "provenance" or len(steps) < 2:
+            continue
+        if steps[1:3] == ["application", "reads"] and len(steps) > 3:
+            yield f"spec.{'.'.join(steps[3:])} changed"
+        elif steps[1] == "builder":
+            yield f"made by fogspec {short(change.before)} -> {short(change.after)}"
+        elif steps[1] == "catalog" and steps[-1] in ("revision", "date", "source"):
+            yield f"catalog {steps[-1]}: {short(change.before)} -> {short(change.after)}"
+        elif steps[-1] == "digest" and steps[1] != "application":
+            yield f"{INPUTS.get(steps[1], steps[1])} changed"
+
+
+def markdown(reviews: Sequence[Review], gone: Sequence[Removed], picture_base: str | None) -> str:
+    """The comment: applications that changed or are not fresh in full, the others by name; and those that are gone."""
+    touched = [one for one in reviews if one.touched]
+    lines = [MARK, "## fogspec: what this change deploys", ""]
+    for one in touched:
+        lines += [*_application(one, picture_base), ""]
+    for application in gone:
+        lines += [*_removal(application), ""]
+    if rest := [one.difference.layout.name for one in reviews if not one.touched]:
+        lines.append(f"Unchanged and fresh: {', '.join(map(escaped, rest))}.")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _application(one: Review, picture_base: str | None) -> list[str]:
+    difference, layout = one.difference, one.difference.layout
+    lines = [f"### {escaped(layout.name)}: {escaped(_headline(one))}", ""]
+    lines += [f"- {escaped(text)}" for text in _choice(difference.after)]
+    lines += [f"- why: {escaped(text)}" for text in difference.why]
+    lines += [f"- **{escaped(stage.name)} is {stage.state}**: {escaped('; '.join(stage.reasons) or 'compile it')}"
+              for stage in one.status.stages if stage.state != "fresh"]  # fmt: skip
+    if one.status.refused:
+        lines.append(f"- **cannot be compiled**: {escaped(one.status.refused)}")
+    if one.status.to_measure:
+        lines.append(f"- {one.status.to_measure} samples to measure: `fogspec bench {_from_here(layout.spec)}`")
+    elif one.fresh:
+        lines.append("- everything is fresh; no benchmark needed")
+    elif not one.status.refused:
+        lines.append(f"- **to do**: `fogspec compile {_from_here(layout.spec)}`, and commit what it writes")
+    lines += ["", *_costs(difference), *_warnings(difference)]
+    if layout.picture.is_file() and picture_base is not None:
+        lines += [f"![menu of {escaped(layout.name)}]({picture_base.rstrip('/')}/{_from_here(layout.picture)})", ""]
+    return [*lines, *_provenance(difference.after), *_fields(difference.changes)]
+
+
+def _headline(one: Review) -> str:
+    difference = one.difference
+    if difference.after is None:
+        return "no manifest" if difference.before is None else "the manifest is gone"
+    if difference.changes or difference.before is None:
+        return headline(difference) + ("" if one.fresh else ", but the manifest is not fresh")
+    return "the manifest is not fresh"
+
+
+def _removal(one: Removed) -> list[str]:
+    """What is no longer deployed; merging ends nothing that runs."""
+    lines = [f"### {escaped(one.name)}: no longer deployed", ""]
+    lines += [f"- {escaped(text)}" for text in itertools.islice(_choice(one.manifest), 1)]
+    return [*lines, f"- what runs of it goes on: `fogspec down {escaped(one.name)}` ends it, before the files are gone"]
+
+
+def _warnings(difference: Difference) -> list[str]:
+    """New ones in full; those that were there before are folded away."""
+    was, now = ((document or {}).get("warnings") or [] for document in (difference.before, difference.after))
+    lines = [f"- **warning**: {escaped(str(text))}" for text in now if text not in was]
+    if old := [f"- {escaped(str(text))}" for text in now if text in was]:
+        lines += ["", f"<details><summary>{len(old)} warnings, as before</summary>", "", *old, "", "</details>"]
+    return [*lines, ""] if lines else []
+
+
+def _choice(manifest: Mapping[str, Any] | None) -> Iterator[str]:
+    """What runs and what is expected of it, from the manifest."""
+    if manifest is None or not isinstance(manifest.get("spec"), Mapping):
+        return
+    spec, latency = manifest["spec"], _part(manifest, "expected", "latency")
+    cost = _part(manifest, "expected", "cost")
+    yield (f"runs on {spec.get('instance')} in {spec.get('infra')}, {spec.get('price')}, {cost.get('month')}"
+           f"; image {spec.get('image') or 'none'}")  # fmt: skip
+    interval = latency.get("interval")
+    within = f" [{', '.join(map(str, interval))}]" if isinstance(interval, list) else ""
+    limit = f", limit {latency['limit']}" if latency.get("limit") else ""
+    sure = f", met with probability {latency['probability_met']}" if latency.get("probability_met") is not None else ""
+    expected = f"expected {latency.get('statistic')} latency {latency.get('predicted')}{within}{limit}{sure}"
+    yield f"{expected}; {cost.get('predicted')}"
+
+
+def _costs(difference: Difference) -> list[str]:
+    if not difference.costs:
+        return []
+    rows = [
+        f"| {NAMES[name]} | {escaped(was)} | {escaped(now)} | {rel} |"
+        for name, (was, now, rel) in difference.costs.items()
+    ]
+    return ["| | before | after | |", "|--|--|--|--|", *rows, ""]
+
+
+def _provenance(manifest: Mapping[str, Any] | None) -> list[str]:
+    named = _part(manifest or {}, "provenance")
+    rows = []
+    for name in INPUTS:
+        one = _part(named, name)
+        where = one.get("path") or " ".join(filter(None, (one.get("source"), one.get("revision"), one.get("date"))))
+        if one:
+            rows.append(f"| {name} | {escaped(str(where))} | `{str(one.get('digest'))[7:19]}` |")
+    if not rows:
+        return []
+    return [
+        "<details><summary>Provenance</summary>",
+        "",
+        "| made from | | digest |",
+        "|--|--|--|",
+        *rows,
+        "",
+        "</details>",
+        "",
+    ]
+
+
+def _fields(found: Sequence[Change]) -> list[str]:
+    if not found:
+        return []
+    rows = [f"| `{one.field}` | {escaped(short(one.before))} | {escaped(short(one.after))} |" for one in found]
+    head = f"<details><summary>{len(found)} fields differ</summary>"
+    return [head, "", "| field | before | after |", "|--|--|--|", *rows, "", "</details>", ""]
+
+
+def _part(document: Mapping[str, Any], *steps: str) -> Mapping[str, Any]:
+    value: Any = document
+    for step in steps:
+        value = value.get(step) if isinstance(value, Mapping) else None
+    return value if isinstance(value, Mapping) else {}
+
+
+def _from_here(path: Path) -> str:
+    return Path(os.path.relpath(path)).as_posix()

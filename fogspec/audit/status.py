@@ -1,0 +1,56 @@
+"""A status in words, and as data."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from fogspec.audit.freshness import Status
+from fogspec.base import units
+from fogspec.compile.compiler import money
+
+
+def words(one: Status, running: Sequence[str] = ()) -> str:
+    """A line a stage, and why under it; `running` are lines about what runs."""
+    lines = [one.layout.name]
+    for stage in one.stages:
+        lines.append(f"  {stage.name:<9} {stage.state:<8} {stage.path}")
+        lines += [f"  {'':<9} {'':<8} {text}" for text in (*stage.reasons, *stage.notes)]
+    if one.refused is not None:
+        lines.append(f"  cannot be compiled: {one.refused}")
+    budget = "" if one.budget_usd is None else f" of a budget of {money(one.budget_usd)}"
+    lines.append(f"  {'spent':<9} {money(one.spent_usd)}{budget}")
+    return "\n".join([*lines, *running, *_next(one)])
+
+
+def interval_words(ends_s: tuple[float, float] | None) -> str:
+    """` [1.58s, 1.72s]`; nothing for no interval."""
+    return "" if ends_s is None else f" [{', '.join(units.format_duration(short(end)) for end in ends_s)}]"
+
+
+def short(value: float) -> float:
+    """To four figures."""
+    return float(f"{value:.4g}")
+
+
+def _next(one: Status) -> list[str]:
+    states = {stage.name: stage.state for stage in one.stages}
+    if one.fresh or one.refused is not None:
+        return []
+    if states.get("plan") == "fresh" and (one.to_measure or states.get("results") == "partial"):
+        return [f"next: fogspec bench {one.layout.spec}"]
+    return [f"next: fogspec compile {one.layout.spec}"]
+
+
+def facts(one: Status) -> dict[str, Any]:
+    """The same for programs."""
+    return {
+        "name": one.layout.name,
+        "stages": [
+            {"name": stage.name, "path": str(stage.path), "state": stage.state, "reasons": list(stage.reasons),
+             "notes": list(stage.notes)}
+            for stage in one.stages
+        ],
+        "refused": one.refused,
+        "to_measure": one.to_measure,
+        "spent_usd": one.spent_usd,
+        "budget_usd": one.budget_usd,
+    }  # fmt: skip

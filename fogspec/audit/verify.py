@@ -1,0 +1,241 @@
+"""Recomputing the chain behind a manifest: every link from the spec to the pinned machine, byte for byte.
+
+Each link is checked by itself, so that what is said is where the chain breaks, not only that it does.
+"""
+
+import math
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from fogspec import __version__
+from fogspec.audit.compare import changes_in_file, words_of
+from fogspec.base import digest
+from fogspec.base.diagnostics import Problems
+from fogspec.base.errors import Outcome, WrongFile
+from fogspec.bench.record import Rules, read
+from fogspec.catalog.table import Catalog
+from fogspec.compile.bundle import Opened
+from fogspec.compile.compiler import Compiled, compile_application
+from fogspec.plan.schema import Plan, digest_without_budget
+from fogspec.results.io import raw_timings, read_results
+from fogspec.results.schema import LatencySummary, Measured, Results
+from fogspec.results.statistics import summary, weights
+from fogspec.spec import fingerprints
+from fogspec.spec.loader import read_document
+from fogspec.spec.lock_io import drift, read_pins
+
+SHOWN = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One link of the chain: what was compared, and how it breaks; `notes` are worth knowing and break nothing."""
+
+    name: str
+    what: str
+    breaks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def state(self) -> Literal["holds", "breaks"]:
+        """In one word."""
+        return "breaks" if self.breaks else "holds"
+
+
+def verify(opened: Opened, catalog: Catalog) -> list[Link]:
+    """Every link of the chain of one manifest, from what was written to what will run."""
+    layout = opened.layout
+    named = opened.manifest.provenance
+    links = [_spec(opened), _catalog(opened, catalog), _beside(opened)]
+    try:
+        results = read_results(layout)
+    except Problems as problems:
+        why = tuple(one.message for one in problems.diagnostics)
+        return [*links, Link("results", str(layout.results), why), *_later("results", "models", "manifest")]
+    try:
+        compiled = compile_application(opened.loaded.application, opened.loaded.path, catalog)
+    except Outcome as refused:
+        return [*links, Link("plan", str(layout.plan), (refused.message, *refused.hints)),
+                *_later("plan", "results", "models", "manifest")]  # fmt: skip
+    links += [_plan(opened, compiled), _results(opened, compiled, results)]
+    if results is None or compiled.results is None:
+        return [*links, *_later("results", "models", "manifest")]
+    links.append(_timings(opened, results))
+    links.append(_bytes("models", layout.models, compiled, named.models.digest))
+    links.append(_bytes("menu", layout.menu, compiled))
+    links.append(_bytes("manifest", layout.manifest, compiled, notes=_builder(opened)))
+    return [*links, _deployment(opened, compiled)]
+
+
+def _later(first: str, *names: str) -> list[Link]:
+    return [Link(name, "", (f"cannot be recomputed: the link {first} breaks",)) for name in names if name != first]
+
+
+def _spec(opened: Opened) -> Link:
+    application, reference = opened.loaded.application, opened.manifest.provenance.application
+    if fingerprints.chosen_digest(application) == reference.digest:
+        return Link("spec", reference.path)
+    fields = [name for name, now in fingerprints.chosen_fields(application).items() if reference.reads.get(name) != now]
+    told = ", ".join(f"spec.{name}" for name in fields) or "what the choice reads of it"
+    return Link("spec", reference.path, (f"{told} changed since the manifest was made",))
+
+
+def _catalog(opened: Opened, catalog: Catalog) -> Link:
+    named, now = opened.manifest.provenance.catalog, catalog.about
+    what = " ".join(filter(None, (now.source, now.revision, now.date)))
+    if named.digest == now.digest:
+        return Link("catalog", what)
+    was = " ".join(filter(None, (named.source, named.revision, named.date)))
+    return Link("catalog", what, (f"the manifest was made from another catalog: {was}, {named.digest}",))
+
+
+def _beside(opened: Opened) -> Link:
+    """Files and folders that the spec names, and that the lock pins."""
+    layout, pins = opened.layout, read_pins(opened.layout)
+    if pins is None:
+        return Link(
+            "lock", str(layout.lock), (), ("there is no lock: images and files beside the spec are not pinned",)
+        )
+    drifted = drift(opened.loaded.application, layout, pins)
+    return Link("lock", str(layout.lock), tuple(f"{name} is not what the lock says" for name in drifted))
+
+
+def _plan(opened: Opened, compiled: Compiled) -> Link:
+    layout, named = opened.layout, opened.manifest.provenance.plan
+    breaks = _differing(layout.plan, compiled)
+    for sample in compiled.plan.spec.samples:
+        breaks += _differing(layout.task(sample.id), compiled)
+    if layout.plan.is_file() and not breaks:
+        found = digest_without_budget(read_document(layout.plan, Plan))
+        if found != named.digest:
+            breaks.append(f"the manifest was made from another plan: {named.digest}, not {found}")
+    return Link("plan", f"{layout.plan} and {len(compiled.plan.spec.samples)} tasks", tuple(breaks[:SHOWN]))
+
+
+def _results(opened: Opened, compiled: Compiled, results: Results | None) -> Link:
+    layout, named = opened.layout, opened.manifest.provenance.results
+    if results is None:
+        return Link("results", str(layout.results), ("it is missing",))
+    breaks = [] if compiled.stale is None else [compiled.stale]
+    if results.integrity != named.digest:
+        breaks.append(f"the manifest was made from other results: {named.digest}, not {results.integrity}")
+    return Link("results", str(layout.results), tuple(breaks))
+
+
+def _timings(opened: Opened, results: Results) -> Link:
+    """Raw timings: as they were recorded, and the records follow from them."""
+    layout = opened.layout
+    rules = Rules.of(opened.loaded.application)
+    kept = [record for record in results.spec.samples if record.timings is not None]
+    breaks = [wrong for record in kept for wrong in _record(record, layout.results.parent, rules)]
+    without = len(results.spec.samples) - len(kept)
+    notes = (f"{without} of {len(results.spec.samples)} records have no raw timings",) if without else ()
+    return Link("timings", f"{len(kept)} files of raw timings", tuple(breaks[:SHOWN]), notes)
+
+
+def _record(record: Measured, folder: Path, rules: Rules) -> Iterator[str]:
+    assert record.timings is not None
+    path = folder / record.timings.path
+    try:
+        content = raw_timings(record, folder)
+    except WrongFile as wrong:
+        yield wrong.message
+        return
+    with tempfile.NamedTemporaryFile(suffix=".jsonl") as plain:
+        plain.write(content)
+        plain.flush()
+        requests = read(Path(plain.name), rules)
+    latency = summary(requests.latencies_s, weights(requests.kinds, rules.scenarios))
+    now = record.model_copy(
+        update={"requests": len(requests.latencies_s), "failed_requests": requests.failed, "latency": latency}
+    )
+    for name in ("requests", "failed_requests", "latency"):
+        was, found = getattr(record, name), getattr(now, name)
+        if not _same(was, found):
+            yield f"{record.id}: {name} is {was} in the record, {found} from {path}"
+
+
+def _same(was: Any, found: Any) -> bool:
+    """Equal, numbers to nine digits: sums may be taken in another order by another version."""
+    if isinstance(was, LatencySummary) and isinstance(found, LatencySummary):
+        return all(_same(getattr(was, name), getattr(found, name)) for name in LatencySummary.model_fields)
+    if isinstance(was, float) and isinstance(found, float):
+        return math.isclose(was, found, rel_tol=1e-9)
+    return bool(was == found)
+
+
+def _bytes(name: str, path: Path, compiled: Compiled, named: str | None = None, notes: tuple[str, ...] = ()) -> Link:
+    breaks = _differing(path, compiled)
+    if not breaks and named is not None and digest.of_bytes(path.read_bytes()) != named:
+        breaks.append(f"the manifest was made from another one: {named}")
+    return Link(name, str(path), tuple(breaks[:SHOWN]), notes)
+
+
+def _differing(path: Path, compiled: Compiled) -> list[str]:
+    now = compiled.files.get(path)
+    if now is None:
+        return [f"{path} no longer follows from spec, catalog and results"] if path.exists() else [f"{path} is missing"]
+    if not path.is_file():
+        return [f"{path} is missing"]
+    if path.read_bytes() == now:
+        return []
+    if path.suffix != ".yaml":
+        return [f"{path} is not what is computed"]
+    return [f"{path}: {line}" for line in map(words_of, changes_in_file(path, now))] or [f"{path}: its text was edited"]
+
+
+def _builder(opened: Opened) -> tuple[str, ...]:
+    version = opened.manifest.provenance.builder.version
+    return () if version == __version__ else (f"made by fogspec {version}, recomputed by {__version__}",)
+
+
+def _deployment(opened: Opened, compiled: Compiled) -> Link:
+    """What will run: the task, what stays on the robot, and what is sent along."""
+    layout = opened.layout
+    derived = {
+        layout.manifest,
+        layout.models,
+        layout.menu,
+        layout.plan,
+        *(layout.task(s.id) for s in compiled.plan.spec.samples),
+    }
+    rest = [path for path in sorted(compiled.files) if path not in derived]
+    breaks = [*opened.edited(), *(line for path in rest for line in _differing(path, compiled))]
+    breaks += [f"{path} should not be there" for path in compiled.removed]
+    return Link("deployment", f"{len(rest)} files that run or are shown", tuple(dict.fromkeys(breaks))[:SHOWN])
+
+
+def mend(opened: Opened, broken: Link) -> str:
+    """What to do about a link that breaks."""
+    layout = opened.layout
+    if broken.name in ("results", "timings"):
+        return f"put back what was measured (git checkout {layout.results.parent}), or measure it: fogspec bench {layout.spec}"
+    if broken.name == "attestation":
+        return f"attest it again: fogspec attest {layout.manifest}"
+    lock = f"fogspec lock {layout.spec}, then " if broken.name == "lock" else ""
+    return f"make it again and review it: {lock}fogspec compile {layout.spec}"
+
+
+def words(opened: Opened, links: list[Link]) -> str:
+    """A line a link, and how it breaks under it."""
+    lines = [f"{opened.layout.manifest}  {opened.digest}"]
+    for link in links:
+        lines.append(f"  {link.name:<10} {link.state:<6} {link.what}".rstrip())
+        lines += [f"  {'':<10} {'':<6} {text}" for text in (*link.breaks, *link.notes)]
+    return "\n".join(lines)
+
+
+def facts(opened: Opened, links: list[Link]) -> dict[str, Any]:
+    """The same for programs."""
+    return {
+        "manifest": str(opened.layout.manifest),
+        "digest": opened.digest,
+        "holds": all(not link.breaks for link in links),
+        "links": [
+            {"name": link.name, "what": link.what, "state": link.state, "breaks": list(link.breaks), "notes": list(link.notes)}
+            for link in links
+        ],
+    }  # fmt: skip

@@ -1,0 +1,74 @@
+"""Credentials from where docker keeps them: its configuration file and its credential helpers. Nothing is ever written.
+
+Source: docs.docker.com/reference/cli/docker/login ("Credential stores", "Credential helper protocol").
+"""
+
+import base64
+import json
+import os
+import subprocess
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fogspec.base.errors import WrongFile
+
+DOCKER_HUB_KEYS = ("https://index.docker.io/v1/", "index.docker.io", "docker.io", "registry-1.docker.io")
+HELPER_PATIENCE_S = 30.0
+
+
+class Credentials(NamedTuple):
+    """A name with its password; or, where the name is None, an identity token."""
+
+    name: str | None
+    secret: str
+
+    def __repr__(self) -> str:
+        return "Credentials(...)"
+
+
+def credentials(registry: str) -> Credentials | None:
+    """What docker knows for a registry, None for an anonymous user; raises WrongFile for a damaged configuration."""
+    path = Path(os.environ.get("DOCKER_CONFIG") or Path.home() / ".docker") / "config.json"
+    if not path.is_file():
+        return None
+    try:
+        config = json.loads(path.read_text(encoding="utf-8"))
+        helpers = config.get("credHelpers", {})
+        for key in _keys(registry):
+            helper = helpers.get(key) or config.get("credsStore")
+            if helper and (found := _from_helper(str(helper), key)):
+                return found
+            if key in config.get("auths", {}) and (found := _from_entry(config["auths"][key])):
+                return found
+    except (OSError, ValueError, AttributeError, TypeError) as problem:
+        raise WrongFile(f"{path}: docker's configuration cannot be read: {type(problem).__name__}") from None
+    return None
+
+
+def _keys(registry: str) -> tuple[str, ...]:
+    return DOCKER_HUB_KEYS if registry in DOCKER_HUB_KEYS else (registry, f"https://{registry}", f"http://{registry}")
+
+
+def _from_entry(entry: dict[str, Any]) -> Credentials | None:
+    if token := entry.get("identitytoken"):
+        return Credentials(None, str(token))
+    if not (packed := entry.get("auth")):
+        return None
+    name, _, secret = base64.b64decode(packed).decode().rstrip("\0").partition(":")
+    return Credentials(name, secret)
+
+
+def _from_helper(helper: str, key: str) -> Credentials | None:
+    """What `docker-credential-HELPER get` says; a helper that is missing or knows nothing is no credentials."""
+    if "/" in helper:
+        return None
+    try:
+        done = subprocess.run(
+            [f"docker-credential-{helper}", "get"], input=key, capture_output=True, text=True, timeout=HELPER_PATIENCE_S,
+            check=True,
+        )  # fmt: skip
+        said = json.loads(done.stdout)
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return None
+    name, secret = said.get("Username", ""), said.get("Secret", "")
+    return Credentials(None if name == "<token>" else name, secret) if secret else None

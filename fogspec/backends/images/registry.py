@@ -1,0 +1,139 @@
+"""From an image's tag to its digest, by the registry's own protocol: one request for the manifest, none for layers.
+
+Sources: OCI Distribution Specification 1.1, "Pulling manifests"; distribution.github.io/distribution, "Token
+authentication". A registry on this host's loopback is spoken to in plain HTTP, as docker does; all others by HTTPS.
+"""
+
+import base64
+import hashlib
+import ipaddress
+import json
+import re
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Mapping
+from email.message import Message
+from http.client import HTTPException, HTTPMessage
+
+from fogspec.backends.images.credentials import Credentials, credentials
+from fogspec.base.errors import CloudFailed, WrongFile
+from fogspec.spec.lockfile import DIGEST, DOCKER_HUB, Image, image_of
+
+ACCEPT = ", ".join((
+    "application/vnd.oci.image.index.v1+json", "application/vnd.docker.distribution.manifest.list.v2+json",
+    "application/vnd.oci.image.manifest.v1+json", "application/vnd.docker.distribution.manifest.v2+json",
+))  # fmt: skip
+PATIENCE_S = 20.0
+MOST_BYTES = 4 << 20  # of a manifest: the specification's limit
+PARAMETER = re.compile(r'(\w+)="([^"]*)"')
+
+
+class Registry:
+    """Asks registries for digests, with the credentials that docker keeps."""
+
+    def digest(self, name: str) -> str:
+        """`sha256:...` of the manifest, for several platforms where there are several, that a tag names now.
+
+        Raises WrongFile for a name that is none or that the registry does not know or does not show,
+        CloudFailed when the registry cannot be asked.
+        """
+        try:
+            image = image_of(name)
+        except ValueError as wrong:
+            raise WrongFile(str(wrong)) from None
+        try:
+            return _digest(name, image)
+        except urllib.error.HTTPError as refused:
+            raise _refused(name, image, refused) from None
+        except (OSError, HTTPException, ValueError) as problem:
+            reason = getattr(problem, "reason", None) or problem
+            raise CloudFailed(f"{name}: the registry {image.registry} cannot be asked: {reason}") from None
+
+
+def _digest(name: str, image: Image) -> str:
+    url = f"{_address(image.registry)}/v2/{image.repository}/manifests/{image.digest or image.tag}"
+    headers = {"Accept": ACCEPT}
+    try:
+        said, body = _get(url, headers)
+    except urllib.error.HTTPError as refused:
+        if refused.code != 401:
+            raise
+        said, body = _get(url, headers | _authorization(image, refused.headers))
+    found = f"sha256:{hashlib.sha256(body).hexdigest()}"
+    told = said.get("Docker-Content-Digest", found)
+    if not DIGEST.fullmatch(told) or told != found:
+        raise CloudFailed(f"{name}: the registry says {told}, and what it sent has {found}")
+    return found
+
+
+def _address(registry: str) -> str:
+    if registry == DOCKER_HUB:
+        return "https://registry-1.docker.io"
+    return f"{'http' if _is_loopback(registry) else 'https'}://{registry}"
+
+
+def _is_loopback(registry: str) -> bool:
+    host = registry.rpartition(":")[0] or registry
+    try:
+        return host == "localhost" or ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def _authorization(image: Image, said: Message) -> dict[str, str]:
+    """The header that answers the registry's challenge."""
+    challenge = said.get("WWW-Authenticate", "")
+    kind, known = challenge.partition(" ")[0].lower(), credentials(image.registry)
+    if kind == "basic" and known is not None and known.name is not None:
+        return _basic(known)
+    if kind != "bearer":
+        return {}
+    asked = dict(PARAMETER.findall(challenge))
+    realm = asked.pop("realm", "")
+    secure = realm.startswith("https://")
+    if not secure and not (realm.startswith("http://") and _is_loopback(urllib.parse.urlsplit(realm).netloc)):
+        raise ValueError(f"it sends credentials to {realm or 'nowhere'}, which is not https")
+    asked["scope"] = f"repository:{image.repository}:pull"
+    if known is not None and known.name is None:
+        form = asked | {"grant_type": "refresh_token", "refresh_token": known.secret, "client_id": "fogspec"}
+        _, body = _get(realm, {}, urllib.parse.urlencode(form).encode())
+    else:
+        _, body = _get(f"{realm}?{urllib.parse.urlencode(asked)}", _basic(known) if known else {})
+    answer = json.loads(body)
+    return {"Authorization": f"Bearer {answer.get('token') or answer['access_token']}"}
+
+
+def _basic(known: Credentials) -> dict[str, str]:
+    packed = base64.b64encode(f"{known.name}:{known.secret}".encode()).decode()
+    return {"Authorization": f"Basic {packed}"}
+
+
+class _NoCredentialsElsewhere(urllib.request.HTTPRedirectHandler):
+    """Follows a redirection, and tells another host nothing that was meant for the first."""
+
+    def redirect_request(
+        self, req: urllib.request.Request, fp: object, code: int, msg: str, headers: HTTPMessage, newurl: str
+    ) -> urllib.request.Request | None:
+        again = super().redirect_request(req, fp, code, msg, headers, newurl)  # type: ignore[arg-type]
+        if again is not None and urllib.parse.urlsplit(newurl).netloc != urllib.parse.urlsplit(req.full_url).netloc:
+            again.headers.pop("Authorization", None)
+        return again
+
+
+def _get(url: str, headers: Mapping[str, str], form: bytes | None = None) -> tuple[HTTPMessage, bytes]:
+    request = urllib.request.Request(url, data=form, headers={"User-Agent": "fogspec", **headers})  # noqa: S310
+    with urllib.request.build_opener(_NoCredentialsElsewhere).open(request, timeout=PATIENCE_S) as answer:
+        body: bytes = answer.read(MOST_BYTES + 1)
+        if len(body) > MOST_BYTES:
+            raise ValueError("its answer is longer than a manifest may be")
+        return answer.headers, body
+
+
+def _refused(name: str, image: Image, refused: urllib.error.HTTPError) -> WrongFile | CloudFailed:
+    if refused.code == 404:
+        return WrongFile(f"{name}: the registry {image.registry} has no such image")
+    if refused.code in (401, 403):
+        return WrongFile(f"{name}: the registry {image.registry} does not show it", f"docker login {image.registry}")
+    wait = " for now: too many requests" if refused.code == 429 else ""
+    return CloudFailed(f"{name}: the registry {image.registry} refuses{wait} (HTTP {refused.code})")

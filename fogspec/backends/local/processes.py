@@ -1,0 +1,64 @@
+"""Processes of this host that bear a mark in their environment, whoever their parents are (Linux)."""
+
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+import fogspec.agent
+
+LOOKS = 4
+
+
+def marked(variable: str, value: str) -> list[int]:
+    """The living processes whose environment has this variable with this value."""
+    mark = f"{variable}={value}".encode()
+    # A zombie's environment is empty.
+    return [pid for pid, words in environments() if mark in words]
+
+
+def environments() -> Iterator[tuple[int, list[bytes]]]:
+    """Every process that may be looked at, with the words of its environment."""
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        with contextlib.suppress(OSError):
+            yield int(entry), Path("/proc", entry, "environ").read_bytes().split(b"\0")
+
+
+def found(variable: str, value: str) -> list[int]:
+    """As `marked`, but sure of it when there are none: in the middle of an exec a process shows no environment."""
+    for _ in range(LOOKS - 1):
+        if pids := marked(variable, value):
+            return pids
+        time.sleep(0.03)
+    return marked(variable, value)
+
+
+def send(pids: Iterable[int], number: int) -> int:
+    """Send a signal; how many processes got it."""
+    count = 0
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, number)
+            count += 1
+    return count
+
+
+def end(variable: str, value: str, grace_s: float) -> list[int]:
+    """TERM, then KILL after a while, for all that bear the mark; those that are still there."""
+    for number, patience_s in ((signal.SIGTERM, grace_s), (signal.SIGKILL, 5.0)):
+        if not send(found(variable, value), number):
+            return []
+        until = time.monotonic() + patience_s
+        while marked(variable, value) and time.monotonic() < until:
+            time.sleep(0.05)
+    return marked(variable, value)
+
+
+def equipped(environment: Mapping[str, str], out: Path) -> dict[str, str]:
+    """The environment with what a task's run script needs on this host: this Python first, the agent, where to write."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+    agent = Path(next(iter(fogspec.agent.__path__))) / "agent.py"
+    return {**environment, "PATH": path, "FOGSPEC_AGENT": str(agent), "FOGSPEC_OUT": str(out.absolute())}

@@ -1,0 +1,243 @@
+"""What is asked of SkyPilot: its public Python API, one function a question. Each may block; only the worker calls them.
+
+https://docs.skypilot.co/en/latest/reference/api.html. Nothing here can touch a machine whose name does not begin as ours do.
+"""
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import sky
+from sky import exceptions
+
+from fogspec.backends.skypilot import secrets_file
+from fogspec.backends.skypilot.errors import CloudProblem
+from fogspec.backends.skypilot.teardown import await_gone
+
+PREFIX = "fogspec-"
+LAUNCHES = ("launch", "sky.launch")
+UNFINISHED = ("PENDING", "RUNNING")
+SETTLE_S = 5.0  # how long a question may yet arrive at the API server after whoever asked it was cut off
+
+
+def hello() -> dict[str, Any]:
+    """Which SkyPilot answers; a local API server is started if none runs."""
+    sky.get(sky.status([PREFIX + "none"]))
+    return {"version": sky.__version__}
+
+
+def launch(task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
+    """Ask for the task on a new machine of this name; the request's id."""
+    given = _with_secrets(_absolute(task, Path(root)), _ours(name))
+    try:
+        wanted = sky.Task.from_yaml_config(given)
+        _afford(wanted, task)
+        return {"request": str(sky.launch(wanted, cluster_name=name))}
+    except BaseException:
+        secrets_file.forget(name)
+        raise
+
+
+def _with_secrets(task: dict[str, Any], name: str) -> dict[str, Any]:
+    """The task with its secrets in a file, but for those that SkyPilot itself needs."""
+    secrets = secrets_file.values(task.pop("secrets", None) or ())
+    if own := {one: value for one, value in secrets.items() if one.startswith(secrets_file.SKYPILOTS)}:
+        task["secrets"] = own
+    if handed := {one: value for one, value in secrets.items() if one not in own}:
+        file = secrets_file.write(name, handed)
+        task["file_mounts"] = {**(task.get("file_mounts") or {}), secrets_file.THERE: str(file)}
+    return task
+
+
+def _absolute(task: Mapping[str, Any], root: Path) -> dict[str, Any]:
+    """The task with the folders it names made absolute."""
+    whole = dict(task)
+    if isinstance(whole.get("workdir"), str):
+        whole["workdir"] = str(root / whole["workdir"])
+    mounts = whole.get("file_mounts")
+    if isinstance(mounts, Mapping):
+        whole["file_mounts"] = {to: _source(source, root) for to, source in mounts.items()}
+    return whole
+
+
+def _source(source: object, root: Path) -> object:
+    if not isinstance(source, str) or "://" in source:
+        return source
+    return str(root / os.path.expanduser(source))
+
+
+def _afford(wanted: Any, task: Mapping[str, Any]) -> None:
+    """SkyPilot compares `max_hourly_cost` only when it chooses the machine itself: here it counts for a named one."""
+    resources = task.get("resources")
+    most = resources.get("max_hourly_cost") if isinstance(resources, Mapping) else None
+    if most is None:
+        return
+    for one in wanted.resources:
+        price = None
+        with contextlib.suppress(Exception):  # no price is known here: what the plan says stands
+            price = one.get_cost(3600)
+        if price is not None and price > float(most) * (1 + 1e-6):
+            raise CloudProblem("budget", f"it costs ${price:g} an hour now, and the task allows ${float(most):g}")
+
+
+def launched(request: str, name: str) -> dict[str, Any] | None:
+    """What became of a launch; None while it goes on. Raises what it failed with."""
+    found = sky.api_status([request], all_status=True)
+    if not found:
+        # An API server that was started anew has forgotten it, and the machine may be up all the same.
+        if (job := _job_of(name)) is None:
+            raise CloudProblem(
+                "setup", "SkyPilot's API server does not know this launch any more", again=True, gone=True
+            )
+        secrets_file.forget(name)
+        return {"job": job}
+    if _word(found[0].status) in UNFINISHED:
+        return None
+    secrets_file.forget(name)
+    answer: Any = sky.get(cast(Any, request))
+    return {"job": answer[0]}
+
+
+def find(name: str) -> dict[str, Any] | None:
+    """The last launch of this machine that the API server knows of, or the machine's job; None where there is neither."""
+    if launches := _launches(name, finished=True):
+        return {"request": launches[0].request_id}
+    return None if (job := _job_of(name)) is None else {"job": job}
+
+
+def _job_of(name: str) -> int | None:
+    try:
+        rows = jobs(name)
+    except (exceptions.ClusterDoesNotExist, exceptions.ClusterNotUpError):
+        return None
+    return rows[0]["job"] if rows else None
+
+
+def _launches(name: str, finished: bool) -> list[Any]:
+    """Requests for this machine, newest first."""
+    asked = sky.api_status(cluster_name=_ours(name), all_status=finished)
+    found = [one for one in asked if one.cluster_name == name and one.name in LAUNCHES]
+    return sorted(found, key=lambda one: -float(one.created_at))
+
+
+def jobs(name: str) -> list[dict[str, Any]]:
+    """The machine's jobs, newest first, with their times in seconds since the epoch."""
+    records = sky.get(sky.queue(_ours(name), all_users=True))
+    rows = [
+        {"job": one["job_id"], "status": _word(one["status"]), "submitted_at": one["submitted_at"],
+         "start_at": one["start_at"], "end_at": one["end_at"]}
+        for one in records
+    ]  # fmt: skip
+    return sorted(rows, key=lambda row: -int(row["job"]))
+
+
+def log(name: str, job: int, path: str, limit: int, follow: bool = False, tail: int = 0) -> int:
+    """Write a job's log so far, or to its end, to `path`; bytes written, `limit` at most. With `tail` so many last lines."""
+    written = 0
+    with open(path, "wb") as file:
+        for chunk in sky.tail_logs(_ours(name), job, follow=follow, tail=tail, preload_content=False):
+            if written >= limit:
+                break
+            if chunk is None:  # a sign of life
+                continue
+            data = chunk.encode("utf-8", "replace")[: limit - written]
+            written += len(data)
+            file.write(data)
+            file.flush()
+    return written
+
+
+def clusters(prefix: str = PREFIX, names: Sequence[str] | None = None, refresh: bool = False) -> list[dict[str, Any]]:
+    """Machines that SkyPilot knows; with `refresh` it asks their cloud."""
+    _ours(prefix)
+    mode = sky.StatusRefreshMode.FORCE if refresh else sky.StatusRefreshMode.NONE
+    records = sky.get(sky.status(list(names) if names is not None else None, refresh=mode, all_users=True))
+    return [_cluster(one) for one in records if one["name"].startswith(prefix)]
+
+
+def waiting(prefix: str = PREFIX) -> list[str]:
+    """Names of machines whose launch goes on or has yet to begin."""
+    _ours(prefix)
+    asked = sky.api_status(all_status=False)
+    names = [str(one.cluster_name) for one in asked if one.name in LAUNCHES and one.cluster_name]
+    return [name for name in dict.fromkeys(names) if name.startswith(prefix)]
+
+
+def end(name: str) -> None:
+    """Break off its launch, take it down, and verify with its cloud that it is gone.
+
+    What SkyPilot knows nothing of is looked for once more a little later: whoever asked for it may have been cut off while
+    asking.
+    """
+    secrets_file.forget(_ours(name))
+    if not _end(name):
+        time.sleep(SETTLE_S)
+        _end(name)
+
+
+def _end(name: str) -> bool:
+    """Whether SkyPilot knew of it, or of a launch of it."""
+    asked = _launches(name, finished=True)
+    if pending := [one.request_id for one in asked if _word(one.status) in UNFINISHED]:
+        sky.get(sky.api_cancel(pending, silent=True))
+    known = bool(asked)
+    with contextlib.suppress(exceptions.ClusterDoesNotExist):
+        sky.get(sky.down(_ours(name)))
+        known = True
+    if _launches(name, finished=False) or clusters(names=[name], refresh=True):
+        raise CloudProblem("setup", f"{name} is still there", again=True)
+    await_gone(name)
+    return known
+
+
+def autostop(name: str, idle_minutes: int, down: bool = True) -> None:
+    """When nothing has run on it for so long, it ends itself."""
+    sky.get(sky.autostop(_ours(name), idle_minutes=idle_minutes, down=down))
+
+
+def _cluster(record: Any) -> dict[str, Any]:
+    handle = record["handle"]
+    resources = getattr(handle, "launched_resources", None)
+    infra = getattr(resources, "infra", None)
+    return {
+        "name": record["name"],
+        "status": _word(record["status"]),
+        "infra": infra.to_str() if infra is not None else None,
+        "instance": getattr(resources, "instance_type", None),
+        "price_usd_per_hour": _price(handle),
+        "launched_at": record["launched_at"],
+        "ip": _address(handle),
+        "labels": dict(getattr(resources, "labels", None) or {}),
+    }
+
+
+def _address(handle: Any) -> str | None:
+    """Where the machine itself can be reached; on Slurm SkyPilot's `head_ip` is that of the login node."""
+    if type(getattr(getattr(handle, "launched_resources", None), "cloud", None)).__name__ == "Slurm":
+        addresses = getattr(handle, "stable_internal_external_ips", None)
+        return addresses[0][0] if addresses else None
+    return getattr(handle, "head_ip", None)
+
+
+def _price(handle: Any) -> float | None:
+    with contextlib.suppress(Exception):  # handles of machines that were never up say nothing
+        return float(handle.launched_resources.get_cost(3600))
+    return None
+
+
+def _ours(name: str) -> str:
+    if not name.startswith(PREFIX):
+        raise ValueError(f"{name} does not begin with {PREFIX}: it is not ours")
+    return name
+
+
+def _word(status: Any) -> str:
+    return str(getattr(status, "value", status))
+
+
+OPERATIONS: Mapping[str, Callable[..., Any]] = {
+    one.__name__: one for one in (hello, launch, launched, find, jobs, log, clusters, waiting, end, autostop)
+}

@@ -1,0 +1,117 @@
+"""What SkyPilot's exceptions mean here: a reason that results know, and whether trying again soon can help.
+
+Providers' own words are looked for in the text of the exception and of all that led to it, because SkyPilot gathers the
+refusals of every zone it tried in `failover_history` and says of them all that resources are unavailable. Error codes:
+docs.aws.amazon.com/AWSEC2/latest/APIReference/errors-overview.html; cloud.google.com/compute/docs/troubleshooting;
+learn.microsoft.com/azure/azure-resource-manager/troubleshooting/common-deployment-errors.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, get_args
+
+from fogspec.results.schema import Reason
+
+DETAIL_LIMIT = 500
+FORGOTTEN = "SkyPilot knows of no launch of it: none was asked for, or its API server has begun anew since"
+# An API server that fails sends what it was doing; nothing in it is about the machine.
+SERVERS_OWN = re.compile(r"[\s+|]*Exception Group Traceback \(most recent call last\):.*", re.DOTALL)
+ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+# The first that is found decides: a quota is often told of as a lack of capacity, and never the other way round.
+WORDS: tuple[tuple[Reason, bool, str], ...] = (
+    ("quota", False, r"quota|LimitExceeded|MaxSpotInstanceCount|limit of .{0,40}(instances|vcpus)|exceeded.{0,20}limit"
+                     r"|EnforcePartLimits|AssocGrp|QOSMax|QOSGrp"),
+    ("image", False, r"pull access denied|manifest unknown|manifest for .{0,200} not found|ErrImagePull|ImagePullBackOff"
+                     r"|InvalidAMIID|repository does not exist|no such image|image .{0,200} (not found|does not exist)"),
+    ("capacity", True, r"InsufficientInstanceCapacity|insufficient.{0,20}capacity|RESOURCE_POOL_EXHAUSTED|stockout"
+                       r"|SkuNotAvailable|AllocationFailed|out of (stock|capacity)|no capacity|Insufficient (cpu|memory)"
+                       r"|ReqNodeNotAvail|nodes? .{0,60}(down|drained)|timed out .{0,60}(allocat|provision|schedul)"),
+)  # fmt: skip
+CREDENTIALS = re.compile(
+    r"credential|not enabled|no cloud access|unauthorized|permission denied|sky check", re.IGNORECASE
+)
+CONTACT = {
+    "ApiServerConnectionError", "ServerTemporarilyUnavailableError", "NetworkError", "ClusterStatusFetchingError",
+    "FetchClusterInfoError", "RequestInterruptedError", "SkyletUnavailableError", "SkyletInternalError",
+    "ConnectionError", "Timeout", "TimeoutError", "ConcurrentWorkerExhaustedError", "ExecutionRetryableError",
+}  # fmt: skip
+GONE = {"ClusterDoesNotExist"}
+SETUP = {"ClusterSetUpError", "CommandError", "CommandFailureException", "ClusterNotUpError"}
+UNFIT = {
+    "ResourcesMismatchError", "NotSupportedError", "InvalidClusterNameError", "ProvisionUnsupportedError", "ValueError",
+}  # fmt: skip
+
+
+class CloudProblem(Exception):
+    """What SkyPilot refused or could not do.
+
+    `gone`: the machine that was asked for does not exist. `contact`: nothing was answered, so nothing is known.
+    """
+
+    def __init__(
+        self, reason: Reason, detail: str, *, again: bool = False, gone: bool = False, contact: bool = False
+    ) -> None:
+        super().__init__(detail)
+        self.reason = reason
+        self.detail = detail
+        self.again = again
+        self.gone = gone
+        self.contact = contact
+
+    def told(self) -> dict[str, Any]:
+        """As values that go through a pipe."""
+        return {"reason": self.reason, "detail": self.detail, "again": self.again, "gone": self.gone,
+                "contact": self.contact}  # fmt: skip
+
+
+def heard(told: Mapping[str, Any]) -> CloudProblem:
+    """The problem from what `told` gave."""
+    reason: Reason = told["reason"] if told.get("reason") in get_args(Reason) else "setup"
+    flags = {name: bool(told.get(name)) for name in ("again", "gone", "contact")}
+    return CloudProblem(reason, str(told.get("detail", "")), **flags)
+
+
+def classified(problem: BaseException) -> CloudProblem:
+    """What an exception of SkyPilot, or of the network below it, means."""
+    if isinstance(problem, CloudProblem):
+        return problem
+    kinds = {kind.__name__ for one in _causes(problem) for kind in type(one).__mro__}
+    text = "\n".join(dict.fromkeys(plain(str(one)) for one in _causes(problem)))
+    detail = _detail(problem, text)
+    if kinds & GONE:
+        return CloudProblem("capacity", detail, gone=True)
+    for reason, again, words in WORDS:
+        if re.search(words, text, re.IGNORECASE):
+            return CloudProblem(reason, detail, again=again)
+    if kinds & CONTACT:
+        return CloudProblem("setup", detail, again=True, contact=True)
+    if "NoCloudAccessError" in kinds or CREDENTIALS.search(text):
+        return CloudProblem("setup", f"{detail}; which clouds SkyPilot may use here: sky check")
+    if "ResourcesUnavailableError" in kinds:
+        return CloudProblem("capacity", detail, again=bool(getattr(problem, "failover_history", None)))
+    if kinds & SETUP:
+        return CloudProblem("setup", detail, again=True)
+    return CloudProblem("setup", detail, again=not kinds & UNFIT)
+
+
+def _causes(problem: BaseException) -> Iterator[BaseException]:
+    """The exception and all that led to it."""
+    yield problem
+    for one in getattr(problem, "failover_history", None) or ():
+        if isinstance(one, BaseException):
+            yield from _causes(one)
+    if problem.__cause__ is not None:
+        yield from _causes(problem.__cause__)
+
+
+def _detail(problem: BaseException, text: str) -> str:
+    text = SERVERS_OWN.sub("", text)
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    said = " | ".join(dict.fromkeys(lines)) or type(problem).__name__
+    return said if len(said) <= DETAIL_LIMIT else f"{said[: DETAIL_LIMIT - 2]} …"
+
+
+def plain(text: str) -> str:
+    """A text without colours and control characters, lines kept."""
+    return "".join(c for c in ANSI.sub("", text) if c.isprintable() or c == "\n")

@@ -1,0 +1,116 @@
+"""Files that a sample printed into its job's log, between markers: the way back that works on every infra.
+
+The log is what a machine said, so it is untrusted: read line by line, lines and files with a limit.
+"""
+
+import contextlib
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from fogspec.backends.protocol import SoFar
+from fogspec.backends.skypilot.errors import plain
+
+LOG_LIMIT = 256 * 2**20
+LINE_LIMIT = 2**20
+# SkyPilot puts the task's name and process, in colour, before each line.
+PREFIX = re.compile(rb"^(?:\x1b\[[0-9;]*m)*\([^()\n]{0,200}pid=\d+[^()\n]{0,100}\)(?:\x1b\[[0-9;]*m)* ?")
+MARKER = re.compile(rb"^=== fogspec (begin|end) (outcome\.json|timings\.jsonl) ===\s*$")
+TIMINGS = b"timings.jsonl"
+MEASURES = b"=== fogspec measures ==="
+SO_FAR = re.compile(rb"=== fogspec so far: (\d{1,12}) requests(?:, mean ([0-9.e+-]{1,24}) s)? ===")
+READ_BYTES = 2**20
+OOM = re.compile(r"oom[-_ ]kill|out of memory", re.IGNORECASE)
+TAIL_BYTES = 16 * 2**10
+
+
+def unpack(log: Path, folder: Path) -> bool:
+    """Write the files that the log has into `folder`, those that were printed last; whether all of them were there.
+
+    Timings whose end is missing are kept: what is there was measured.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / "part"
+    name, out, whole = b"", None, False
+    try:
+        for line in _lines(log):
+            marker = MARKER.match(line)
+            if marker is None:
+                if out is not None:
+                    out.write(line)
+                continue
+            if out is not None:
+                out.close()
+                if marker[1] == b"end" and marker[2] == name:
+                    part.replace(folder / name.decode())
+                    whole = name == TIMINGS
+            out, name = (part.open("wb"), marker[2]) if marker[1] == b"begin" else (None, b"")
+    finally:
+        if out is not None:
+            out.close()
+            if name == TIMINGS:
+                part.replace(folder / TIMINGS.decode())
+        part.unlink(missing_ok=True)
+    return whole
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What a growing log said in its first `read_to` bytes: whether set-up is over, and how far the sample is."""
+
+    read_to: int = 0
+    ready: bool = False
+    so_far: SoFar | None = None
+
+
+def heard(log: Path, before: Heard) -> Heard:
+    """What it says now, whole lines only."""
+    with contextlib.suppress(OSError), open(log, "rb") as file:
+        file.seek(before.read_to)
+        new = file.read(READ_BYTES)
+        # A line that is longer than what is read at once says nothing.
+        whole = new.rfind(b"\n") + 1 or (len(new) if len(new) == READ_BYTES else 0)
+        told = SO_FAR.findall(new[:whole])
+        so_far = _so_far(*told[-1]) if told else before.so_far
+        return Heard(before.read_to + whole, before.ready or MEASURES in new[:whole], so_far)
+    return before
+
+
+def _so_far(requests: bytes, mean: bytes) -> SoFar | None:
+    with contextlib.suppress(ValueError):
+        mean_s = float(mean) if mean else None
+        if mean_s is None or 0 <= mean_s < math.inf:
+            return SoFar(int(requests), mean_s)
+    return None
+
+
+def _lines(log: Path) -> Iterator[bytes]:
+    read = 0
+    with open(log, "rb") as file:
+        while read < LOG_LIMIT and (line := file.readline(LINE_LIMIT)):
+            read += len(line)
+            yield PREFIX.sub(b"", line)
+
+
+def last_words(log: Path) -> str:
+    """The last line of the job's own that says something."""
+    lines = [line.strip() for line in _tail(log) if line.strip()]
+    return lines[-1][:300] if lines else ""
+
+
+def starved(log: Path) -> bool:
+    """Whether the log ends with a process that was ended for want of memory."""
+    return any(OOM.search(line) for line in _tail(log))
+
+
+def _tail(log: Path) -> list[str]:
+    try:
+        with open(log, "rb") as file:
+            file.seek(max(0, log.stat().st_size - TAIL_BYTES))
+            raw = file.read(TAIL_BYTES)
+    except OSError:
+        return []
+    lines = [PREFIX.sub(b"", line) for line in raw.split(b"\n")]
+    return plain(b"\n".join(lines).decode("utf-8", "replace")).splitlines()

@@ -1,0 +1,71 @@
+"""One bench, apply or down of an application at a time: a lock that the kernel drops with the process that held it."""
+
+import contextlib
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from fogspec.base.errors import Refused, WrongFile
+from fogspec.base.file_kinds import not_a_file
+
+
+def start_ticks(pid: int) -> int | None:
+    """When a living process was started, in clock ticks since boot; None when there is no such process.
+
+    Together with the pid this names a process: pids are used again.
+    """
+    try:
+        fields = Path("/proc", str(pid), "stat").read_bytes().rsplit(b")", 1)[1].split()
+    except (OSError, IndexError):
+        return None
+    return None if fields[0] in (b"Z", b"X") else int(fields[19])
+
+
+@contextlib.contextmanager
+def held(path: Path, what: str, remove: bool = False) -> Iterator[None]:
+    """Hold the lock at `path` for `what`; raises Refused, naming what holds it, when another process does.
+
+    Raises WrongFile for what is no file.
+
+    What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
+    to clean up. With `remove` the file goes when it is over; a lock on a file that has gone is no lock: it is taken anew.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists() and (kind := not_a_file(path.stat().st_mode)) is not None:
+        raise WrongFile(f"{path}: {kind}", "remove it")
+    with contextlib.ExitStack() as files:
+        while True:
+            file = files.enter_context(open(path, "a+", encoding="utf-8"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                hint = "wait for it, or stop it with Ctrl-C there"
+                raise Refused(f"{what} must wait: {_holder(path)} has not ended", hint) from None
+            if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                break
+        holder = {
+            "what": what,
+            "pid": os.getpid(),
+            "start_ticks": start_ticks(os.getpid()),
+            "host": os.uname().nodename,
+        }
+        file.truncate(0)
+        # On a full disk there is a lock all the same.
+        with contextlib.suppress(OSError):
+            os.write(file.fileno(), json.dumps(holder).encode())
+        try:
+            yield
+        finally:
+            file.truncate(0)
+            if remove:
+                path.unlink(missing_ok=True)
+
+
+def _holder(path: Path) -> str:
+    try:
+        holder = json.loads(path.read_text(encoding="utf-8"))
+        return f"{holder['what']} (process {holder['pid']} on {holder['host']})"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"

@@ -1,0 +1,19 @@
+"""Reading what a user names: a file, and nothing that would keep whoever reads it waiting."""
+
+import errno
+import os
+
+from fogspec.base.file_kinds import not_a_file
+
+
+def check_file(path: str | os.PathLike[str]) -> None:
+    """Raises OSError, which says why, for what is no file or is not there."""
+    if (what := not_a_file(os.stat(path).st_mode)) is not None:
+        raise OSError(errno.EINVAL, what, os.fspath(path))
+
+
+def read_file(path: str | os.PathLike[str], most_bytes: int = -1) -> bytes:
+    """Its bytes, at most so many of them; raises OSError as `check_file` does, and where it cannot be read."""
+    check_file(path)
+    with open(path, "rb") as file:
+        return file.read(most_bytes)

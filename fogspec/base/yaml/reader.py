@@ -1,0 +1,201 @@
+"""Reading YAML 1.2 as data: bytes in, trees of values with their places out, every refusal located.
+
+The parser is ruamel.yaml's; what becomes of its events is ours, because a spec needs exact places, bounded
+aliases, and one meaning for every scalar.
+"""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from fogspec.base.diagnostics import Diagnostic, Place
+from fogspec.base.yaml.hints import blame
+from fogspec.base.yaml.positions import Node
+from fogspec.base.yaml.scalars import HIDDEN, Refusal, resolve
+
+MOST_BYTES = 1 << 20
+MOST_NODES = 100_000
+DEEPEST = 64
+UNUSABLE = re.compile("[\x00\ud800-\udfff]")
+
+
+class _Stop(Exception):
+    """Reading a file cannot go on."""
+
+
+def decode(content: bytes, path: str, most_bytes: int = MOST_BYTES) -> tuple[str, list[Diagnostic]]:
+    """The text of a file in UTF-8, or why it is none; line ends become LF."""
+    if len(content) > most_bytes:
+        fix = "keep data in files of their own"
+        return "", [Diagnostic("FS112", f"a file may have at most {most_bytes >> 20} MiB", Place(path, 1, 1), fix)]
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as wrong:
+        before = content[: wrong.start].decode("utf-8", "replace")
+        place = Place(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
+        fix = "save the file as UTF-8"
+        if content[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in content[:64]:
+            return "", [Diagnostic("FS102", "the file must be in UTF-8, this looks like UTF-16", place, fix)]
+        message = f"the file must be in UTF-8, byte 0x{content[wrong.start]:02x} is not"
+        return "", [Diagnostic("FS102", message, place, fix)]
+    text = text.replace("\r\n", "\n")
+    found = HIDDEN.search(text)
+    if not found:
+        return text, []
+    before, character = text[: found.start()], ord(found[0])
+    place = Place(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
+    return text, [Diagnostic("FS103", f"the control character U+{character:04X} is not text", place, "remove it")]
+
+
+def documents(text: str, path: str) -> tuple[list[Node], list[Diagnostic]]:
+    """The documents of a text, as far as it can be read, and everything wrong with it as YAML."""
+    composer = _Composer(text, path)
+    try:
+        found = list(composer.documents())
+    except _Stop:
+        found = composer.done
+    return found, composer.wrong
+
+
+class _Composer:
+    def __init__(self, text: str, path: str) -> None:
+        self.text = text
+        self.path = path
+        self.wrong: list[Diagnostic] = []
+        self.done: list[Node] = []
+        self.anchors: dict[str, Node] = {}
+        self.nodes = 0
+        self.events = self._events()
+
+    def documents(self) -> Iterator[Node]:
+        from ruamel.yaml.events import DocumentStartEvent
+
+        for event in self.events:
+            if isinstance(event, DocumentStartEvent):
+                self.anchors = {}
+                node = self._node(next(self.events), 0)
+                self.done.append(node)
+                yield node
+
+    def _events(self) -> Iterator[Any]:
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+        try:
+            yield from YAML(typ="safe", pure=True).parse(self.text)
+        except MarkedYAMLError as wrong:
+            self._syntax(wrong)
+            raise _Stop from None
+        except (YAMLError, ValueError, IndexError, AssertionError, RecursionError) as wrong:
+            self._refuse("FS104", f"the text must be YAML: {wrong}".splitlines()[0], Place(self.path, 1, 1))
+            raise _Stop from None
+
+    def _syntax(self, wrong: Any) -> None:
+        found = blame(self.text.split("\n"), wrong)
+        self._refuse(
+            found.code, found.message, Place(self.path, found.line + 1, found.column + 1, found.width), found.fix
+        )
+
+    def _refuse(self, code: str, message: str, place: Place, fix: str | None = None) -> None:
+        self.wrong.append(Diagnostic(code, message, place, fix))
+
+    def _place(self, event: Any) -> Place:
+        start, end = event.start_mark, event.end_mark
+        end_of_line = self.text.find("\n", start.index)
+        width = (end.index if end.line == start.line else end_of_line) - start.index
+        return Place(self.path, start.line + 1, start.column + 1, max(1, width))
+
+    def _node(self, event: Any, depth: int) -> Node:
+        from ruamel.yaml.events import AliasEvent, MappingStartEvent, ScalarEvent
+
+        place = self._place(event)
+        if isinstance(event, AliasEvent):
+            return self._alias(event, place)
+        if depth > DEEPEST:
+            self._refuse("FS112", f"a file may be nested at most {DEEPEST} deep", place)
+            raise _Stop
+        self._count(1, place)
+        if event.ctag is not None:
+            tag = str(event.ctag).replace("tag:yaml.org,2002:", "!!")
+            self._refuse("FS109", f"the tag {tag} is not part of the language", place, "remove it")
+        if isinstance(event, ScalarEvent):
+            node = self._scalar(event, place)
+        elif isinstance(event, MappingStartEvent):
+            node = self._mapping(place, depth)
+        else:
+            node = self._sequence(place, depth)
+        if event.anchor is not None:
+            self.anchors[event.anchor] = node
+        return node
+
+    def _count(self, nodes: int, place: Place) -> None:
+        self.nodes += nodes
+        if self.nodes > MOST_NODES:
+            self._refuse("FS107", f"a file may have at most {MOST_NODES} values, aliases counted each time", place)
+            raise _Stop
+
+    def _alias(self, event: Any, place: Place) -> Node:
+        node = self.anchors.get(event.anchor)
+        if node is None:
+            self._refuse("FS107", f"the anchor &{event.anchor} must be complete before *{event.anchor}", place)
+            return Node(None, place)
+        self._count(node.size, place)
+        return node
+
+    def _scalar(self, event: Any, place: Place) -> Node:
+        if found := UNUSABLE.search(event.value):
+            self._refuse(
+                "FS103", f"the character U+{ord(found[0]):04X} is not text", place, "remove its escape sequence"
+            )
+            return Node("", place, quoted=True)
+        if event.style is not None or not event.implicit[0]:
+            return Node(event.value, place, text=event.value, quoted=True)
+        value = resolve(event.value)
+        if isinstance(value, Refusal):
+            self._refuse(value.code, value.message, place, value.fix)
+            value = event.value
+        return Node(value, place, text=event.value, empty=event.value == "")
+
+    def _mapping(self, place: Place, depth: int) -> Node:
+        from ruamel.yaml.events import MappingEndEvent
+
+        values: dict[str, Node] = {}
+        node = Node(values, place)
+        while not isinstance(event := next(self.events), MappingEndEvent):
+            key = self._node(event, depth + 1)
+            value = self._node(next(self.events), depth + 1)
+            name = self._key(key, values, node)
+            if name is not None:
+                values[name] = value
+                node.keys[name] = key.place
+            node.size += key.size + value.size
+        return node
+
+    def _key(self, key: Node, values: dict[str, Node], node: Node) -> str | None:
+        if isinstance(key.value, (dict, list)) or key.empty or (not key.quoted and key.value is None):
+            self._refuse("FS113", "a key must be a text", key.place)
+            return None
+        if key.text == "<<" and not key.quoted:
+            self._refuse(
+                "FS108", "merge keys are not part of YAML 1.2", key.place, "write the keys out, or use an overlay"
+            )
+            return None
+        if key.text in values:
+            self._refuse(
+                "FS106",
+                f"{key.text} is already set on line {node.keys[key.text].line}",
+                key.place,
+                "remove one of the two",
+            )
+            return None
+        return key.text
+
+    def _sequence(self, place: Place, depth: int) -> Node:
+        from ruamel.yaml.events import SequenceEndEvent
+
+        items: list[Node] = []
+        node = Node(items, place)
+        while not isinstance(event := next(self.events), SequenceEndEvent):
+            items.append(self._node(event, depth + 1))
+            node.size += items[-1].size
+        return node

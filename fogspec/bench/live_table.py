@@ -1,0 +1,90 @@
+"""A benchmark on a terminal: a table that is drawn anew four times a second, whatever the events do."""
+
+from collections.abc import Callable, Sequence
+from typing import Self
+
+from rich import box
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from fogspec.bench.progress import Tail, machine, money, seconds, verdict
+from fogspec.bench.types import Event
+from fogspec.plan.schema import Sample
+from fogspec.results.schema import Measured
+
+WIDE = 100
+COLUMNS = ("sample", "machine", "state", "requests", "mean so far", "time", "left")
+
+
+class LiveTable:
+    """Samples that are asked for later get a row when they start; requests are counted after the warm-up.
+
+    Where the terminal is narrow there is no column for the machine, which a sample is named after.
+    """
+
+    def __init__(self, samples: Sequence[Sample], steps: int | None, budget_usd: float | None,
+                 now_s: Callable[[], float], console: Console | None = None, warmup: int = 0) -> None:  # fmt: skip
+        self._samples = {sample.id: sample for sample in samples}
+        self._steps, self._budget_usd, self._now_s, self._warmup = steps, budget_usd, now_s, warmup
+        self._console = console or Console(stderr=True)
+        self._state: dict[str, str] = {}
+        self._tails: dict[str, Tail] = {}
+        self._began: dict[str, float] = {}
+        self._ends: dict[str, float] = {}
+        self._records: dict[str, Measured] = {}
+        self._money = ""
+        self._live = Live(console=self._console, get_renderable=self.table, refresh_per_second=4, transient=True)
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def __call__(self, event: Event) -> None:
+        """Remember it for the next drawing."""
+        name = event.sample.id
+        self._samples.setdefault(name, event.sample)
+        self._state[name] = event.what if event.record is None else verdict(event.record)
+        if event.what == "starts":
+            self._began[name], self._tails[name] = self._now_s(), Tail()
+            self._records.pop(name, None)
+        if event.ends_s is not None:
+            self._ends[name] = event.ends_s
+        if event.progress is not None:
+            self._began.setdefault(name, self._now_s())
+            self._tails.setdefault(name, Tail()).take(event.progress)
+        if event.record is not None:
+            self._records[name] = event.record
+        of = "" if self._budget_usd is None else f" of {money(self._budget_usd)}"
+        self._money = f"spent {money(event.spent_usd)}{of}, committed at most {money(event.committed_usd)}"
+
+    def table(self) -> Table:
+        """What is known now."""
+        table = Table(box=box.SIMPLE, caption=self._money)
+        shown = [n for n, title in enumerate(COLUMNS) if title != "machine" or self._console.width >= WIDE]
+        for n in shown:
+            table.add_column(COLUMNS[n], no_wrap=n == 0)
+        for sample in list(self._samples.values()):
+            row = self._row(sample)
+            table.add_row(*(Text(row[n]) for n in shown))
+        return table
+
+    def _row(self, sample: Sample) -> list[str]:
+        name, now_s = sample.id, self._now_s()
+        tail, record = self._tails.get(name, Tail()), self._records.get(name)
+        count, mean_s = max(tail.requests - self._warmup, 0), tail.mean_s
+        took = now_s - self._began[name] if name in self._began else None
+        left = max(self._ends[name] - now_s, 0.0) if name in self._ends else None
+        if record is not None:
+            count, mean_s = record.requests, None if record.latency is None else record.latency.mean
+            took, left = record.duration, None
+        return [
+            name, machine(sample), self._state.get(name, "waits"),
+            f"{count}{'' if self._steps is None else f' of {self._steps}'}" if count else "",
+            "" if mean_s is None else seconds(mean_s), "" if took is None else f"{took:.0f} s",
+            "" if left is None else f"at most {left:.0f} s",
+        ]  # fmt: skip

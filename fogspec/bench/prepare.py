@@ -1,0 +1,114 @@
+"""From reviewed files to a campaign: the plan, its tasks, and results that are there already, all checked."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fogspec.base import digest
+from fogspec.base.errors import Differs, WrongCommand
+from fogspec.base.layout import Layout
+from fogspec.base.regular import read_file
+from fogspec.plan.schema import Plan, Sample
+from fogspec.results.io import read_results
+from fogspec.results.schema import Results, done
+from fogspec.spec import fingerprints
+from fogspec.spec.loader import read_document
+from fogspec.spec.lock_io import drift, read_pins
+from fogspec.spec.lockfile import pins_of_measurement
+from fogspec.spec.schema import Application
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """What is to be measured: `todo` of the plan's samples, by tasks that are as they were reviewed.
+
+    `results` are those that count already; `outdated` says that the file on disk measured something else; `only`
+    that the samples were named by the user. `read` are the results as they were on disk.
+    """
+
+    application: Application
+    layout: Layout
+    plan: Plan
+    plan_digest: str
+    tasks: Mapping[str, Mapping[str, Any]]
+    results: Results | None
+    outdated: bool
+    only: bool
+    todo: tuple[Sample, ...]
+    read: Results | None = None
+
+    def check_current(self) -> None:
+        """Raises Differs where another bench has measured since this was prepared: its samples must not be lost."""
+        if read_results(self.layout) != self.read:
+            raise Differs(f"{self.layout.results} has changed since this bench began", "run the bench again")
+
+
+def prepare(application: Application, spec_path: str | Path, only: Sequence[str]) -> Prepared:
+    """Check everything that a benchmark of this application relies on.
+
+    `only` names samples to measure, again if need be; without it, all that are not measured yet. Raises Differs for
+    a missing or stale plan or an edited task, Problems for a file that cannot be read, WrongCommand for a sample
+    that the plan does not have.
+    """
+    layout = Layout.of(spec_path, application.metadata.name)
+    again = f"fogspec compile {layout.spec}"
+    if not os.path.lexists(layout.plan):
+        raise Differs(f"{layout.name} has no plan yet", again)
+    plan = read_document(layout.plan, Plan)
+    if plan.spec.application.digest != fingerprints.planned_digest(application):
+        raise Differs(f"{layout.plan} is stale: {_changed(application, plan)} changed since it was compiled", again)
+    pins = read_pins(layout)
+    if drifted := drift(application, layout, pins):
+        raise Differs(f"{', '.join(drifted)}: not what {layout.lock} pins", f"fogspec lock {layout.spec}", again)
+    if plan.spec.pins != pins_of_measurement(application, pins):
+        raise Differs(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
+    tasks = {sample.id: _task(layout, sample, again) for sample in plan.spec.samples}
+    results = read_results(layout)
+    outdated = results is not None and (
+        results.spec.application != fingerprints.measured_digest(application)
+        or bool(fingerprints.other_pins(results.spec.pins, plan.spec.pins))
+    )
+    counting = None if outdated else results
+    return Prepared(
+        application, layout, plan, digest.of_bytes(layout.plan.read_bytes()), tasks, counting, outdated,
+        bool(only), tuple(_todo(plan, counting, only)), results,
+    )  # fmt: skip
+
+
+def _changed(application: Application, plan: Plan) -> str:
+    now = fingerprints.measured_fields(application)
+    fields = [name for name, value in now.items() if plan.spec.application.reads.get(name) != value]
+    return f"spec's {', '.join(fields)}" if fields else "hardware, infra or how machines are sampled"
+
+
+def _task(layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
+    if sample.task is None:
+        raise Differs(f"{layout.plan}: sample {sample.id} has no task", again)
+    path = layout.compiled / sample.task.path
+    try:
+        content = read_file(path)
+    except OSError as problem:
+        raise Differs(f"{path}: cannot be read: {problem.strerror}", again) from None
+    if digest.of_bytes(content) != sample.task.digest:
+        raise Differs(f"{path} is not what was compiled: what is reviewed is what runs", again)
+    return read_task(content)
+
+
+def read_task(content: bytes) -> Mapping[str, Any]:
+    """A compiled task, parsed."""
+    from ruamel.yaml import YAML
+
+    task: Mapping[str, Any] = YAML(typ="safe", pure=True).load(content)
+    return task
+
+
+def _todo(plan: Plan, results: Results | None, only: Sequence[str]) -> list[Sample]:
+    known = {sample.id: sample for sample in plan.spec.samples}
+    if unknown := [name for name in only if name not in known]:
+        raise WrongCommand(f"the plan has no sample {', '.join(unknown)}", f"samples: {', '.join(known)}")
+    if only:
+        return [known[name] for name in dict.fromkeys(only)]
+    measured = done(results)
+    return [sample for sample in plan.spec.samples if sample.id not in measured]

@@ -1,0 +1,41 @@
+"""What is replayed: the results of a benchmark, or a sweep of full measurements."""
+
+import math
+import statistics
+from pathlib import Path
+
+from fogspec.evaluation.sweeps import COLUMNS
+from fogspec.model.tables import number, rows
+from fogspec.plan.schema import MachineRef
+from fogspec.results.io import Recording, recordings
+from fogspec.results.schema import LatencySummary, Measured
+
+
+def replayable(path: str, after_s: float) -> tuple[list[Recording], str]:
+    """What a file recorded, and where it comes from; raises Problems or WrongFile.
+
+    A results file has each sample as it was. A sweep is CSV: see `fogspec.evaluation.sweeps`; its machines are taken to
+    have measured for `after_s`, and to have cost the plan's price for that time.
+    """
+    if not path.endswith(".csv"):
+        return recordings(path)
+    latencies: dict[tuple[str, str], list[float]] = {}
+    for line, row in rows(Path(path), COLUMNS):
+        latency_s = number(Path(path), line, row, "latency_s", required=True)
+        latencies.setdefault((row.get("infra") or "", row["instance_type"]), []).append(latency_s)
+    found = [
+        Recording(_record(infra, name, measured, after_s), priced=False)
+        for (infra, name), measured in latencies.items()
+    ]
+    return found, f"replayed from the sweep {Path(path).name}"
+
+
+def _record(infra: str, instance: str, latencies_s: list[float], after_s: float) -> Measured:
+    """Repeats of one machine as one record: their mean; what they differ by, as if each had been one request."""
+    machine = MachineRef(infra=infra, instance=instance, cpus=0, memory=0.0, price=0.0)
+    mean = math.fsum(latencies_s) / len(latencies_s)
+    latency = LatencySummary(mean=mean, sd=statistics.stdev(latencies_s) if len(latencies_s) > 1 else None)
+    return Measured(
+        id=instance, machine=machine, measured_on=f"{infra}/{instance}".strip("/"), state="ok",
+        requests=len(latencies_s), latency=latency, duration=after_s, spent=0.0,
+    )  # fmt: skip

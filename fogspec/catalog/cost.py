@@ -1,0 +1,71 @@
+"""What one request costs on a machine, and which latency a limit on the cost leaves.
+
+Busy billing pays the seconds of a request at the exact price (FogROS2-Config, section 2.D); provisioned billing shares
+the whole hour among its requests. Data transfer is added to both. On a spot machine interruptions come at random
+(Poisson) and a request that is interrupted starts over on another machine after a restart, so that a request of L
+seconds takes (1/rate + restart) * (exp(rate * L) - 1) paid seconds on average (Daly, A higher order estimate of the
+optimum checkpoint interval for restart dumps, FGCS 22 (2006), without checkpoints); a provisioned machine is paid
+while it restarts and serves nothing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fogspec.spec.schema import Spec
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """The cost of a request on each of n machines: price in USD per hour, whether it is a spot machine.
+
+    `requests_per_s` is None for busy billing.
+    """
+
+    price_usd_per_hour: Floats
+    spot: NDArray[np.bool_]
+    interruptions_per_s: float
+    restart_s: float
+    transfer_usd: float
+    requests_per_s: float | None
+
+    @classmethod
+    def of(cls, spec: Spec, price_usd_per_hour: Floats, spot: NDArray[np.bool_]) -> "Costs":
+        """As the spec bills."""
+        objective, data = spec.objective, spec.objective.transfer
+        return cls(
+            price_usd_per_hour, spot, objective.interruption.rate, objective.interruption.restart,
+            data.per_request * data.price, objective.rate if objective.billing == "provisioned" else None,
+        )  # fmt: skip
+
+    @property
+    def usd_per_s(self) -> Floats:
+        """What a second costs, restarts included: exact for provisioned billing and for short requests."""
+        extra = np.where(self.spot, self.interruptions_per_s * self.restart_s, 0.0)
+        return np.asarray(self.price_usd_per_hour / 3600 * (1 + extra))
+
+    def per_request(self, latency_s: Floats) -> Floats:
+        """USD per request (n,); NaN where the latency is."""
+        if self.requests_per_s:
+            return self.usd_per_s / self.requests_per_s + self.transfer_usd + 0 * latency_s
+        return self.usd_per_s * self._paid(latency_s) + self.transfer_usd
+
+    def latency_within(self, usd_per_request: float) -> Floats:
+        """The largest latency (n,) whose request costs at most so much; 0 where none does."""
+        left = usd_per_request - self.transfer_usd
+        if self.requests_per_s:
+            return np.where(self.usd_per_s / self.requests_per_s <= left, np.inf, 0.0)
+        seconds = max(left, 0.0) / self.usd_per_s
+        rate = self.interruptions_per_s
+        return np.where(self.spot & (rate > 0), np.log1p(rate * seconds) / (rate or 1.0), seconds)
+
+    def _paid(self, latency_s: Floats) -> Floats:
+        """Paid seconds of a request, without restarts."""
+        rate = self.interruptions_per_s
+        if not rate or not self.spot.any():
+            return latency_s
+        with np.errstate(over="ignore"):
+            return np.where(self.spot, np.expm1(rate * latency_s) / rate, latency_s)

@@ -1,0 +1,188 @@
+"""The funnel: from every machine on offer to those that a spec admits, each filter with a count of what it removed."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fogspec.base.units import Range
+from fogspec.catalog.machine import Gpu
+from fogspec.catalog.table import Catalog, Floats, Texts
+from fogspec.spec.schema import Hardware
+
+Mask = NDArray[np.bool_]
+PLACED = {"slurm"}  # clouds whose zones are places of their own
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """One filter of the funnel: the field of the spec, how many offers it removed and how many it left."""
+
+    name: str
+    removed: int
+    left: int
+
+
+@dataclass(frozen=True, slots=True)
+class Funnel:
+    """What became of `offered` offers, filter by filter; `admitted` is what is left."""
+
+    offered: int
+    filters: tuple[Filter, ...]
+
+    @property
+    def admitted(self) -> int:
+        """How many offers are left."""
+        return self.filters[-1].left if self.filters else self.offered
+
+    def line(self) -> str:
+        """`94,800 offers -> 6,306 infra -> ... -> 312 admissible`."""
+        steps = [f"{f.left:,} after {f.name}" for f in self.filters if f.removed]
+        return " -> ".join([f"{self.offered:,} offers", *steps])
+
+
+@dataclass(frozen=True, slots=True)
+class Admissible:
+    """The admissible offers, one a machine, place and price kind, and the funnel they came through."""
+
+    offers: Catalog
+    funnel: Funnel
+
+
+def admit(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Admissible:
+    """The offers that `hardware` and `infra` admit, in the catalog's order.
+
+    Zones of one region are merged into one offer at the highest of their prices, for a task pins the region and
+    may be given any zone of it; an `infra` that names a zone keeps its offers apart.
+    """
+    filters: list[Filter] = []
+    offers = catalog
+    for name, mask in _filters(hardware, infra):
+        kept = mask(offers)
+        removed = len(kept) - int(kept.sum())
+        if removed:
+            offers = offers.take(kept)
+        filters.append(Filter(name, removed, len(offers)))
+    merged = merge_zones(offers, infra)
+    filters.append(Filter("zones of one region merged", len(offers) - len(merged), len(merged)))
+    return Admissible(merged, Funnel(len(catalog), tuple(filters)))
+
+
+def parts(infra: str) -> list[str]:
+    """Cloud, region and zone of an infra, as far as it says them; the name of a Kubernetes context may have slashes."""
+    return infra.split("/", 1 if infra.startswith("kubernetes/") else 2)
+
+
+def matches_infra(catalog: Catalog, entry: str) -> Mask:
+    """Which offers are in `cloud`, `cloud/region` or `cloud/region/zone`; `*` stands for any."""
+    mask = np.ones(len(catalog), dtype=np.bool_)
+    for column, part in zip((catalog.cloud, catalog.region, catalog.zone), parts(entry), strict=False):
+        if part != "*":
+            mask &= _equal(column, part.lower() if column is catalog.cloud else part)
+    return mask
+
+
+def gpu_type(text: str) -> Gpu | None:
+    """`T4` and `T4:1` are machines with one T4, `T4:4` those with four, `none` those without accelerator."""
+    if text.strip().lower() == "none":
+        return None
+    name, _, count = text.partition(":")
+    return Gpu(name.strip(), float(count) if count.strip() else 1.0)
+
+
+def matches_gpu(catalog: Catalog, text: str) -> Mask:
+    """Which offers have exactly these accelerators; case does not count."""
+    gpu = gpu_type(text)
+    if gpu is None:
+        return _equal(catalog.gpu, "")
+    spellings = {name for name in set(catalog.gpu.tolist()) if name.lower() == gpu.name.lower()}
+    return _within(catalog.gpu, spellings) & np.asarray(catalog.gpu_count == gpu.count, dtype=np.bool_)
+
+
+def matches_names(catalog: Catalog, patterns: Sequence[str]) -> Mask:
+    """Which offers have an instance type that one of the patterns names; `*` matches any text."""
+    fits = _pattern(patterns).fullmatch
+    return _within(catalog.instance, {name for name in set(catalog.instance.tolist()) if fits(name)})
+
+
+def _filters(hardware: Hardware, infra: Sequence[str]) -> list[tuple[str, Callable[[Catalog], Mask]]]:
+    found: list[tuple[str, Callable[[Catalog], Mask]]] = [
+        ("infra", lambda c: _any(c, [matches_infra(c, entry) for entry in infra])),
+        ("hardware.spot", lambda c: np.full(len(c), True) if hardware.spot else ~c.spot),
+        ("hardware.arch", lambda c: _within(c.arch, set(hardware.arch))),
+        ("hardware.gpus", lambda c: _any(c, [matches_gpu(c, text) for text in hardware.gpus])),
+        ("hardware.cpus", lambda c: _inside(c.vcpus, hardware.cpus)),
+        ("hardware.memory", lambda c: _inside(c.memory_gib, hardware.memory)),
+        ("hardware.memory_per_cpu", lambda c: _inside(c.memory_gib / c.vcpus, hardware.memory_per_cpu)),
+    ]
+    allow, deny = hardware.machines.allow, hardware.machines.deny
+    if allow:
+        found.append(("hardware.machines.allow", lambda c: matches_names(c, allow)))
+    if deny:
+        found.append(("hardware.machines.deny", lambda c: ~matches_names(c, deny)))
+    return found
+
+
+def before_empty(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> str | None:
+    """What the machines have that the last filter was left with, where it removed all: what could be asked for instead."""
+    offers = catalog
+    for name, mask in _filters(hardware, infra):
+        kept = offers.take(mask(offers))
+        if not len(kept) and len(offers):
+            values = {
+                "hardware.gpus": lambda c: sorted({str(gpu) for gpu in c.gpu if gpu}) or ["none"],
+                "hardware.cpus": lambda c: [f"{value:g}" for value in sorted(set(c.vcpus.tolist()))],
+                "hardware.memory": lambda c: [f"{value:g} GiB" for value in sorted(set(c.memory_gib.tolist()))],
+            }.get(name)
+            return None if values is None else f"on offer there for {name}: {_shortened(values(offers))}"
+        offers = kept
+    return None
+
+
+def _shortened(words: list[str]) -> str:
+    return ", ".join(words if len(words) <= 16 else [*words[:8], "...", *words[-4:]])
+
+
+def merge_zones(offers: Catalog, infra: Sequence[str]) -> Catalog:
+    """One offer for all zones of a region that `infra` does not name, at the highest of their prices.
+
+    `offers` are in the catalog's order, which puts the zones of one machine and region together. A partition of a
+    Slurm cluster, which SkyPilot calls its zone, is a place with machines and a price of its own: it stays.
+    """
+    pinned = _any(offers, [matches_infra(offers, entry) for entry in infra if len(parts(entry)) == 3])
+    whole = _any(offers, [matches_infra(offers, entry) for entry in infra if len(parts(entry)) < 3])
+    zone = offers.zone.copy()
+    zone[(whole | ~pinned) & ~_within(offers.cloud, PLACED)] = ""
+    return replace(offers, zone=zone).merged()
+
+
+def _any(catalog: Catalog, masks: Sequence[Mask]) -> Mask:
+    found = np.zeros(len(catalog), dtype=np.bool_)
+    for mask in masks:
+        found |= mask
+    return found
+
+
+def _equal(column: Texts, text: str) -> Mask:
+    return np.asarray(column == text, dtype=np.bool_)
+
+
+def _within(column: Texts, words: set[str]) -> Mask:
+    return np.fromiter(map(words.__contains__, column.tolist()), np.bool_, len(column))
+
+
+def _inside(values: Floats, bounds: Range | None) -> Mask:
+    """Ends included; a relative 1e-9 is forgiven, for 16 GiB may have been written in MB."""
+    found = np.ones(len(values), dtype=np.bool_)
+    if bounds is not None and bounds.low is not None:
+        found &= values >= bounds.low * (1 - 1e-9)
+    if bounds is not None and bounds.high is not None:
+        found &= values <= bounds.high * (1 + 1e-9)
+    return found
+
+
+def _pattern(patterns: Sequence[str]) -> re.Pattern[str]:
+    """Only `*` is special: fnmatch's brackets and question mark are no part of the language."""
+    return re.compile("|".join(".*".join(map(re.escape, pattern.split("*"))) for pattern in patterns))

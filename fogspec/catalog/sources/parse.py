@@ -1,0 +1,140 @@
+"""Catalog tables in SkyPilot's columns, read into a `Catalog`: one row an offering, prices in USD per hour.
+
+Columns of SkyPilot's catalog schema v8: InstanceType, AcceleratorName, AcceleratorCount, vCPUs, MemoryGiB, GpuInfo,
+Price, SpotPrice, Region, AvailabilityZone, Arch. Understood besides: Cloud, Family, PhysicalCores, ClockGHz,
+Burstable, GpuMemMiB. All others are left alone.
+"""
+
+import gc
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.base.digest import of_bytes
+from fogspec.catalog.sources import gcp
+from fogspec.catalog.sources.names import arch_of, family_of
+from fogspec.catalog.sources.rows import Rows, parse
+from fogspec.catalog.table import About, Catalog, Floats, Texts, texts
+
+REQUIRED = ("InstanceType", "vCPUs", "MemoryGiB", "Price", "Region")
+GPU_MIB = re.compile(r"SizeInMiB\D+(\d+)")
+TRUE = ("1", "1.0", "true", "True")
+
+
+def read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog:
+    """The offers of one CSV file; `cloud` is the cloud of rows where there is no column `Cloud`.
+
+    Raises Problems for a file that is no such table, with every wrong field. Rows without a price, a price of 0 or
+    no shape are no candidates: they are counted in `about.notes`, with the line of the first one, as are repeated
+    rows, of which the highest price counts.
+    """
+    collecting = gc.isenabled()
+    gc.disable()  # a row is many objects and none is garbage: looking for some would take a third of the time
+    try:
+        return _read(content, path, cloud, about)
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def _read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog:
+    rows = parse(content, path, REQUIRED)
+    if cloud is None and "Cloud" not in rows.columns:
+        message = "which cloud these machines belong to must be said: a column Cloud is missing"
+        raise Problems([Diagnostic("FS401", message, Place(path, 1, 1))])
+    machines, spot = _machines(rows, cloud or "", about), rows.numbers("SpotPrice")
+    rows.check()
+    _explain(rows, machines, spot)
+    offers = _priced(*gcp.joined(_unpriced(machines), spot))
+    once = offers.merged()
+    if repeated := len(offers) - len(once):
+        rows.notes.append(f"{path}: {repeated:,} offers are repeated: the highest price of each counts")
+    return replace(once, about=replace(about, digest=digest(content), notes=(*about.notes, *rows.notes)))
+
+
+def digest(content: bytes) -> str:
+    """sha256 over the header and the sorted lines, so that the order of rows does not count."""
+    head, *rest = content.replace(b"\r\n", b"\n").split(b"\n")
+    return of_bytes(b"\n".join([head, *sorted(filter(None, rest))]))
+
+
+def _machines(rows: Rows, cloud: str, about: About) -> Catalog:
+    """One row a line of the table, priced or not."""
+    clouds = _clouds(rows, cloud)
+    instances = rows.shared("InstanceType")
+    return Catalog(
+        about=about,
+        cloud=clouds,
+        region=rows.shared("Region"),
+        zone=rows.shared("AvailabilityZone"),
+        instance=instances,
+        vcpus=rows.numbers("vCPUs"),
+        memory_gib=rows.numbers("MemoryGiB"),
+        gpu=rows.shared("AcceleratorName"),
+        gpu_count=np.nan_to_num(rows.numbers("AcceleratorCount")),
+        gpu_memory_gib=_gpu_memory_gib(rows),
+        price_usd_per_hour=rows.numbers("Price"),
+        spot=np.zeros(rows.size, dtype=np.bool_),
+        arch=texts(map(arch_of, clouds, instances, rows.column("Arch"))),
+        family=texts(map(family_of, clouds, instances, rows.column("Family"))),
+        physical_cores=rows.numbers("PhysicalCores"),
+        clock_ghz=rows.numbers("ClockGHz"),
+        burstable=np.fromiter(map(TRUE.__contains__, rows.column("Burstable")), np.bool_, rows.size),
+    )
+
+
+def _clouds(rows: Rows, cloud: str) -> Texts:
+    column = rows.column("Cloud")
+    known = {text: text.strip().lower() or cloud for text in set(column)}
+    return texts(map(known.__getitem__, column))
+
+
+def _gpu_memory_gib(rows: Rows) -> Floats:
+    """Memory of one accelerator in GiB: from GpuMemMiB, else from SkyPilot's GpuInfo."""
+    if "GpuMemMiB" in rows.columns:
+        return rows.numbers("GpuMemMiB") / 1024
+    column = rows.column("GpuInfo")
+    found = {text: GPU_MIB.search(text) for text in set(column)}
+    known = {text: float(match[1]) / 1024 if match else math.nan for text, match in found.items()}
+    return np.fromiter(map(known.__getitem__, column), np.float64, len(column))
+
+
+def _explain(rows: Rows, machines: Catalog, spot: Floats) -> None:
+    """Say which rows are no candidates."""
+    price = machines.price_usd_per_hour
+    names: Sequence[str] = machines.instance.tolist()
+    for mask, what in (
+        (np.isnan(price) & ~(spot > 0), "no price: not a candidate"),
+        (price == 0, "a price of 0: not a candidate"),
+        (spot == 0, "a spot price of 0: not a spot candidate"),
+        (~(machines.vcpus > 0) | ~(machines.memory_gib > 0), "no vCPUs or no memory: not a candidate"),
+        ((machines.gpu != "") & (machines.gpu_count == 0), "an accelerator without a count: not a candidate"),
+    ):
+        rows.note(np.flatnonzero(mask & (machines.instance != "")).tolist(), what, names)
+
+
+def _unpriced(machines: Catalog) -> Catalog:
+    """A price of 0 is a missing price, also where an accelerator's price would be added to it."""
+    price = machines.price_usd_per_hour
+    return replace(machines, price_usd_per_hour=np.where(price > 0, price, np.nan))
+
+
+def _priced(machines: Catalog, spot: Floats) -> Catalog:
+    """On-demand and spot offers as rows of their own, in order; rows without a name, shape or price fall out."""
+    order = machines.order()
+    machines, spot = machines.take(order), spot[order]
+    whole = (machines.instance != "") & (machines.vcpus > 0) & (machines.memory_gib > 0)
+    whole &= (machines.gpu == "") | (machines.gpu_count > 0)
+    on_demand = machines.take(whole & (machines.price_usd_per_hour > 0))
+    rows = whole & (spot > 0)
+    if not rows.any():
+        return on_demand
+    spots = machines.take(rows)
+    spots = replace(spots, price_usd_per_hour=spot[rows], spot=np.ones(len(spots), dtype=np.bool_))
+    names = [f.name for f in fields(Catalog) if f.name != "about"]
+    both = {name: np.concatenate([getattr(on_demand, name), getattr(spots, name)]) for name in names}
+    return Catalog(about=machines.about, **both)

@@ -1,0 +1,131 @@
+"""The catalog: every machine on offer, column by column, and where the table came from."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fogspec.catalog.machine import Gpu, Offer
+
+Floats = NDArray[np.float64]
+Texts = NDArray[np.object_]  # of str: one pointer a row, equal texts shared, so that 500,000 rows fit in memory
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """Provenance of a catalog: `digest` is over the bytes that were read, `notes` say what was left out."""
+
+    source: str
+    revision: str
+    date: str
+    digest: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Catalog:
+    """Offers as columns of equal length n; spot machines are rows of their own.
+
+    Prices are USD per hour of the whole machine, accelerators included, and positive. Unknown numbers are NaN; a
+    machine without accelerator has an empty `gpu` and a `gpu_count` of 0. Rows are in the order of `in_order`,
+    so that nothing depends on the order of the file they were read from.
+    """
+
+    about: About
+    cloud: Texts
+    region: Texts
+    zone: Texts
+    instance: Texts
+    vcpus: Floats
+    memory_gib: Floats
+    gpu: Texts
+    gpu_count: Floats
+    gpu_memory_gib: Floats
+    price_usd_per_hour: Floats
+    spot: NDArray[np.bool_]
+    arch: Texts
+    family: Texts
+    physical_cores: Floats
+    clock_ghz: Floats
+    burstable: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.instance)
+
+    def in_order(self) -> "Catalog":
+        """Sorted by spot, cloud, region, instance, accelerators, zone, and what is left of a row."""
+        return self.take(self.order())
+
+    def order(self) -> NDArray[np.intp]:
+        """The rows' numbers as `in_order` has them."""
+        key = self._names()
+        order = np.argsort(key, kind="stable")
+        same = key[order][1:] == key[order][:-1]
+        if same.any():
+            tied = np.flatnonzero(np.append(same, False) | np.append(False, same))
+            rest = (
+                "family", "arch", "clock_ghz", "physical_cores", "gpu_memory_gib", "burstable", "memory_gib", "vcpus",
+                "price_usd_per_hour",
+            )  # fmt: skip
+            rows = order[tied]
+            columns = [getattr(self, name)[rows] for name in rest]
+            within = np.lexsort([*(ranks(one) if one.dtype == object else one for one in columns), key[rows]])
+            order[tied] = rows[within]
+        return order
+
+    def _names(self) -> NDArray[np.int64]:
+        """One number a row that sorts as spot, cloud, region, instance, accelerators and zone do."""
+        key = self.spot.astype(np.int64)
+        for column in (self.cloud, self.region, self.instance, self.gpu, self.gpu_count, self.zone):
+            rank = ranks(column)
+            key = key * (int(rank.max(initial=0)) + 1) + rank
+            if key.max(initial=0) > 1 << 40:
+                key = np.unique(key, return_inverse=True)[1].astype(np.int64)
+        return key
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> "Catalog":
+        """The catalog of some of the rows: indices or a mask."""
+        columns = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "about"}
+        return Catalog(about=self.about, **columns)
+
+    def merged(self) -> "Catalog":
+        """One row for neighbours that differ in price alone (and in what their type says), at the highest price."""
+        key = (self.spot, self.cloud, self.region, self.instance, self.gpu, self.gpu_count, self.zone)
+        new = np.ones(len(self), dtype=np.bool_)
+        new[1:] = False
+        for column in key:
+            new[1:] |= np.asarray(column[1:] != column[:-1], dtype=np.bool_)
+        first = np.flatnonzero(new)
+        if len(first) == len(self):
+            return self
+        price = np.maximum.reduceat(self.price_usd_per_hour, first)
+        return replace(self.take(first), price_usd_per_hour=price)
+
+    def offer(self, row: int) -> Offer:
+        """One row as an `Offer`; its infra is cloud/region, with the zone where the table has one."""
+        infra = "/".join(part for part in (self.cloud[row], self.region[row], self.zone[row]) if part)
+        gpu = Gpu(str(self.gpu[row]), float(self.gpu_count[row])) if self.gpu[row] else None
+        return Offer(
+            infra=infra, instance=str(self.instance[row]), vcpus=float(self.vcpus[row]),
+            memory_gib=float(self.memory_gib[row]), price_usd_per_hour=float(self.price_usd_per_hour[row]),
+            gpu=gpu, arch=str(self.arch[row]), family=str(self.family[row]), spot=bool(self.spot[row]),
+        )  # fmt: skip
+
+
+def texts(values: Iterable[str]) -> Texts:
+    """A column of texts."""
+    return np.fromiter(values, dtype=np.object_)
+
+
+def concatenated(catalogs: Sequence[Catalog], about: About) -> Catalog:
+    """Catalogs one after the other, where those are in order and their clouds too: on-demand rows of all, then spot."""
+    parts = [*(one.take(~one.spot) for one in catalogs), *(one.take(one.spot) for one in catalogs)]
+    names = [f.name for f in fields(Catalog) if f.name != "about"]
+    return Catalog(about=about, **{name: np.concatenate([getattr(one, name) for one in parts]) for name in names})
+
+
+def ranks(column: Texts | Floats) -> NDArray[np.int32]:
+    """Each row's rank among the column's distinct texts, in code point order, or numbers, none of them NaN."""
+    rank = {word: i for i, word in enumerate(sorted(set(column.tolist())))}
+    return np.fromiter(map(rank.__getitem__, column.tolist()), np.int32, len(column))

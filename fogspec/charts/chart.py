@@ -1,0 +1,150 @@
+"""What the menu's pictures show, however they are drawn: machines, limits, and the two views of them."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fogspec.charts.axes import Axis, axis, money, number, requests_unit, seconds
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """A machine that is drawn by itself; `y` is the latency in seconds, or the metric that takes its place.
+
+    `role` is what it stands out for, `words` what it is, for the list of those that do.
+    """
+
+    name: str
+    y: float
+    cost_usd_per_request: float
+    price_usd_per_hour: float
+    low: float | None = None
+    high: float | None = None
+    measured: bool = False
+    on_front: bool = False
+    on_hourly_front: bool = False
+    role: str = ""
+    words: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Crowd:
+    """Every admissible machine, as columns (n,): `meets` says whether it meets all limits."""
+
+    y: Floats
+    cost_usd_per_request: Floats
+    price_usd_per_hour: Floats
+    meets: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """What is drawn; limits are drawn as regions that are not allowed.
+
+    `requests_per_hour` is there where a whole hour is paid (provisioned billing): then cost does not depend on latency.
+    """
+
+    title: str
+    subtitle: str
+    y_label: str
+    machines: Sequence[Machine]
+    crowd: Crowd
+    y_is: Literal["duration", "number"] = "duration"
+    y_limit: float | None = None
+    cost_limit_usd_per_request: float | None = None
+    price_limit_usd_per_hour: float | None = None
+    requests_per_hour: float | None = None
+    level: float = 0.9
+    notes: Sequence[str] = field(default_factory=tuple)
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One of the two views: machines by the cost of a request, or by the price of an hour.
+
+    `x` and `front` are the names of `Machine`'s fields; `forbidden` are (a, b, c): not allowed is where
+    a·log10 x + b·log10 y > c.
+    """
+
+    heading: str
+    x: Literal["cost_usd_per_request", "price_usd_per_hour"]
+    front: Literal["on_front", "on_hourly_front"]
+    x_label: str
+    x_words: Callable[[float], str]
+    forbidden: Sequence[tuple[float, float, float]]
+    limit: float | None
+
+    def column(self, chart: Chart) -> Floats:
+        """Every machine's x."""
+        return chart.crowd.cost_usd_per_request if self.x == "cost_usd_per_request" else chart.crowd.price_usd_per_hour
+
+    def steps(self, chart: Chart) -> list[tuple[float, float]]:
+        """The corners of the Pareto staircase, (x, y), in order of x."""
+        return sorted({(getattr(m, self.x), m.y) for m in chart.machines if getattr(m, self.front)})
+
+    def x_axis(self, chart: Chart, start: float, end: float) -> Axis:
+        """The horizontal axis, limits included that lie near the machines."""
+        return axis(_shown(self.column(chart), [getattr(m, self.x) for m in chart.machines], self.limit), start, end)
+
+
+def per_request(chart: Chart) -> View:
+    """By the cost of a request, for as many requests as make its figures short."""
+    costs = [*chart.crowd.cost_usd_per_request.tolist(), *positive(chart.cost_limit_usd_per_request)]
+    factor, unit = requests_unit(costs or [m.cost_usd_per_request for m in chart.machines])
+    forbidden = _y_limits(chart) + [(1.0, 0.0, math.log10(cost)) for cost in positive(chart.cost_limit_usd_per_request)]
+    for price in positive(chart.price_limit_usd_per_hour):
+        if per_hour := chart.requests_per_hour:
+            forbidden.append((1.0, 0.0, math.log10(price / per_hour)))
+        elif chart.y_is == "duration":
+            forbidden.append((1.0, -1.0, math.log10(price / 3600)))
+    return View(
+        "per request", "cost_usd_per_request", "on_front", f"cost of {unit}", lambda usd: money(usd * factor), forbidden,
+        chart.cost_limit_usd_per_request,
+    )  # fmt: skip
+
+
+def per_hour(chart: Chart) -> View:
+    """By the price of an hour, as the paper draws it; the limit on the cost is a slope here."""
+    forbidden = _y_limits(chart) + [(1.0, 0.0, math.log10(price)) for price in positive(chart.price_limit_usd_per_hour)]
+    for cost in positive(chart.cost_limit_usd_per_request):
+        if requests := chart.requests_per_hour:
+            forbidden.append((1.0, 0.0, math.log10(cost * requests)))
+        elif chart.y_is == "duration":
+            forbidden.append((1.0, 1.0, math.log10(cost * 3600)))
+    return View(
+        "per hour", "price_usd_per_hour", "on_hourly_front", "price of an hour", money, forbidden,
+        chart.price_limit_usd_per_hour,
+    )  # fmt: skip
+
+
+def y_axis(chart: Chart, start: float, end: float) -> Axis:
+    """The vertical axis: every machine, and intervals as far as a factor of four from theirs."""
+    ends = [v for m in chart.machines for v in (m.y, m.low, m.high) if v and m.y / 4 < v < 4 * m.y]
+    return axis(_shown(chart.crowd.y, ends, chart.y_limit), start, end)
+
+
+def y_words(chart: Chart) -> Callable[[float], str]:
+    """How y is written."""
+    return seconds if chart.y_is == "duration" else number
+
+
+def positive(limit: float | None) -> list[float]:
+    """The limit, where there is one that a logarithmic axis can show."""
+    return [] if limit is None or limit <= 0 else [limit]
+
+
+def _y_limits(chart: Chart) -> list[tuple[float, float, float]]:
+    return [(0.0, 1.0, math.log10(limit)) for limit in positive(chart.y_limit)]
+
+
+def _shown(column: Floats, others: Sequence[float], limit: float | None) -> list[float]:
+    """The ends of what an axis must show: a limit that lies far from every machine is left outside."""
+    values = [*others, *([float(column.min()), float(column.max())] if len(column) else [])]
+    low, high = min(values), max(values)
+    return [low, high, *(one for one in positive(limit) if low / 10 < one < high * 10)]

@@ -1,0 +1,196 @@
+"""The menu: the named choices and the Pareto fronts, as people and programs read them."""
+
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fogspec.base import units
+from fogspec.base.quantities import Cost, Duration, Memory, Price, Strict
+from fogspec.choice.choose import HOURS_PER_MONTH, Choice
+from fogspec.numerics.select import Miss
+from fogspec.plan.schema import Count, GpuShape, PlanMetadata, machine_ref
+from fogspec.spec.schema import Application, Billing, Statistic
+
+LEVEL = 0.9
+SHOWN = 40
+
+
+class Entry(Strict):
+    """A machine on the menu: what it is, what is expected of it, and whether it meets every limit."""
+
+    infra: str
+    instance: str
+    cpus: Count
+    memory: Memory
+    gpu: GpuShape | None
+    spot: bool
+    price: Price
+    latency: Duration
+    interval: tuple[Duration, Duration] | None
+    metrics: dict[str, float]
+    cost: Cost
+    month: str
+    objective: float
+    measured: bool
+    extrapolated: bool
+    probability: float | None
+    meets: bool
+    why_not: str | None
+
+
+class Limit(Strict):
+    """A limit that no machine meets together with the others, and how far it would have to move."""
+
+    limit: str
+    bound: str
+    nearest_value: str
+    factor: float
+    infra: str
+    instance: str
+    alone: bool
+
+
+class MenuBody(Strict):
+    """The choices: `balanced` minimises the objective; entries of `front` and `hourly_front` rise in cost or price."""
+
+    statistic: Statistic
+    billing: Billing
+    objective: str
+    scale: dict[str, str]
+    limits: dict[str, str]
+    level: float
+    admissible: int
+    predicted: int
+    meet: int
+    balanced: Entry | None
+    cheapest: Entry | None
+    fastest: Entry | None
+    nearest: Entry | None
+    missed: list[Limit]
+    front: list[Entry]
+    hourly_front: list[Entry]
+    warnings: list[str]
+
+
+class Menu(Strict):
+    """`kind: Menu`: what is on offer under the limits."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
+    kind: Literal["Menu"] = "Menu"
+    metadata: PlanMetadata
+    spec: MenuBody
+
+
+def make_menu(application: Application, choice: Choice, warnings: list[str]) -> Menu:
+    """The menu of a choice."""
+    spec = application.spec
+
+    def entry(row: int | None) -> Entry | None:
+        return None if row is None else entry_of(choice, row)
+
+    body = MenuBody(
+        statistic=spec.constraints.statistic, billing=spec.objective.billing, objective=weights(application),
+        scale=scale_texts(application, choice), level=LEVEL,
+        limits={name: limit_text(name, bound) for name, bound in choice.bounds.items()},
+        admissible=len(choice.offers), predicted=int(choice.eligible.sum()), meet=int(choice.feasible.sum()),
+        balanced=entry(choice.chosen), cheapest=entry(choice.cheapest), fastest=entry(choice.fastest),
+        nearest=entry(choice.nearest),
+        missed=[_missed(choice, miss) for miss in choice.misses],
+        front=[entry_of(choice, row) for row in thinned(choice.front)],
+        hourly_front=[entry_of(choice, row) for row in thinned(choice.hourly_front)],
+        warnings=warnings,
+    )  # fmt: skip
+    return Menu(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+
+
+def thinned(rows: NDArray[np.intp]) -> list[int]:
+    """At most `SHOWN` of the rows, spread evenly, both ends kept."""
+    if len(rows) > SHOWN:
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]
+    return [int(row) for row in rows]
+
+
+def entry_of(choice: Choice, row: int) -> Entry:
+    """One offer as it stands on the menu."""
+    machine = machine_ref(choice.offers.offer(row))
+    interval = choice.latency.interval(row, LEVEL)
+    return Entry(
+        **{name: getattr(machine, name) for name in ("infra", "instance", "cpus", "memory", "gpu", "spot", "price")},
+        latency=rounded(float(choice.latency.value[row])),
+        interval=None if interval is None else (rounded(interval[0]), rounded(interval[1])),
+        metrics={name: rounded(float(p.value[row])) for name, p in choice.metrics.items()},
+        cost=rounded(float(choice.cost_usd_per_request[row])), month=f"${machine.price * HOURS_PER_MONTH:.2f}/month",
+        objective=rounded(float(choice.objective[row])), measured=bool(choice.latency.measured[row]),
+        extrapolated=bool(choice.latency.extrapolated[row]), probability=_probability(choice, row),
+        meets=bool(choice.feasible[row]), why_not=why_not(choice, row),
+    )  # fmt: skip
+
+
+def why_not(choice: Choice, row: int) -> str | None:
+    """Which limits an offer breaks, in words; None when it breaks none."""
+    if choice.feasible[row]:
+        return None
+    broken = [
+        f"{name} {limit_text(name, float(choice.values[name][row]))} over the limit of {limit_text(name, bound)}"
+        for name, bound in choice.bounds.items()
+        if not choice.values[name][row] <= bound
+    ]
+    if broken:
+        return "; ".join(broken)
+    if choice.latency.unfit[row]:
+        return "it failed when it was measured, or has no more memory than a machine that ran out of it"
+    asked = choice.confidence if choice.floor is None else choice.floor
+    return f"meets the limits with probability {floored(choice.probability(row) or 0):g}, below {asked:g}"
+
+
+def floored(probability: float) -> float:
+    """With three digits, never rounded up: 0.8999 must not read "0.9, below 0.9"."""
+    return math.floor(1000 * probability) / 1000
+
+
+def _probability(choice: Choice, row: int) -> float | None:
+    found = choice.probability(row)
+    return None if found is None else round(found, 3)
+
+
+def _missed(choice: Choice, miss: Miss) -> Limit:
+
+    offer = choice.offers.offer(miss.row)
+    return Limit(
+        limit=miss.limit, bound=limit_text(miss.limit, miss.bound), nearest_value=limit_text(miss.limit, miss.value),
+        factor=rounded(miss.factor), infra=offer.infra, instance=offer.instance, alone=miss.alone,
+    )  # fmt: skip
+
+
+def weights(application: Application) -> str:
+    """The weights in words, wherever alpha appears: `0.70 latency + 0.30 cost`."""
+    objective = application.spec.objective
+    return f"{objective.alpha:.2f} {objective.metric or 'latency'} + {1 - objective.alpha:.2f} cost"
+
+
+def scale_texts(application: Application, choice: Choice) -> dict[str, str]:
+    """What latency (or the metric) and cost are divided by."""
+    metric = application.spec.objective.metric
+    of_x = units.format_number(rounded(choice.scale.x)) if metric else units.format_duration(rounded(choice.scale.x))
+    return {metric or "latency": of_x, "cost": units.format_cost(rounded(choice.scale.cost))}
+
+
+def limit_text(name: str, value: float) -> str:
+    """A limit's bound or a value of it, with its unit."""
+    value = rounded(value)
+    match name:
+        case "latency" | "rate":
+            return units.format_duration(value)
+        case "cost":
+            return units.format_cost(value)
+        case "price":
+            return units.format_price(value)
+        case _:
+            return units.format_number(value)
+
+
+def rounded(value: float) -> float:
+    """Four significant digits: more would be noise, and would differ between processors."""
+    return float(f"{value:.4g}")

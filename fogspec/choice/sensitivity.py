@@ -1,0 +1,133 @@
+"""What the choice hangs on: its limits, its samples, its rivals, and where the model is weak."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fogspec.choice.choose import Choice, choose
+from fogspec.model.fit import Known, Models, targets
+from fogspec.model.predict import Ground, Predicted, shape_of
+from fogspec.spec.schema import Application
+
+LEVEL = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """One limit at the choice.
+
+    `value` is predicted; `needs` is what the limit may be lowered to before the chosen machine no longer meets it with
+    the asked probability. `rules_out_alone` counts machines that only this limit rules out; `changes_at` is how far it
+    would have to be relaxed for a better one of these, `changes_to`, to be chosen; None if none is better.
+    """
+
+    limit: str
+    bound: float
+    value: float
+    needs: float
+    rules_out_alone: int
+    changes_at: float | None
+    changes_to: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Influence:
+    """What leaving one sample out does: the choice then, how far predictions move, and how well it is foretold.
+
+    `moves` is the median relative change over all machines, `missed_by` the relative error of the prediction of this
+    machine from the others, `covered` whether the measurement lies in that prediction's interval at `LEVEL`.
+    """
+
+    id: str
+    changes_to: str | None
+    changes: bool
+    moves: float
+    missed_by: float
+    covered: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Weak:
+    """A machine with a wide interval, as the ratio of its ends, among those that could be the choice."""
+
+    row: int
+    ratio: float
+
+
+def bindings(choice: Choice) -> list[Binding]:
+    """Every limit at the chosen machine; none when nothing was chosen."""
+    row = choice.chosen
+    if row is None:
+        return []
+    needs = choice.needs(choice.floor)
+    found = []
+    for name, bound in choice.bounds.items():
+        others = choice.eligible.copy()
+        for other, limit in choice.bounds.items():
+            if other != name:
+                others &= needs[other] <= limit
+        alone = others & ~(needs[name] <= bound)
+        better = np.flatnonzero(alone & (choice.objective < choice.objective[row]))
+        nearest = int(better[np.argmin(needs[name][better])]) if len(better) else None
+        found.append(Binding(
+            name, bound, float(choice.values[name][row]), float(needs[name][row]), int(alone.sum()),
+            None if nearest is None else float(needs[name][nearest]),
+            None if nearest is None else str(choice.offers.instance[nearest]),
+        ))  # fmt: skip
+    return found
+
+
+def influences(application: Application, models: Models, ground: Ground | None, choice: Choice) -> list[Influence]:
+    """Each sample left out in turn, those that change the choice first, then those that move predictions most."""
+    body = models.spec
+    if ground is None or len(body.known) < 2:
+        return []
+    found = []
+    for left_out in body.known:
+        others = [one for one in body.known if one is not left_out]
+        predicted = ground.predicted(others, body.unusable, targets(application))
+        found.append(_influence(application, predicted, left_out, choice))
+    return sorted(found, key=lambda one: (not one.changes, -round(one.moves, 6), one.id))
+
+
+def _influence(application: Application, predicted: Predicted, left_out: Known, choice: Choice) -> Influence:
+    without = choose(application, predicted)
+    both = np.isfinite(choice.latency.value) & np.isfinite(without.latency.value)
+    moved = np.abs(np.log(without.latency.value[both] / choice.latency.value[both]))
+    name = None if without.chosen is None else str(without.offers.instance[without.chosen])
+    now = None if choice.chosen is None else str(choice.offers.instance[choice.chosen])
+    missed, covered = float("nan"), False
+    posterior = without.latency.posterior
+    if posterior is not None and predicted.ground is not None:
+        at, value = predicted.ground.place[shape_of(left_out.machine).key], left_out.values["latency"]
+        missed = abs(float(np.exp(posterior.mean[at])) / value - 1)
+        low, high = (float(posterior.quantile(p)[at]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+        covered = low <= value <= high
+    return Influence(left_out.id, name, name != now, float(np.median(moved)) if both.any() else 0.0, missed, covered)
+
+
+def weak_spots(choice: Choice, count: int = 3) -> list[Weak]:
+    """The machines that might meet the limits with the widest intervals, an instance type once."""
+    posterior = choice.latency.posterior
+    if posterior is None:
+        return []
+    low, high = (posterior.quantile(p) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    of = choice.latency.of
+    possible = choice.eligible & (low[of] <= choice.within_s)
+    found: list[Weak] = []
+    seen: set[int] = set()
+    for row in np.flatnonzero(possible)[np.argsort(-np.round(high[of] / low[of], 6)[possible], kind="stable")].tolist():
+        if of[row] not in seen and len(found) < count:
+            seen.add(int(of[row]))
+            found.append(Weak(row, float(high[of[row]] / low[of[row]])))
+    return found
+
+
+def parts(application: Application, choice: Choice, row: int) -> Sequence[tuple[str, float]]:
+    """What an offer's objective is made of."""
+    objective = application.spec.objective
+    return (
+        (objective.metric or "latency", objective.alpha * float(choice.x[row]) / choice.scale.x),
+        ("cost", (1 - objective.alpha) * float(choice.cost_usd_per_request[row]) / choice.scale.cost),
+    )

@@ -1,0 +1,78 @@
+"""The files of a deployment: tasks for the chosen machine and its fall-backs, what stays on the robot, what is sent along.
+
+All of them are named by digest in the manifest: what a person approved is what runs.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fogspec.base import digest
+from fogspec.base.files import yaml_text
+from fogspec.base.layout import Layout
+from fogspec.base.templates import render
+from fogspec.choice.choose import Choice
+from fogspec.choice.shortlist import fallback_rows
+from fogspec.compile.launch_files import launch_files, link_of_machine, robot_launch
+from fogspec.compile.links import link_of
+from fogspec.compile.tasks import deploy_task, deployed_processes, listener, ros_environment
+from fogspec.plan.schema import TaskRef, machine_ref
+from fogspec.spec.schema import Application
+
+
+@dataclass(frozen=True, slots=True)
+class Deployable:
+    """What the manifest says of them: paths relative to its folder; `fallbacks` by the rows of their machines."""
+
+    task: TaskRef
+    robot_launch: TaskRef | None
+    robot_environment: Mapping[str, str]
+    files: list[TaskRef]
+    fallbacks: Mapping[int, TaskRef]
+
+
+def deployable(
+    application: Application, layout: Layout, choice: Choice, sent: Mapping[Path, bytes], files: dict[Path, bytes]
+) -> Deployable:
+    """Lay the files of a choice into `files`; `sent` are those that every machine gets."""
+    assert choice.chosen is not None
+    files[layout.deploy] = _task(application, layout, choice, choice.chosen)
+    rows = fallback_rows(choice, application.spec.deployment.fallbacks)
+    for number, row in enumerate(rows, 1):
+        files[layout.fallback(number)] = _task(application, layout, choice, row)
+    sent = {**sent, **launch_files(application, layout)}
+    files |= sent
+    robot, text = None, robot_launch(application, layout)
+    if text is not None:
+        files[layout.robot] = text
+        robot = reference(layout, layout.robot, text)
+    return Deployable(
+        reference(layout, layout.deploy, files[layout.deploy]), robot,
+        link_of(application).end(application, "robot").environment,
+        [reference(layout, path, content) for path, content in sorted(sent.items())],
+        {row: reference(layout, layout.fallback(n), files[layout.fallback(n)]) for n, row in enumerate(rows, 1)},
+    )  # fmt: skip
+
+
+def reference(layout: Layout, path: Path, content: bytes) -> TaskRef:
+    """A file as the manifest names it."""
+    return TaskRef(path=layout.beside_manifest(path), digest=digest.of_bytes(content))
+
+
+def _task(application: Application, layout: Layout, choice: Choice, row: int) -> bytes:
+    spec, source = application.spec, layout.relative(layout.spec)
+    ros: dict[str, Any] = ros_environment(spec)
+    link = link_of_machine(application)
+    run = render(
+        "run_deploy.sh.j2", **ros, processes=deployed_processes(application), listeners=listener(spec), link=link,
+        ready=spec.deployment.ready,
+    )  # fmt: skip
+    parts = [] if ros["distro"] is None else [render("setup_ros2.sh.j2", **ros)]
+    parts += [render("setup_link.sh.j2", **link)] if link else []
+    task = deploy_task(
+        application, machine_ref(choice.offers.offer(row)), workdir=layout.relative(layout.spec.parent),
+        agent=layout.relative(layout.agent), setup="\n".join(parts) or None, run=run,
+        launch=layout.relative(layout.cloud) if spec.ros else None, link=layout.relative(layout.link) if link else None,
+    )  # fmt: skip
+    return yaml_text(task, f"fogspec compile {source}", source).encode()

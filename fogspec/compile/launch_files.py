@@ -1,0 +1,85 @@
+"""Launch files for both sides, and the configuration of the link between them: readable texts, named in the manifest."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from fogspec.base.layout import Layout
+from fogspec.base.templates import render
+from fogspec.compile.links import link_of, port_of
+from fogspec.compile.links.sros2_policy import policy
+from fogspec.compile.links.wireguard import interface
+from fogspec.compile.links.zenoh import common_name
+from fogspec.spec.schema import Application, Node
+
+SIDES: tuple[Literal["cloud", "robot"], ...] = ("cloud", "robot")
+
+
+def launch_files(application: Application, layout: Layout) -> dict[Path, bytes]:
+    """What is sent to the machine besides the agent: the cloud's launch file and the link's folder."""
+    files: dict[Path, str] = {}
+    if application.spec.ros is not None:
+        files[layout.cloud] = render(
+            "cloud.launch.py.j2", **_words(application, layout, application.spec.cloud), together=True
+        )
+    if link_of(application).protocol is not None:
+        files[layout.link / "link.sh"] = link_script(application, layout)
+        for side in SIDES:
+            end = link_of(application).end(application, side)
+            files |= {layout.link / name: text for name, text in end.files.items()}
+    if application.spec.connectivity.sros2:
+        files[layout.link / "policy.xml"] = policy(application)
+    return {path: text.encode() for path, text in files.items()}
+
+
+def robot_launch(application: Application, layout: Layout) -> bytes | None:
+    """The robot's launch file: its nodes, and its end of the link; None where there is neither."""
+    link, spec = link_of(application), application.spec
+    if not spec.robot and link.protocol is None:
+        return None
+    environment = link.end(application, "robot").environment
+    words = _words(application, layout, spec.robot)
+    needed = {
+        "ExecuteProcess": words["has_processes"] or link.protocol,
+        "OpaqueFunction": link.protocol,
+        "SetEnvironmentVariable": environment,
+    }
+    text = render(
+        "robot.launch.py.j2", **words, link=link.protocol is not None, environment=environment, together=False,
+        actions=[name for name, wanted in needed.items() if wanted],
+        spec_folder=Path(os.path.relpath(layout.spec.parent, layout.compiled)).as_posix(),
+    )  # fmt: skip
+    return text.encode()
+
+
+def link_script(application: Application, layout: Layout) -> str:
+    """What makes keys, takes the other end's public half and runs the link: the same text at both ends."""
+    name = application.metadata.name
+    return render(
+        "link.sh.j2", kind=link_of(application).name, name=name, source=layout.relative(layout.spec),
+        port=port_of(application), common_name={side: common_name(name, side) for side in SIDES},
+        interface={side: interface(name, side) for side in SIDES},
+    )  # fmt: skip
+
+
+def link_of_machine(application: Application) -> dict[str, Any] | None:
+    """What the deployment's scripts say of the cloud's end; None without a link."""
+    link = link_of(application)
+    if link.protocol is None:
+        return None
+    distro = application.spec.ros.distro if application.spec.ros else ""
+    return {
+        "packages": [name.replace("DISTRO", distro) for name in link.packages],
+        "environment": dict(link.end(application, "cloud").environment),
+    }
+
+
+def _words(application: Application, layout: Layout, nodes: Sequence[Node]) -> dict[str, Any]:
+    return {
+        "source": layout.relative(layout.spec),
+        "name": application.metadata.name,
+        "nodes": nodes,
+        "has_nodes": any(node.cmd is None for node in nodes),
+        "has_processes": any(node.cmd is not None for node in nodes),
+    }

@@ -1,0 +1,19 @@
+"""The links between robot and cloud, by the name that a spec gives them: pure functions from a spec to configuration."""
+
+from fogspec.backends.protocol import Link
+from fogspec.compile.links.none import NoLink
+from fogspec.compile.links.wireguard import WireGuard
+from fogspec.compile.links.zenoh import Zenoh
+from fogspec.spec.schema import Application
+
+LINKS: dict[str, Link] = {link.name: link for link in (NoLink(), Zenoh(), WireGuard())}
+
+
+def link_of(application: Application) -> Link:
+    """The link that the spec asks for."""
+    return LINKS[application.spec.connectivity.link]
+
+
+def port_of(application: Application) -> int:
+    """The port that the cloud machine listens on; 0 without a link."""
+    return application.spec.connectivity.port or link_of(application).port

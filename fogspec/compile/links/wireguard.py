@@ -1,0 +1,133 @@
+"""WireGuard: a tunnel between two addresses that no other application has, and ROS 2 discovery through it.
+
+ROS_STATIC_PEERS (ROS 2 Iron and later) names the other end, so that no multicast is needed.
+"""
+
+import hashlib
+import ipaddress
+from collections.abc import Sequence
+from typing import Literal
+
+from fogspec.backends.protocol import LinkEnd
+from fogspec.spec.schema import Application
+
+# Shared address space of RFC 6598: neither a home's nor a data centre's private network is there by custom.
+SPACE = ipaddress.IPv4Network("100.64.0.0/10")
+
+# Each finds the machine by its address, whatever SkyPilot called its firewall. Azure's opens TCP as well.
+OPENING = {
+    "aws": (
+        "aws ec2 authorize-security-group-ingress --region {region} --protocol udp --port {port} --cidr 0.0.0.0/0"
+        ' --group-id "$(aws ec2 describe-instances --region {region} --filters Name=ip-address,Values={address}'
+        " --query 'Reservations[].Instances[].SecurityGroups[0].GroupId' --output text)\""
+    ),
+    "gcp": (
+        "gcloud compute firewall-rules create fogspec-udp-{port} --allow udp:{port}"
+        " --network \"$(gcloud compute instances list --filter 'networkInterfaces[0].accessConfigs[0].natIP={address}'"
+        " --format 'value(networkInterfaces[0].network.basename())')\""
+    ),
+    "azure": (
+        "az vm open-port --port {port} --priority 900"
+        ' --ids "$(az vm list --show-details --query "[?publicIps==\'{address}\'].id" --output tsv)"'
+    ),
+}
+
+FRAGMENT_BYTES = 1300  # below the tunnel's MTU of 1420 with room for headers
+BUFFER_BYTES = 4 << 20
+
+
+class WireGuard:
+    """One tunnel an application, with two addresses of its own."""
+
+    name: str = "wireguard"
+    protocol: Literal["tcp", "udp"] | None = "udp"
+    port: int = 51820
+    packages: Sequence[str] = ("iproute2", "wireguard-go", "wireguard-tools")
+
+    def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
+        """The tunnel's configuration in wg-quick's words."""
+        here, there = addresses(application.metadata.name)
+        if side == "cloud":
+            here, there = there, here
+        port = application.spec.connectivity.port or self.port
+        lines = [
+            "[Interface]",
+            f"Address = {here}/32",
+            *([f"ListenPort = {port}"] if side == "cloud" else []),
+            # The key is read from where it was made and is in no configuration.
+            'PostUp = wg set %i private-key "@KEYS@/private.key"',
+            "",
+            "[Peer]",
+            "PublicKey = @PEER@",
+            f"AllowedIPs = {there}/32",
+            *([] if side == "cloud" else [f"Endpoint = @CLOUD_ADDRESS@:{port}", "PersistentKeepalive = 25"]),
+        ]
+        environment = {"ROS_STATIC_PEERS": str(there), "FASTRTPS_DEFAULT_PROFILES_FILE": f"@LINK@/{side}.fastdds.xml"}
+        if side == "cloud":
+            environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        only = ["127.0.0.1", str(here)] if side == "cloud" else []
+        files = {f"{side}.conf": "\n".join(lines) + "\n", f"{side}.fastdds.xml": fast_dds(only)}
+        return LinkEnd(files, environment)
+
+    def notes(self, application: Application, cloud: str) -> Sequence[str]:
+        """What to open by hand, because SkyPilot opens TCP ports only."""
+        if cloud == "local":
+            return ()
+        port = application.spec.connectivity.port or self.port
+        how = "fogspec apply says the command" if cloud in OPENING else f"in the way of {cloud}"
+        return (f"open UDP port {port} of the machine yourself, because SkyPilot opens TCP ports only: {how}",)
+
+    def opening(self, application: Application, infra: str, address: str) -> str | None:
+        """One command of the cloud's own program where it is known, which opens the port to every address."""
+        cloud, _, region = infra.partition("/")
+        if cloud == "local":
+            return None
+        port = application.spec.connectivity.port or self.port
+        what = f"open UDP port {port} of {address}, or the robot finds nobody there"
+        if cloud not in OPENING:
+            return f"{what}: SkyPilot opens TCP ports only"
+        return f"{what}: {OPENING[cloud].format(region=region, address=address, port=port)}"
+
+
+def fast_dds(only: Sequence[str]) -> str:
+    """A profile for Fast DDS, the middleware that ROS 2 brings: other middlewares do not read it.
+
+    A message larger than one datagram is sent in fragments that fit into the tunnel's packets, so that a lost packet
+    costs one fragment and not 64 KiB; the buffers hold a burst of them. `only` are the addresses that are used at all.
+    """
+    interfaces = [f"        <address>{address}</address>" for address in only]
+    listed = ["      <interfaceWhiteList>", *interfaces, "      </interfaceWhiteList>"] if only else []
+    return "\n".join([
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">',
+        "  <transport_descriptors>",
+        "    <transport_descriptor>",
+        "      <transport_id>udp</transport_id>",
+        "      <type>UDPv4</type>",
+        f"      <sendBufferSize>{BUFFER_BYTES}</sendBufferSize>",
+        f"      <receiveBufferSize>{BUFFER_BYTES}</receiveBufferSize>",
+        f"      <maxMessageSize>{FRAGMENT_BYTES}</maxMessageSize>",
+        *listed,
+        "    </transport_descriptor>",
+        "  </transport_descriptors>",
+        '  <participant profile_name="fogspec" is_default_profile="true">',
+        "    <rtps>",
+        "      <userTransports><transport_id>udp</transport_id></userTransports>",
+        "      <useBuiltinTransports>false</useBuiltinTransports>",
+        "    </rtps>",
+        "  </participant>",
+        "</profiles>",
+        "",
+    ])  # fmt: skip
+
+
+def addresses(name: str) -> tuple[ipaddress.IPv4Address, ipaddress.IPv4Address]:
+    """The robot's and the cloud's address in the tunnel: a pair that follows from the application's name."""
+    pairs = SPACE.num_addresses // 2
+    pair = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") % pairs
+    return SPACE[2 * pair], SPACE[2 * pair + 1]
+
+
+def interface(name: str, side: Literal["cloud", "robot"]) -> str:
+    """The tunnel's network interface at one end: at most 15 characters, its own for each application."""
+    return f"fog{side[0]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"

@@ -1,0 +1,131 @@
+"""Zenoh: one router at each end, joined by mutual TLS on one port, each letting pass only what the spec names.
+
+Key expressions are those that rmw_zenoh_cpp makes of ROS 2's names (its design document): topics and services are
+`<domain>/<name>/<type>/<type hash>`, actions five of these, and the graph is told by liveliness tokens under `@ros2_lv`.
+A chunk that begins with `@` is matched by no wildcard, so it is always written out.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal
+
+from fogspec.backends.protocol import LinkEnd
+from fogspec.spec.graph_names import Exposed, exposed
+from fogspec.spec.schema import Application
+
+LOCAL = "tcp/127.0.0.1:7447"  # where rmw_zenoh_cpp's nodes look for their router
+DATA = ["put", "delete", "declare_subscriber"]
+CALLS = ["query", "reply", "declare_queryable"]
+GRAPH = ["liveliness_token", "declare_liveliness_subscriber", "liveliness_query"]
+SERVICES_OF_ACTIONS = ("send_goal", "get_result", "cancel_goal")
+TOPICS_OF_ACTIONS = ("feedback", "status")
+
+
+class Zenoh:
+    """Mutual TLS between two certificates that know each other, default deny."""
+
+    name: str = "zenoh"
+    protocol: Literal["tcp", "udp"] | None = "tcp"
+    port: int = 7448
+    packages: Sequence[str] = ("openssl", "ros-DISTRO-rmw-zenoh-cpp")
+
+    def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
+        """The router's configuration, in JSON, which is JSON5 too."""
+        config = router(application, side, application.spec.connectivity.port or self.port)
+        return LinkEnd({f"{side}.json5": _text(config)}, {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"})
+
+    def notes(self, application: Application, cloud: str) -> Sequence[str]:
+        """What to open by hand."""
+        if cloud in ("slurm", "ssh"):
+            port = application.spec.connectivity.port or self.port
+            return (f"{cloud} opens no ports: let the robot reach TCP port {port} of the machine yourself",)
+        return ()
+
+    def opening(self, application: Application, infra: str, address: str) -> str | None:
+        """Nothing: SkyPilot opens the port, or `apply` says that it cannot be reached."""
+        return None
+
+
+def _text(config: dict[str, Any]) -> str:
+    """JSON, short lists on one line."""
+    whole = json.dumps(config, indent=2) + "\n"
+    return re.sub(r"\[[^][{}]*\]", lambda found: _short(found[0]), whole)
+
+
+def _short(text: str) -> str:
+    line = " ".join(text.split()).replace("[ ", "[").replace(" ]", "]")
+    return line if len(line) <= 80 else text
+
+
+def router(application: Application, side: Literal["cloud", "robot"], port: int) -> dict[str, Any]:
+    """The configuration of one end's router (zenoh 1.x)."""
+    peer = "robot" if side == "cloud" else "cloud"
+    there = f"tls/@CLOUD_ADDRESS@:{port}"
+    listens = [LOCAL, f"tls/0.0.0.0:{port}"] if side == "cloud" else [LOCAL]
+    return {
+        "mode": "router",
+        "listen": {"endpoints": listens, "exit_on_failure": True},
+        "connect": {"endpoints": [] if side == "cloud" else [there], "timeout_ms": -1, "exit_on_failure": False},
+        "scouting": {"multicast": {"enabled": False}},
+        "timestamping": {"enabled": True},
+        "queries_default_timeout": 600000,
+        "transport": {"link": {"tls": {
+            "enable_mtls": True,
+            # The only certificate that is trusted is the other end's own: its key is its name, and the machine's
+            # address is not known when the certificate is made.
+            "verify_name_on_connect": False,
+            "root_ca_certificate": "@PEER@",
+            "listen_private_key": "@KEYS@/private.key", "listen_certificate": "@KEYS@/public.pem",
+            "connect_private_key": "@KEYS@/private.key", "connect_certificate": "@KEYS@/public.pem",
+        }}},
+        "access_control": access(application.metadata.name, peer, exposed(application.spec)),
+    }  # fmt: skip
+
+
+def access(name: str, peer: str, passing: Exposed) -> dict[str, Any]:
+    """Default deny; nodes of this end, on loopback, may say everything, the other end only what is named."""
+    everything = {
+        "id": "everything", "permission": "allow", "messages": [*DATA, *CALLS, *GRAPH],
+        "key_exprs": ["**", "@ros2_lv/**", "**/@adv/**"],
+    }  # fmt: skip
+    graph = {"id": "graph", "permission": "allow", "messages": GRAPH, "key_exprs": ["@ros2_lv/**"]}
+    rules = [everything, graph]
+    for kind, messages, keys in _rules(passing):
+        if keys:
+            rules.append({"id": kind, "permission": "allow", "messages": messages, "key_exprs": keys})
+    return {
+        "enabled": True, "default_permission": "deny", "rules": rules,
+        "subjects": [
+            {"id": "here", "interfaces": ["lo"], "link_protocols": ["tcp"]},
+            {"id": peer, "link_protocols": ["tls"], "cert_common_names": [common_name(name, peer)]},
+        ],
+        "policies": [
+            {"rules": ["everything"], "subjects": ["here"]},
+            {"rules": [rule["id"] for rule in rules[1:]], "subjects": [peer]},
+        ],
+    }  # fmt: skip
+
+
+def _rules(passing: Exposed) -> Iterator[tuple[str, list[str], list[str]]]:
+    """Topics, services, and names of which nobody said what they are."""
+    topics = [*passing.topics, *(f"{one}/_action/{part}" for one in passing.actions for part in TOPICS_OF_ACTIONS)]
+    calls = [*passing.services, *(f"{one}/_action/{part}" for one in passing.actions for part in SERVICES_OF_ACTIONS)]
+    # A publisher that keeps its last messages for late joiners says that it is there, is queried for them under its own
+    # key, and replies with the topic's.
+    yield "topics", [*DATA, "reply"], [key_of(name) for name in topics]
+    yield "kept messages", [*DATA, *CALLS, *GRAPH], [f"{key_of(name)}/@adv/**" for name in (*topics, *passing.names)]
+    yield "services", CALLS, [key_of(name) for name in calls]
+    yield "remapped names", [*DATA, *CALLS], [key_of(name) for name in passing.names]
+
+
+def common_name(name: str, side: str) -> str:
+    """The name in an end's certificate: at most 64 characters (RFC 5280, ub-common-name)."""
+    whole = f"{side}.{name}"
+    return whole if len(whole) <= 64 else f"{whole[:55]}.{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+
+
+def key_of(name: str) -> str:
+    """The key expression of a topic or service in any domain and of any type."""
+    return f"*{name}/*/*"

@@ -1,0 +1,104 @@
+"""Writing and checking the lock: what is pinned already stays, what is missing is asked for, files are read anew."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from fogspec.base.errors import WrongCommand
+from fogspec.base.layout import Layout
+from fogspec.catalog.table import About
+from fogspec.spec.lock_io import files_beside, read_lock, read_pins
+from fogspec.spec.lockfile import CatalogPin, ImagePin, Lock, LockBody, Pins, PriorsPin, image_named, is_pinned
+from fogspec.spec.schema import Application
+
+ALL = "all"
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """One application to lock: `origin` is what `--catalog` says for it, `about` the catalog found there.
+
+    `priors` is the machine library that `--priors` names, None to leave what is locked.
+    """
+
+    application: Application
+    layout: Layout
+    origin: str
+    about: About
+    priors: PriorsPin | None = None
+
+
+def relock(
+    wanted: Sequence[Wanted], digest_of: Callable[[str], str], upgrade: Sequence[str], whole: bool
+) -> dict[Path, Lock]:
+    """The locks as they should be, by path: one for each folder that has specs.
+
+    `digest_of` asks a registry. `upgrade` names what is asked for anew though it is locked: `catalog`, an image as a
+    spec names it, or `all`. `whole` says that there are no other applications than these. Raises WrongCommand for a
+    name that no spec has.
+    """
+    known = {"catalog", ALL, *filter(None, (image_named(one.application) for one in wanted))}
+    if unknown := [name for name in upgrade if name not in known]:
+        raise WrongCommand(f"nothing to upgrade is named {', '.join(unknown)}", f"there is: {', '.join(sorted(known))}")
+    ask = cache(digest_of)
+    found: dict[Path, dict[str, Pins]] = {}
+    for one in wanted:
+        path, name = one.layout.lock, one.layout.name
+        old = read_pins(one.layout)
+        if path not in found:
+            before = None if whole else read_lock(path)
+            found[path] = dict(before.spec.applications) if before else {}
+        image = _image(one.application, old, upgrade, ask)
+        files = files_beside(one.application, one.layout)
+        found[path][name] = Pins(
+            catalog=_catalog(one, old, upgrade), image=image, priors=one.priors or (old.priors if old else None), files=files
+        )  # fmt: skip
+    return {path: Lock(spec=LockBody(applications=pins)) for path, pins in found.items()}
+
+
+def _catalog(one: Wanted, old: Pins | None, upgrade: Sequence[str]) -> CatalogPin:
+    if old is not None and old.catalog.origin == one.origin and not {"catalog", ALL} & set(upgrade):
+        return old.catalog
+    about = one.about
+    return CatalogPin(
+        origin=one.origin, source=about.source, revision=about.revision, date=about.date, digest=about.digest
+    )
+
+
+def _image(
+    application: Application, old: Pins | None, upgrade: Sequence[str], ask: Callable[[str], str]
+) -> ImagePin | None:
+    name = image_named(application)
+    if name is None or is_pinned(name):
+        return None
+    if old is not None and old.image is not None and old.image.image == name and not {name, ALL} & set(upgrade):
+        return old.image
+    return ImagePin(image=name, digest=ask(name))
+
+
+def differences(before: Lock | None, now: Lock) -> list[str]:
+    """What differs between two locks, in lines."""
+    old = before.spec.applications if before else {}
+    new = now.spec.applications
+    lines = []
+    for name in sorted(old.keys() | new.keys()):
+        was, is_ = _flat(old.get(name)), _flat(new.get(name))
+        for what in sorted(was.keys() | is_.keys()):
+            if was.get(what) == is_.get(what):
+                continue
+            if what not in was:
+                lines.append(f"new: {name}: {what}: {is_[what]}")
+            elif what not in is_:
+                lines.append(f"gone: {name}: {what}")
+            else:
+                lines.append(f"changed: {name}: {what}: {was[what]} -> {is_[what]}")
+    return lines
+
+
+def _flat(pins: Pins | None) -> dict[str, str]:
+    if pins is None:
+        return {}
+    image = {f"image {pins.image.image}": pins.image.digest} if pins.image else {}
+    priors = {"priors": f"{pins.priors.origin} ({pins.priors.digest})"} if pins.priors else {}
+    return {"catalog": f"{pins.catalog.origin} ({pins.catalog.digest})", **image, **priors, **pins.files}

@@ -1,0 +1,395 @@
+"""The pinned manifest: the machine a human approves, what is expected of it, and where every figure came from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pydantic import field_serializer
+
+from fogspec import __version__
+from fogspec.base import units
+from fogspec.base.quantities import Cost, Duration, Memory, Price, Strict
+from fogspec.choice.choose import Choice, latency_limit_s
+from fogspec.choice.menu import LEVEL, Entry, entry_of, rounded, scale_texts, weights
+from fogspec.choice.relaxed import Relaxed
+from fogspec.choice.shortlist import stand_outs
+from fogspec.model.fit import Model, Models
+from fogspec.plan.schema import ApplicationRef, CatalogRef, Count, GpuShape, PlanMetadata, TaskRef
+from fogspec.spec.schema import Application, Billing, Connectivity, Node, Statistic
+
+
+class Fallback(Strict):
+    """A machine that also meets the limits, with its own reviewed task."""
+
+    infra: str
+    instance: str
+    cpus: Count
+    memory: Memory
+    gpu: GpuShape | None
+    spot: bool
+    price: Price
+    latency: Duration
+    cost: Cost
+    task: TaskRef
+
+
+class Pinned(Strict):
+    """What will run: one machine, its image, its nodes, and the reviewed task that starts them.
+
+    `files` are sent along; `fallbacks` may take the machine's place, in this order, when it cannot be had.
+    """
+
+    infra: str
+    instance: str
+    cpus: Count
+    memory: Memory
+    gpu: GpuShape | None
+    spot: bool
+    price: Price
+    image: str | None
+    image_pinned: bool | None
+    cloud: list[Node]
+    robot: list[Node]
+    connectivity: Connectivity
+    task: TaskRef
+    robot_launch: TaskRef | None
+    robot_environment: dict[str, str]
+    files: list[TaskRef]
+    ready: list[str] | None
+    patience: Duration
+    fallbacks: list[Fallback]
+
+    @field_serializer("cloud", "robot")
+    def _only_what_is_set(self, nodes: list[Node]) -> list[dict[str, Any]]:
+        return [node.model_dump(mode="json", exclude_defaults=True) for node in nodes]
+
+
+class ExpectedLatency(Strict):
+    """Latency of one request: predicted, its interval at `level`, and the probability that the limit is met."""
+
+    statistic: Statistic
+    predicted: Duration
+    interval: tuple[Duration, Duration] | None
+    level: float
+    limit: Duration | None
+    network: Duration
+    probability_met: float | None
+    measured: bool
+    extrapolated: bool
+
+
+class ExpectedLimits(Strict):
+    """Whether all limits are met: with which probability, whether that is what was asked, and whether it was measured.
+
+    `probability_met` and `sure` are None where nothing can be said of probabilities.
+    """
+
+    confidence: float
+    probability_met: float | None
+    sure: bool | None
+    verified: bool
+
+
+class ExpectedCost(Strict):
+    """Cost of one request, and what the machine costs while it is up."""
+
+    predicted: Cost
+    limit: Cost | None
+    billing: Billing
+    hour: Price
+    month: str
+
+
+class ExpectedMetric(Strict):
+    """A measure of the application, predicted."""
+
+    name: str
+    predicted: float
+    limit: float | None
+    unit: str | None
+
+
+class ExpectedObjective(Strict):
+    """The weighed sum, with its weights and scales written down."""
+
+    alpha: float
+    words: str
+    latency_weight: float
+    cost_weight: float
+    scale: dict[str, str]
+    value: float
+
+
+class Expected(Strict):
+    """What the models say of the pinned machine."""
+
+    limits: ExpectedLimits
+    latency: ExpectedLatency
+    cost: ExpectedCost
+    metric: ExpectedMetric | None
+    objective: ExpectedObjective
+
+
+class Alternative(Strict):
+    """A machine that was not chosen, and why."""
+
+    role: str
+    infra: str
+    instance: str
+    latency: Duration
+    cost: Cost
+    price: Price
+    why_not: str
+
+
+class FileRef(Strict):
+    """An input of this manifest: path beside it and digest over what was read of it."""
+
+    path: str
+    digest: str
+
+
+class CurveRef(Strict):
+    """The curve of the paper's families for the chosen machine's GPU type, for comparison."""
+
+    gpu: str | None
+    family: str
+    formula: str
+    coefficients: dict[str, float]
+    n: int
+    p: int
+    r2: float | None
+    loo_median_error: float | None
+    loo_max_error: float | None
+
+
+class ModelRef(Strict):
+    """What the prediction comes from; `priors` is the digest of the machine library, None without one.
+
+    `surrogate` is the version of the model, None where the curve itself predicts, for shapes of one host.
+    """
+
+    path: str
+    digest: str
+    surrogate: int | None
+    priors: str | None
+    samples: int
+    curve: CurveRef | None
+
+
+class Builder(Strict):
+    """The program that wrote the file."""
+
+    name: Literal["fogspec"] = "fogspec"
+    version: str
+
+
+class PaperChoice(Strict):
+    """Where the paper's method would end: a continuous optimum, its nearest machine, and the one that meets the limits."""
+
+    cpus: float
+    memory: Memory
+    rounded: str
+    instance: str | None
+    infra: str | None
+    objective: float | None
+
+
+class BestOfAll(Strict):
+    """The best of all machines that meet the limits."""
+
+    instance: str
+    infra: str
+    objective: float
+
+
+class Provenance(Strict):
+    """Where every figure came from; `application.reads` has a short digest of each field that choosing depends on.
+
+    `relaxed` and `exhaustive` say where these methods end if elsewhere than at the chosen machine.
+    """
+
+    application: ApplicationRef
+    catalog: CatalogRef
+    plan: FileRef
+    results: FileRef
+    models: ModelRef
+    method: Literal["exhaustive", "relaxed"]
+    relaxed: PaperChoice | None
+    exhaustive: BestOfAll | None
+    builder: Builder
+
+
+class Manifest(Strict):
+    """`kind: DeploymentManifest`; the name is no Kubernetes kind, so that no controller tries to apply it."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
+    kind: Literal["DeploymentManifest"] = "DeploymentManifest"
+    metadata: PlanMetadata
+    spec: Pinned
+    expected: Expected
+    warnings: list[str]
+    alternatives: list[Alternative]
+    provenance: Provenance
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """The files that a manifest is made from, and those that stand beside it."""
+
+    application: ApplicationRef
+    catalog: CatalogRef
+    plan: FileRef
+    results: FileRef
+    models: FileRef
+    task: TaskRef
+    robot_launch: TaskRef | None
+    robot_environment: Mapping[str, str]
+    files: list[TaskRef]
+    fallbacks: Mapping[int, TaskRef]
+
+
+def make_manifest(
+    application: Application,
+    choice: Choice,
+    models: Models,
+    sources: Sources,
+    warnings: list[str],
+    relaxed: Relaxed | None = None,
+) -> Manifest:
+    """The manifest of the chosen machine, and where `relaxed` ends if elsewhere. Raises ValueError for no choice."""
+    if choice.chosen is None:
+        raise ValueError("there is no manifest without a choice")
+    entry = entry_of(choice, choice.chosen)
+    return Manifest(
+        metadata=PlanMetadata(name=application.metadata.name),
+        spec=_pinned(application, entry, sources, choice),
+        expected=_expected(application, choice, entry),
+        warnings=warnings,
+        alternatives=alternatives(choice),
+        provenance=Provenance(
+            application=sources.application, catalog=sources.catalog, plan=sources.plan, results=sources.results,
+            models=_model_ref(models, entry, sources.models), method=application.spec.objective.method,
+            relaxed=None if relaxed is None or relaxed.row == choice.chosen else _paper_choice(choice, relaxed),
+            exhaustive=None if choice.exhaustive in (None, choice.chosen) else _best_of_all(choice, choice.exhaustive),
+            builder=Builder(version=__version__),
+        ),
+    )  # fmt: skip
+
+
+def _best_of_all(choice: Choice, row: int) -> BestOfAll:
+    best = entry_of(choice, row)
+    return BestOfAll(instance=best.instance, infra=best.infra, objective=best.objective)
+
+
+def _paper_choice(choice: Choice, relaxed: Relaxed) -> PaperChoice:
+    end = None if relaxed.row is None else entry_of(choice, relaxed.row)
+    return PaperChoice(
+        cpus=rounded(relaxed.vcpus), memory=rounded(relaxed.memory_gib),
+        rounded=str(choice.offers.instance[relaxed.rounded]),
+        instance=end and end.instance, infra=end and end.infra, objective=end and end.objective,
+    )  # fmt: skip
+
+
+def _pinned(application: Application, entry: Entry, sources: Sources, choice: Choice) -> Pinned:
+    spec = application.spec
+    image = spec.ros.image if spec.ros else None
+    return Pinned(
+        infra=entry.infra, instance=entry.instance, cpus=entry.cpus, memory=entry.memory, gpu=entry.gpu,
+        spot=entry.spot, price=entry.price, image=image,
+        image_pinned=None if image is None else "@sha256:" in image,
+        cloud=spec.cloud, robot=spec.robot, connectivity=spec.connectivity,
+        task=sources.task, robot_launch=sources.robot_launch,
+        robot_environment=dict(sources.robot_environment), files=sources.files,
+        ready=spec.deployment.ready, patience=spec.deployment.patience,
+        fallbacks=[_fallback(entry_of(choice, row), task) for row, task in sources.fallbacks.items()],
+    )  # fmt: skip
+
+
+def _fallback(entry: Entry, task: TaskRef) -> Fallback:
+    return Fallback(
+        infra=entry.infra, instance=entry.instance, cpus=entry.cpus, memory=entry.memory, gpu=entry.gpu,
+        spot=entry.spot, price=entry.price, latency=entry.latency, cost=entry.cost, task=task,
+    )  # fmt: skip
+
+
+def _expected(application: Application, choice: Choice, entry: Entry) -> Expected:
+    spec, row = application.spec, choice.chosen
+    assert row is not None
+    limit, objective = latency_limit_s(application), spec.objective
+    probability = None if limit is None else choice.latency.probability_below(row, limit)
+    metric = None
+    if objective.metric:
+        metric = ExpectedMetric(
+            name=objective.metric, predicted=entry.metrics[objective.metric],
+            limit=spec.constraints.metrics.get(objective.metric), unit=spec.metrics[objective.metric].unit,
+        )  # fmt: skip
+    return Expected(
+        limits=_limits(choice, row),
+        latency=ExpectedLatency(
+            statistic=spec.constraints.statistic, predicted=entry.latency, interval=entry.interval, level=LEVEL,
+            limit=spec.constraints.latency, network=spec.constraints.network,
+            probability_met=None if probability is None else round(probability, 3),
+            measured=entry.measured, extrapolated=entry.extrapolated,
+        ),
+        cost=ExpectedCost(
+            predicted=entry.cost, limit=spec.constraints.cost, billing=objective.billing, hour=entry.price,
+            month=entry.month,
+        ),
+        metric=metric,
+        objective=ExpectedObjective(
+            alpha=objective.alpha, words=weights(application), latency_weight=objective.alpha,
+            cost_weight=round(1 - objective.alpha, 12), scale=scale_texts(application, choice), value=entry.objective,
+        ),
+    )  # fmt: skip
+
+
+def _limits(choice: Choice, row: int) -> ExpectedLimits:
+    met = choice.probability(row)
+    return ExpectedLimits(
+        confidence=choice.confidence, probability_met=None if met is None else round(met, 3),
+        sure=None if met is None else choice.sure, verified=bool(choice.latency.measured[row]),
+    )  # fmt: skip
+
+
+def alternatives(choice: Choice) -> list[Alternative]:
+    """The other named choices, the runner-up, and the nearest machine that a limit rules out."""
+    found: list[Alternative] = []
+    for role, row in stand_outs(choice).items():
+        entry = entry_of(choice, row)
+        found.append(Alternative(
+            role=role, infra=entry.infra, instance=entry.instance, latency=entry.latency, cost=entry.cost,
+            price=entry.price, why_not=entry.why_not or _lost_on(choice, row),
+        ))  # fmt: skip
+    return found
+
+
+def _lost_on(choice: Choice, row: int) -> str:
+    assert choice.chosen is not None
+    mine, best = rounded(float(choice.objective[row])), rounded(float(choice.objective[choice.chosen]))
+    if mine == best:
+        return "equal objective; ties go by cost, latency, name"
+    return f"objective {units.format_number(mine)} against {units.format_number(best)}"
+
+
+def _model_ref(models: Models, entry: Entry, file: FileRef) -> ModelRef:
+    body, model = models.spec, model_for(models, entry)
+    curve = None if model is None else CurveRef(
+        gpu=model.gpu, family=f"{model.cpu_family} + {model.memory_family}", formula=model.formula,
+        coefficients={k: rounded(v) for k, v in model.coefficients.items()}, n=model.n, p=model.p, r2=_maybe(model.r2),
+        loo_median_error=_maybe(model.loo_median_error), loo_max_error=_maybe(model.loo_max_error),
+    )  # fmt: skip
+    return ModelRef(
+        path=file.path, digest=file.digest, surrogate=None if body.measured_on_local else body.predictor.surrogate,
+        priors=body.predictor.priors, samples=len(body.known), curve=curve,
+    )  # fmt: skip
+
+
+def model_for(models: Models, entry: Entry) -> Model | None:
+    """The latency curve of the entry's GPU type; None where no such machine was measured."""
+    key = None if entry.gpu is None else f"{entry.gpu.name}:{entry.gpu.count:g}"
+    return next((m for m in models.spec.models if m.gpu == key and m.target == "latency"), None)
+
+
+def _maybe(value: float | None) -> float | None:
+    return None if value is None else rounded(value)

@@ -1,0 +1,232 @@
+"""Compiled tasks: plain SkyPilot tasks as typed values, launchable by hand, the same for every runner.
+
+The shell scripts inside are rendered elsewhere and given as text, because rendering reads templates from disk.
+"""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from fogspec.base import digest
+from fogspec.compile.links import link_of, port_of
+from fogspec.plan.schema import MachineRef, Sample
+from fogspec.spec.probe import halves, optional, player
+from fogspec.spec.schema import Application, Node, Spec
+
+DEPLOYMENT_IDLE_MINUTES = 30
+BAG_PACKAGES = ["mcap==1.6.0", "rosbags==0.11.9"]  # from PyPI, to read bags on the measured machine
+# Places without containers, spot machines and open ports: SkyPilot refuses a task that asks for them (docs.skypilot.co,
+# "Slurm"). SSH node pools have them: SkyPilot makes a Kubernetes cluster of the pool.
+BARE = ("slurm",)
+# Places without a list of instance types: SkyPilot is asked for the shape, and the catalog may call it anything.
+SHAPED = ("slurm", "kubernetes", "ssh")
+AGENT_FOLDER = "~/.fogspec/agent"
+LAUNCH_FILE = "~/.fogspec/launch/cloud.launch.py"
+LINK_FOLDER = "~/.fogspec/link"
+# The robot's public half, given when the task is launched: the task itself is the same for every robot.
+LINK_PEER = "FOGSPEC_LINK_PEER"
+# The release of ros-infrastructure/ros-apt-source that sets up ROS 2's package source; by distribution, the code name of
+# its Ubuntu (REP 2000) and the package's sha256, as Docker's official `ros` images check it.
+ROS_APT_SOURCE = "1.2.0"
+ROS_APT_PACKAGES = {
+    "humble": ("jammy", "767884cf4ed03116b9d64438930a832ed854147ae435279a7924dfdf60f94433"),
+    "jazzy": ("noble", "0804d9b13db770eb87019be414cd78378835228ad5fa801fc88758596dd8f7e5"),
+    "lyrical": ("resolute", "a275b9b819874e745a928e83e39c429fa4d607159285c4ef3ebcf75afa732ee3"),
+}
+
+
+def sample_task(
+    application: Application,
+    sample: Sample,
+    lifetime_s: float,
+    *,
+    workdir: str,
+    agent: str,
+    setup: str | None,
+    run: str,
+) -> dict[str, Any]:
+    """The task that measures one sample; `workdir` and `agent` are folders relative to where it is launched.
+
+    The machine ends `lifetime_s` after its start at the latest: SkyPilot's autostop with `wait_for: none` counts
+    whether or not the job still runs, so that one that hangs keeps no machine.
+    """
+    autostop = {"idle_minutes": math.ceil(lifetime_s / 60), "down": True, "wait_for": "none"}
+    labels = {"fogspec-application": application.metadata.name, "fogspec-sample": sample.id[:63].rstrip("-")}
+    return _task(application, sample.machine, autostop, labels, workdir, agent, setup, run)
+
+
+def deploy_task(
+    application: Application, machine: MachineRef, *, workdir: str, agent: str, setup: str | None, run: str,
+    launch: str | None = None, link: str | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """The task that runs the cloud nodes on the chosen machine, until they end or nobody uses it.
+
+    `launch` is the cloud's launch file and `link` the folder of the link's configuration, where there are such.
+    """
+    autostop = {"idle_minutes": DEPLOYMENT_IDLE_MINUTES, "down": True}
+    labels = {"fogspec-application": application.metadata.name}
+    task = _task(application, machine, autostop, labels, workdir, agent, setup, run)
+    if application.spec.deployment.ready is not None:
+        task = {**{key: task[key] for key in ("name", "resources")}, "workdir": workdir, **task}
+    if launch is not None:
+        task["file_mounts"][LAUNCH_FILE] = launch
+    if link is None:
+        return task
+    task["file_mounts"][LINK_FOLDER] = link
+    if link_of(application).protocol == "tcp" and machine.infra.partition("/")[0] not in BARE:
+        task["resources"]["ports"] = [port_of(application)]
+    return {**task, "envs": {LINK_PEER: None}}
+
+
+def _task(
+    application: Application, machine: MachineRef, autostop: Mapping[str, Any], labels: Mapping[str, str],
+    workdir: str, agent: str, setup: str | None, run: str,
+) -> dict[str, Any]:  # fmt: skip
+    spec = application.spec
+    task: dict[str, Any] = {
+        "name": application.metadata.name,
+        "resources": _resources(spec, machine, autostop, labels),
+    }
+    if _needs_files(spec):
+        task["workdir"] = workdir
+    if spec.secrets:
+        task["secrets"] = dict.fromkeys(spec.secrets)
+    task["file_mounts"] = {AGENT_FOLDER: agent}
+    if setup is not None:
+        task["setup"] = setup
+    task["run"] = run
+    return task
+
+
+def _resources(
+    spec: Spec, machine: MachineRef, autostop: Mapping[str, Any], labels: Mapping[str, str]
+) -> dict[str, Any]:
+    cloud = machine.infra.partition("/")[0]
+    resources: dict[str, Any] = {} if cloud == "local" else {"infra": machine.infra}
+    if cloud == "local" or cloud in SHAPED:
+        resources |= {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
+    else:
+        resources["instance_type"] = machine.instance
+    if machine.price > 0:
+        # SkyPilot looks at it only when it chooses the machine itself: runners compare the price of a pinned one.
+        resources["max_hourly_cost"] = math.ceil(round(machine.price * 1e4, 6)) / 1e4
+    if machine.gpu is not None:
+        resources["accelerators"] = f"{machine.gpu.name}:{machine.gpu.count:g}"
+    bare = cloud in BARE
+    if machine.spot and not bare:
+        resources["use_spot"] = True
+    if spec.ros is not None and spec.ros.image is not None and not bare:
+        resources["image_id"] = f"docker:{spec.ros.image}"
+    return {**resources, "autostop": dict(autostop), "labels": dict(labels)}
+
+
+def left_out(spec: Spec, machine: MachineRef) -> list[str]:
+    """What a task for this machine leaves out of the spec, because SkyPilot cannot have it there."""
+    cloud = machine.infra.partition("/")[0]
+    if cloud not in BARE:
+        return []
+    image = spec.ros.image if spec.ros else None
+    found = (
+        [] if image is None else [f"image {image} is left out in {cloud}: ROS 2 is installed with apt, if it is absent"]
+    )
+    return [*found, *([f"spot is left out in {cloud}, which has none"] if machine.spot else [])]
+
+
+def _needs_files(spec: Spec) -> bool:
+    """Whether anything on the machine is named relative to the spec."""
+    workload = spec.benchmark.workload
+    if workload.bag is not None or spec.probe.bag is not None:
+        return True
+    nodes = [*spec.cloud, *([workload.node] if workload.node else [])]
+    workspace = spec.ros is not None and spec.ros.workspace is not None
+    return workspace or any(node.cmd is not None or node.parameter_files for node in nodes)
+
+
+def measured_processes(spec: Spec) -> list[list[str]]:
+    """Every process of a sample: who listens, what is offloaded, and what sends the requests, if it is not a node itself."""
+    client, inside = spec.benchmark.workload.node, halves(spec).inside
+    nodes = [[*inside, *command(node)] for node in spec.cloud]
+    return [*listener(spec), *nodes, *([command(client)] if client else []), *player(spec)]
+
+
+def deployed_processes(application: Application) -> list[list[str]]:
+    """Every process of a deployment: the link's end, and the nodes, by `ros2 launch` where there is ROS 2."""
+    link = [_found("${FOGSPEC_LINK:-$HOME/.fogspec/link}/link.sh", "exec bash", "cloud up")]
+    nodes = [command(node) for node in application.spec.cloud]
+    if application.spec.ros is not None:
+        nodes = [_found("${FOGSPEC_LAUNCH:-$HOME/.fogspec/launch}/cloud.launch.py", "exec ros2 launch", "")]
+    # What serves people must not depend on what watches it.
+    watched = [optional(halves(application.spec).inside, argv) for argv in nodes]
+    return [*(link if link_of(application).protocol is not None else []), *watched]
+
+
+def _found(path: str, program: str, words: str) -> list[str]:
+    """A program that is given a path which only the machine's own shell can tell."""
+    return ["sh", "-c", f'{program} "{path}" {words}'.strip()]
+
+
+def listener(spec: Spec) -> list[list[str]]:
+    """The processes that listen to the graph beside the nodes."""
+    return [list(argv) for argv in halves(spec).beside]
+
+
+def command(node: Node) -> list[str]:
+    """The argv that starts a node: `ros2 run` in launch_ros' words, or the plain process as it is."""
+    environment = ["env", *(f"{key}={value}" for key, value in sorted(node.env.items()))] if node.env else []
+    if node.cmd is not None:
+        return [*environment, *node.cmd, *node.arguments]
+    return [
+        *environment,
+        "ros2",
+        "run",
+        str(node.package),
+        str(node.executable),
+        *node.arguments,
+        *_ros_arguments(node),
+    ]
+
+
+def _ros_arguments(node: Node) -> list[str]:
+    found: list[str] = []
+    if node.name:
+        found += ["-r", f"__node:={node.name}"]
+    if node.namespace:
+        found += ["-r", f"__ns:={node.namespace}"]
+    for path in node.parameter_files:
+        found += ["--params-file", path]
+    for key, value in _flat(node.parameters):
+        found += ["-p", f"{key}:={parameter(value)}"]
+    for source, target in sorted(node.remappings.items()):
+        found += ["-r", f"{source}:={target}"]
+    return ["--ros-args", *found] if found else []
+
+
+def _flat(parameters: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in sorted(parameters.items()):
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def parameter(value: Any) -> str:
+    """A ROS 2 parameter as the YAML that its parser reads back with the same type: 38.0 stays a double."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def ros_environment(spec: Spec) -> dict[str, Any]:
+    """What the scripts say of ROS 2: distribution (None without ROS), workspace, packages, set-up lines; and of secrets."""
+    ros = spec.ros
+    return {
+        "distro": ros.distro if ros else None,
+        "workspace": ros.workspace if ros else None,
+        "apt": ros.apt if ros else [],
+        "setup": ros.setup if ros else [],
+        "setup_digest": digest.of_value(ros.setup if ros else [])[7:19],
+        "apt_source": dict(zip(("codename", "sha256"), ROS_APT_PACKAGES[ros.distro], strict=True)) if ros else {},
+        "apt_source_version": ROS_APT_SOURCE,
+        "compiler": bool(halves(spec).inside),
+        "secrets": spec.secrets,
+        "packages": BAG_PACKAGES if spec.probe.bag or spec.benchmark.workload.bag else [],
+    }

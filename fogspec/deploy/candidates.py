@@ -1,0 +1,110 @@
+"""What a machine costs now, and which image its tag stands for now."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fogspec.base import units
+from fogspec.base.errors import Refused
+from fogspec.catalog.filters import matches_infra
+from fogspec.catalog.table import Catalog
+from fogspec.choice.choose import HOURS_PER_MONTH
+from fogspec.compile.tasks import BARE
+from fogspec.deploy.schema import HOURS_PER_DAY
+from fogspec.plan.schema import MachineRef
+from fogspec.spec.lockfile import image_of, is_pinned
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A machine that may be launched with its reviewed task: the manifest's own, or one of its fall-backs.
+
+    `number` counts the machines before it, `runs` is the digest of all that the machine is given; `now_usd_per_hour` is
+    its price now, None where the catalog has none.
+    """
+
+    number: int
+    machine: MachineRef
+    task: Mapping[str, Any]
+    runs: str
+    approved_usd_per_hour: float
+    now_usd_per_hour: float | None = None
+
+    @property
+    def price_usd_per_hour(self) -> float:
+        """What it will cost."""
+        return self.approved_usd_per_hour if self.now_usd_per_hour is None else self.now_usd_per_hour
+
+
+def price_now(machine: MachineRef, catalog: Catalog) -> float | None:
+    """The machine's price in this catalog, the highest among the zones of its region; None where it is not on offer."""
+    offers = catalog.take(np.asarray(catalog.instance == machine.instance, dtype=np.bool_))
+    name, count = (machine.gpu.name, machine.gpu.count) if machine.gpu else ("", 0.0)
+    fits = matches_infra(offers, machine.infra) & (offers.spot == machine.spot)
+    fits &= np.asarray((offers.gpu == name) & (offers.gpu_count == count), dtype=np.bool_)
+    return float(offers.price_usd_per_hour[fits].max()) if fits.any() else None
+
+
+def check_price(one: Candidate, limit_usd_per_hour: float | None, most_usd_per_hour: float | None, source: str) -> None:
+    """Raises Refused for a machine that costs more than was approved, or than the caller or the spec allows.
+
+    `most_usd_per_hour` is what the caller allows, in place of the price that was approved.
+    """
+    if one.now_usd_per_hour is None:
+        raise Refused(f"{_named(one)}: is not on offer in {source}", "what it costs cannot be said: compile again")
+    cap = one.approved_usd_per_hour if most_usd_per_hour is None else most_usd_per_hour
+    now = one.now_usd_per_hour
+    if limit_usd_per_hour is not None and now > limit_usd_per_hour * (1 + 1e-9):
+        raise Refused(
+            f"{_named(one)}: costs {units.format_price(now)} now, over the limit of {units.format_price(limit_usd_per_hour)}",
+            "spec.constraints.price is hard: compile again with these prices",
+        )
+    if now > cap * (1 + 1e-9):
+        said = "--max" if most_usd_per_hour is not None else "what was approved"
+        raise Refused(
+            f"{_named(one)}: costs {units.format_price(now)} now in {source}, {said} is {units.format_price(cap)}",
+            f"compile again with these prices, or allow it: --max '{units.format_price(now)}'",
+        )
+
+
+def affordable(one: Candidate, limit_usd_per_hour: float | None, most_usd_per_hour: float | None) -> bool:
+    """Whether `check_price` would let it pass."""
+    try:
+        check_price(one, limit_usd_per_hour, most_usd_per_hour, "")
+    except Refused:
+        return False
+    return True
+
+
+def exact(
+    task: Mapping[str, Any], infra: str, image: str | None, resolve: bool, ask: Callable[[str], str]
+) -> tuple[Mapping[str, Any], str | None]:
+    """The task with its image named by digest, and that image; raises Refused for a tag, unless it is to be resolved.
+
+    Where there are no containers the image is left out of the task already.
+    """
+    if image is None or infra == "local" or infra.partition("/")[0] in BARE:
+        return task, None
+    if is_pinned(image):
+        return task, image
+    if not resolve:
+        raise Refused(
+            f"image {image} is not pinned: what would run may be something else than what was measured",
+            "pin it and review the manifest again: fogspec lock, fogspec compile",
+            "or launch what the tag stands for now: --resolve-image",
+        )
+    found = f"{image_of(image).name}@{ask(image)}"
+    resources = {**task["resources"], "image_id": f"docker:{found}"}
+    return {**task, "resources": resources}, found
+
+
+def price_words(usd_per_hour: float) -> str:
+    """An hour, a day, a month."""
+    day, month = usd_per_hour * HOURS_PER_DAY, usd_per_hour * HOURS_PER_MONTH
+    return f"{units.format_price(usd_per_hour)}, ${day:.2f} a day, ${month:.2f} a month"
+
+
+def _named(one: Candidate) -> str:
+    return f"{one.machine.instance} in {one.machine.infra}"

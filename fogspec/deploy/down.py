@@ -1,0 +1,157 @@
+"""Taking an application down: all that runs under its name, verified gone, whoever started it."""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from fogspec.backends.protocol import Deployer, Launch, LostContact
+from fogspec.base.diagnostics import Problems
+from fogspec.base.errors import CloudFailed, Interrupted, Outcome, WrongFile
+from fogspec.base.layout import Layout
+from fogspec.base.locks import held
+from fogspec.compile.manifest import Manifest
+from fogspec.deploy.apply import end
+from fogspec.deploy.state import LiveFile, SystemTimes, Times
+
+
+def layout_of(spec_or_name: str) -> Layout:
+    """The files of the application that a spec's path or a name means; raises WrongFile for neither.
+
+    Of a name, only the live state below the working directory is needed: the spec may be gone.
+    """
+    if spec_or_name.endswith((".yaml", ".yml")) or "/" in spec_or_name:
+        from fogspec.spec.loader import load
+
+        try:
+            found = load([spec_or_name])
+        except Problems as wrong:
+            what = wrong.diagnostics[0]
+            raise WrongFile(
+                f"{what.place.path}:{what.place.line}:{what.place.column}: {what.message}",
+                f"what runs is ended by its application's name too: fogspec down {Path(spec_or_name).stem}",
+            ) from None
+        if len(found) > 1:
+            names = ", ".join(one.application.metadata.name for one in found)
+            raise WrongFile(f"{spec_or_name} has several applications", f"name one of them: {names}")
+        return Layout.of(spec_or_name, found[0].application.metadata.name)
+    layout = Layout(Path(), Path("specs") / f"{spec_or_name}.yaml", spec_or_name)
+    if os.path.basename(spec_or_name) != spec_or_name or spec_or_name in (".", "..", ""):
+        raise WrongFile(f"{spec_or_name!r} is no application's name", "name one, or its spec")
+    if not layout.state.is_dir() and not layout.compiled.is_dir():
+        raise WrongFile(f"there is no application named {spec_or_name} here", f"looked for {layout.state}")
+    return layout
+
+
+def leave_link(layout: Layout) -> None:
+    """Forget the cloud's end of the link, where the spec is still there, is right, and has one."""
+    from fogspec.deploy.link import leave
+    from fogspec.spec.loader import load
+
+    with contextlib.suppress(Problems, WrongFile):
+        for one in load([layout.spec]):
+            if one.application.metadata.name == layout.name:
+                leave(one.application, layout)
+
+
+def down(
+    layout: Layout, deployers: Sequence[Callable[[], Deployer]], times: Times, tell: Callable[[str], None]
+) -> tuple[int, float]:
+    """End everything of one application; how many machines that were, and what they cost in USD.
+
+    Machines that are not in the live state are found by the application's name, also those of a bench that died. Where
+    one of the deployers cannot be had, those of the others are ended all the same.
+    Raises Refused while a bench or an apply runs, CloudFailed for what could not be verified gone.
+    """
+    try:
+        with held(layout.state / "lock", f"down of {layout.name}", remove=True):
+            done = _down(_live(layout, times, tell), deployers, tell)
+        with contextlib.suppress(OSError):
+            layout.state.rmdir()
+            layout.state.parent.rmdir()
+        return done
+    except KeyboardInterrupt:
+        again = f"run it again: fogspec down {layout.name}"
+        raise Interrupted("interrupted: what was not said to be gone may still run", again) from None
+    except (BrokenPipeError, Outcome):
+        raise
+    except OSError as problem:
+        said = f"{problem.filename or layout.state}: {problem.strerror or problem}"
+        raise WrongFile(said, f"run it again: fogspec down {layout.name}") from None
+
+
+def _live(layout: Layout, times: Times, tell: Callable[[str], None]) -> LiveFile:
+    """The live state; a damaged file hides no machine, for all are found by name as well."""
+    try:
+        return LiveFile.read(layout, times)
+    except Problems as problems:
+        tell(f"{layout.live}: {problems.diagnostics[0].message}: machines are found by their names")
+        return LiveFile(layout, times, [])
+
+
+def _down(live: LiveFile, makers: Sequence[Callable[[], Deployer]], tell: Callable[[str], None]) -> tuple[int, float]:
+    deployers, left, ended = list[Deployer](), list[str](), 0
+    unwritten: list[WrongFile | OSError] = []
+    for make in makers:
+        with _gathering(left, unwritten):
+            deployers.append(make())
+    by_name = {one.name: one for one in deployers}
+    spent = live.total_usd()
+    for machine in list(live.machines):
+        with _gathering(left, unwritten):
+            if machine.deployer in by_name:
+                end(live, machine, by_name[machine.deployer], tell)
+                ended += 1
+            elif not left:
+                raise LostContact(f"{machine.name}: nobody here can end what {machine.deployer} runs")
+    for deployer in deployers:
+        with _gathering(left, unwritten):
+            ended += _strays(live, deployer, tell)
+    if left:
+        raise CloudFailed(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
+    if unwritten:
+        raise unwritten[0]
+    live.clear()
+    return ended, spent
+
+
+def _strays(live: LiveFile, deployer: Deployer, tell: Callable[[str], None]) -> int:
+    """End what bears the application's name and is in no list; how many there were."""
+    layout = live.layout
+    names = list(deployer.names(layout.name, layout.state))
+    for name in names:
+        deployer.end(Launch(name, None, {}, layout.root, live.folder(name)))
+        tell(f"{name}: gone")
+    if rest := deployer.names(layout.name, layout.state):
+        raise LostContact(f"still there: {', '.join(rest)}")
+    return len(names)
+
+
+@contextlib.contextmanager
+def _gathering(left: list[str], unwritten: list[WrongFile | OSError]) -> Iterator[None]:
+    """What goes wrong with one machine keeps no other one alive."""
+    try:
+        yield
+    except CloudFailed as failed:
+        left.append("; ".join([failed.message, *failed.hints]))
+    except LostContact as lost:
+        left.append(str(lost))
+    except (WrongFile, OSError) as problem:
+        unwritten.append(problem)
+
+
+def places_of(layout: Layout) -> list[str]:
+    """One infra for each kind of place where machines of the application may be: this host, and clouds if it has any."""
+    from fogspec.plan.schema import Plan
+    from fogspec.spec.loader import read_document
+
+    clouds: set[str] = set()
+    with contextlib.suppress(Problems, WrongFile):
+        clouds |= {machine.machine.infra.partition("/")[0] for machine in LiveFile.read(layout, SystemTimes()).machines}
+    with contextlib.suppress(Problems, WrongFile):
+        plan = read_document(layout.plan, Plan)
+        clouds |= {sample.machine.infra.partition("/")[0] for sample in plan.spec.samples}
+    with contextlib.suppress(Problems, WrongFile):
+        clouds |= {read_document(layout.manifest, Manifest).spec.infra.partition("/")[0]}
+    away = sorted(clouds - {"local"})
+    return ["local", *away[:1]]

@@ -1,0 +1,207 @@
+"""How what runs stands: sync (is it what the manifest says) and health (do the nodes do what was predicted), two words."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+from fogspec.audit.compare import Change, changes
+from fogspec.audit.diff import read_manifest, telling
+from fogspec.audit.status import interval_words, short
+from fogspec.backends.protocol import CannotStart, Deployer, Live, LostContact
+from fogspec.base import digest, units
+from fogspec.base.diagnostics import Problems
+from fogspec.base.errors import Outcome
+from fogspec.base.layout import Layout
+from fogspec.base.redaction import redacted
+from fogspec.compile.compiler import money
+from fogspec.compile.manifest import Manifest
+from fogspec.deploy.drift import Observed, observe
+from fogspec.deploy.redacted import discreet
+from fogspec.deploy.schema import Machine
+from fogspec.deploy.state import LiveFile, Times
+from fogspec.spec.loader import read_document, read_plain
+from fogspec.spec.lock_io import files_deployed
+from fogspec.spec.schema import Application
+
+Sync = Literal["Synced", "OutOfSync"]
+Health = Literal["Healthy", "Drifted", "Degraded", "Progressing", "Missing", "Unknown"]
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """What runs of one application: two words, why, and the figures; `machines` are all that may cost money."""
+
+    sync: Sync
+    health: Health
+    reasons: tuple[str, ...]
+    changes: tuple[Change, ...]
+    machines: tuple[Machine, ...]
+    serving: Machine | None
+    live: Live | None
+    observed: Observed | None
+    manifest: Manifest | None
+    spent_usd: float
+    up_s: float | None
+
+    @property
+    def well(self) -> bool:
+        """Whether nothing needs attention."""
+        return self.sync == "Synced" and self.health == "Healthy"
+
+
+def running(
+    application: Application, layout: Layout, fresh: bool, times: Times, deployer_for: Callable[[str], Deployer]
+) -> Running | None:
+    """How the application's deployment stands; None where nothing was applied. Nothing is written.
+
+    `fresh` says whether the manifest on disk follows from its inputs.
+    """
+    live_file = LiveFile.read(layout, times)
+    if not live_file.machines:
+        return None
+    serving = next((one for one in live_file.machines if one.state == "serving"), None)
+    subject = serving or live_file.machines[-1]
+    live = _look(live_file, subject, cache(discreet(deployer_for, application.spec.secrets)))
+    approved = _manifest(live_file, subject)
+    differs = differences_of_running(layout, live_file, subject, application)
+    reasons = [] if fresh else ["the manifest on disk is stale: fogspec diff says why"]
+    reasons += (
+        ["another manifest is committed than the one that runs"] if subject.manifest != _committed(layout) else []
+    )
+    reasons += [f"{one.field} changed since it was started" for one in _files_changed(application, layout, subject)]
+    reasons += [f"{one.name} is {one.state} too" for one in live_file.machines if one is not subject]
+    observed = None
+    if live is not None and approved is not None and live.state == "ready":
+        observed = observe(live.timings, application, approved.expected, subject.machine)
+    health, why = _health(subject, live, observed, approved)
+    return Running(
+        "OutOfSync" if differs or not fresh or serving is None else "Synced", health, (*reasons, *why), tuple(differs),
+        tuple(live_file.machines), serving, live, observed, approved, live_file.total_usd(), live_file.up_s(subject),
+    )  # fmt: skip
+
+
+def differences_of_running(layout: Layout, live: LiveFile, machine: Machine, application: Application) -> list[Change]:
+    """What differs between the manifest on disk, with the files beside the spec, and what a machine was started for."""
+    files = _files_changed(application, layout, machine)
+    if _committed(layout) == machine.manifest:
+        return files
+    secrets = application.spec.secrets
+    try:
+        before: Any = read_plain(live.folder(machine.name) / "manifest.yaml")
+    except (Problems, Outcome, OSError):
+        before = {"digest": machine.manifest}
+    return telling(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets))) + files
+
+
+def _committed(layout: Layout) -> str | None:
+    """The digest of the manifest on disk."""
+    return digest.of_bytes(layout.manifest.read_bytes()) if layout.manifest.is_file() else None
+
+
+def _files_changed(application: Application, layout: Layout, machine: Machine) -> list[Change]:
+    """Files and folders beside the spec that are not what the machine was given."""
+    now = files_deployed(application, layout)
+    names = sorted(name for name in now.keys() | machine.files.keys() if now.get(name) != machine.files.get(name))
+    return [Change(name, "as it was started", "changed since") for name in names]
+
+
+def running_changes(layout: Layout, times: Times, application: Application) -> list[Change] | None:
+    """The same for whatever serves now, asking nobody; None where nothing does."""
+    live = LiveFile.read(layout, times)
+    serving = next((one for one in live.machines if one.state == "serving"), None)
+    return None if serving is None else differences_of_running(layout, live, serving, application)
+
+
+def _look(live: LiveFile, machine: Machine, deployer_of: Callable[[str], Deployer]) -> Live | None:
+    try:
+        return deployer_of(machine.machine.infra).look(live.launch(machine))
+    except CannotStart as no:
+        return Live("gone", no.detail)
+    except (LostContact, Outcome):
+        return None
+
+
+def _manifest(live: LiveFile, machine: Machine) -> Manifest | None:
+    """The manifest that the machine was started for."""
+    try:
+        return read_document(live.folder(machine.name) / "manifest.yaml", Manifest)
+    except (Problems, Outcome):
+        return None
+
+
+def _health(
+    machine: Machine, live: Live | None, observed: Observed | None, manifest: Manifest | None
+) -> tuple[Health, list[str]]:
+    if live is None:
+        return "Unknown", ["nobody can say just now how it is"]
+    if live.state == "gone":
+        return "Missing", [f"its machine is gone: {live.detail}" if live.detail else "its machine is gone"]
+    if live.state == "ended":
+        return "Degraded", [f"the nodes do not run: {live.detail}"]
+    if live.state == "starting" or machine.state != "serving":
+        return "Progressing", [live.detail] if live.detail else []
+    notes = [live.detail] if live.detail else []
+    if observed is None or manifest is None:
+        return "Healthy", notes
+    notes += observed.breaks
+    drifted = observed.drift in ("slower", "faster")
+    if drifted:
+        notes.append(f"the model no longer holds: requests are {observed.drift} than predicted")
+    return "Degraded" if observed.breaks else "Drifted" if drifted else "Healthy", notes
+
+
+def words(one: Running) -> list[str]:
+    """The deployment in lines."""
+    subject = one.serving or one.machines[-1]
+    machine = subject.machine
+    lines = [f"  {'running':<9} {one.sync}, {one.health}"]
+    lines += [f"  {'':<9} {text}" for text in one.reasons]
+    up = "" if one.up_s is None else f", up {units.format_duration(round(one.up_s))}"
+    lines.append(
+        f"  {'':<9} {machine.instance} in {machine.infra} at {subject.address or 'no address yet'}{up}, "
+        f"{units.format_price(machine.price)}, {money(one.spent_usd)} so far"
+    )
+    if one.manifest is not None and one.observed is not None:
+        lines.append(f"  {'':<9} {_observed_words(one.observed, one.manifest)}")
+    return lines
+
+
+def _observed_words(seen: Observed, manifest: Manifest) -> str:
+    expected = manifest.expected.latency
+    predicted = f"predicted {units.format_duration(expected.predicted)}{interval_words(expected.interval)}"
+    if seen.value_s is None:
+        return f"{predicted}; no request was observed yet"
+    value = (
+        f"observed {expected.statistic} {units.format_duration(short(seen.value_s))}{interval_words(seen.interval_s)}"
+    )
+    failed = f", {seen.failed} failed" if seen.failed else ""
+    cost = "" if seen.cost_usd_per_request is None else f", {units.format_cost(short(seen.cost_usd_per_request))}"
+    unsaid = ", without an interval: drift cannot be seen" if expected.interval is None else ""
+    return f"{value} of the latest {seen.requests} requests{failed}{cost}; {predicted}{unsaid}"
+
+
+def facts(one: Running) -> dict[str, Any]:
+    """The same for programs."""
+    seen, manifest = one.observed, one.manifest
+    return {
+        "sync": one.sync,
+        "health": one.health,
+        "reasons": list(one.reasons),
+        "changes": [{"field": change.field, "running": change.before, "manifest": change.after} for change in one.changes],
+        "machines": [machine.model_dump(mode="json") for machine in one.machines],
+        "spent_usd": round(one.spent_usd, 6),
+        "up_s": one.up_s,
+        "ready_s": one.live and one.live.ready_s,
+        "predicted": None if manifest is None else {
+            "statistic": manifest.expected.latency.statistic, "latency_s": manifest.expected.latency.predicted,
+            "interval_s": manifest.expected.latency.interval, "level": manifest.expected.latency.level,
+            "cost_usd_per_request": manifest.expected.cost.predicted,
+        },
+        "observed": None if seen is None else {
+            "requests": seen.requests, "failed": seen.failed, "latency_s": seen.value_s, "interval_s": seen.interval_s,
+            "p50_s": seen.latency and seen.latency.p50, "p95_s": seen.latency and seen.latency.p95,
+            "p99_s": seen.latency and seen.latency.p99, "mean_s": seen.latency and seen.latency.mean,
+            "cost_usd_per_request": seen.cost_usd_per_request, "drift": seen.drift, "breaks": list(seen.breaks),
+        },
+    }  # fmt: skip

@@ -1,0 +1,139 @@
+"""From a manifest on disk to what may be launched: fresh, not edited, priced anew, its image exact."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fogspec.audit.status import interval_words, short
+from fogspec.audit.verify import mend, verify
+from fogspec.base import digest, units
+from fogspec.base.errors import Differs
+from fogspec.base.regular import read_file
+from fogspec.catalog.table import Catalog
+from fogspec.compile.bundle import Opened
+from fogspec.deploy import link
+from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_now, price_words
+from fogspec.plan.schema import MachineRef, TaskRef
+from fogspec.spec.lock_io import check_files, files_deployed
+
+
+@dataclass(frozen=True, slots=True)
+class Ordered:
+    """What a person approved, ready to be launched: the machine and its fall-backs, with the image that they run.
+
+    `files` are digests of the files and folders beside the spec that go along, as they are now.
+    """
+
+    opened: Opened
+    content: bytes
+    candidates: tuple[Candidate, ...]
+    image: str | None
+    files: Mapping[str, str]
+
+
+def check_fresh(opened: Opened, catalog: Catalog) -> None:
+    """Raises Differs for a manifest that was edited or no longer follows from its inputs, saying which and how."""
+    if broken := [link for link in verify(opened, catalog) if link.breaks]:
+        raise Differs(
+            f"{opened.layout.manifest}: is stale or was edited, so nothing was started",
+            *(f"{link.name}: {text}" for link in broken for text in link.breaks[:3]),
+            mend(opened, broken[0]),
+        )
+
+
+def order(
+    opened: Opened, prices: Catalog, most_usd_per_hour: float | None, resolve: bool, ask: Callable[[str], str]
+) -> Ordered:
+    """The candidates at their prices now; fall-backs that became too dear are left out.
+
+    Raises WrongFile when a file that is to be sent is missing, Refused when the chosen machine costs more than is allowed,
+    or for an image that is not pinned.
+    """
+    check_files(opened.loaded.application, opened.layout, measured=False)
+    spec, limit = opened.manifest.spec, opened.loaded.application.spec.constraints.price
+    chosen = MachineRef(
+        infra=spec.infra, instance=spec.instance, cpus=spec.cpus, memory=spec.memory, gpu=spec.gpu, spot=spec.spot,
+        price=spec.price,
+    )  # fmt: skip
+    peer = link.environment(opened.loaded.application, opened.layout)
+    named = [(chosen, spec.task)]
+    named += [
+        (chosen.model_copy(update={"infra": one.infra, "instance": one.instance, "cpus": one.cpus, "memory": one.memory,
+                                   "gpu": one.gpu, "spot": one.spot, "price": one.price}), one.task)
+        for one in spec.fallbacks
+    ]  # fmt: skip
+    found: list[Candidate] = []
+    image, files = None, files_deployed(opened.loaded.application, opened.layout)
+    for number, (machine, reference) in enumerate(named):
+        reviewed = read_task(opened.layout.compiled, reference)
+        task, exactly = exact({**reviewed, **_peer(reviewed, peer)}, machine.infra, spec.image, resolve, ask)
+        image = exactly if number == 0 else image
+        task = allowed(task, most_usd_per_hour)
+        runs = runs_digest(task, machine, opened, files)
+        candidate = Candidate(number, machine, task, runs, machine.price, price_now(machine, prices))
+        if number == 0:
+            check_price(candidate, limit, most_usd_per_hour, prices.about.source)
+        elif not affordable(candidate, limit, most_usd_per_hour):
+            continue
+        found.append(candidate)
+    return Ordered(opened, opened.layout.manifest.read_bytes(), tuple(found), image, files)
+
+
+def allowed(task: Mapping[str, Any], most_usd_per_hour: float | None) -> Mapping[str, Any]:
+    """The task with the price that the caller allows in place of the approved one, which SkyPilot's side checks too."""
+    if most_usd_per_hour is None or "max_hourly_cost" not in task["resources"]:
+        return task
+    return {**task, "resources": {**task["resources"], "max_hourly_cost": most_usd_per_hour}}
+
+
+def _peer(task: Mapping[str, Any], peer: Mapping[str, str]) -> dict[str, Any]:
+    """The task's environment with the public half of the robot's end of the link, which is known at launch only."""
+    return {"envs": {**task.get("envs", {}), **peer}} if peer else {}
+
+
+def runs_digest(task: Mapping[str, Any], machine: MachineRef, opened: Opened, files: Mapping[str, str]) -> str:
+    """Digest of all that the machine is given: a new price or another expectation needs no other machine."""
+    resources = {key: value for key, value in task["resources"].items() if key != "max_hourly_cost"}
+    sent = {one.path: one.digest for one in opened.manifest.spec.files if one.path != opened.layout.robot.name}
+    return digest.of_value(
+        [{**task, "resources": resources}, machine.infra, machine.instance, machine.spot, sent, files]
+    )
+
+
+def read_task(folder: Path, reference: TaskRef) -> dict[str, Any]:
+    """The reviewed task, parsed; raises Differs for another one."""
+    from ruamel.yaml import YAML
+
+    try:
+        content = read_file(folder / reference.path)
+    except OSError as problem:
+        raise Differs(f"{folder / reference.path}: cannot be read: {problem.strerror}") from None
+    if digest.of_bytes(content) != reference.digest:
+        raise Differs(f"{folder / reference.path} is not what the manifest says: what is reviewed is what runs")
+    task: dict[str, Any] = YAML(typ="safe", pure=True).load(content)
+    return task
+
+
+def words(ordered: Ordered) -> list[str]:
+    """What will run and what it costs, in lines."""
+    manifest, first = ordered.opened.manifest, ordered.candidates[0]
+    spec, latency = manifest.spec, manifest.expected.latency
+    limit = "" if latency.limit is None else f", limit {units.format_duration(latency.limit)}"
+    gpu = f", {spec.gpu.count:g} {spec.gpu.name}" if spec.gpu else ""
+    lines = [
+        f"{manifest.metadata.name}: {spec.instance} in {spec.infra}{' spot' if spec.spot else ''} "
+        f"({spec.cpus:g} vCPU{'' if spec.cpus == 1 else 's'}, {units.format_memory(spec.memory)}{gpu})",
+        f"  nodes     {len(spec.cloud)} in the cloud, {len(spec.robot)} on the robot; link {spec.connectivity.link}",
+        f"  task      {ordered.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
+        f"  costs     {price_words(first.price_usd_per_hour)}",
+        f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}"
+        f"{interval_words(latency.interval)}{limit}; {units.format_cost(short(manifest.expected.cost.predicted))}",
+    ]
+    if ordered.image is not None:
+        lines.append(f"  image     {ordered.image}")
+    lines += [
+        f"  or else   {one.machine.instance} in {one.machine.infra}: {price_words(one.price_usd_per_hour)}"
+        for one in ordered.candidates[1:]
+    ]
+    return lines

@@ -1,0 +1,69 @@
+"""What runs of an application: written before anything is started, so that nothing is ever lost sight of."""
+
+from datetime import UTC, datetime
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from fogspec.base.quantities import Duration, Money, Strict
+from fogspec.plan.schema import MachineRef, PlanMetadata
+
+HOURS_PER_DAY = 24
+
+
+def _date(text: str) -> str:
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("a date says its time zone")
+    return text
+
+
+class Machine(Strict):
+    """One machine that was started, or was about to be.
+
+    `starting` until its nodes have answered once, then `serving`; `ending` when it is to go. `manifest` is the digest
+    of the manifest that it was started for, `image` the one it runs where it has one, `fallback` counts how many
+    machines before it in that manifest could not be had. `runs` is the digest of all that the machine is given, `files`
+    the digests of the files and folders beside the spec among that.
+    `at` is the reading, in seconds, of this host's clock since its `boot`; `since` is the date in UTC.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    deployer: str
+    state: Literal["starting", "serving", "ending"]
+    manifest: str
+    machine: MachineRef
+    runs: str
+    files: dict[str, str]
+    fallback: int = 0
+    image: str | None = None
+    address: str | None = None
+    at: Duration
+    boot: str
+    since: Annotated[str, AfterValidator(_date)]
+
+    def up_s(self, now_s: float, boot: str, today: datetime) -> float:
+        """Seconds since it was started: by the clock that never jumps, or over a restart of this host by the date."""
+        if self.boot == boot:
+            return max(0.0, now_s - self.at)
+        return max(0.0, (today - datetime.fromisoformat(self.since)).total_seconds())
+
+
+class LiveBody(Strict):
+    """The machines, and what those that are gone have cost since the application was last down."""
+
+    machines: list[Machine]
+    spent: Money = 0.0
+
+
+class LiveState(Strict):
+    """`kind: LiveState`: `.fogspec/NAME/deployment.yaml`."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
+    kind: Literal["LiveState"] = "LiveState"
+    metadata: PlanMetadata
+    spec: LiveBody
+
+
+def date_of(unix_s: float) -> str:
+    """A date in UTC, to the second."""
+    return datetime.fromtimestamp(unix_s, UTC).replace(microsecond=0).isoformat()

@@ -1,0 +1,101 @@
+"""Applying a manifest from start to end: locked, on disk before it costs anything, interruptible."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+from fogspec.backends.protocol import Deployer, Live
+from fogspec.base.errors import Interrupted, Outcome, Refused, WrongFile
+from fogspec.base.locks import held
+from fogspec.base.redaction import check_set
+from fogspec.base.signals import interruptible
+from fogspec.compile.links import link_of
+from fogspec.deploy import link
+from fogspec.deploy.apply import Apply
+from fogspec.deploy.preflight import Ordered
+from fogspec.deploy.redacted import discreet
+from fogspec.deploy.schema import Machine
+from fogspec.deploy.state import LiveFile, Times
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What serves now, and whether anything was changed for it; `kept` says that the machine is the same as before."""
+
+    machine: Machine
+    changed: bool
+    waited_s: float
+    kept: bool = False
+
+
+def joiner(ordered: Ordered, tell: Callable[[str], None]) -> Callable[[Machine, Live], str | None]:
+    """Hands the cloud's public half and address to the robot's end, and says why the link does not answer yet."""
+    application, layout = ordered.opened.loaded.application, ordered.opened.layout
+    joined: set[str] = set()
+
+    def linked(machine: Machine, live: Live) -> str | None:
+        if link_of(application).protocol is None:
+            return None
+        if live.link is None or live.address is None:
+            return "the cloud's end of the link says nothing yet"
+        if live.link not in joined:
+            files = link.join(application, layout, live.address, live.link)
+            tell(f"link: where this is not the robot, copy these to it: {', '.join(map(str, files))}")
+            if (how := link_of(application).opening(application, machine.machine.infra, live.address)) is not None:
+                tell(f"link: {how}")
+            joined.add(live.link)
+        return link.unanswered(application, layout)
+
+    return linked
+
+
+def apply(
+    ordered: Ordered, deployer_for: Callable[[str], Deployer], times: Times, tell: Callable[[str], None],
+    confirm: Callable[[], None],
+) -> Applied:  # fmt: skip
+    """Bring what runs to what the manifest says; `confirm` is called before money is spent, and may raise.
+
+    Raises CloudFailed, WrongFile or Interrupted as `Apply.run` does, Refused while another apply, bench or down runs or where
+    a machine serves that this folder does not know, WrongCommand for a secret that is not in the environment.
+    """
+    layout = ordered.opened.layout
+    begun = times.now_s()
+    names = ordered.opened.loaded.application.spec.secrets
+    deployer_of = cache(discreet(deployer_for, names))
+    live: LiveFile | None = None
+    try:
+        with held(layout.state / "lock", f"apply of {layout.name}"), interruptible() as interrupt:
+            live = LiveFile.read(layout, times)
+            work = Apply(
+                live, ordered.content, ordered.opened.digest, ordered.candidates, ordered.image, ordered.files,
+                ordered.opened.manifest.spec.patience, deployer_of, tell, lambda: interrupt.asked, joiner(ordered, tell),
+            )  # fmt: skip
+            served = work.current()
+            if served is not None:
+                return Applied(served, work.tidy([served.name]), times.now_s() - begun)
+            if (stays := work.kept()) is not None:
+                work.tidy([stays.name])
+                return Applied(stays, True, times.now_s() - begun, kept=True)
+            check_set(names)
+            if strangers := work.strangers():
+                raise Refused(
+                    f"{layout.name} runs already, started from another folder or by an apply whose live state is lost",
+                    *strangers, f"fogspec down {layout.name} ends it",
+                )  # fmt: skip
+            for machine in (one for one in live.machines if one.state == "serving"):
+                what = f"{machine.machine.instance} in {machine.machine.infra}"
+                tell(f"  replaces  {machine.name}: {what}, which ends when the new one answers")
+            with interrupt.question():
+                confirm()
+            return Applied(work.run(), True, times.now_s() - begun)
+    except KeyboardInterrupt:
+        again = f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything"
+        begun_now = [one.name for one in live.machines if one.state != "serving"] if live is not None else []
+        raise Interrupted("interrupted at once", *map("may still run: {}".format, begun_now), again) from None
+    except (BrokenPipeError, Outcome):
+        raise
+    except OSError as problem:
+        raise WrongFile(
+            f"{problem.filename or layout.state}: {problem.strerror or problem}",
+            f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything",
+        ) from None

@@ -1,0 +1,125 @@
+"""The live state on disk: one file that is written whole before each step, and a folder for each launch."""
+
+import dataclasses
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+from fogspec.backends.protocol import Launch
+from fogspec.base.clock import SystemClock
+from fogspec.base.diagnostics import Problems
+from fogspec.base.files import write_bytes, write_yaml
+from fogspec.base.layout import Layout
+from fogspec.deploy.schema import LiveBody, LiveState, Machine
+from fogspec.plan.schema import PlanMetadata
+from fogspec.spec.loader import read_document
+
+
+class Times(Protocol):
+    """The clock that never jumps, and the date."""
+
+    def now_s(self) -> float:
+        """Seconds since some moment of this boot."""
+        ...
+
+    def boot(self) -> str:
+        """Names the boot of this machine."""
+        ...
+
+    def date(self) -> datetime:
+        """The date in UTC; it may jump."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        ...
+
+
+class SystemTimes(SystemClock):
+    """This host's clocks."""
+
+    def date(self) -> datetime:
+        """The date in UTC."""
+        return datetime.now(UTC)
+
+
+@dataclass(slots=True)
+class LiveFile:
+    """What runs of one application, as it is on disk: every change is there before it takes effect."""
+
+    layout: Layout
+    times: Times
+    machines: list[Machine]
+    spent_usd: float = 0.0
+
+    @classmethod
+    def read(cls, layout: Layout, times: Times) -> "LiveFile":
+        """What the file says, nothing where there is none; raises Problems for one that was damaged."""
+        if not os.path.lexists(layout.live):
+            return cls(layout, times, [])
+        try:
+            body = read_document(layout.live, LiveState).spec
+        except Problems as wrong:
+            fix = f"fogspec down {layout.name} finds what runs by its name and ends it"
+            raise Problems([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics]) from None
+        return cls(layout, times, list(body.machines), body.spent)
+
+    def put(self, machine: Machine, *, ends: bool = False) -> None:
+        """Add the machine, or change its record; with `ends` all others are to go, in the same write."""
+        others = [one for one in self.machines if one.name != machine.name]
+        if ends:
+            others = [one.model_copy(update={"state": "ending"}) for one in others]
+        self._write([*others, machine])
+
+    def gone(self, name: str) -> None:
+        """The machine is verified gone: its price is added up, its record and folder removed."""
+        spent = sum(self.spent(one) for one in self.machines if one.name == name)
+        self._write([one for one in self.machines if one.name != name], self.spent_usd + spent)
+        shutil.rmtree(self.folder(name), ignore_errors=True)
+
+    def clear(self) -> None:
+        """Nothing runs: remove the file and what is left beside it; raises OSError when that cannot be done."""
+        assert not self.machines
+        # One that was killed in the middle of writing leaves the part that it wrote.
+        for path in (self.layout.live, *self.layout.state.glob(f".{self.layout.live.name}.*")):
+            path.unlink(missing_ok=True)
+        if self.layout.deployed.is_dir():
+            shutil.rmtree(self.layout.deployed)
+
+    def spent(self, machine: Machine) -> float:
+        """What the machine has cost so far, in USD, at the price it was started for."""
+        return machine.machine.price * self.up_s(machine) / 3600
+
+    def up_s(self, machine: Machine) -> float:
+        """For how long it has been there."""
+        return machine.up_s(self.times.now_s(), self.times.boot(), self.times.date())
+
+    def total_usd(self) -> float:
+        """What everything has cost so far, those that are gone included."""
+        return self.spent_usd + sum(map(self.spent, self.machines))
+
+    def folder(self, name: str) -> Path:
+        """The folder of one launch."""
+        return self.layout.deployed / name
+
+    def launch(self, machine: Machine, task: Mapping[str, Any] | None = None) -> Launch:
+        """The machine as a deployer takes it; looking at it and ending it needs no task."""
+        return Launch(machine.name, machine.machine, task or {}, self.layout.root, self.folder(machine.name))
+
+    def keep_manifest(self, name: str, content: bytes) -> None:
+        """Keep the manifest that a machine is started for, so that what runs can be compared with it later."""
+        write_bytes(self.folder(name) / "manifest.yaml", content)
+
+    def _write(self, machines: list[Machine], spent_usd: float | None = None) -> None:
+        spent = round(self.spent_usd if spent_usd is None else spent_usd, 6)
+        state = LiveState(metadata=PlanMetadata(name=self.layout.name), spec=LiveBody(machines=machines, spent=spent))
+        write_yaml(
+            self.layout.live,
+            state.model_dump(mode="json"),
+            f"fogspec down {self.layout.name}; fogspec apply {self.layout.relative(self.layout.manifest)}",
+        )
+        self.machines, self.spent_usd = machines, spent

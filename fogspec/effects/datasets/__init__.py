@@ -1,1 +1,0 @@
-"""Measurements from elsewhere: suites, sweeps, machine libraries, and replays of them."""

@@ -1,1 +1,0 @@
-"""The language's own documents, made from its types: JSON Schemas and reference pages."""

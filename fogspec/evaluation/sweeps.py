@@ -1,0 +1,98 @@
+"""A sweep: a CSV file of full measurements of one application, matched with the machines of a catalog."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fogspec.base.errors import WrongCommand, WrongFile
+from fogspec.catalog.filters import admit, matches_infra
+from fogspec.catalog.instance_types import machines_of
+from fogspec.catalog.table import Catalog
+from fogspec.choice.choose import latency_limit_s
+from fogspec.evaluation.replay import Noise
+from fogspec.evaluation.suite import Problem, Setting
+from fogspec.model.tables import number, problem, rows
+from fogspec.numerics.features import Floats, Machines
+from fogspec.spec.schema import Application
+
+COLUMNS = ("instance_type", "latency_s")
+FEWEST = 2
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The problem that a sweep poses: its machines, what each repeat measured over their mean, and what was left out."""
+
+    problem: Problem
+    machines: Machines
+    names: tuple[str, ...]
+    repeats: Noise
+    left_out: tuple[str, ...]
+
+
+def read_sweep(path: Path, application: Application, catalog: Catalog) -> Sweep:
+    """The sweep's machines that the spec admits; several rows of one machine are repeats, the truth their mean.
+
+    Columns: instance_type and latency_s; infra (`aws/us-east-1`) where a type is on offer in several places, else its
+    cheapest offer counts; anything else is not read. Raises Problems for rows that are wrong or name no machine of
+    the catalog, WrongFile where fewer than two admissible machines are left.
+    """
+    spec = application.spec
+    if spec.objective.metric:
+        raise WrongCommand(f"a sweep replays latency and cost; objective.metric is {spec.objective.metric}")
+    offers = admit(catalog, spec.hardware, spec.infra).offers
+    if spec.constraints.price is not None:
+        offers = offers.take(offers.price_usd_per_hour <= spec.constraints.price)
+    latencies: dict[int, list[float]] = {}
+    left_out: dict[str, None] = {}
+    for line, row in rows(path, COLUMNS):
+        latency = number(path, line, row, "latency_s", required=True)
+        name, infra = row["instance_type"], row.get("infra") or None
+        found = _cheapest(offers, name, infra)
+        if found is None:
+            if _cheapest(catalog, name, infra) is None:
+                place = f" in {infra}" if infra else ""
+                raise problem(path, line, f"{name}{place} is not in the catalog {catalog.about.source}")
+            left_out[name] = None
+        else:
+            latencies.setdefault(found, []).append(latency)
+    if len(latencies) < FEWEST:
+        raise WrongFile(f"{path}: the spec admits {len(latencies)} of its machines, a replay needs {FEWEST}")
+    at = np.array(sorted(latencies), dtype=np.intp)
+    measured = [latencies[int(row)] for row in at]
+    truth = np.array([float(np.mean(one)) for one in measured])
+    count = max(len(one) for one in measured)
+    again = np.array([[one[i % len(one)] for one in measured] for i in range(count)]) / truth
+    machines = machines_of(offers.take(at))
+    names = tuple(f"{offers.cloud[row]}/{offers.instance[row]}" for row in at)
+    return Sweep(_posed(application, truth, machines), machines, names, Noise(again), tuple(left_out))
+
+
+def _cheapest(offers: Catalog, name: str, infra: str | None) -> int | None:
+    there = (offers.instance == name) & ~offers.spot
+    if infra:
+        there &= matches_infra(offers, infra)
+    found = np.flatnonzero(there)
+    return int(found[np.argmin(offers.price_usd_per_hour[found])]) if len(found) else None
+
+
+def _posed(application: Application, truth_s: Floats, machines: Machines) -> Problem:
+    """The spec's objective and limits; a scale that it does not give is its limit, else the best attainable.
+
+    Data transfer costs the same on every machine: it is taken off the limit on the cost.
+    """
+    objective, limits = application.spec.objective, application.spec.constraints
+    rate = objective.rate if objective.billing == "provisioned" else None
+    hourly = machines.price_usd_per_hour / 3600
+    cost = hourly / rate if rate else hourly * truth_s
+    latency_limit = latency_limit_s(application)
+    data = objective.transfer.per_request * objective.transfer.price
+    cost_limit = None if limits.cost is None else limits.cost - data
+    setting = Setting("spec", objective.alpha, latency_limit, cost_limit, rate, limits.confidence)
+    return Problem(
+        id=application.metadata.name, kind="sweep", workload=application.metadata.name, suite="",
+        rows=np.arange(len(truth_s)), latency_s=truth_s,
+        scale_latency_s=objective.scale.latency or latency_limit or float(truth_s.min()),
+        scale_cost_usd=objective.scale.cost or limits.cost or float(cost.min()), settings=(setting,),
+    )  # fmt: skip

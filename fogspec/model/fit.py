@@ -1,0 +1,242 @@
+"""What was measured, as the models take it, and the curves of the paper's families over it.
+
+Predictions come from the surrogate (`fogspec.model.predict`, ADR 0020), which is conditioned on `known` and `unusable`. The
+families of section 2.C are fitted beside it, one for each GPU type and target (the latency, or a metric of the
+application), chosen by leave-one-out error (ADR 0008): for comparison, for the relaxed method, and for shapes of one host.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from fogspec.base.quantities import Duration, Strict
+from fogspec.numerics import curves, fitting
+from fogspec.numerics.families import Fit, fit_all
+from fogspec.numerics.surrogate import VERSION
+from fogspec.plan.schema import MachineRef, PlanMetadata
+from fogspec.results.schema import Measured, Results
+from fogspec.spec.schema import Application, Statistic
+
+# Two servers of one type differ, whatever is measured on each: median coefficient of variation of repeated
+# measurements over Spare Cores' public benchmarks (SpareCores/sc-inspector-data), and that of a single sample.
+SERVER_ERROR = 0.015
+UNKNOWN_ERROR = 0.02
+# The standard error of a quantile over that of the mean, of a normal variable: sqrt(p (1 - p)) / density.
+ERROR_OF = {"mean": 1.0, "p50": 1.25, "p95": 2.11, "p99": 3.74}
+
+
+class PaperFit(Strict):
+    """What the paper's rule, the largest R², would have taken."""
+
+    formula: str
+    r2: float
+
+
+class Model(Strict):
+    """One fitted curve of the paper's families; `coefficients` in the order of the formula.
+
+    `vcpus` and `memory_gib` are the ranges that were sampled. Errors are relative, from leaving one sample out.
+    """
+
+    target: str
+    gpu: str | None
+    cpu_family: str
+    memory_family: str
+    formula: str
+    coefficients: dict[str, float]
+    n: int
+    p: int
+    r2: float | None
+    loo_median_error: float | None
+    loo_max_error: float | None
+    paper: PaperFit | None
+    vcpus: tuple[float, float]
+    memory_gib: tuple[float, float]
+    samples: list[str]
+    warnings: list[str]
+
+    @property
+    def shape(self) -> curves.Shape:
+        """The families of this model."""
+        return curves.Shape(self.cpu_family, self.memory_family)
+
+
+class Known(Strict):
+    """A machine that was measured: its values by target, and the relative standard error of the latency."""
+
+    id: str
+    machine: MachineRef
+    values: dict[str, float]
+    error: float
+
+
+class Unusable(Strict):
+    """A sample without a value, and why.
+
+    `unfit` says that the machine itself was seen to fail, `short_of_memory` that it had too little memory, as any machine
+    with as little has; `at_least` is a lower bound on its latency, from a run that was given up in its first request.
+    """
+
+    id: str
+    machine: MachineRef
+    why: str
+    unfit: bool
+    short_of_memory: bool = False
+    at_least: Duration | None = None
+
+
+class Predictor(Strict):
+    """What predicts: the surrogate's version, and the digest of the machine library that it was given, if any."""
+
+    surrogate: int
+    priors: str | None
+
+
+class ModelsBody(Strict):
+    """What was fitted; `measured_on_local` says that the samples were shapes of one host, not machines on offer."""
+
+    statistic: Statistic
+    measured_on_local: bool
+    predictor: Predictor
+    models: list[Model]
+    known: list[Known]
+    unusable: list[Unusable]
+
+
+class Models(Strict):
+    """`kind: Models`: written by `compile` once there are results."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
+    kind: Literal["Models"] = "Models"
+    metadata: PlanMetadata
+    spec: ModelsBody
+
+
+def fit(application: Application, results: Results, priors: str | None = None) -> Models:
+    """The evidence, and the families' curves for all that limits and objective need, for each GPU type that was sampled.
+
+    `priors` is the digest of the machine library that predictions are made with.
+    """
+    statistic = application.spec.constraints.statistic
+    known, unusable = evidence(results.spec.samples, statistic)
+    groups: dict[str | None, list[Known]] = {}
+    for one in known:
+        groups.setdefault(_gpu_key(one.machine), []).append(one)
+    models = [
+        _model(target, gpu, with_it)
+        for gpu, group in sorted(groups.items(), key=lambda item: item[0] or "")
+        for target in targets(application)
+        if (with_it := [one for one in group if target in one.values])
+    ]
+    body = ModelsBody(
+        statistic=statistic, measured_on_local=stands_in(application, known),
+        predictor=Predictor(surrogate=VERSION, priors=priors), models=models, known=known, unusable=unusable,
+    )  # fmt: skip
+    return Models(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+
+
+def stands_in(application: Application, known: Sequence[Known]) -> bool:
+    """Whether shapes of this host stand in for the machines on offer, instead of being them."""
+    return application.spec.infra != ["local"] and any(one.machine.infra == "local" for one in known)
+
+
+def evidence(records: Sequence[Measured], statistic: Statistic) -> tuple[list[Known], list[Unusable]]:
+    """What the records say of their machines."""
+    entries = [_known(record, statistic) for record in records]
+    known = [one for one in entries if isinstance(one, Known)]
+    return known, [one for one in entries if isinstance(one, Unusable)]
+
+
+def targets(application: Application) -> list[str]:
+    """What is predicted: the latency, and the metrics that are limited or weighed."""
+    spec = application.spec
+    metrics = {*spec.constraints.metrics, *([spec.objective.metric] if spec.objective.metric else [])}
+    return ["latency", *sorted(metrics)]
+
+
+def _known(record: Measured, statistic: Statistic) -> Known | Unusable:
+    # A run that answered nothing waited for its first request: that request takes longer than it waited.
+    waited = record.waited if record.latency is None and record.waited else None
+
+    def unusable(why: str, unfit: bool) -> Unusable:
+        return Unusable(
+            id=record.id, machine=record.machine, why=why, unfit=unfit, at_least=waited,
+            short_of_memory=record.reason == "out_of_memory",
+        )  # fmt: skip
+
+    if record.state != "ok" or record.latency is None:
+        reason = (record.reason or record.state).replace("_", " ")
+        unfit = record.state == "timeout" or record.reason in (
+            "crash",
+            "out_of_memory",
+            "no_response",
+            "check",
+        )
+        return unusable(f"{reason}: {record.detail}" if record.detail else reason, unfit)
+    value = getattr(record.latency, statistic)
+    if value is None:
+        return unusable(f"{record.requests} requests are too few for a {statistic}", unfit=False)
+    if not (math.isfinite(value) and value > 0):
+        return unusable(f"a latency of {value:g} s is no latency", unfit=False)
+    values = {"latency": value, **record.metrics}
+    return Known(id=record.id, machine=record.machine, values=values, error=_error(record, statistic))
+
+
+def _error(record: Measured, statistic: Statistic) -> float:
+    """Relative standard error of the statistic as a figure for all machines of the type."""
+    latency = record.latency
+    assert latency is not None
+    own = UNKNOWN_ERROR
+    if latency.sd is not None:
+        own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(max(record.requests, 1))
+    return _to(5, math.hypot(own, SERVER_ERROR))
+
+
+def _gpu_key(machine: MachineRef) -> str | None:
+    return None if machine.gpu is None else f"{machine.gpu.name}:{machine.gpu.count:g}"
+
+
+def _model(target: str, gpu: str | None, group: Sequence[Known]) -> Model:
+    vcpus = np.array([one.machine.cpus for one in group])
+    memory = np.array([one.machine.memory for one in group])
+    values = np.array([one.values[target] for one in group])
+    fits = fit_all(vcpus, memory, values)
+    best = fitting.select(fits)
+    named = zip(best.shape.names, best.coefficients, strict=True)
+    r2 = _finite(best.r2) if best.p > 1 else None
+    return Model(
+        target=target, gpu=gpu, cpu_family=best.shape.cpu, memory_family=best.shape.memory,
+        formula=best.shape.formula(), coefficients={name: _to(7, value) for name, value in named},
+        n=best.n, p=best.p, r2=r2, loo_median_error=_finite(best.loo_median), loo_max_error=_finite(best.loo_max),
+        paper=_paper(fits), vcpus=(float(vcpus.min()), float(vcpus.max())),
+        memory_gib=(float(memory.min()), float(memory.max())),
+        samples=[one.id for one in group], warnings=_warnings(best, len(np.unique(vcpus))),
+    )  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return _to(5, value) if math.isfinite(value) else None
+
+
+def _to(digits: int, value: float) -> float:
+    """Rounded to significant digits: what lies beyond differs between processors, and the file must not."""
+    return float(f"{value:.{digits}g}")
+
+
+def _paper(fits: Sequence[Fit]) -> PaperFit | None:
+    best = fitting.select(fits, "r2")
+    return PaperFit(formula=best.shape.formula(), r2=_to(5, best.r2)) if math.isfinite(best.r2) else None
+
+
+def _warnings(best: Fit, levels: int) -> list[str]:
+    found = []
+    if best.n < 5:
+        samples = "1 sample" if best.n == 1 else f"{best.n} samples"
+        found.append(f"{samples}: R² of two-parameter curves says nothing here, even on noise it is high")
+    if best.p == 1 and levels > 1:
+        found.append("no curve predicts a left-out sample better than the mean: the model is a constant")
+    if math.isfinite(best.loo_max) and best.loo_max > fitting.WEAK_ERROR:
+        found.append(f"a left-out sample is missed by up to {best.loo_max:.0%}, whatever R² says")
+    return found

@@ -1,0 +1,178 @@
+"""From what was measured to a prediction for every machine on offer, with its uncertainty.
+
+The surrogate (`fogspec.numerics.surrogate`) is conditioned on all usable samples once for each target; a prediction is an
+instance type's, wherever and however it is rented. Shapes of one host (`local/...`) say nothing of how fast machines
+elsewhere are: from them the families' curves are read, marked as extrapolated and without interval.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fogspec.catalog.instance_types import InstanceTypes, Key, Shape, types_of, with_measured
+from fogspec.catalog.table import Catalog, Floats
+from fogspec.model.fit import Known, Model, Models, Unusable
+from fogspec.numerics import curves
+from fogspec.numerics.priors import Library, prior_for
+from fogspec.numerics.samples import observations
+from fogspec.numerics.surrogate import Posterior, Space, prepare
+from fogspec.plan.schema import MachineRef
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Predictions:
+    """One target for each of n offers: value (n,), NaN where none; `of` is each offer's type in the posterior.
+
+    `measured`: a machine of this type was measured; `extrapolated`: it lies outside what was sampled; `unfit`: a machine
+    of this type failed when it was measured, or one with as much memory had too little. Without a posterior there are
+    values alone.
+    """
+
+    value: Floats
+    measured: Mask
+    extrapolated: Mask
+    unfit: Mask
+    of: NDArray[np.intp]
+    posterior: Posterior | None
+
+    def interval(self, row: int, level: float) -> tuple[float, float] | None:
+        """Two-sided prediction interval of one offer, None where the model cannot say."""
+        if self.posterior is None or not math.isfinite(self.value[row]):
+            return None
+        low, high = (self.posterior.quantile(p)[self.of[row]] for p in ((1 - level) / 2, (1 + level) / 2))
+        return float(low), float(high)
+
+    def probability_below(self, row: int, bound: float) -> float | None:
+        """Probability that one offer's true value is at most `bound`, None where the model cannot say."""
+        if self.posterior is None or not math.isfinite(self.value[row]):
+            return None
+        return float(self.posterior.probability_below(bound)[self.of[row]])
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Everything about the offers that does not depend on what was measured on them, made once.
+
+    `types` are those of the offers and of the measured machines besides; `place` finds them by key.
+    """
+
+    offers: Catalog
+    types: InstanceTypes
+    space: Space
+    place: Mapping[Key, int]
+
+    @classmethod
+    def of(
+        cls, offers: Catalog, machines: Sequence[MachineRef], catalog: Catalog | None = None,
+        library: Library | None = None,
+    ) -> "Ground":  # fmt: skip
+        """`machines` are measured, and described by `catalog` where they are no offers."""
+        shapes = [shape_of(one) for one in machines if counts(one, offers)]
+        types = types_of(with_measured(offers, shapes, catalog))
+        prior = None if library is None else prior_for(library, types.names, types.machines)
+        place = {key: row for row, key in enumerate(types.keys)}
+        return cls(offers, types, prepare(types.machines, prior), place)
+
+    def predicted(self, known: Sequence[Known], unusable: Sequence[Unusable], targets: Sequence[str]) -> "Predicted":
+        """Predictions of these targets for every offer, from this evidence."""
+        known = [one for one in known if counts(one.machine, self.offers)]
+        unusable = [one for one in unusable if counts(one.machine, self.offers)]
+        little = max((one.machine.memory for one in unusable if one.short_of_memory), default=0.0)
+        unfit = self.types.machines.memory_gib <= little
+        unfit[[self.place[shape_of(one.machine).key] for one in unusable if one.unfit]] = True
+        of = self.types.of[: len(self.offers)]
+        found = {name: _conditioned(self.space, self.place, known, unusable, name) for name in targets}
+        return Predicted(
+            self.offers, self.types, {name: _broadcast(one, unfit, of) for name, one in found.items()}, self
+        )
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Predictions of every target for the offers; no `ground` where the families' curves predict."""
+
+    offers: Catalog
+    types: InstanceTypes
+    targets: Mapping[str, Predictions]
+    ground: Ground | None = None
+
+
+def predict(
+    models: Models, offers: Catalog, targets: Sequence[str], catalog: Catalog | None = None,
+    library: Library | None = None,
+) -> Predicted:  # fmt: skip
+    """Predictions of these targets for every offer; `catalog` describes measured machines that are no offers."""
+    body = models.spec
+    if body.measured_on_local or not len(offers):
+        return Predicted(offers, types_of(offers), {name: _by_curves(models, offers, name) for name in targets})
+    return from_evidence(body.known, body.unusable, offers, targets, catalog, library)
+
+
+def from_evidence(
+    known: Sequence[Known], unusable: Sequence[Unusable], offers: Catalog, targets: Sequence[str],
+    catalog: Catalog | None = None, library: Library | None = None,
+) -> Predicted:  # fmt: skip
+    """The same from the evidence alone."""
+    machines = [*(one.machine for one in known), *(one.machine for one in unusable)]
+    return Ground.of(offers, machines, catalog, library).predicted(known, unusable, targets)
+
+
+def counts(machine: MachineRef, offers: Catalog) -> bool:
+    """Whether what was measured there says something of the offers: a shape of this host does of shapes of this host."""
+    return machine.infra != "local" or bool((offers.cloud == "local").all())
+
+
+def shape_of(machine: MachineRef) -> Shape:
+    """A measured machine's type."""
+    gpu, count = (machine.gpu.name, machine.gpu.count) if machine.gpu else ("", 0.0)
+    return Shape(machine.infra.split("/")[0], machine.instance, machine.cpus, machine.memory, gpu, count)
+
+
+def _conditioned(
+    space: Space, place: Mapping[Key, int], known: Sequence[Known], unusable: Sequence[Unusable], target: str
+) -> Posterior | None:
+    """The posterior of one target; None where nothing was measured. Only the latency has lower bounds."""
+    values = [one for one in known if one.values.get(target, 0.0) > 0]
+    if not values:
+        return None
+    bounds = [one for one in unusable if one.at_least] if target == "latency" else []
+    return space.fit(observations(
+        [place[shape_of(one).key] for one in (*(v.machine for v in values), *(b.machine for b in bounds))],
+        [*(one.values[target] for one in values), *(one.at_least or 0.0 for one in bounds)],
+        [*(one.error if target == "latency" else math.nan for one in values), *(math.nan for _ in bounds)],
+        [*(False for _ in values), *(True for _ in bounds)],
+    ))  # fmt: skip
+
+
+def _broadcast(posterior: Posterior | None, unfit: Mask, of: NDArray[np.intp]) -> Predictions:
+    n = len(of)
+    if posterior is None:
+        none = np.zeros(n, dtype=bool)
+        return Predictions(np.full(n, np.nan), none, ~none, unfit[of], of, None)
+    # Within what an exponential can hold: a lower bound alone may leave nearly everything open.
+    value = np.exp(np.clip(posterior.mean, -600, 600))
+    return Predictions(value[of], posterior.measured[of], posterior.extrapolated[of], unfit[of], of, posterior)
+
+
+def _by_curves(models: Models, offers: Catalog, target: str) -> Predictions:
+    """The families' curves, for shapes of one host."""
+    n = len(offers)
+    value = np.full(n, np.nan)
+    for model in models.spec.models:
+        if model.target == target:
+            rows = _with_gpu(offers, model)
+            coefficients = list(model.coefficients.values())
+            value[rows] = curves.predict(model.shape, coefficients, offers.vcpus[rows], offers.memory_gib[rows])
+    value[~(np.isfinite(value) & (value > 0))] = np.nan
+    none = np.zeros(n, dtype=bool)
+    return Predictions(value, none, ~none, none, np.zeros(n, dtype=np.intp), None)
+
+
+def _with_gpu(offers: Catalog, model: Model) -> NDArray[np.intp]:
+    name, _, count = (model.gpu or ":0").rpartition(":")
+    return np.flatnonzero((offers.gpu == name) & (offers.gpu_count == float(count)))

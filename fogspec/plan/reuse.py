@@ -1,0 +1,154 @@
+"""Keeping a plan that was measured, while it still serves: a smaller search box or new prices cost no new samples."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fogspec.base import units
+from fogspec.base.units import Range
+from fogspec.catalog.filters import matches_infra
+from fogspec.catalog.table import Catalog
+from fogspec.plan.schema import (
+    NO_PINS,
+    ApplicationRef,
+    CatalogRef,
+    MachineRef,
+    Plan,
+    PlanBody,
+    Sample,
+    Sampling,
+    assemble,
+    estimate,
+)
+from fogspec.spec import fingerprints
+from fogspec.spec.schema import Application, Hardware
+
+
+def kept(application: Application, plan: Plan, catalog: Catalog, pins: Mapping[str, str] = NO_PINS) -> Plan | None:
+    """The plan's own samples at this catalog's prices, or None where they do not serve the spec.
+
+    They serve when they are measured in the same way and the box that they were picked for holds the spec's box.
+    A machine that is no longer on offer keeps the price it had.
+    """
+    spec, body = application.spec, plan.spec
+    stop, benchmark = spec.benchmark.stop, spec.benchmark
+    same = (
+        not benchmark.machines
+        and plan.metadata.name == application.metadata.name
+        and body.application.reads == fingerprints.measured_fields(application)
+        and body.pins == dict(pins)
+        and (body.sampler, body.steps, body.after, body.warmup, body.setup)
+        == (benchmark.sampler, stop.steps, stop.after, benchmark.warmup, benchmark.setup)
+        and holds(body.hardware, body.infra, spec.hardware, spec.infra)
+    )
+    if not same:
+        return None
+    samples = [
+        sample.model_copy(update={"machine": _repriced(sample.machine, catalog), "task": None})
+        for sample in body.samples
+    ]
+    return Plan(metadata=plan.metadata, spec=_with(application, body, catalog, samples))
+
+
+def recorded(
+    application: Application, path: str, catalog: Catalog, sampling: Sampling, pins: Mapping[str, str] = NO_PINS
+) -> Plan:
+    """The plan of an adaptive campaign: the machines that were asked for so far, at this catalog's prices.
+
+    Its search box is the one that they were asked for among, while that holds the spec's.
+    """
+    samples = [
+        Sample(id=one.id, machine=_repriced(one.machine, catalog), reason=one.reason)
+        for wave in sampling.waves
+        for one in wave.samples
+    ]
+    notes = [f"wave {number} ({len(wave.samples)}): {wave.reason}" for number, wave in enumerate(sampling.waves, 1)]
+    notes.append(
+        f"sampling ended: {sampling.ended}" if sampling.ended else "the next machines are asked for by fogspec bench"
+    )
+    plan = assemble(application, path, catalog.about, "adaptive", samples, notes, pins)
+    if not still_serves(application, sampling):
+        return plan
+    box = {"hardware": sampling.hardware, "infra": sampling.infra}
+    return plan.model_copy(update={"spec": plan.spec.model_copy(update=box)})
+
+
+def still_serves(application: Application, sampling: Sampling) -> bool:
+    """Whether the box that machines were asked for among holds the spec's box."""
+    return holds(sampling.hardware, sampling.infra, application.spec.hardware, application.spec.infra)
+
+
+def price_rises(samples: Sequence[Sample], catalog: Catalog) -> list[str]:
+    """What has become dearer than the plan says, or is no longer on offer; a line each."""
+    found = []
+    for sample in samples:
+        machine, now = sample.machine, price_now(sample.machine, catalog)
+        if machine.infra == "local":
+            continue
+        name = f"{sample.id}: {machine.infra} {machine.instance}"
+        if now is None:
+            found.append(f"{name} is not on offer in {catalog.about.source}")
+        elif now > machine.price * (1 + 1e-6):
+            found.append(f"{name} costs {units.format_price(now)}, the plan says {units.format_price(machine.price)}")
+    return found
+
+
+def _with(application: Application, body: PlanBody, catalog: Catalog, samples: Sequence[Sample]) -> PlanBody:
+    about, benchmark = catalog.about, application.spec.benchmark
+    return body.model_copy(
+        update={
+            "application": ApplicationRef(
+                path=body.application.path,
+                digest=fingerprints.planned_digest(application),
+                reads=body.application.reads,
+            ),
+            "catalog": CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
+            "budget": benchmark.budget,
+            "estimate": estimate(samples, benchmark.stop.after, benchmark.setup),
+            "samples": list(samples),
+        }
+    )
+
+
+def _repriced(machine: MachineRef, catalog: Catalog) -> MachineRef:
+    """The machine at its price now; one that is no longer on offer keeps the price it had."""
+    price = None if machine.infra == "local" else price_now(machine, catalog)
+    return machine if price is None else machine.model_copy(update={"price": price})
+
+
+def price_now(machine: MachineRef, catalog: Catalog) -> float | None:
+    """USD per hour: the highest among the zones of its region, as a plan has it; None when it is not on offer."""
+    rows = np.flatnonzero(catalog.instance == machine.instance)
+    offers = catalog.take(rows)
+    name, count = (machine.gpu.name, machine.gpu.count) if machine.gpu else ("", 0.0)
+    fits = matches_infra(offers, machine.infra) & (offers.spot == machine.spot)
+    fits &= np.asarray((offers.gpu == name) & (offers.gpu_count == count), dtype=np.bool_)
+    return float(offers.price_usd_per_hour[fits].max()) if fits.any() else None
+
+
+def holds(outer: Hardware, outer_infra: Sequence[str], inner: Hardware, inner_infra: Sequence[str]) -> bool:
+    """Whether every machine of the inner search box is in the outer one, as far as their words tell."""
+    allow = outer.machines.allow
+    return (
+        all(_within(getattr(outer, name), getattr(inner, name)) for name in ("cpus", "memory", "memory_per_cpu"))
+        and {*inner.gpus} <= {*outer.gpus}
+        and {*inner.arch} <= {*outer.arch}
+        and (outer.spot or not inner.spot)
+        and {*outer.machines.deny} <= {*inner.machines.deny}
+        and (not allow or (bool(inner.machines.allow) and all(_named(allow, one) for one in inner.machines.allow)))
+        and all(any(one == other or one.startswith(f"{other}/") for other in outer_infra) for one in inner_infra)
+    )
+
+
+def _within(outer: Range | None, inner: Range | None) -> bool:
+    if outer is None or inner is None:
+        return outer is None
+    low = outer.low is None or (inner.low is not None and inner.low >= outer.low)
+    return low and (outer.high is None or (inner.high is not None and inner.high <= outer.high))
+
+
+def _named(patterns: Sequence[str], one: str) -> bool:
+    """Whether a pattern of instance types allows no more than one of these does: `c6i.*` holds `c6i.large`."""
+    return one in patterns or any(
+        pattern.count("*") == 1 and pattern.endswith("*") and one.startswith(pattern[:-1]) for pattern in patterns
+    )

@@ -1,0 +1,267 @@
+"""The sampling plan: which machines are measured, what each costs, and why each is there."""
+
+import itertools
+import math
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field, PlainSerializer
+
+from fogspec.base import digest
+from fogspec.base.quantities import Duration, Memory, Money, Price, Strict
+from fogspec.catalog.filters import Admissible, admit
+from fogspec.catalog.machine import Gpu, Offer
+from fogspec.catalog.table import About, Catalog
+from fogspec.plan import design
+from fogspec.spec import fingerprints
+from fogspec.spec.lockfile import image_named
+from fogspec.spec.schema import Application, Hardware
+
+if TYPE_CHECKING:
+    from fogspec.numerics.priors import Library
+
+
+def _whole(value: float) -> int | float:
+    return int(value) if value == int(value) else value
+
+
+Count = Annotated[float, Field(allow_inf_nan=False), PlainSerializer(_whole, return_type=int | float)]
+
+
+class GpuShape(Strict):
+    """Accelerators of a machine: name and count."""
+
+    name: str
+    count: Count = 1
+
+
+class MachineRef(Strict):
+    """A machine by its infra and instance type, with the shape and price that the catalog gave for it.
+
+    A shape of this host has infra `local`, instance `<n>cpu-<m>gib` and price 0.
+    """
+
+    infra: str
+    instance: str
+    cpus: Count
+    memory: Memory
+    gpu: GpuShape | None = None
+    spot: bool = False
+    price: Price
+
+
+class TaskRef(Strict):
+    """A compiled task beside the plan: relative path and sha256 of its bytes."""
+
+    path: str
+    digest: str
+
+
+class Sample(Strict):
+    """One machine to measure; `id` is unique in the plan and names its cluster, task and files."""
+
+    id: str
+    machine: MachineRef
+    reason: str
+    task: TaskRef | None = None
+
+
+class Alternative(Strict):
+    """A machine that is measured where the sample `instead_of` cannot be had; those named first are tried first."""
+
+    instead_of: str
+    machine: MachineRef
+    reason: str
+
+
+class CatalogRef(Strict):
+    """Which catalog a file was made from."""
+
+    source: str
+    revision: str
+    date: str
+    digest: str
+
+
+class ApplicationRef(Strict):
+    """Which spec a file was made from; the digest is over what the stage reads of it, not over its bytes.
+
+    In a plan, `reads` has a short digest of each field that measuring depends on, so that a change can be named.
+    """
+
+    path: str
+    digest: str
+    reads: dict[str, str] = Field({})
+
+
+class Wave(Strict):
+    """Machines that were asked for at once, and why."""
+
+    reason: str
+    samples: list[Sample]
+
+
+class Sampling(Strict):
+    """The decisions of an adaptive campaign: which machines were asked for, among those of which search box.
+
+    They are facts: later compiles read them here and do not ask again. `limits` is a digest of the limits and the objective
+    that were asked for. `ended` says why no further machine was asked for, None while that was not decided;
+    `for_money` says that there was one, and not enough money left for it.
+    """
+
+    hardware: Hardware
+    infra: list[str]
+    limits: str
+    waves: list[Wave]
+    ended: str | None = None
+    for_money: bool = False
+
+
+class Estimate(Strict):
+    """What the plan will cost at most, and how long it will take with all samples at once."""
+
+    measuring: Money
+    setup: Money
+    total: Money
+    wall: Duration
+
+
+class PlanBody(Strict):
+    """What the plan says; `hardware` and `infra` are the search box that its samples were picked for, from
+    the catalog with the digest `picked_from`; the spec's own box may have become smaller since, and prices may be new.
+
+    `pins` are the digests of what the spec only names, from the lock.
+    """
+
+    application: ApplicationRef
+    pins: dict[str, str] = Field({})
+    catalog: CatalogRef
+    picked_from: str
+    hardware: Hardware
+    infra: list[str]
+    sampler: Literal["grid", "adaptive", "list"]
+    steps: int | None
+    after: Duration
+    warmup: int
+    setup: Duration
+    budget: Money | None
+    estimate: Estimate
+    samples: list[Sample]
+    alternatives: list[Alternative] = Field([])
+    notes: list[str]
+
+
+class PlanMetadata(Strict):
+    """Names the application."""
+
+    name: str
+
+
+class Plan(Strict):
+    """`kind: SamplingPlan`: what `compile` writes before a benchmark and `bench` runs."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
+    kind: Literal["SamplingPlan"] = "SamplingPlan"
+    metadata: PlanMetadata
+    spec: PlanBody
+
+
+LIFETIME_SLACK_S = 300.0
+NO_PINS: Mapping[str, str] = MappingProxyType({})
+
+
+def make_plan(
+    application: Application,
+    path: str,
+    catalog: Catalog,
+    pins: Mapping[str, str] = NO_PINS,
+    admissible: Admissible | None = None,
+    library: "Library | None" = None,
+) -> Plan:
+    """The sampling plan of a spec at `path` (as written into the plan), without its tasks.
+
+    Pure: it depends on the values of the spec and the content of the catalog, not on the order of either. Raises
+    NothingMeets when no machine on offer is admissible, WrongFile for a listed machine that is not on offer. The
+    budget is compared where money would be spent.
+    """
+    spec = application.spec
+    if admissible is None:
+        admissible = admit(catalog, spec.hardware, spec.infra)
+    found = design.pick(spec, catalog, admissible, library)
+    samples = [Sample(id=pick.id, machine=machine_ref(pick.offer), reason=pick.reason) for pick in found.picks]
+    sampler: Literal["grid", "adaptive", "list"] = "list" if spec.benchmark.machines else spec.benchmark.sampler
+    return assemble(application, path, catalog.about, sampler, samples, found.notes, pins)
+
+
+def assemble(
+    application: Application, path: str, about: About, sampler: Literal["grid", "adaptive", "list"],
+    samples: Sequence[Sample], notes: Sequence[str], pins: Mapping[str, str] = NO_PINS,
+) -> Plan:  # fmt: skip
+    """A plan of these samples, with what it costs at most."""
+    spec = application.spec
+    stop = spec.benchmark.stop
+    body = PlanBody(
+        application=ApplicationRef(
+            path=path, digest=fingerprints.planned_digest(application), reads=fingerprints.measured_fields(application)
+        ),
+        pins=dict(pins),
+        catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
+        picked_from=about.digest,
+        hardware=spec.hardware,
+        infra=spec.infra,
+        sampler=sampler,
+        steps=stop.steps,
+        after=stop.after,
+        warmup=spec.benchmark.warmup,
+        setup=spec.benchmark.setup,
+        budget=spec.benchmark.budget,
+        estimate=estimate(samples, stop.after, spec.benchmark.setup),
+        samples=list(samples),
+        notes=[*notes, *_unpinned(application, pins)],
+    )
+    return Plan(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+
+
+def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
+    image = image_named(application)
+    return [] if image is None or "image" in pins else [f"image {image} is not pinned to a digest: fogspec lock"]
+
+
+def sample_on(machine: MachineRef, reason: str, nth: int = 1) -> Sample:
+    """The `nth` sample that measures this machine; its id depends on the machine and on `nth` alone."""
+    gpu = Gpu(machine.gpu.name, machine.gpu.count) if machine.gpu else None
+    name = design.identity(machine.infra, machine.instance, gpu, machine.spot, nth)
+    return Sample(id=name, machine=machine, reason=reason)
+
+
+def next_on(machine: MachineRef, reason: str, taken: Collection[str]) -> Sample:
+    """The first sample of this machine whose id is not taken."""
+    numbered = (sample_on(machine, reason, nth) for nth in itertools.count(1))
+    return next(sample for sample in numbered if sample.id not in taken)
+
+
+def machine_ref(offer: Offer) -> MachineRef:
+    """The machine as files name it."""
+    gpu = GpuShape(name=offer.gpu.name, count=offer.gpu.count) if offer.gpu else None
+    return MachineRef(
+        infra=offer.infra, instance=offer.instance, cpus=offer.vcpus, memory=offer.memory_gib, gpu=gpu,
+        spot=offer.spot, price=offer.price_usd_per_hour,
+    )  # fmt: skip
+
+
+def estimate(samples: Sequence[Sample], after_s: float, setup_s: float) -> Estimate:
+    """What the samples cost in USD if each measures for `after_s` and none is ready before `setup_s`."""
+    usd_per_s = math.fsum(sample.machine.price for sample in samples) / 3600
+    measuring, setup = round(usd_per_s * after_s, 6), round(usd_per_s * setup_s, 6)
+    return Estimate(measuring=measuring, setup=setup, total=round(measuring + setup, 6), wall=after_s + setup_s)
+
+
+def digest_without_budget(plan: Plan) -> str:
+    """Digest over a plan's content but its budget, which decides whether it is measured and nothing that follows."""
+    return digest.of_value(plan.model_dump(mode="json", exclude={"spec": {"budget"}}))
+
+
+def lifetime_s(after_s: float, setup_s: float) -> float:
+    """After how long a sampled machine ends itself though nobody ends it, in whole minutes."""
+    return math.ceil((setup_s + after_s + LIFETIME_SLACK_S) / 60) * 60.0

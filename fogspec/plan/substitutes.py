@@ -1,0 +1,85 @@
+"""Where else a sample could be measured: the same machine in the next place, else the nearest admissible machine."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fogspec.catalog.table import Catalog, Floats
+from fogspec.plan.design import cheapest_first, nth_sample
+from fogspec.plan.schema import Alternative, MachineRef, Sample, machine_ref, sample_on
+from fogspec.spec.schema import Spec
+
+PLACES = 2
+NEIGHBOURS = 2
+DOUBLINGS = 2.0  # a machine that differs more in vCPUs and memory together is no neighbour
+
+
+def alternatives(spec: Spec, samples: Sequence[Sample], offers: Catalog) -> list[Alternative]:
+    """For each sample, machines to take its place, those to be tried first in front; `offers` are the admissible ones.
+
+    The same instance type elsewhere, cheapest first; then the machines nearest in vCPUs and memory with the same
+    accelerators, in the same place where there are any. Machines that the spec lists by name have no neighbours; shapes
+    of this host, and further samples of a machine, have nothing in their place. One machine may stand in for several
+    samples, for whichever needs it first; none of the plan's own stands in for another.
+    """
+    planned = {sample.id for sample in samples}
+    found = []
+    shapes = np.log2(offers.vcpus), np.log2(offers.memory_gib)
+    for sample in samples:
+        machine = sample.machine
+        if machine.infra == "local" or nth_sample(sample.id) > 1:
+            continue
+        apart = np.abs(shapes[0] - np.log2(machine.cpus)) + np.abs(shapes[1] - np.log2(machine.memory))
+        near = _Near.of(offers, machine, apart)
+        elsewhere = list(near.elsewhere())[:PLACES]
+        neighbours = () if spec.benchmark.machines else near.neighbours()
+        others = [*elsewhere, *(one for one in neighbours if one.id not in planned)][: len(elsewhere) + NEIGHBOURS]
+        found += [Alternative(instead_of=sample.id, machine=one.machine, reason=one.reason) for one in others]
+    return found
+
+
+def other_region(one: MachineRef, two: MachineRef) -> bool:
+    """Whether two machines are in different regions, whose quotas are apart."""
+    return one.infra.split("/")[:2] != two.infra.split("/")[:2]
+
+
+@dataclass(frozen=True, slots=True)
+class _Near:
+    """The offers that differ little from a machine, with the same accelerators and kind of price; `apart` in doublings."""
+
+    machine: MachineRef
+    offers: Catalog
+    apart: Floats
+    infra: list[str]
+
+    @classmethod
+    def of(cls, offers: Catalog, machine: MachineRef, apart: Floats) -> "_Near":
+        name, count = (machine.gpu.name, machine.gpu.count) if machine.gpu else ("", 0.0)
+        rows = np.flatnonzero((apart <= DOUBLINGS) & (offers.spot == machine.spot) & (offers.gpu_count == count))
+        rows = rows[np.asarray(offers.gpu[rows] == name, dtype=np.bool_)]
+        near = offers.take(rows)
+        places = zip(near.cloud, near.region, near.zone, strict=True)
+        return cls(machine, near, np.round(apart[rows], 6), ["/".join(filter(None, place)) for place in places])
+
+    def elsewhere(self) -> Iterator[Sample]:
+        """The same instance type in other places, cheapest first."""
+        same = np.flatnonzero(self.offers.instance == self.machine.instance)
+        for row in same[cheapest_first(self.offers.take(same))].tolist():
+            if self.infra[row] != self.machine.infra:
+                yield self._sample(row, "the same instance type in another place")
+
+    def neighbours(self) -> Iterator[Sample]:
+        """Other instance types, in the same place where there are any: the nearest, then of the nearest price."""
+        names, price = self.offers.instance.tolist(), self.offers.price_usd_per_hour
+        other = [row for row, name in enumerate(names) if name != self.machine.instance]
+        here = [row for row in other if self.infra[row] == self.machine.infra]
+        dearer = np.round(np.abs(np.log2(price / max(self.machine.price, 1e-9))), 6)
+        known: set[str] = set()
+        for row in sorted(here or other, key=lambda row: (self.apart[row], dearer[row], names[row], row)):
+            if names[row] not in known:
+                known.add(names[row])
+                yield self._sample(row, f"the nearest admissible machine to {self.machine.instance}")
+
+    def _sample(self, row: int, reason: str) -> Sample:
+        return sample_on(machine_ref(self.offers.offer(row)), reason)

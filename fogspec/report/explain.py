@@ -1,0 +1,261 @@
+"""Why this machine: the funnel, what binds, which samples matter, where the model is weak, and who else was close."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from fogspec.base import units
+from fogspec.choice.choose import Choice
+from fogspec.choice.menu import entry_of, limit_text, rounded
+from fogspec.choice.next_samples import Next, most_worth, probability_better
+from fogspec.choice.sensitivity import LEVEL, Binding, Influence, bindings, influences, parts, weak_spots
+from fogspec.choice.shortlist import stand_outs
+from fogspec.compile.compiler import Compiled, money
+from fogspec.model.fit import Model
+from fogspec.plan.schema import lifetime_s
+from fogspec.report.summary import entry_words, no_words
+
+SAMPLES_SAID = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What is worked out for an explanation beside the choice: the samples' influence, and one more sample's worth."""
+
+    bindings: list[Binding]
+    influences: list[Influence]
+    next: Next | None
+
+    @classmethod
+    def of(cls, compiled: Compiled) -> "Analysis":
+        """Refits without each sample in turn."""
+        assert compiled.chosen is not None
+        chosen, offers = compiled.chosen, compiled.admissible.offers
+        app, body = compiled.application, compiled.plan.spec
+        usd = offers.price_usd_per_hour * lifetime_s(body.after, body.setup) / 3600
+        failed = [one.machine for one in chosen.models.spec.unusable]
+        return cls(
+            bindings(chosen.choice),
+            influences(app, chosen.models, chosen.predicted.ground, chosen.choice),
+            most_worth(app, chosen.predicted, failed, usd) if len(offers) else None,
+        )
+
+
+def explain(compiled: Compiled) -> str:
+    """The explanation of a measured application, infeasible ones included; of an unmeasured one, its plan."""
+    if compiled.chosen is None:
+        return _unmeasured(compiled)
+    menu, choice, found = compiled.chosen.menu, compiled.chosen.choice, Analysis.of(compiled)
+    local = compiled.chosen.models.spec.measured_on_local
+    lines = [f"{compiled.layout.name}: {menu.spec.objective}, {menu.spec.billing} billing"]
+    if menu.spec.balanced is None:
+        lines += [*no_words(menu), *_infeasible(choice)]
+    else:
+        lines += ["", f"chosen    {entry_words(menu.spec.balanced)}", *_why(choice, menu.spec.scale)]
+    lines += ["", "funnel    " + _funnel(compiled)]
+    if choice.chosen is not None:
+        lines += ["", "limits", *(f"  {_binding_words(b)}" for b in found.bindings)]
+    lines += ["", "model", *_model(compiled, found)]
+    if found.influences:
+        lines += [
+            "",
+            "samples that matter most",
+            *(f"  {_influence_words(one)}" for one in found.influences[:SAMPLES_SAID]),
+        ]
+    lines += ["", "one more sample", f"  {_next_words(choice, found.next, local)}"]
+    lines += ["", "others", *_others(compiled)]
+    if menu.spec.warnings:
+        lines += ["", *(f"warning: {text}" for text in menu.spec.warnings)]
+    return "\n".join(lines)
+
+
+def facts(compiled: Compiled) -> dict[str, Any]:
+    """The same for programs."""
+    found: dict[str, Any] = {"name": compiled.layout.name, "stale": compiled.stale, "funnel": _funnel_facts(compiled)}
+    if compiled.chosen is None:
+        return found
+    chosen, worked = compiled.chosen, Analysis.of(compiled)
+    choice, menu = chosen.choice, chosen.menu.spec.model_dump(mode="json")
+    likeliest = choice.likeliest
+    return {
+        **found,
+        **{key: menu[key] for key in ("objective", "balanced", "cheapest", "fastest", "nearest", "missed", "warnings")},
+        "confidence": choice.confidence,
+        "probability_met": None if choice.chosen is None else choice.probability(choice.chosen),
+        "sure": choice.sure,
+        "likeliest": None if likeliest is None else {
+            "instance": str(choice.offers.instance[likeliest]), "probability_met": choice.probability(likeliest)
+        },
+        "limits": [_binding_facts(b) for b in worked.bindings],
+        "samples": [asdict(one) for one in worked.influences],
+        "weak": [
+            {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in weak_spots(choice)
+        ],
+        "next_sample": None if worked.next is None else {
+            "infra": choice.offers.offer(worked.next.row).infra, "instance": str(choice.offers.instance[worked.next.row]),
+            "gain": worked.next.gain, "probability_better": worked.next.probability_better, "usd": worked.next.usd,
+        },
+        "models": [model.model_dump(mode="json") for model in chosen.models.spec.models],
+        "alternatives": [] if chosen.manifest is None else chosen.manifest.model_dump(mode="json")["alternatives"],
+    }  # fmt: skip
+
+
+def _binding_facts(b: Binding) -> dict[str, Any]:
+    return {
+        "limit": b.limit, "bound": limit_text(b.limit, b.bound), "value": limit_text(b.limit, b.value),
+        "needs": limit_text(b.limit, b.needs), "rules_out_alone": b.rules_out_alone, "changes_to": b.changes_to,
+        "changes_at": None if b.changes_at is None else limit_text(b.limit, b.changes_at),
+    }  # fmt: skip
+
+
+def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
+    row = choice.chosen
+    assert row is not None
+    terms = " and ".join(f"{name} / {divisor}" for name, divisor in scale.items())
+    pool, meet = int(choice.pool.sum()), int(choice.feasible.sum())
+    among = f"the {meet} machines that meet all limits"
+    if pool < meet:
+        among = f"the {pool} measured machines of {meet} that meet all limits"
+    lines = [
+        f"why       smallest weighed sum, {units.format_number(rounded(float(choice.objective[row])))}, of {terms}, "
+        f"among {among}"
+    ]
+    probability = choice.probability(row)
+    if probability is not None and choice.bounds:
+        how = "measured" if choice.latency.measured[row] else "not measured: see the sample below"
+        lines.append(
+            f"sure      all limits are met with probability {probability:.3f} (asked {choice.confidence:g}); {how}"
+        )
+    return lines
+
+
+def _infeasible(choice: Choice) -> list[str]:
+    row = choice.likeliest
+    if row is None:
+        return []
+    probability = choice.probability(row) or 0.0
+    offer = choice.offers.offer(row)
+    sure = "the model is sure that none does" if probability < 1 - choice.confidence else "the model is not sure"
+    return [
+        f"  most likely to meet all limits: {offer.instance} in {offer.infra}, with probability {probability:.2f}: {sure}"
+    ]
+
+
+def _funnel(compiled: Compiled) -> str:
+    assert compiled.chosen is not None
+    body = compiled.chosen.menu.spec
+    return f"{compiled.admissible.funnel.line()} -> {body.predicted:,} predicted -> {body.meet:,} meet all limits"
+
+
+def _funnel_facts(compiled: Compiled) -> list[dict[str, Any]]:
+    funnel = compiled.admissible.funnel
+    return [{"filter": f.name, "removed": f.removed, "left": f.left} for f in funnel.filters]
+
+
+def _binding_words(binding: Binding) -> str:
+    name = binding.limit
+    room = (1 - binding.value / binding.bound) if binding.bound else 0.0
+    words = f"{name}: {limit_text(name, binding.value)} of at most {limit_text(name, binding.bound)}, {room:.0%} room"
+    words += f"; the choice holds down to {limit_text(name, binding.needs)}"
+    words += f"; alone it rules out {binding.rules_out_alone} machines"
+    if binding.changes_at is not None:
+        words += f"; at {limit_text(name, binding.changes_at)} it would let in {binding.changes_to}, which is better"
+    elif binding.rules_out_alone:
+        words += ", none of them better"
+    return words
+
+
+def _model(compiled: Compiled, found: Analysis) -> list[str]:
+    assert compiled.chosen is not None
+    choice, body = compiled.chosen.choice, compiled.chosen.models.spec
+    lines = []
+    if not body.measured_on_local:
+        beside = f" and machine library {body.predictor.priors}" if body.predictor.priors else ""
+        lines.append(f"  surrogate on {len(body.known)} samples{beside}{_foretold(found.influences)}")
+    for one in weak_spots(choice):
+        interval = choice.latency.interval(one.row, LEVEL) or (0.0, 0.0)
+        low, high = (units.format_duration(rounded(end)) for end in interval)
+        lines.append(f"  weak: {choice.offers.instance[one.row]} [{low}, {high}], a factor of {one.ratio:.2f}")
+    return lines + [f"  curve: {_model_words(model)}" for model in body.models]
+
+
+def _foretold(found: list[Influence]) -> str:
+    known = sorted(one.missed_by for one in found if one.missed_by == one.missed_by)
+    if not known:
+        return ""
+    covered = sum(one.covered for one in found)
+    return (
+        f": each left out in turn is foretold within {known[len(known) // 2]:.1%} (median), {known[-1]:.1%} at most; "
+        f"{covered} of {len(found)} lie in their {LEVEL:.0%} interval"
+    )
+
+
+def _influence_words(one: Influence) -> str:
+    then = f"{one.changes_to} would be chosen" if one.changes_to else "no machine would meet the limits"
+    change = f"without it {then}" if one.changes else "without it the choice stays"
+    return f"{one.id}: {change}; predictions move by {one.moves:.1%} (median)"
+
+
+def _next_words(choice: Choice, found: Next | None, local: bool) -> str:
+    if local:
+        return "any machine of the catalog: shapes of one host do not tell how fast its machines are"
+    if found is None:
+        return "nothing is left to measure that could tell more"
+    offer = choice.offers.offer(found.row)
+    words = f"{offer.instance} in {offer.infra}, at most {money(found.usd)}: "
+    if choice.chosen is None:
+        return f"{words}meets the limits with probability {choice.probability(found.row) or 0:.2f}"
+    if choice.latency.measured[found.row]:
+        which = "the choice" if found.row == choice.chosen else "a rival"
+        return f"{words}{which} once more, for one sample may err: betters the choice by {found.gain:.2%} on average"
+    if found.row == choice.chosen:
+        return f"{words}it is the choice: measuring it verifies it"
+    return (
+        f"{words}better than the choice with probability {found.probability_better:.2f}, by {found.gain:.2%} on average"
+    )
+
+
+def _model_words(model: Model) -> str:
+    beside = f" with {model.gpu}" if model.gpu else ""
+    values = ", ".join(f"{name} = {rounded(value):g}" for name, value in model.coefficients.items())
+    error = (
+        "its error cannot be told"
+        if model.loo_median_error is None or model.loo_max_error is None
+        else f"a left-out sample is missed by {model.loo_median_error:.1%} (median), {model.loo_max_error:.1%} at most"
+    )
+    r2 = "" if model.r2 is None else f"; R² {model.r2:.3f}"
+    return f"{model.target}{beside} = {model.formula}, {values}; c = vCPUs, m = GiB; {model.n} samples: {error}{r2}"
+
+
+def _others(compiled: Compiled) -> list[str]:
+    assert compiled.chosen is not None
+    chosen = compiled.chosen
+    if chosen.manifest is None:
+        nearest = chosen.choice.nearest
+        return [] if nearest is None else [f"  nearest   {entry_words(entry_of(chosen.choice, nearest))}"]
+    rows = stand_outs(chosen.choice)
+    return [
+        f"  {a.role:<9} {a.instance} in {a.infra}, {units.format_price(a.price)}: {units.format_duration(a.latency)}, "
+        f"{units.format_cost(a.cost)}; {a.why_not}{_rival(compiled, rows[a.role])}"
+        for a in chosen.manifest.alternatives
+    ]
+
+
+def _rival(compiled: Compiled, row: int) -> str:
+    """On which part of the objective a machine that meets the limits lost, and how probably it is better after all."""
+    assert compiled.chosen is not None
+    choice, app = compiled.chosen.choice, compiled.application
+    if choice.chosen is None or not choice.feasible[row]:
+        return ""
+    both = zip(parts(app, choice, row), parts(app, choice, choice.chosen), strict=True)
+    words = ", ".join(f"{name} {own - best:+.3f}" for (name, own), (_, best) in both)
+    better = probability_better(app, compiled.chosen.predicted, choice, row)
+    return f" ({words})" + ("" if better is None else f"; better after all with probability {better:.2f}")
+
+
+def _unmeasured(compiled: Compiled) -> str:
+    lines = [
+        f"{compiled.layout.name}: {compiled.stale or 'not measured yet'}",
+        f"funnel    {compiled.admissible.funnel.line()}",
+    ]
+    lines += ["samples", *(f"  {s.machine.infra} {s.machine.instance}: {s.reason}" for s in compiled.plan.spec.samples)]
+    return "\n".join([*lines, f"next: fogspec bench {compiled.layout.spec}"])

@@ -1,0 +1,147 @@
+"""One self-contained page of an application: spec, funnel, samples, models, menu, costs, provenance.
+
+The page needs no network and asks for none (its content security policy forbids it). Every value passes a filter of
+the language that it stands in; the same inputs give the same bytes.
+"""
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fogspec import __version__
+from fogspec.base import units
+from fogspec.base.templates import render, shipped
+from fogspec.choice.choose import HOURS_PER_MONTH
+from fogspec.compile.compiler import Compiled
+from fogspec.report.explain import explain
+from fogspec.report.page_data import menu_data
+from fogspec.report.page_tables import curve_rows, measured_table, planned_table, residual_rows
+from fogspec.report.summary import entry_words
+
+SECTIONS = {
+    "menu": "Menu", "why": "Why this machine", "funnel": "Funnel", "samples": "Samples", "models": "Models",
+    "costs": "Costs", "provenance": "Provenance", "spec": "Spec",
+}  # fmt: skip
+
+
+def page(compiled: Compiled, spec_text: str, command: str, menu_command: str) -> bytes:
+    """The page; `command` makes it again, `menu_command` is what the sliders' answers can be compared with."""
+    chosen, results = compiled.chosen, compiled.results
+    data = None
+    if chosen is not None and len(chosen.choice.front):
+        data = {**menu_data(compiled.application, chosen.choice), "command": menu_command}
+    scripts = ("report_picture.js", "report.js")  # what draws first: the other begins as soon as it is read
+    script = "".join((shipped("templates") / name).read_text(encoding="utf-8") for name in scripts)
+    samples = planned_table(compiled.plan) if results is None else measured_table(results)
+    there = {"menu": data is not None, "why": chosen is not None, "models": chosen is not None}
+    return render(
+        "report.html.j2", name=compiled.layout.name, lead=_lead(compiled), version=__version__, command=command,
+        warnings=chosen.menu.spec.warnings if chosen else [compiled.stale] if compiled.stale else [],
+        sections=[(id, words) for id, words in SECTIONS.items() if there.get(id, True)],
+        data=None if data is None else _json(data), script=script,
+        script_digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        menu_picture=_image(compiled, compiled.layout.picture), latency_picture=_image(compiled, compiled.layout.latencies),
+        menu_note="" if data is None else _menu_note(data), x_words=_x_words(compiled),
+        explanation=explain(compiled) if chosen is not None else "", funnel=_funnel(compiled), samples=samples,
+        models=_models(compiled), costs=_costs(compiled), provenance=_flat("", _provenance(compiled)),
+        source=compiled.layout.relative(compiled.layout.spec), spec_text=spec_text,
+    ).encode()  # fmt: skip
+
+
+def _lead(compiled: Compiled) -> str:
+    if compiled.chosen is None:
+        return f"{compiled.stale or 'not measured yet'}: there is no menu"
+    body = compiled.chosen.menu.spec
+    if body.balanced is None:
+        return f"No machine meets the limits; {body.objective}"
+    return f"Chosen: {entry_words(body.balanced)}; {body.objective}"
+
+
+def _x_words(compiled: Compiled) -> str:
+    spec = compiled.application.spec
+    return spec.objective.metric or f"{spec.constraints.statistic} latency"
+
+
+def _menu_note(data: Mapping[str, Any]) -> str:
+    parts = [
+        f"{data['types']:,} machine types in {data['admissible']:,} offers can be predicted; of each type the cheapest counts."
+    ]
+    if not data["complete"]:
+        shown, faint = len(data["offers"]["row"]), len(data["faint"]["x"])
+        parts.append(
+            f"The page has the {shown:,} types that can win under some weight and limits; of the others, which another "
+            f"type beats in everything, {faint:,} are drawn faintly and no more."
+        )
+    if data["relaxed"]:
+        parts.append("The spec asks for the relaxed method; this page looks at every machine.")
+    return " ".join(parts)
+
+
+def _json(data: Mapping[str, Any]) -> str:
+    """JSON that can stand in a script element: no character that HTML could take for markup."""
+    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _image(compiled: Compiled, path: Any) -> str:
+    content = compiled.files.get(path)
+    return "" if content is None else "data:image/svg+xml;base64," + base64.b64encode(content).decode()
+
+
+def _funnel(compiled: Compiled) -> list[tuple[str, str, str]]:
+    funnel = compiled.admissible.funnel
+    rows = [("on offer", "", f"{funnel.offered:,}")]
+    rows += [(one.name, f"{one.removed:,}", f"{one.left:,}") for one in funnel.filters]
+    if compiled.chosen is not None:
+        body = compiled.chosen.menu.spec
+        rows.append(("can be predicted", f"{body.admissible - body.predicted:,}", f"{body.predicted:,}"))
+        rows.append(("meets all limits", f"{body.predicted - body.meet:,}", f"{body.meet:,}"))
+    return rows
+
+
+def _models(compiled: Compiled) -> dict[str, Any] | None:
+    if compiled.chosen is None:
+        return None
+    models = compiled.chosen.models
+    words = (
+        "Measured on shapes of one host: the curves below are all that predicts, and how far off they are cannot be said."
+        if models.spec.measured_on_local
+        else "Predictions come from a Gaussian process over machines, conditioned on all samples. The curves of the paper's "
+        "families are fitted beside it for comparison and for the relaxed method."
+    )
+    return {"words": words, "curves": curve_rows(models), "residuals": residual_rows(compiled)}
+
+
+def _costs(compiled: Compiled) -> list[tuple[str, str]]:
+    body, results = compiled.plan.spec, compiled.results
+    rows = [
+        ("measuring, at most", units.format_money(body.estimate.measuring)),
+        ("with set-up, at most", units.format_money(body.estimate.total)),
+        ("budget", "none" if body.budget is None else units.format_money(body.budget)),
+        ("spent on measuring", units.format_money(results.spec.spent if results else 0.0)),
+    ]
+    if compiled.chosen is not None and (entry := compiled.chosen.menu.spec.balanced) is not None:
+        rows += [
+            ("the chosen machine, an hour", units.format_money(entry.price)),
+            ("the chosen machine, a month", units.format_money(round(entry.price * HOURS_PER_MONTH, 2))),
+            ("1,000 requests on it", units.format_money(float(f"{entry.cost * 1000:.4g}"))),
+        ]
+    return rows
+
+
+def _provenance(compiled: Compiled) -> dict[str, Any]:
+    if compiled.chosen is not None and compiled.chosen.manifest is not None:
+        return compiled.chosen.manifest.model_dump(mode="json")["provenance"]  # type: ignore[no-any-return]
+    found = compiled.plan.model_dump(mode="json")["spec"]
+    return {"application": found["application"], "catalog": found["catalog"], "builder": {"version": __version__}}
+
+
+def _flat(name: str, value: Any) -> list[tuple[str, str]]:
+    """Nested values as rows, each named by its path."""
+    if isinstance(value, Mapping):
+        return [row for key, one in value.items() for row in _flat(f"{name}.{key}" if name else str(key), one)]
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [row for i, one in enumerate(value) for row in _flat(f"{name}[{i}]", one)]
+    return [(name, "none" if value is None else str(value))]

@@ -1,0 +1,117 @@
+"""The menu on demand: other limits or another alpha over what was measured, and the menu as a table."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fogspec.base import units
+from fogspec.base.errors import Differs
+from fogspec.base.layout import Layout
+from fogspec.catalog.filters import admit
+from fogspec.catalog.table import Catalog
+from fogspec.charts.drawing import menu_chart
+from fogspec.charts.terminal import plot
+from fogspec.choice.choose import Choice
+from fogspec.choice.menu import Entry, Menu, make_menu
+from fogspec.compile.decision import decide, warnings_of
+from fogspec.model.fit import fit, targets
+from fogspec.model.predict import predict
+from fogspec.model.priors import locked_library
+from fogspec.numerics.priors import Library
+from fogspec.report.summary import entry_words, no_words
+from fogspec.results.io import read_results
+from fogspec.spec import fingerprints
+from fogspec.spec.lock_io import read_pins
+from fogspec.spec.schema import Application
+
+NO_LIMIT = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """A menu, and the choice that it says."""
+
+    application: Application
+    choice: Choice
+    menu: Menu
+
+    def plot(self, width: int, color: bool) -> str:
+        """The menu as a picture of plain characters; empty where no machine can be predicted."""
+        if not len(self.choice.front):
+            return ""
+        return "\n".join(plot(menu_chart(self.application, self.choice, []), width, color))
+
+
+def menu_of(
+    application: Application,
+    path: str | Path,
+    catalog: Catalog,
+    alpha: float | None,
+    latency: str | None,
+    cost: str | None,
+    library: Library | None = None,
+) -> Served:
+    """The menu of a measured application under other limits; raises Differs when it was not measured, UnitError."""
+    layout = Layout.of(path, application.metadata.name)
+    results = read_results(layout)
+    if results is None or results.spec.application != fingerprints.measured_digest(application):
+        what = "was not measured yet" if results is None else "has changed since it was measured"
+        raise Differs(f"{layout.name} {what}: there is no menu", f"fogspec bench {layout.spec}")
+    application = changed(application, alpha, latency, cost)
+    library = library or locked_library(layout, read_pins(layout))
+    models = fit(application, results, library.digest if library else None)
+    offers = admit(catalog, application.spec.hardware, application.spec.infra).offers
+    choice, _ = decide(application, models, predict(models, offers, targets(application), catalog, library))
+    menu = make_menu(application, choice, warnings_of(application, models, choice))
+    return Served(application, choice, menu)
+
+
+def changed(application: Application, alpha: float | None, latency: str | None, cost: str | None) -> Application:
+    """The application with other limits or another alpha; `none` takes a limit away."""
+    spec = application.spec
+    limits: dict[str, Any] = {}
+    if latency is not None:
+        limits["latency"] = None if latency == NO_LIMIT else units.parse_duration_s(latency)
+    if cost is not None:
+        limits["cost"] = None if cost == NO_LIMIT else units.parse_cost_usd_per_request(cost)
+    objective = spec.objective if alpha is None else spec.objective.model_copy(update={"alpha": alpha})
+    constraints = spec.constraints.model_copy(update=limits)
+    return application.model_copy(
+        update={"spec": spec.model_copy(update={"constraints": constraints, "objective": objective})}
+    )
+
+
+def show(menu: Menu, picture: str = "") -> str:
+    """The menu as text: the named choices, a picture, then the Pareto front of cost and latency."""
+    body = menu.spec
+    limits = ", ".join(f"{name} at most {bound}" for name, bound in body.limits.items()) or "none"
+    lines = [
+        f"{menu.metadata.name}: {body.objective}, {body.billing} billing, {body.statistic} latency",
+        f"limits: {limits}; {body.meet} of {body.predicted} machines meet them",
+        *(f"warning: {text}" for text in body.warnings),
+    ]
+    if body.balanced is None:
+        lines += no_words(menu)
+    else:
+        for role in ("balanced", "cheapest", "fastest"):
+            entry: Entry = getattr(body, role)
+            lines.append(f"{role:<9} {entry_words(entry)}")
+    lines += ["", picture] if picture else []
+    lines += ["", f"Pareto front, cost of one request against {body.statistic} latency:", *_table(body.front)]
+    lines += ["", f"Pareto front, price of an hour against {body.statistic} latency:", *_table(body.hourly_front)]
+    return "\n".join(lines)
+
+
+def _table(entries: list[Entry]) -> list[str]:
+    rows = [("instance type", "infra", "vCPU", "memory", "price", "latency", "cost", "")]
+    for e in entries:
+        gpu = f" {e.gpu.count:g}x{e.gpu.name}" if e.gpu else ""
+        remark = "measured" if e.measured else "extrapolated" if e.extrapolated else ""
+        rows.append((
+            e.instance + (" spot" if e.spot else "") + gpu, e.infra, f"{e.cpus:g}", units.format_memory(e.memory),
+            units.format_price(e.price), units.format_duration(e.latency), units.format_cost(e.cost), remark,
+        ))  # fmt: skip
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]

@@ -1,0 +1,146 @@
+"""The numbers with which the report's page chooses again: enough of them that it chooses as `fogspec menu` does.
+
+Of offers of one type only the cheapest can ever be chosen, so that each type is one row. Where there are more than
+`MOST` types, those that another type beats in everything are left out: no limit and no weight can make them win.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fogspec.catalog.cost import Costs
+from fogspec.catalog.table import Floats
+from fogspec.choice.choose import Choice, floors, latency_needed
+from fogspec.choice.menu import LEVEL
+from fogspec.numerics import select
+from fogspec.spec.schema import Application
+
+MOST = 1500
+FAINT = 1500
+LONGEST = 1e300  # JSON has no infinity
+
+Rows = NDArray[np.intp]
+
+
+def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
+    """What the page computes with: the rule's constants, and columns over the offers that can win.
+
+    `needed` has for each floor of probability the latency that an offer must be allowed; `within` what its limits leave
+    is computed in the page. `needs` is what a limit would have to be where nothing meets them all.
+    `faint` are points of offers that are not there, for the picture.
+    """
+    spec, costs = application.spec, Costs.of(application.spec, choice.offers.price_usd_per_hour, choice.offers.spot)
+    needed, needs = _needed(choice), choice.needs(floors(choice.confidence)[-1])
+    types = cheapest_of_types(choice, costs)
+    rows = types if len(types) <= MOST else undominated(choice, costs, needed, types)
+    offers = choice.offers
+    metric, given = spec.objective.metric, spec.objective.scale
+    fixed = {name: (values, choice.bounds[name]) for name, values in choice.values.items()
+             if name not in ("latency", "cost", "rate")}  # fmt: skip
+    low, high = _ends(choice, rows, metric)
+    return {
+        "name": application.metadata.name, "alpha": spec.objective.alpha, "statistic": spec.constraints.statistic,
+        "metric": metric, "unit": (spec.metrics[metric].unit or "") if metric else "s", "level": LEVEL,
+        "limits": {"latency": spec.constraints.latency, "cost": spec.constraints.cost},
+        "network": spec.constraints.network, "confidence": choice.confidence, "floors": list(floors(choice.confidence)),
+        "probabilities": choice.latency.posterior is not None, "adaptive": spec.benchmark.sampler == "adaptive",
+        "tie": select.TIE, "relaxed": spec.objective.method == "relaxed",
+        "scale": {
+            "x": (given.metric or spec.constraints.metrics.get(metric)) if metric else given.latency,
+            "cost": given.cost,
+            "best_x": select.best_attainable(choice.x, choice.eligible),
+            "best_cost": select.best_attainable(choice.cost_usd_per_request, choice.eligible),
+        },
+        "costs": {
+            "transfer": costs.transfer_usd, "requests_per_s": costs.requests_per_s,
+            "interruptions_per_s": costs.interruptions_per_s,
+        },
+        "admissible": len(offers), "types": len(types), "complete": len(rows) == len(types),
+        "fixed": [
+            {"name": name, "bound": bound, "value": _numbers(values[rows]), "needs": _numbers(needs[name][rows])}
+            for name, (values, bound) in fixed.items()
+        ],
+        "offers": {
+            "row": rows.tolist(), "name": offers.instance[rows].tolist(),
+            "infra": [offers.offer(int(row)).infra for row in rows],
+            "spot": offers.spot[rows].astype(int).tolist(), "measured": choice.latency.measured[rows].astype(int).tolist(),
+            "vcpus": offers.vcpus[rows].tolist(), "memory": offers.memory_gib[rows].tolist(),
+            "gpu": [f"{offers.gpu_count[row]:g} {offers.gpu[row]}" if offers.gpu[row] else "" for row in rows],
+            "price": offers.price_usd_per_hour[rows].tolist(), "usd_per_s": costs.usd_per_s[rows].tolist(),
+            "x": choice.x[rows].tolist(), "latency": choice.latency.value[rows].tolist(),
+            "cost": choice.cost_usd_per_request[rows].tolist(), "low": low, "high": high,
+            "needed": [_numbers(column[rows]) for column in needed], "needs": _numbers(choice.latency_needs[rows]),
+        },
+        "faint": _faint(choice, types, rows),
+    }  # fmt: skip
+
+
+def _needed(choice: Choice) -> list[Floats]:
+    if choice.latency.posterior is None:
+        return []
+    return [latency_needed(choice.latency, choice.metrics, choice.bounds, one) for one in floors(choice.confidence)]
+
+
+def cheapest_of_types(choice: Choice, costs: Costs) -> Rows:
+    """For each type and price kind the offer with the lowest cost, the first of equals; in the offers' order.
+
+    Predictions are a type's, so that among its offers this one wins whatever is weighed.
+    """
+    rows = np.flatnonzero(choice.eligible)
+    if not len(rows):
+        return rows
+    offers = choice.offers
+    kind = {key: i for i, key in enumerate(dict.fromkeys(_keys(choice, rows)))}
+    key = np.fromiter((kind[one] for one in _keys(choice, rows)), np.int64, len(rows))
+    order = np.lexsort((rows, offers.price_usd_per_hour[rows], costs.usd_per_s[rows], key))
+    first = np.append(True, key[order][1:] != key[order][:-1])
+    return np.sort(rows[order[first]])
+
+
+def _keys(choice: Choice, rows: Rows) -> list[tuple[object, ...]]:
+    offers = choice.offers
+    columns = (offers.cloud, offers.instance, offers.gpu, offers.gpu_count, offers.spot)
+    return list(zip(*(column[rows].tolist() for column in columns), strict=True))
+
+
+def undominated(choice: Choice, costs: Costs, needed: list[Floats], rows: Rows) -> Rows:
+    """The rows that no other beats or equals in all that a choice can turn on, ties in cost, latency and name included."""
+    measured = choice.latency.measured[rows]
+    columns = [choice.x, choice.latency.value, choice.cost_usd_per_request, costs.usd_per_s,
+               choice.offers.price_usd_per_hour, *needed, choice.latency_needs, *choice.values.values(),
+               *choice.needs(floors(choice.confidence)[-1]).values()]  # fmt: skip
+    table = np.column_stack([column[rows] for column in columns])
+    names = choice.offers.instance[rows].tolist()
+    order = sorted(range(len(rows)), key=lambda i: (*table[i, [2, 1]].tolist(), names[i], int(rows[i])))
+    table, measured, spot = table[order], measured[order], choice.offers.spot[rows][order]
+    kept: list[int] = []
+    for i in range(len(order)):
+        before = np.array(kept, dtype=np.intp)
+        same = (spot[before] == spot[i]) & (measured[before] >= measured[i])
+        if not bool((same & (table[before] <= table[i]).all(axis=1)).any()):
+            kept.append(i)
+    return np.sort(rows[np.array(order, dtype=np.intp)[kept]])
+
+
+def _ends(choice: Choice, rows: Rows, metric: str | None) -> tuple[list[float | None], list[float | None]]:
+    """The ends of the interval of what is weighed."""
+    predictions = choice.metrics[metric] if metric else choice.latency
+    if predictions.posterior is None:
+        return [None] * len(rows), [None] * len(rows)
+    low, high = (predictions.posterior.quantile(p)[predictions.of][rows] for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    return _numbers(low), _numbers(high)
+
+
+def _faint(choice: Choice, types: Rows, rows: Rows) -> dict[str, list[float]]:
+    """Points of types that are not among the rows, at most `FAINT`, spread evenly over their order by cost."""
+    rest = np.setdiff1d(types, rows)
+    rest = rest[np.argsort(choice.cost_usd_per_request[rest], kind="stable")]
+    if len(rest) > FAINT:
+        rest = rest[np.linspace(0, len(rest) - 1, FAINT).astype(int)]
+    columns = {"x": choice.x, "cost": choice.cost_usd_per_request, "price": choice.offers.price_usd_per_hour}
+    return {name: [float(f"{value:.4g}") for value in column[rest].tolist()] for name, column in columns.items()}
+
+
+def _numbers(column: Floats) -> list[float | None]:
+    return [min(value, LONGEST) if value == value else None for value in column.tolist()]

@@ -1,0 +1,126 @@
+"""Tables of the report: samples, curves, residuals."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fogspec.base import units
+from fogspec.choice.menu import LEVEL, rounded
+from fogspec.compile.compiler import Compiled
+from fogspec.model.fit import Known, Models
+from fogspec.model.predict import shape_of
+from fogspec.numerics import curves
+from fogspec.plan.schema import MachineRef, Plan
+from fogspec.results.schema import Measured, Results
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table with its caption; `numbers` are the columns that hold figures."""
+
+    caption: str
+    heads: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    numbers: tuple[int, ...]
+
+
+def planned_table(plan: Plan) -> Table:
+    """What is to be measured."""
+    rows = [(s.machine.instance, s.machine.infra, *_shape(s.machine), s.reason) for s in plan.spec.samples]
+    return Table(
+        "To be measured", ("machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "why"), rows, (2, 3, 5)
+    )
+
+
+def measured_table(results: Results) -> Table:
+    """What was measured."""
+    heads = ("machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "state", "requests", "mean", "sd", "p50", "p95",
+             "p99", "metrics", "took", "spent")  # fmt: skip
+    source = f"; {results.spec.source}" if results.spec.source else ""
+    rows = [_measured(one) for one in results.spec.samples]
+    numbers = (2, 3, 5, 7, 8, 9, 10, 11, 12, 14, 15)
+    used = [at for at in range(len(heads)) if any(row[at] for row in rows)]
+    return Table(
+        f"Runner: {results.spec.runner}{source}", tuple(heads[at] for at in used),
+        [tuple(row[at] for at in used) for row in rows], tuple(i for i, at in enumerate(used) if at in numbers),
+    )  # fmt: skip
+
+
+def _shape(machine: MachineRef) -> tuple[str, str, str, str]:
+    gpu = f"{machine.gpu.count:g} {machine.gpu.name}" if machine.gpu else ""
+    return f"{machine.cpus:g}", units.format_memory(machine.memory), gpu, units.format_money(machine.price)
+
+
+def _measured(one: Measured) -> tuple[str, ...]:
+    why = ": ".join(text for text in (one.reason, one.detail) if text)
+    latency = one.latency
+    times = (latency.mean, latency.sd, latency.p50, latency.p95, latency.p99) if latency else (None,) * 5
+    metrics = ", ".join(f"{name} {rounded(value):g}" for name, value in one.metrics.items())
+    return (
+        one.machine.instance + (" spot" if one.machine.spot else ""), one.machine.infra, *_shape(one.machine),
+        f"{one.state} ({why})" if why else one.state, str(one.requests), *(_time(value) for value in times), metrics,
+        units.format_duration(rounded(one.duration)), units.format_money(one.spent),
+    )  # fmt: skip
+
+
+def _time(seconds: float | None) -> str:
+    return "" if seconds is None else units.format_duration(rounded(seconds))
+
+
+def curve_rows(models: Models) -> list[tuple[str, ...]]:
+    """The curves, one a GPU type and target."""
+    return [
+        (
+            model.target + (f" with {model.gpu}" if model.gpu else ""), model.formula,
+            ", ".join(f"{name} = {rounded(value):g}" for name, value in model.coefficients.items()), str(model.n),
+            "" if model.r2 is None else f"{model.r2:.4f}", _share(model.loo_median_error), _share(model.loo_max_error),
+        )
+        for model in models.spec.models
+    ]  # fmt: skip
+
+
+def residual_rows(compiled: Compiled) -> Sequence[tuple[str, ...]]:
+    """For each sample what its curve says, and what the surrogate predicts from all the others."""
+    assert compiled.chosen is not None
+    models = compiled.chosen.models
+    fitted = {model.gpu: model for model in models.spec.models if model.target == "latency"}
+    rows = []
+    for one in models.spec.known:
+        model = fitted.get(None if one.machine.gpu is None else f"{one.machine.gpu.name}:{one.machine.gpu.count:g}")
+        latency = one.values["latency"]
+        curve = None
+        if model is not None:
+            at = np.array([one.machine.cpus]), np.array([one.machine.memory])
+            curve = float(curves.predict(model.shape, list(model.coefficients.values()), *at)[0])
+        rows.append(
+            (one.machine.instance, _time(latency), _time(curve), _off(curve, latency), *_without(compiled, one))
+        )
+    return rows
+
+
+def _without(compiled: Compiled, one: Known) -> tuple[str, str, str]:
+    """What all other samples say of a sample's machine: prediction, interval, and how far off it is."""
+    assert compiled.chosen is not None
+    ground, body = compiled.chosen.predicted.ground, compiled.chosen.models.spec
+    others = [other for other in body.known if shape_of(other.machine).key != shape_of(one.machine).key]
+    if ground is None or not others:
+        return "", "", ""
+    posterior = ground.predicted(others, body.unusable, ["latency"]).targets["latency"].posterior
+    if posterior is None:
+        return "", "", ""
+    at = [ground.place[shape_of(one.machine).key]]
+    # Of this machine alone: a bisection over a whole catalog for each sample would take seconds.
+    own = replace(posterior, means=posterior.means[:, at], variances=posterior.variances[:, at])
+    low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    value = math.exp(own.mean[0])
+    return _time(value), f"{_time(low)} to {_time(high)}", _off(value, one.values["latency"])
+
+
+def _off(said: float | None, measured: float) -> str:
+    return "" if said is None else f"{said / measured - 1:+.1%}"
+
+
+def _share(value: float | None) -> str:
+    return "" if value is None else f"{value:.1%}"

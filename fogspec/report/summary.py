@@ -1,0 +1,132 @@
+"""What compile says when it is done: what was derived, what it means, and what to run next."""
+
+from typing import TYPE_CHECKING, Any
+
+from fogspec.base import units
+from fogspec.compile.compiler import Compiled, money
+
+if TYPE_CHECKING:
+    from fogspec.choice.menu import Entry, Menu
+
+NOTES = 3
+
+
+def summary(compiled: Compiled) -> str:
+    """The compiled application in a few lines."""
+    layout, body = compiled.layout, compiled.plan.spec
+    catalog = body.catalog
+    from_ = f"{catalog.source}, {catalog.date}" if catalog.date else catalog.source
+    lines = [layout.name, _row("catalog", from_, f"{len(compiled.admissible.offers)} admissible machines")]
+    lines.append(_row("plan", str(layout.plan), _plan_words(compiled)))
+    lines += [_row("", "", note) for note in body.notes[:NOTES]]
+    if len(body.notes) > NOTES:
+        lines.append(_row("", "", f"more notes in the plan: {len(body.notes) - NOTES}"))
+    lines.append(_row("tasks", f"{layout.tasks}/", f"{len(body.samples)} SkyPilot tasks, one a machine"))
+    if compiled.chosen is None:
+        return "\n".join([*lines, *_unmeasured(compiled)])
+    chosen = compiled.chosen
+    results = compiled.results
+    assert results is not None
+    usable, all_of = len(chosen.models.spec.known), len(results.spec.samples)
+    lines.append(
+        _row("results", str(layout.results), f"{usable} of {all_of} samples count; {money(results.spec.spent)} spent")
+    )
+    lines.append(_row("models", str(layout.models), f"{len(chosen.models.spec.models)} fitted"))
+    beside = f" and {layout.picture.name}" if layout.picture in compiled.files else ""
+    lines.append(_row("menu", f"{layout.menu}{beside}", _menu_words(chosen.menu)))
+    lines += [f"  warning: {text}" for text in chosen.menu.spec.warnings]
+    if chosen.manifest is None:
+        return "\n".join([*lines, *no_words(chosen.menu)])
+    lines.append(_row("manifest", str(layout.manifest), f"with {layout.deploy.name}"))
+    entry = chosen.menu.spec.balanced
+    assert entry is not None
+    lines.append(_row("choice", entry_words(entry), chosen.menu.spec.objective))
+    return "\n".join([*lines, f"next: review {layout.manifest}; fogspec explain {layout.spec} says why"])
+
+
+def _row(name: str, what: str, words: str) -> str:
+    return f"  {name:<9} {what}: {words}" if what else f"  {name:<9} {words}"
+
+
+def _plan_words(compiled: Compiled) -> str:
+    body = compiled.plan.spec
+    estimate = body.estimate
+    count = f"{len(body.samples)} samples"
+    if estimate.total == 0:
+        return (
+            f"{count} on this host, free, at most {units.format_duration(body.after * len(body.samples))} of measuring"
+        )
+    budget = "" if body.budget is None else f" of a budget of {money(body.budget)}"
+    wall = f"{units.format_duration(estimate.wall)} if all run at once"
+    cents = f"{estimate.measuring * 100:.3f}".rstrip("0").rstrip(".")
+    return (
+        f"{count}; measuring costs at most {cents} cents, with set-up at most {money(estimate.total)}{budget}; {wall}"
+    )
+
+
+def _unmeasured(compiled: Compiled) -> list[str]:
+    layout = compiled.layout
+    local = all(sample.machine.infra == "local" for sample in compiled.plan.spec.samples)
+    runner = " --runner local" if local else ""
+    if compiled.stale:
+        return [f"  stale: {compiled.stale}", f"next: fogspec bench {layout.spec}{runner}"]
+    return [
+        "  not measured yet: models, menu and manifest follow once it is",
+        f"next: fogspec bench {layout.spec}{runner}",
+    ]
+
+
+def _menu_words(menu: "Menu") -> str:
+    body = menu.spec
+    return f"{body.meet} of {body.predicted} machines meet the limits"
+
+
+def entry_words(entry: "Entry") -> str:
+    """`g4dn.xlarge in aws/us-east-1, $0.526/h: 1.65s [1.58s, 1.73s], $0.000241/request`."""
+    interval = ""
+    if entry.interval is not None:
+        low, high = (units.format_duration(end) for end in entry.interval)
+        interval = f" [{low}, {high}]"
+    gpu = f" with {entry.gpu.count:g} {entry.gpu.name}" if entry.gpu else ""
+    how = "measured" if entry.measured else "predicted, extrapolated" if entry.extrapolated else "predicted"
+    spot = " spot" if entry.spot else ""
+    return (
+        f"{entry.instance}{spot}{gpu} in {entry.infra}, {units.format_price(entry.price)} ({entry.month}): "
+        f"{units.format_duration(entry.latency)}{interval} {how}, {units.format_cost(entry.cost)}"
+    )
+
+
+def no_words(menu: "Menu") -> list[str]:
+    """Why no machine meets the limits, in lines."""
+    body = menu.spec
+    if not body.predicted:
+        return ["  nothing can be said of any machine: no sample counts, or each admissible machine failed"]
+    lines = ["  no machine meets the limits:"]
+    for miss in body.missed:
+        beside = "of those that meet the other limits, " if miss.alone and len(body.limits) > 1 else ""
+        lines.append(
+            f"  {miss.limit} would have to be {miss.factor:.3g} times as large: limit {miss.bound}, {beside}"
+            f"the nearest, {miss.instance} in {miss.infra}, needs {miss.nearest_value}"
+        )
+    if body.nearest is not None:
+        lines.append(f"  nearest on all limits: {entry_words(body.nearest)}; {body.nearest.why_not}")
+    return lines
+
+
+def facts(compiled: Compiled) -> dict[str, Any]:
+    """The same for programs."""
+    layout, body = compiled.layout, compiled.plan.spec
+    chosen = compiled.chosen
+    return {
+        "name": layout.name,
+        "files": sorted(str(path) for path in compiled.files),
+        "removed": sorted(str(path) for path in compiled.removed),
+        "samples": len(body.samples),
+        "estimate_usd": {
+            "measuring": body.estimate.measuring, "setup": body.estimate.setup, "total": body.estimate.total
+        },
+        "budget_usd": body.budget,
+        "stale": compiled.stale,
+        "menu": None if chosen is None else chosen.menu.spec.model_dump(mode="json"),
+        "manifest": None if chosen is None or chosen.manifest is None else str(layout.manifest),
+    }  # fmt: skip

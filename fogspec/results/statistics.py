@@ -1,0 +1,53 @@
+"""Statistics of one sample's requests, weighed by scenario where a spec says how often each kind occurs."""
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from fogspec.results.schema import LatencySummary
+
+QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
+# A quantile is said when on average one request lies beyond it; a mean is a mean from the first request on.
+NEEDED = {"mean": 1, "p50": 2, "p95": 20, "p99": 100}
+
+
+def weights(kinds: Sequence[str], scenarios: Mapping[str, float]) -> list[float]:
+    """Each request's share, summing to 1: equal, or so that every scenario has the share that `scenarios` gives it."""
+    if not scenarios:
+        return [1 / max(len(kinds), 1)] * len(kinds)
+    count = Counter(kinds)
+    total = math.fsum(scenarios[kind] for kind in count)
+    return [scenarios[kind] / total / count[kind] for kind in kinds]
+
+
+def summary(latencies_s: Sequence[float], shares: Sequence[float]) -> LatencySummary | None:
+    """Mean, standard deviation and quantiles of latencies with these shares; None for no request.
+
+    With equal shares the deviation is that of a sample (n - 1), and quantiles are linear between order statistics.
+    """
+    n = len(latencies_s)
+    if not n:
+        return None
+    pairs = sorted(zip(latencies_s, shares, strict=True))
+    mean = math.fsum(x * share for x, share in pairs)
+    freedom = 1 - math.fsum(share**2 for share in shares)
+    sd = math.sqrt(math.fsum(share * (x - mean) ** 2 for x, share in pairs) / freedom) if n > 1 else None
+    known = {name: quantile(pairs, q) for name, q in QUANTILES.items() if n >= NEEDED[name]}
+    # Field types read text with units; these are numbers already.
+    return LatencySummary.model_construct(
+        mean=mean, sd=sd, p50=known.get("p50"), p95=known.get("p95"), p99=known.get("p99")
+    )
+
+
+def quantile(pairs: Sequence[tuple[float, float]], share: float) -> float:
+    """The value below which `share` lies, of (value, share) in order: linear between the values."""
+    span = math.fsum(own for _, own in pairs[:-1])
+    if span <= 0:
+        return pairs[0][0]
+    before, target = 0.0, share * span
+    for (value, own), (above, _) in itertools.pairwise(pairs):
+        if before + own >= target:
+            return value + (above - value) * (target - before) / own
+        before += own
+    return pairs[-1][0]

@@ -1,0 +1,91 @@
+"""Reading files into trees of values, with every refusal at its place."""
+
+import dataclasses
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from fogspec.base.diagnostics import Diagnostic, Place
+from fogspec.base.regular import read_file
+from fogspec.base.yaml import reader
+from fogspec.base.yaml.positions import Node
+
+NOT_SHOWN = ("FS509",)  # what looks like a private key must not be in CI's log too
+MISSING = ("FS302", "FS501", "FS503", "FS512", "FS522")
+
+
+@dataclass
+class Texts:
+    """The lines of every file that was read, so that a diagnostic can show them."""
+
+    lines: dict[str, list[str]] = field(default_factory=dict)
+
+    def shown(self, diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
+        """The diagnostics with their source lines, each file's in the order of its lines, errors first at a place."""
+        found = [
+            one if one.code in NOT_SHOWN else dataclasses.replace(one, source_line=self.line(one.place))
+            for one in diagnostics
+        ]
+        files = list(self.lines)
+        return sorted(
+            found, key=lambda one: (_rank(files, one.place.path), one.place.line, one.place.column, one.severity)
+        )
+
+    def line(self, place: Place) -> str | None:
+        """The line that a place is on, where its file was read."""
+        lines = self.lines.get(place.path, [])
+        return lines[place.line - 1] if 0 < place.line <= len(lines) else None
+
+    def last_line(self, path: str) -> int:
+        """The last line of a file that says anything, from 1."""
+        lines = self.lines.get(path, [])
+        return max((i for i, line in enumerate(lines, start=1) if line.strip()), default=1)
+
+    def at_the_cut(self, diagnostics: Sequence[Diagnostic]) -> list[Diagnostic]:
+        """What is missing from a file's last document is missing at its end, where the file looks cut off."""
+        return [self._at_the_cut(one) for one in diagnostics]
+
+    def _at_the_cut(self, one: Diagnostic) -> Diagnostic:
+        lines = self.lines.get(one.place.path, [])
+        if one.code not in MISSING or not lines or not lines[-1]:
+            return one
+        last = self.last_line(one.place.path)
+        place = Place(one.place.path, last, 1, len(lines[last - 1]))
+        return dataclasses.replace(
+            one, place=place, fix=f"{one.fix}; the file ends here without a line feed: was it cut?"
+        )
+
+
+def documents_of(
+    path: str | os.PathLike[str], texts: Texts, wrong: list[Diagnostic], most_bytes: int = reader.MOST_BYTES
+) -> tuple[list[Node], bool]:
+    """The documents of a file, and whether the file could be read to its end."""
+    name = os.fspath(path)
+    if name in texts.lines:
+        wrong.append(Diagnostic("FS101", "the file must be named only once", Place(name, 1, 1)))
+        return [], False
+    texts.lines[name] = []
+    try:
+        content = read_file(path, most_bytes + 1)
+    except OSError as problem:
+        message = f"the file cannot be read: {(problem.strerror or str(problem)).lower()}"
+        wrong.append(Diagnostic("FS101", message, Place(name, 1, 1)))
+        return [], False
+    return documents_in(content, name, texts, wrong, most_bytes)
+
+
+def documents_in(
+    content: bytes, name: str, texts: Texts, wrong: list[Diagnostic], most_bytes: int = reader.MOST_BYTES
+) -> tuple[list[Node], bool]:
+    """The documents of a file's bytes, and whether they could be read to their end."""
+    text, problems = reader.decode(content, name, most_bytes)
+    texts.lines[name] = text.split("\n")
+    nodes: list[Node] = []
+    if not problems:
+        nodes, problems = reader.documents(text, name)
+    wrong.extend(problems)
+    return [node for node in nodes if not node.empty], not problems
+
+
+def _rank(files: list[str], path: str) -> int:
+    return files.index(path) if path in files else len(files)

@@ -1,0 +1,119 @@
+"""Every field of the language as a page for people: type, limits, default, unit, meaning, example."""
+
+import re
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from fogspec.base.quantities import Cost, CountRange, Duration, MemoryRange, Money, Percent, Price, Rate
+from fogspec.base.yaml.flow import flow
+from fogspec.spec.introspect import part
+
+QUANTITIES = (
+    (Duration, "a duration", "ns, us, ms, s, min or h"),
+    (Money, "an amount of money", "$ or cent"),
+    (Cost, "a cost per request", "$ or cent, per request or per a number of requests"),
+    (Price, "a price per hour", "$ or cent, per hour"),
+    (Rate, "a rate", "per s, min or h, or Hz"),
+    (Percent, "a share", "%"),
+    (CountRange, "a range, or one number", "none"),
+    (MemoryRange, "a range of memory, or one size", "MiB, GiB, TiB, MB, GB or TB"),
+)  # fmt: skip
+LIMITS = {
+    "gt": "more than {}",
+    "ge": "at least {}",
+    "lt": "less than {}",
+    "le": "at most {}",
+    "min_length": "at least {} entry",
+}
+PLAIN = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", Any: "any value"}
+
+
+@dataclass(frozen=True, slots=True)
+class FieldPage:
+    """One field: `path` has `[]` for the items of a list and `<name>` for the keys of a map."""
+
+    path: str
+    type: str
+    limits: str
+    default: str
+    unit: str
+    meaning: str
+    example: Any
+    required: bool
+
+
+def pages(model: type[BaseModel]) -> list[FieldPage]:
+    """All fields of a kind of document, in the order of the language."""
+    found: list[FieldPage] = []
+    _collect(model, "", found)
+    return found
+
+
+def matching(known: list[FieldPage], name: str) -> list[FieldPage]:
+    """The fields that a name means: a whole path, a path without `spec.`, or any path that ends in it."""
+    tidy = re.sub(r"\[\d*\]", "[]", name).strip(".")
+    for path in (tidy, f"spec.{tidy}"):
+        if exact := [page for page in known if page.path == path or page.path.replace("[]", "") == path]:
+            return exact
+    return [page for page in known if f".{page.path.replace('[]', '')}".endswith(f".{tidy.replace('[]', '')}")]
+
+
+def _collect(model: type[BaseModel], prefix: str, found: list[FieldPage]) -> None:
+    defaults = model.model_construct().model_dump(mode="json", by_alias=True, warnings=False)
+    for name, field in model.model_fields.items():
+        key = field.alias or name
+        path = f"{prefix}.{key}" if prefix else key
+        found.append(_page(path, field, defaults.get(key)))
+        kind, items = part(field.annotation)
+        below = part(items)[0] if items is not None else kind
+        if isinstance(below, type) and issubclass(below, BaseModel):
+            inside = {list: "[]", dict: ".<name>"}.get(get_origin(kind), "")
+            _collect(below, f"{path}{inside}", found)
+
+
+def _page(path: str, field: FieldInfo, default: Any) -> FieldPage:
+    words, unit = _type(field.annotation, field.metadata)
+    limits = [
+        text.format(f"{getattr(one, name):g}")
+        for one in field.metadata
+        for name, text in LIMITS.items()
+        if getattr(one, name, None) is not None
+    ]
+    shown = "required" if field.is_required() else _default(default)
+    example = field.examples[0] if field.examples else default
+    return FieldPage(path, words, ", ".join(limits), shown, unit, field.description or "", example, field.is_required())
+
+
+def _default(value: Any) -> str:
+    if value is None:
+        return "not set"
+    return "as its fields say" if isinstance(value, dict) and value else flow(value)
+
+
+def _type(annotation: Any, metadata: list[Any]) -> tuple[str, str]:
+    """What may be written, in words, and the units it may have."""
+    for quantity, words, unit in QUANTITIES:
+        marks = get_args(quantity)[1:]
+        if any(mark in metadata for mark in marks) or _has(annotation, quantity):
+            return words, unit
+    kind, items = part(annotation)
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, get_args(kind)))}", ""
+    if get_origin(kind) is list:
+        return f"a list; each: {_type(items, [])[0]}", ""
+    if get_origin(kind) is dict:
+        return f"a map of names; each: {_type(items, [])[0]}", ""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return "a map of fields", ""
+    patterned = re.search(r"pattern='([^']*)'", str(metadata) + str(annotation))
+    return (f"a text that matches {patterned[1]}" if patterned else PLAIN.get(kind, "a value")), ""
+
+
+def _has(annotation: Any, quantity: Any) -> bool:
+    """Whether the quantity is the annotation, or stands in it beside None."""
+    if get_origin(annotation) is Annotated:
+        return bool(annotation == quantity)
+    return any(_has(one, quantity) for one in get_args(annotation) if get_origin(annotation) not in (list, dict))

@@ -1,0 +1,113 @@
+"""What is wrong with one field, in the language's own words: a pydantic error becomes a `Diagnostic`."""
+
+from typing import Any, Literal, get_args, get_origin
+
+from fogspec.base.diagnostics import Diagnostic
+from fogspec.base.quantities import Strict
+from fogspec.base.units import UnitError
+from fogspec.base.yaml.positions import Node, Path, dotted, find, place_of
+from fogspec.spec.introspect import annotation_at, part
+from fogspec.spec.suggest import closest
+
+LIMITS = {"greater_than": "more than {gt}", "greater_than_equal": "at least {ge}", "less_than": "less than {lt}",
+          "less_than_equal": "at most {le}"}  # fmt: skip
+KINDS = {"string_type": "a text", "int_type": "a whole number", "int_from_float": "a whole number", "float_type": "a number",
+         "bool_type": "true or false", "list_type": "a list", "dict_type": "a map of keys and values",
+         "model_type": "a map of keys and values", "tuple_type": "a list"}  # fmt: skip
+
+
+def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
+    """The diagnostic for one of pydantic's errors at `path`, in the document under `node`."""
+    kind, context = error["type"], error.get("ctx", {})
+    name, place = dotted(path) or "the document", place_of(node, path)
+    found = find(node, path)
+    if kind == "missing":
+        return Diagnostic("FS302", f"{name} is missing", place, f"add '{path[-1]}: …'")
+    if kind == "value_error" and isinstance(context.get("error"), UnitError):
+        wrong = context["error"]
+        return Diagnostic(wrong.code, f"{name} {wrong.message}", place, f"write '{wrong.fix}'" if wrong.fix else None)
+    if kind == "literal_error":
+        return _choice(model, path, name, place, found)
+    if kind in LIMITS:
+        return Diagnostic("FS206", f"{name} must be {_limit(model, path, kind, context)}", place)
+    if kind == "string_pattern_mismatch":
+        return Diagnostic(
+            "FS305", f"{name} must {_pattern(context['pattern'])}", place, _legal_name(context["pattern"], found)
+        )
+    if kind in ("too_short", "too_long"):
+        return Diagnostic(
+            "FS306", f"{name} must have at least {context.get('min_length')} entry", place, "add one, or remove the key"
+        )
+    if kind in KINDS:
+        return Diagnostic("FS303", f"{name} must be {KINDS[kind]}, not {_what(found)}", place, _retyped(kind, found))
+    return Diagnostic("FS303", f"{name}: {error['msg'].lower()}", place)
+
+
+def _choice(model: Any, path: Path, name: str, place: Any, found: Node | None) -> Diagnostic:
+    kind = part(annotation_at(model, path))[0]
+    known = [str(one) for one in get_args(kind)] if get_origin(kind) is Literal else []
+    near = closest(str(found.value), known) if found else None
+    fix = f"write '{near}'" if near else None
+    if len(known) == 1:
+        code = "FS307" if path[-1] in ("apiVersion", "kind") else "FS304"
+        return Diagnostic(code, f"{name} must be {known[0]}", place, f"write '{known[0]}'")
+    return Diagnostic("FS304", f"{name} must be one of {', '.join(known)}", place, fix)
+
+
+def _limit(model: Any, path: Path, kind: str, context: Any) -> str:
+    parent = part(annotation_at(model, path[:-1]))[0]
+    field = parent.model_fields.get(str(path[-1])) if isinstance(parent, type) and issubclass(parent, Strict) else None
+    bound = {key: f"{value:g}" for key, value in context.items() if isinstance(value, (int, float))}
+    text = LIMITS[kind].format(**bound)
+    return f"{text} ({field.description})" if field and field.description else text
+
+
+def _pattern(pattern: str) -> str:
+    if "-a-z0-9" in pattern:
+        return "be 1 to 63 lower-case letters, digits and '-', with a letter or digit at both ends"
+    return "be a name of letters, digits and '_' that does not start with a digit"
+
+
+def _legal_name(pattern: str, found: Node | None) -> str | None:
+    """A name like the one found that the pattern accepts."""
+    joint = "-" if "-a-z0-9" in pattern else "_"
+    text = str(found.value).strip() if found else ""
+    text = text.lower() if joint == "-" else text
+    made = "".join(one if (one.isascii() and one.isalnum()) or one == joint else joint for one in text)
+    made = made.strip("-")[:63].strip("-") if joint == "-" else made
+    if joint == "_" and made[:1].isdigit():
+        made = f"_{made}"
+    return f"write '{made}'" if made.strip("-_") else None
+
+
+def _what(found: Node | None) -> str:
+    if found is None:
+        return "nothing"
+    if isinstance(found.value, dict):
+        return "a map"
+    if isinstance(found.value, list):
+        return "a list"
+    if found.value is None:
+        return "null"
+    if isinstance(found.value, bool):
+        return f"the word {found.text}"
+    return f"the {'text' if isinstance(found.value, str) else 'number'} {_short(found.text)}"
+
+
+def _short(text: str) -> str:
+    text = " ".join(text.split())
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _retyped(kind: str, found: Node | None) -> str | None:
+    """What to write where only the type is wrong."""
+    if found is None or isinstance(found.value, (dict, list)) or found.value is None:
+        return None
+    text = _short(found.text)
+    if kind == "string_type":
+        return f"write '{text}' in quotes"
+    if kind == "list_type":
+        return f"write [{text}]"
+    if kind in ("int_type", "float_type", "bool_type") and found.quoted:
+        return f"write {text} without quotes"
+    return None

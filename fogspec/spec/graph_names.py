@@ -1,0 +1,54 @@
+"""Which topics, services and actions pass the link between robot and cloud: those that the spec names, no others."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from fogspec.spec.schema import Node, Spec
+
+
+@dataclass(frozen=True, slots=True)
+class Exposed:
+    """Full ROS 2 names, sorted. `names` are remapping targets, of which a spec does not say what they are."""
+
+    topics: tuple[str, ...]
+    services: tuple[str, ...]
+    actions: tuple[str, ...]
+    names: tuple[str, ...]
+
+
+def exposed(spec: Spec) -> Exposed:
+    """What the spec's probe, metrics, connectivity and the remappings of its cloud nodes name.
+
+    A name that is relative to a node's own (`~`) or has a substitution in it is left out: rules refuse those that
+    were asked for by name.
+    """
+    probe, listed = spec.probe, spec.connectivity
+    topics = [probe.request, probe.response, *(metric.topic for metric in spec.metrics.values()), *listed.topics]
+    services, actions = [probe.service, *listed.services], [probe.action, *listed.actions]
+    known = Exposed(_full(topics), _full(services), _full(actions), ())
+    said = {*known.topics, *known.services, *known.actions}
+    names = {target for node in spec.cloud for target in _targets(node)}
+    return Exposed(known.topics, known.services, known.actions, tuple(sorted(names - said)))
+
+
+def _targets(node: Node) -> Iterator[str]:
+    for new in node.remappings.values():
+        name = resolved(new, node.namespace or "", node.name)
+        if name is not None:
+            yield name
+
+
+def _full(names: Sequence[str | None]) -> tuple[str, ...]:
+    return tuple(sorted({full for name in names if name and (full := resolved(name)) is not None}))
+
+
+def resolved(name: str, namespace: str = "", node: str | None = None) -> str | None:
+    """The full name that ROS 2 makes of a name in a node's words; None where only running the node would tell."""
+    space = "/" + namespace.strip("/") if namespace.strip("/") else ""
+    if name.startswith("~"):
+        if node is None:
+            return None
+        name = f"{space}/{node}{'/' if name[1:2] not in ('', '/') else ''}{name[1:]}"
+    elif not name.startswith("/"):
+        name = f"{space}/{name}"
+    return None if "{" in name or name == "/" else name

@@ -1,0 +1,35 @@
+"""Reading ROS 2 launch files without running them: what starts, with which parameters, and what could not be read."""
+
+import os
+
+from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.base.regular import read_file
+from fogspec.base.yaml import reader
+from fogspec.spec.launch_import.found import Found
+
+
+def read_launch(path: str | os.PathLike[str]) -> Found:
+    """What a Python, XML or YAML launch file starts.
+
+    Raises Problems when the file cannot be read at all; what is beyond reading stands in `notes`.
+    """
+    name = os.fspath(path)
+    try:
+        content = read_file(path)
+    except OSError as problem:
+        message = f"the launch file cannot be read: {(problem.strerror or '').lower()}"
+        raise Problems([Diagnostic("FS801", message, Place(name, 1, 1))]) from None
+    text, wrong = reader.decode(content, name)
+    if wrong:
+        raise Problems(wrong)
+    if name.endswith(".py"):
+        from fogspec.spec.launch_import.python import read_python
+
+        return read_python(text, name)
+    if name.endswith((".xml", ".launch")):
+        from fogspec.spec.launch_import.xml import read_xml
+
+        return read_xml(text, name)
+    from fogspec.spec.launch_import.yaml import read_yaml
+
+    return read_yaml(text, name)

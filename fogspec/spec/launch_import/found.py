@@ -1,0 +1,102 @@
+"""What a launch file says, as far as it can be read without running it."""
+
+import re
+import shlex
+from dataclasses import dataclass, field
+from typing import Any
+
+from fogspec.base.diagnostics import Diagnostic, Place
+from fogspec.base.units import format_duration
+from fogspec.base.yaml.scalars import Refusal, resolve
+
+NODE_WORDS = (
+    "package",
+    "executable",
+    "cmd",
+    "name",
+    "namespace",
+    "parameters",
+    "parameter_files",
+    "remappings",
+    "arguments",
+    "env",
+)
+
+
+@dataclass
+class Found:
+    """Nodes as the spec writes them, whatever else a spec can take over, and warnings about the rest."""
+
+    path: str
+    lines: list[str]
+    cloud: list[dict[str, Any]] = field(default_factory=list)
+    robot: list[dict[str, Any]] = field(default_factory=list)
+    constraints: dict[str, Any] = field(default_factory=dict)
+    objective: dict[str, Any] = field(default_factory=dict)
+    hardware: dict[str, Any] = field(default_factory=dict)
+    stop: dict[str, Any] = field(default_factory=dict)
+    setup: list[str] = field(default_factory=list)
+    notes: list[Diagnostic] = field(default_factory=list)
+
+    def note(self, line: int, message: str, column: int = 1, width: int | None = None) -> None:
+        """Say what was not taken over, and where it stands."""
+        source = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
+        if column == 1:
+            column = len(source) - len(source.lstrip()) + 1
+        place = Place(self.path, line, column, width or max(1, len(source.rstrip()) - column + 1))
+        self.notes.append(Diagnostic("FS802", message, place, severity="warning", source_line=source))
+
+
+def tidy_node(raw: dict[str, Any]) -> dict[str, Any]:
+    """The node with the words in the language's order, without those that say nothing."""
+    return {word: raw[word] for word in NODE_WORDS if raw.get(word) not in (None, "", [], {})}
+
+
+def typed(text: str) -> Any:
+    """A parameter's value as ROS 2 would take it from a text; a text where readers would differ."""
+    stripped = text.strip()
+    if stripped.startswith("[") and stripped.endswith("]"):
+        return [typed(part.strip(" '\"")) for part in stripped[1:-1].split(",") if part.strip()]
+    value = resolve(stripped)
+    return text if value is None or isinstance(value, (Refusal, str)) else value
+
+
+def words(text: str) -> list[str]:
+    """A command line as a list of arguments."""
+    try:
+        return shlex.split(text)
+    except ValueError:
+        return text.split()
+
+
+def take_constraint(found: Found, key: str, value: Any, line: int, column: int = 1, width: int | None = None) -> None:
+    """One entry of the paper's `constraint={...}`; numbers without units are taken only where no reader could differ."""
+    name = re.sub(r"[^a-z]", "", key.lower())
+    if not isinstance(value, (int, float, str)) or isinstance(value, bool):
+        found.note(line, f"constraint {key} cannot be read", column, width)
+    elif "latency" in name or name in ("maxtime", "time"):
+        found.constraints["latency"] = value if isinstance(value, str) else format_duration(float(value))
+    elif "cost" in name and isinstance(value, str):
+        found.constraints["cost"] = value
+    elif "cost" in name:
+        fix = f"write ${value:g}/request or {value:g} cent/request into spec.constraints.cost"
+        found.note(
+            line, f"constraint {key} has no currency, dollars and cents are 100 times apart: {fix}", column, width
+        )
+    elif name == "alpha":
+        found.objective["alpha"] = value
+    elif "step" in name and isinstance(value, int):
+        found.stop["steps"] = value
+    elif match := re.fullmatch(r"(min|max)(imum)?(num)?v?(cpus?|memory|mem|ram)", name):
+        _bound(found, "cpus" if "cpu" in match[4] else "memory", match[1], value)
+    elif name in ("gpu", "gpus", "accelerators"):
+        found.hardware["gpus"] = [str(value).partition(":")[0]]
+    else:
+        found.note(line, f"constraint {key} is not known to fogspec", column, width)
+
+
+def _bound(found: Found, field_name: str, end: str, value: Any) -> None:
+    unit = "" if field_name == "cpus" or isinstance(value, str) else "GiB"
+    low, _, high = str(found.hardware.get(field_name, "..")).partition("..")
+    written = f"{value}{unit}"
+    found.hardware[field_name] = f"{written}..{high}" if end == "min" else f"{low}..{written}"

@@ -1,0 +1,62 @@
+"""XML launch files, read as data: no entities, no documents from elsewhere."""
+
+import xml.parsers.expat
+from dataclasses import dataclass, field
+
+from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.spec.launch_import.found import Found
+from fogspec.spec.launch_import.frontend import Action, take_actions
+
+
+@dataclass
+class _Element:
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    children: list["_Element"] = field(default_factory=list)
+
+
+def read_xml(text: str, path: str) -> Found:
+    """What the file starts; raises Problems when it is no launch file in XML."""
+    try:
+        root = _parsed(text)
+    except xml.parsers.expat.ExpatError as wrong:
+        message = f"the launch file must be XML: {xml.parsers.expat.ErrorString(wrong.code)}"
+        raise Problems([Diagnostic("FS801", message, Place(path, wrong.lineno, wrong.offset + 1))]) from None
+    if root is None or root.tag != "launch":
+        message = "the launch file must have one element <launch> and no DOCTYPE"
+        raise Problems([Diagnostic("FS801", message, Place(path, 1, 1))])
+    found = Found(path, text.split("\n"))
+    take_actions(found, [_action(child) for child in root.children])
+    return found
+
+
+def _parsed(text: str) -> _Element | None:
+    root = _Element("", {}, 0)
+    stack, refused = [root], []
+    parser = xml.parsers.expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        element = _Element(tag, attributes, parser.CurrentLineNumber)
+        stack[-1].children.append(element)
+        stack.append(element)
+
+    def doctype(*_: object) -> None:
+        refused.append(True)
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _tag: stack.pop()
+    parser.StartDoctypeDeclHandler = doctype
+    if "<!DOCTYPE" not in text and "<!ENTITY" not in text:
+        parser.Parse(text, True)
+    return root.children[0] if root.children and not refused else None
+
+
+def _action(element: _Element) -> Action:
+    """The element as the YAML front end would write it: children of one name are a list."""
+    below: dict[str, list[Action]] = {}
+    for child in element.children:
+        below.setdefault(child.tag, []).append(_action(child))
+    return Action(
+        element.tag, dict(element.attributes), below, element.line, [_action(one) for one in element.children]
+    )

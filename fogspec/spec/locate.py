@@ -1,0 +1,33 @@
+"""Where a user's own spec sets a field."""
+
+import os
+import re
+from collections.abc import Sequence
+
+from fogspec.base.diagnostics import Place
+from fogspec.base.yaml.positions import dotted
+from fogspec.spec.loader import read_nodes
+
+
+def where_set(spec: str | os.PathLike[str], fields: Sequence[str]) -> dict[str, list[tuple[Place, str]]]:
+    """For each field that the file sets: the places, with the source lines.
+
+    The file need not be right; raises Problems when it cannot be read as YAML.
+    """
+    from fogspec.base.yaml.positions import places
+
+    found: dict[str, list[tuple[Place, str]]] = {}
+    nodes, texts = read_nodes(spec)
+    patterns = {field: _pattern(field) for field in fields}
+    for node in nodes:
+        for path, place in places(node).items():
+            name = dotted(path)
+            for field, pattern in patterns.items():
+                if path and pattern.fullmatch(name):
+                    found.setdefault(field, []).append((place, texts.line(place) or ""))
+    return found
+
+
+def _pattern(field: str) -> re.Pattern[str]:
+    """`spec.cloud[].package` for any index, `spec.metrics.<name>.unit` for any name."""
+    return re.compile(re.escape(field).replace(r"\[\]", r"\[\d+\]").replace("<name>", r"[^.\[]+"))

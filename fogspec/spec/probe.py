@@ -1,0 +1,118 @@
+"""The seam of the probes: what `probe:` says, and which on-machine half does it.
+
+Every half is a module of `fogspec/probe`, run on the measured machine as `fogspec_machine`, and writes the same records
+(`fogspec.agent.records`), so that one reader reads them all (`fogspec.bench.record`). None publishes
+anything, serves anything, or otherwise changes the graph that it watches, save for subscriptions.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from fogspec.base import units
+from fogspec.spec.schema import Probe, Spec, Workload
+
+Kind = Literal["topics", "service", "action", "callback", "bag"]
+PACKAGE = "fogspec_machine"
+
+
+@dataclass(frozen=True, slots=True)
+class Halves:
+    """What runs on the machine for a probe.
+
+    `beside`: processes that listen. `inside`: words in front of a measured node's command. `afterwards`: what reads the
+    records once everything else has ended, None when they are written as it happens.
+    """
+
+    beside: tuple[tuple[str, ...], ...] = ()
+    inside: tuple[str, ...] = ()
+    afterwards: tuple[str, ...] | None = None
+
+
+def kind_of(probe: Probe) -> Kind:
+    """The kind of a probe that breaks no rule."""
+    if probe.bag is not None:
+        return "bag"
+    if probe.service is not None:
+        return "service"
+    if probe.action is not None:
+        return "action"
+    return "callback" if probe.callback is not None else "topics"
+
+
+def via(probe: Probe) -> Literal["rclpy", "preload"] | None:
+    """How topics, services and actions are watched; what a service is asked never shows outside its node."""
+    kind = kind_of(probe)
+    if kind in ("callback", "bag"):
+        return None
+    return probe.via or ("preload" if kind == "service" else "rclpy")
+
+
+def name_of(probe: Probe) -> str:
+    """The name that the probe's records bear; a node's own calls of start and stop may write others into the same file."""
+    name = probe.callback or probe.service or probe.action or str(probe.response)
+    return name if probe.callback else absolute(name)
+
+
+def halves(spec: Spec) -> Halves:
+    """What runs on the machine for the spec's probe and metrics."""
+    probe, kind = spec.probe, kind_of(spec.probe)
+    metrics = tuple(
+        word
+        for name, metric in sorted(spec.metrics.items())
+        if metric.topic is not None
+        for word in ("--metric", f"{name}={absolute(metric.topic)}:{metric.field}")
+    )
+    if kind == "bag":
+        return Halves(afterwards=module("bag", "--bag", str(probe.bag), *_topics(probe), *_limits(probe), *metrics))
+    watched = _topics(probe) if kind == "topics" else _named(probe, kind)
+    if via(probe) == "preload":
+        listener = module("topics", *metrics)
+        return Halves(beside=(listener,) if metrics else (), inside=(*module("preload", *watched), "--"))
+    words = (*watched, *(_limits(probe) if kind == "topics" else ()), *metrics)
+    return Halves(beside=(module("topics", *words),) if words else ())
+
+
+def optional(inside: tuple[str, ...], argv: list[str]) -> list[str]:
+    """The command with its words in front, which starts without what they add where that cannot be had."""
+    return [*inside[:-1], "--optional", *inside[-1:], *argv] if inside else argv
+
+
+def player(spec: Spec) -> list[list[str]]:
+    """The process that sends the requests of a recorded bag, where there is one."""
+    workload, probe = spec.benchmark.workload, spec.probe
+    if workload.bag is None:
+        return []
+    whom = _topics(probe)[:4]
+    if probe.service is not None:
+        whom = ("--service", absolute(probe.service), *(("--success", probe.success) if probe.success else ()))
+    return [list(module("player", "--bag", workload.bag, *whom, *_pace(workload, probe)))]
+
+
+def absolute(name: str) -> str:
+    """A name of the graph as the graph says it."""
+    return name if name.startswith(("/", "~")) else f"/{name}"
+
+
+def module(name: str, *words: str) -> tuple[str, ...]:
+    """The argv of an on-machine half."""
+    return ("python3", "-m", f"{PACKAGE}.{name}", *words)
+
+
+def _topics(probe: Probe) -> tuple[str, ...]:
+    request, response = absolute(str(probe.request)), absolute(str(probe.response))
+    return ("--request", request, "--response", response, "--match", probe.match or "stamp")
+
+
+def _named(probe: Probe, kind: Kind) -> tuple[str, ...]:
+    name = {"service": probe.service, "action": probe.action}.get(kind)
+    return () if name is None else (f"--{kind}", absolute(name))
+
+
+def _limits(probe: Probe) -> tuple[str, ...]:
+    success = () if probe.success is None else ("--success", probe.success)
+    return (*success, *(() if probe.timeout is None else ("--timeout", units.format_number(probe.timeout))))
+
+
+def _pace(workload: Workload, probe: Probe) -> tuple[str, ...]:
+    rate = () if workload.rate is None else ("--rate", units.format_number(workload.rate))
+    return (*rate, *(() if probe.timeout is None else ("--timeout", units.format_number(probe.timeout))))

@@ -1,0 +1,96 @@
+"""Rules that concern several fields: the second of two passes, run on whatever the first found right.
+
+Fields that are wrong by themselves are left out, and a finding that is about one of them is not made: each mistake
+is said once.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+from fogspec.base.diagnostics import Diagnostic
+from fogspec.base.yaml.positions import Node, Path, find, key_place, place_of
+from fogspec.spec.rules import benchmark, link, machines, nodes
+from fogspec.spec.schema import Application
+from fogspec.spec.validate import Checked
+
+RULES = (
+    *nodes.RULES,
+    *benchmark.RULES,
+    *machines.RULES,
+    *link.RULES,
+)  # fmt: skip
+
+STAND_INS: dict[Path, Any] = {
+    ("apiVersion",): "fogspec.dev/v1alpha1",
+    ("kind",): "Application",
+    ("metadata",): {"name": "unnamed"},
+    ("metadata", "name"): "unnamed",
+    ("spec", "cloud"): [{"cmd": ["true"]}],
+    ("spec", "probe"): {"callback": "request"},
+    ("spec", "infra"): ["aws"],
+}
+
+
+def judge(checked: Checked[Application]) -> Iterator[Diagnostic]:
+    """What is wrong with one document beyond its single fields."""
+    application, node = checked.value or _lenient(checked), checked.node
+    if application is None:
+        return
+    for rule in RULES:
+        for one in rule(application):
+            if not any(_touches(path, checked.broken) for path in (one.path, *one.about)):
+                place = (key_place(node, one.path) if one.at_key else None) or place_of(node, one.path)
+                yield Diagnostic(one.code, one.message, place, one.fix, one.severity)
+
+
+def judge_together(documents: Sequence[tuple[Node, Checked[Application]]]) -> Iterator[Diagnostic]:
+    """What is wrong with documents beside one another."""
+    path = ("metadata", "name")
+    first: dict[str, Node] = {}
+    for node, checked in documents:
+        name = find(node, path)
+        if name is None or not isinstance(name.value, str) or _touches(path, checked.broken):
+            continue
+        if name.value in first:
+            there = first[name.value].place
+            message = f"metadata.name {name.value} is taken by {there.path}:{there.line}"
+            yield Diagnostic("FS510", message, name.place, "give each application a name of its own")
+        first.setdefault(name.value, name)
+
+
+def _touches(path: Path, broken: set[Path]) -> bool:
+    """Whether something at, around or under the path is wrong by itself."""
+    return any(path[: len(one)] == one or one[: len(path)] == path for one in broken)
+
+
+def _lenient(checked: Checked[Application]) -> Application | None:
+    """The application without its broken fields; None when too little is left of it."""
+    data = checked.data
+    if not isinstance(data, dict) or not isinstance(data.get("spec"), dict):
+        return None
+    for path in sorted(checked.broken, key=len, reverse=True):
+        _drop(data, path)
+    for path, value in STAND_INS.items():
+        parent = data if len(path) == 1 else data.get(path[0])
+        if isinstance(parent, dict) and path[-1] not in parent:
+            parent[path[-1]] = value
+            checked.broken.add(path)
+    try:
+        return Application.model_validate(data, strict=True)
+    except ValidationError:
+        return None
+
+
+def _drop(data: Any, path: Path) -> None:
+    """Take a field out; an item of a list takes the whole list with it, so that no index moves."""
+    while path and isinstance(path[-1], int):
+        path = path[:-1]
+    for step in path[:-1]:
+        try:
+            data = data[step]
+        except (KeyError, IndexError, TypeError):
+            return
+    if isinstance(data, dict) and path:
+        data.pop(path[-1], None)

@@ -1,0 +1,237 @@
+"""Rules about what is measured, what is best, and what it may cost."""
+
+from collections.abc import Iterator
+
+from fogspec.base.units import format_duration
+from fogspec.base.yaml.positions import Path, dotted
+from fogspec.spec.probe import kind_of
+from fogspec.spec.rules.finding import Finding
+from fogspec.spec.schema import Application, Interruption
+from fogspec.spec.suggest import closest
+
+PLACEHOLDER_TOPICS = ("/request", "/response")
+PROBES = ("request and response", "service", "action", "callback")
+
+
+def kind_of_probe(application: Application) -> Iterator[Finding]:
+    """Exactly one kind of probe measures the latency; a bag is one that holds request and response."""
+    probe, at = application.spec.probe, ("spec", "probe")
+    kinds = [kind for kind in ("service", "action", "callback") if getattr(probe, kind) is not None]
+    topics = probe.request is not None or probe.response is not None or (probe.bag is not None and not kinds)
+    if topics and (probe.request is None or probe.response is None):
+        missing, other = ("request", "response") if probe.request is None else ("response", "request")
+        other = other if getattr(probe, other) is not None else "bag"
+        yield Finding("FS512", (*at, other), f"spec.probe.{other} needs spec.probe.{missing}", f"add '{missing}: /topic'",
+                      ((*at, missing),))  # fmt: skip
+    if topics and probe.request is not None and probe.request == probe.response:
+        yield Finding("FS513", (*at, "response"), "spec.probe.response must be another topic than the request",
+                      "name the topic that carries the answer", ((*at, "request"),))  # fmt: skip
+    if probe.match is not None and not topics:
+        yield Finding(
+            "FS514", (*at, "match"), "spec.probe.match is for topics, and this probe has none", "remove it", at_key=True
+        )
+    said = "request" if probe.request is not None else "response" if probe.response is not None else "bag"
+    found = ([said] if topics else []) + kinds + (["bag"] if probe.bag is not None and not topics else [])
+    if not found:
+        yield Finding(
+            "FS511",
+            at,
+            f"spec.probe must say one of {', '.join(PROBES)}",
+            "add 'request: /topic' and 'response: /topic'",
+        )
+    for extra in found[1:]:
+        message = f"spec.probe must have one kind of probe, and {extra} is a second one"
+        yield Finding("FS511", (*at, extra), message, f"remove {extra} or {found[0]}", ((*at, found[0]),), at_key=True)
+
+
+def ways_to_watch(application: Application) -> Iterator[Finding]:
+    """What a way of watching cannot see must not be asked of it."""
+    probe, at = application.spec.probe, ("spec", "probe")
+    kind, via = kind_of(probe), probe.via
+    if via is not None and kind in ("callback", "bag"):
+        yield Finding("FS525", (*at, "via"), f"spec.probe.via is not for a {kind}, which is read as it is", "remove it",
+                      ((*at, kind),), at_key=True)  # fmt: skip
+    if via == "rclpy" and kind == "service":
+        yield Finding("FS525", (*at, "via"), "what a service is asked does not show outside its node", "write 'preload'",
+                      ((*at, "service"),))  # fmt: skip
+    if via == "preload" and probe.match in ("first_request", "last_response"):
+        yield Finding("FS525", (*at, "match"), f"spec.probe.match {probe.match} is for subscribers", "write 'stamp' or 'order'",
+                      ((*at, "via"),))  # fmt: skip
+    played = kind == "service" and application.spec.benchmark.workload.bag is not None
+    if probe.success is not None and not played and (kind not in ("topics", "bag") or via == "preload"):
+        message = (
+            "spec.probe.success is judged by who hears the response: a subscriber, or the player of a service's bag"
+        )
+        fixes = {
+            "topics": "remove 'via: preload'", "service": "add a bag to spec.benchmark.workload",
+            "callback": "remove it, and call stop(..., ok=False) for an answer that is wrong",
+        }  # fmt: skip
+        yield Finding("FS525", (*at, "success"), message, fixes.get(kind, "remove it: a goal that is not reached has failed"),
+                      ((*at, "via"), (*at, kind), ("spec", "benchmark", "workload", "bag")), at_key=True)  # fmt: skip
+
+
+def workload(application: Application) -> Iterator[Finding]:
+    """Requests come from a bag or from a node, and a bag's must be known among its topics."""
+    spec, at = application.spec, ("spec", "benchmark", "workload")
+    work, kind = spec.benchmark.workload, kind_of(spec.probe)
+    about = (("spec", "probe"),)
+    if work.bag is not None and work.node is not None:
+        message = "spec.benchmark.workload must have one sender of requests, and node is a second one"
+        yield Finding("FS526", (*at, "node"), message, "remove bag or node", ((*at, "bag"),), at_key=True)
+    if work.rate is not None and work.bag is None:
+        message = f"{dotted((*at, 'rate'))} is the pace of a bag: a node of your own sends as it likes"
+        yield Finding("FS526", (*at, "rate"), message, "remove it, or add a bag", ((*at, "bag"),), at_key=True)
+    if work.bag is not None and kind in ("callback", "action"):
+        message = f"{dotted((*at, 'bag'))} holds requests on a topic or of a service, and the probe names neither"
+        yield Finding("FS526", (*at, "bag"), message, "send the requests with a node", about, at_key=True)
+
+
+def kind_of_metric(application: Application) -> Iterator[Finding]:
+    """A metric is read off a topic's field, or reported by the node's own code."""
+    for name, metric in application.spec.metrics.items():
+        path: Path = ("spec", "metrics", name)
+        if metric.callback is not None and (metric.topic is not None or metric.field is not None):
+            extra = "topic" if metric.topic is not None else "field"
+            yield Finding("FS515", (*path, extra), f"{dotted(path)} must have callback or topic and field, not both",
+                          f"remove callback or {extra}", ((*path, "callback"),), at_key=True)  # fmt: skip
+        elif metric.callback is None and (metric.topic is None or metric.field is None):
+            missing = "field" if metric.topic else "topic" if metric.field else "topic and field, or callback"
+            yield Finding("FS515", path, f"{dotted(path)} must say {missing}", f"add {missing}")
+        elif metric.callback is not None and application.spec.probe.callback is None:
+            yield Finding("FS516", (*path, "callback"), f"{dotted((*path, 'callback'))} needs a callback probe",
+                          "add a callback to spec.probe", (("spec", "probe"),))  # fmt: skip
+
+
+def scenarios(application: Application) -> Iterator[Finding]:
+    """Kinds of request are told apart by the workload's own code."""
+    spec, at = application.spec, ("spec", "benchmark", "scenarios")
+    if spec.benchmark.scenarios and spec.probe.callback is None:
+        yield Finding("FS524", at, "spec.benchmark.scenarios needs a callback probe", "add a callback to spec.probe",
+                      (("spec", "probe"),))  # fmt: skip
+
+
+def metrics_that_exist(application: Application) -> Iterator[Finding]:
+    """Objective and limits name metrics that the spec has."""
+    spec, known = application.spec, list(application.spec.metrics)
+    named: list[tuple[Path, str, bool]] = [
+        (("spec", "constraints", "metrics", name), name, True) for name in spec.constraints.metrics
+    ]
+    if spec.objective.metric is not None:
+        named.append((("spec", "objective", "metric"), spec.objective.metric, False))
+    for path, name, at_key in named:
+        if name not in known:
+            near = closest(name, known)
+            fix = (
+                f"write '{near}'"
+                if near
+                else f"add {name} to spec.metrics"
+                + ("" if name != "latency" else ", or remove the line: latency is what counts unless a metric is named")
+            )
+            yield Finding("FS517", path, f"spec.metrics has no {name}", fix, (("spec", "metrics"),), at_key=at_key)
+    if spec.objective.scale.metric is not None and spec.objective.metric is None:
+        path = ("spec", "objective", "scale", "metric")
+        yield Finding("FS517", path, f"{dotted(path)} needs spec.objective.metric", "remove it, or name the metric",
+                      (("spec", "objective", "metric"),), at_key=True)  # fmt: skip
+
+
+def billing(application: Application) -> Iterator[Finding]:
+    """Provisioned billing divides the hour by the request rate; busy billing has no use for one."""
+    objective, at = application.spec.objective, ("spec", "objective")
+    both = ((*at, "rate"), (*at, "billing"))
+    if objective.billing == "provisioned" and objective.rate is None:
+        yield Finding(
+            "FS518",
+            (*at, "billing"),
+            "spec.objective.billing provisioned needs a rate of requests",
+            "add 'rate: 10/s'",
+            both,
+        )
+    if objective.billing == "busy" and objective.rate is not None:
+        yield Finding("FS518", (*at, "rate"), "spec.objective.rate counts only for billing: provisioned",
+                      "remove it, or add 'billing: provisioned'", both, at_key=True)  # fmt: skip
+
+
+def extra_costs(application: Application) -> Iterator[Finding]:
+    """Half of a cost is none: data without a price, a price without data, interruptions of machines that have none."""
+    spec, at = application.spec, ("spec", "objective")
+    transfer = spec.objective.transfer
+    if bool(transfer.per_request) != bool(transfer.price):
+        given, missing, fix = (
+            ("per_request", "price", "add 'price: $0.09/GiB'")
+            if transfer.per_request
+            else ("price", "per_request", "add 'per_request: 2MB'")
+        )
+        yield Finding("FS527", (*at, "transfer", given), f"spec.objective.transfer costs nothing without {missing}",
+                      fix, ((*at, "transfer"),), at_key=True)  # fmt: skip
+    if spec.objective.interruption != Interruption() and not spec.hardware.spot:
+        yield Finding("FS527", (*at, "interruption"), "spec.objective.interruption counts only for spot machines",
+                      "remove it, or allow them: hardware: {spot: true}", (("spec", "hardware", "spot"),),
+                      at_key=True)  # fmt: skip
+
+
+def latency_limit(application: Application) -> Iterator[Finding]:
+    """What the network takes must leave something of the latency, and a sample must outlast one request."""
+    spec, latency = application.spec, application.spec.constraints.latency
+    at: Path = ("spec", "constraints", "latency")
+    network: Path = ("spec", "constraints", "network")
+    if latency is None:
+        return
+    if latency <= spec.constraints.network:
+        path, fix = (
+            (network, "allow the network less") if spec.constraints.network else (at, "write a latency above zero")
+        )
+        yield Finding("FS519", path, f"{dotted(path)} leaves no time for the request", fix, (at, network))
+    elif latency >= spec.benchmark.stop.after:
+        after: Path = ("spec", "benchmark", "stop", "after")
+        longest = format_duration(spec.benchmark.stop.after)
+        message = f"spec.constraints.latency must be below the {longest} that a sample measures"
+        yield Finding("FS520", at, message, "raise spec.benchmark.stop.after", (after,))
+
+
+def stop(application: Application) -> Iterator[Finding]:
+    """A sample must measure more requests than it throws away."""
+    steps, warmup = application.spec.benchmark.stop.steps, application.spec.benchmark.warmup
+    if steps is not None and warmup >= steps:
+        path: Path = ("spec", "benchmark", "warmup")
+        about: Path = ("spec", "benchmark", "stop", "steps")
+        message = f"spec.benchmark.warmup must be less than the {steps} requests of a sample"
+        yield Finding("FS521", path, message, "lower warmup, or raise stop.steps", (about,))
+
+
+def budget(application: Application) -> Iterator[Finding]:
+    """Measuring on machines that cost money needs a budget."""
+    benchmark = application.spec.benchmark
+    local = bool(benchmark.machines) and all(machine.startswith("local/") for machine in benchmark.machines)
+    path: Path = ("spec", "benchmark", "budget")
+    if benchmark.budget is None and not local:
+        yield Finding("FS522", path, "spec.benchmark.budget is missing, and measuring costs money", "add 'budget: $2.50'",
+                      (("spec", "benchmark", "machines"),))  # fmt: skip
+    elif benchmark.budget == 0 and not local:
+        yield Finding("FS522", path, "spec.benchmark.budget must be more than nothing", "write what it may cost, such as $2.50",
+                      (("spec", "benchmark", "machines"),))  # fmt: skip
+
+
+def placeholders(application: Application) -> Iterator[Finding]:
+    """Topics that `init` made up would be waited for in vain, at a price."""
+    probe = application.spec.probe
+    if (probe.request, probe.response) == PLACEHOLDER_TOPICS:
+        yield Finding(
+            "FS523", ("spec", "probe", "request"), "spec.probe still has the topics that init made up",
+            "name the topics of your own nodes", (("spec", "probe", "response"),), severity="warning",
+        )  # fmt: skip
+
+
+RULES = (
+    kind_of_probe,
+    ways_to_watch,
+    workload,
+    kind_of_metric,
+    scenarios,
+    metrics_that_exist,
+    billing,
+    extra_costs,
+    latency_limit,
+    stop,
+    budget,
+    placeholders,
+)

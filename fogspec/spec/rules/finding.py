@@ -1,0 +1,24 @@
+"""What a rule finds."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from fogspec.base.yaml.positions import Path
+from fogspec.spec.schema import Application
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A mistake at `path`; `about` are the other fields that it depends on. `at_key` underlines the key."""
+
+    code: str
+    path: Path
+    message: str
+    fix: str | None = None
+    about: tuple[Path, ...] = ()
+    at_key: bool = False
+    severity: Literal["error", "warning"] = "error"
+
+
+Rule = Callable[[Application], Iterator[Finding]]

@@ -1,0 +1,106 @@
+"""Rules about the link between robot and cloud, and about keys, which are in no spec."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from fogspec.base.yaml.positions import Path, dotted
+from fogspec.spec.graph_names import exposed, resolved
+from fogspec.spec.rules.finding import Finding
+from fogspec.spec.schema import Application
+
+LINK: Path = ("spec", "connectivity", "link")
+KINDS = ("topics", "services", "actions")
+# What the makers of keys put at their start, so that leaks can be found.
+PRIVATE = re.compile(
+    r"-----BEGIN [A-Z0-9 ]*PRIVATE KEY|AGE-SECRET-KEY-1|\b(?:AKIA|ASIA)[0-9A-Z]{16}\b|\bgh[pousr]_[A-Za-z0-9]{36}"
+    r"|\bgithub_pat_[A-Za-z0-9_]{22}|\bglpat-[A-Za-z0-9_-]{20}|\bxox[abprs]-[A-Za-z0-9-]{10}|\bAIza[0-9A-Za-z_-]{35}"
+    r"|\bhf_[A-Za-z]{30}"
+)
+NAMED_PRIVATE = re.compile(r"private_?key|preshared_?key", re.IGNORECASE)
+WIREGUARD_KEY = re.compile(r"[A-Za-z0-9+/]{42}[AEIMQUYcgkosw048]=")
+
+
+def what_a_link_needs(application: Application) -> Iterator[Finding]:
+    """Each link works with some ROS 2 environments."""
+    spec, ros = application.spec, ("spec", "ros")
+    if spec.connectivity.link == "zenoh" and spec.ros is None:
+        message = "spec.connectivity.link zenoh joins ROS 2 graphs, and spec.ros is missing"
+        yield Finding("FS541", LINK, message, "add 'ros: {distro: jazzy}', or write wireguard", (ros,))
+    if spec.connectivity.link != "wireguard" or spec.ros is None:
+        return
+    if spec.ros.distro == "humble":
+        message = "spec.connectivity.link wireguard needs ROS_STATIC_PEERS, which humble does not have"
+        yield Finding("FS541", LINK, message, "write zenoh, or distro: jazzy", ((*ros, "distro"),))
+    if spec.ros.image is not None:
+        message = "spec.connectivity.link wireguard makes a network interface, which SkyPilot's containers must not"
+        yield Finding("FS541", LINK, message, "write zenoh, or remove ros.image", ((*ros, "image"),))
+
+
+def port_that_nobody_opens(application: Application) -> Iterator[Finding]:
+    """WireGuard's port on machines that SkyPilot starts, where the link is possible at all."""
+    spec = application.spec
+    elsewhere = any(entry.partition("/")[0] != "local" for entry in spec.infra)
+    if spec.connectivity.link == "wireguard" and elsewhere and not any(what_a_link_needs(application)):
+        message = (
+            "spec.connectivity.link wireguard needs a UDP port that you open by hand: SkyPilot opens TCP ports only"
+        )
+        fix = "write zenoh, or run the command that fogspec apply tells"
+        yield Finding("FS544", LINK, message, fix, severity="warning")
+
+
+def words_of_a_link(application: Application) -> Iterator[Finding]:
+    """What passes is said for a link that is there."""
+    joined = application.spec.connectivity
+    said = [word for word in (*KINDS, "port") if getattr(joined, word)]
+    if joined.link == "none" and not joined.sros2:
+        for word in said:
+            at = ("spec", "connectivity", word)
+            yield Finding(
+                "FS542", at, f"{dotted(at)} says nothing without a link", "add link: zenoh", (LINK,), at_key=True
+            )
+    nodes = (*application.spec.cloud, *application.spec.robot)
+    if joined.sros2 and not any(node.name for node in nodes):
+        message = "spec.connectivity.sros2 needs nodes with names, by which SROS2 knows them"
+        yield Finding("FS542", ("spec", "connectivity", "sros2"), message, "give the nodes names", at_key=True)
+
+
+def names_that_pass(application: Application) -> Iterator[Finding]:
+    """A name that passes is whole: which node it would be relative to is not known to a router."""
+    joined, probe = application.spec.connectivity, application.spec.probe
+    if joined.link == "none" and not joined.sros2:
+        return
+    named: list[tuple[Path, str | None]] = [
+        (("spec", "connectivity", kind, i), name) for kind in KINDS for i, name in enumerate(getattr(joined, kind))
+    ]
+    named += [(("spec", "probe", kind), getattr(probe, kind)) for kind in ("request", "response", "service", "action")]
+    for path, name in named:
+        if name is not None and resolved(name) is None:
+            yield Finding("FS543", path, f"{dotted(path)} must be a whole name to pass the link", "write it like /plan")
+    passing = exposed(application.spec)
+    if joined.link != "none" and not (passing.topics or passing.services or passing.actions or passing.names):
+        message = "spec.connectivity.link would let nothing pass: no topic, service or action is named"
+        yield Finding("FS543", LINK, message, "name what robot and cloud say to each other in connectivity.topics")
+
+
+def no_private_keys(application: Application) -> Iterator[Finding]:
+    """Nothing in a spec is a private key or a credential."""
+    for path, key, text in _texts((), application.model_dump(mode="json")):
+        named = NAMED_PRIVATE.search(key) and WIREGUARD_KEY.fullmatch(text.strip())
+        if named or PRIVATE.search(text):
+            fix = "make a new one, and name it in spec.secrets or leave it where it was made"
+            yield Finding("FS509", path, f"{dotted(path)} looks like a private key or a credential", fix)
+
+
+def _texts(path: Path, value: Any, key: str = "") -> Iterator[tuple[Path, str, str]]:
+    if isinstance(value, dict):
+        for name, one in value.items():
+            yield from _texts((*path, name), one, str(name))
+    elif isinstance(value, list):
+        for number, one in enumerate(value):
+            yield from _texts((*path, number), one, key)
+    elif isinstance(value, str):
+        yield path, key, value
+
+
+RULES = (what_a_link_needs, port_that_nobody_opens, words_of_a_link, names_that_pass, no_private_keys)

@@ -1,0 +1,137 @@
+"""Rules about which machines are admissible and where they are."""
+
+import re
+from collections.abc import Iterator, Sequence
+
+from fogspec.base.units import Range, format_memory, format_number
+from fogspec.base.yaml.positions import Path, dotted
+from fogspec.spec.rules.finding import Finding
+from fogspec.spec.schema import LOCAL_SHAPE, Application
+from fogspec.spec.suggest import closest
+
+# SkyPilot's names: of clouds as of version 0.14, of the accelerators that the large clouds rent.
+CLOUDS = (
+    "aws", "gcp", "azure", "oci", "ibm", "lambda", "runpod", "nebius", "cudo", "paperspace", "do", "fluidstack", "vast",
+    "vsphere", "scp", "kubernetes", "hyperbolic", "primeintellect", "seeweb", "shadeform", "slurm", "ssh", "mithril",
+    "verda", "yotta", "local",
+)  # fmt: skip
+GPUS = (
+    "none", "T4", "T4g", "L4", "L40", "L40S", "A10", "A10G", "A100", "A100-80GB", "H100", "H100-MEGA", "H200", "B200",
+    "GB200", "B300", "V100", "V100-32GB", "P100", "P4", "K80", "M60", "M4000", "P4000", "P5000", "RTX4000", "RTX5000",
+    "RTX6000", "RTXPRO6000", "A4000", "A5000", "A6000", "MI25", "MI300X", "Radeon MI25", "Radeon Pro V520", "Gaudi HL-205",
+    "Inferentia", "Inferentia2", "Trainium", "Trainium2", "RTX3090", "RTX4090", "RTX5090",
+)  # fmt: skip
+INFRA = re.compile(r"kubernetes/[A-Za-z0-9*_.:/@-]+|[a-z0-9-]+(/[A-Za-z0-9*_.-]+){0,2}")
+REGION = re.compile(r"([a-z]{2}-(?:gov-)?[a-z]+-\d)|[a-z]+-[a-z]+\d")
+INSTANCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+:-]*")  # of Slurm and Kubernetes: 4CPU--16GB--T4:1
+
+
+def places(application: Application) -> Iterator[Finding]:
+    """Infra is written cloud, cloud/region or cloud/region/zone."""
+    for i, text in enumerate(application.spec.infra):
+        path, cloud = ("spec", "infra", i), text.partition("/")[0]
+        if not INFRA.fullmatch(text):
+            tidy = text.strip().strip("/").lower()
+            fix = f"write '{tidy}'" if INFRA.fullmatch(tidy) else "write it like aws/us-east-1"
+            yield Finding("FS531", path, f"{dotted(path)} must be cloud, cloud/region or cloud/region/zone", fix)
+        elif cloud not in CLOUDS:
+            near = closest(cloud, CLOUDS)
+            fix = f"write '{near}{text[len(cloud) :]}'" if near else f"write one of {', '.join(CLOUDS[:6])}, ..."
+            start, _, rest = text.partition("-")
+            if start in CLOUDS and REGION.fullmatch(rest):
+                fix = f"write '{start}/{rest}'"
+            elif near is None and (region := REGION.fullmatch(text)):
+                fix = f"write '{'aws' if region[1] else 'gcp'}/{text}'"
+            yield Finding(
+                "FS531", path, f"{dotted(path)} must name a cloud that SkyPilot knows, and '{cloud}' is none", fix
+            )
+
+
+def gpus(application: Application) -> Iterator[Finding]:
+    """A GPU that names nothing would silently rule out every machine that has one."""
+    for i, name in enumerate(application.spec.hardware.gpus):
+        if name in GPUS:
+            continue
+        path, near = ("spec", "hardware", "gpus", i), closest(name, GPUS)
+        if near or not name.strip() or ":" in name:
+            fix = (
+                f"write '{near}'"
+                if near
+                else "write a name such as T4, without a count"
+                if name
+                else "write none, or a name"
+            )
+            yield Finding(
+                "FS532", path, f"{dotted(path)} must name a GPU as SkyPilot does, and '{name}' names none", fix
+            )
+        else:
+            yield Finding("FS532", path, f"'{name}' names no GPU that fogspec knows", "check it against the catalog",
+                          severity="warning")  # fmt: skip
+
+
+def listed_once(application: Application) -> Iterator[Finding]:
+    """An entry that is there twice was meant to be something else."""
+    spec = application.spec
+    lists: tuple[tuple[Path, Sequence[str]], ...] = (
+        (("spec", "infra"), spec.infra),
+        (("spec", "secrets"), spec.secrets),
+        (("spec", "hardware", "gpus"), spec.hardware.gpus),
+        (("spec", "hardware", "arch"), spec.hardware.arch),
+        (("spec", "hardware", "machines", "allow"), spec.hardware.machines.allow),
+        (("spec", "hardware", "machines", "deny"), spec.hardware.machines.deny),
+        (("spec", "benchmark", "machines"), spec.benchmark.machines),
+    )
+    for path, entries in lists:
+        for i, entry in enumerate(entries):
+            if entry in entries[:i]:
+                yield Finding(
+                    "FS533", (*path, i), f"{dotted((*path, i))} is there already: {entry}", "remove one of the two"
+                )
+    allow: Path = ("spec", "hardware", "machines", "allow")
+    for i, entry in enumerate(spec.hardware.machines.deny):
+        if entry in spec.hardware.machines.allow:
+            path = ("spec", "hardware", "machines", "deny", i)
+            yield Finding(
+                "FS533", path, f"{dotted(path)} is both allowed and denied: {entry}", "remove one of the two", (allow,)
+            )
+
+
+def sampled_machines(application: Application) -> Iterator[Finding]:
+    """What is sampled is an instance type, or a shape of this host."""
+    for i, name in enumerate(application.spec.benchmark.machines):
+        path = ("spec", "benchmark", "machines", i)
+        if name.startswith("local") and not LOCAL_SHAPE.fullmatch(name):
+            numbers = re.findall(r"[1-9]\d*", name)
+            shape = f"local/{numbers[0]}cpu-{numbers[1]}gib" if len(numbers) == 2 else "local/2cpu-4gib"
+            yield Finding("FS534", path, f"{dotted(path)} must look like local/<n>cpu-<m>gib", f"write '{shape}'")
+        elif not name.startswith("local") and not INSTANCE.fullmatch(name):
+            yield Finding("FS534", path, f"{dotted(path)} must be one instance type, such as c6i.large, or local/2cpu-4gib",
+                          "name each machine; patterns belong into spec.hardware.machines")  # fmt: skip
+
+
+def shapes(application: Application) -> Iterator[Finding]:
+    """CPUs, memory and memory per vCPU must leave some machine possible, and none may be zero."""
+    hardware = application.spec.hardware
+    at: Path = ("spec", "hardware")
+    for name in ("cpus", "memory", "memory_per_cpu"):
+        found: Range | None = getattr(hardware, name)
+        if found is not None and found.high == 0:
+            yield Finding(
+                "FS535", (*at, name), f"{dotted((*at, name))} must allow more than nothing", "raise the upper end"
+            )
+            return
+    cpus, memory, ratio = hardware.cpus, hardware.memory, hardware.memory_per_cpu
+    if cpus is None or memory is None or ratio is None:
+        return
+    about = ((*at, "cpus"), (*at, "memory"))
+    if cpus.low and ratio.low and memory.high is not None and cpus.low * ratio.low > memory.high:
+        least = f"{format_number(cpus.low)} vCPUs at {format_memory(ratio.low)} each"
+        message = f"{least} need more than {format_memory(memory.high)}"
+        yield Finding("FS535", (*at, "memory_per_cpu"), message, "widen one of cpus, memory, memory_per_cpu", about)
+    if cpus.high is not None and ratio.high is not None and memory.low and cpus.high * ratio.high < memory.low:
+        most = f"{format_number(cpus.high)} vCPUs at {format_memory(ratio.high)} each"
+        message = f"{most} never have {format_memory(memory.low)}"
+        yield Finding("FS535", (*at, "memory_per_cpu"), message, "widen one of cpus, memory, memory_per_cpu", about)
+
+
+RULES = (places, gpus, listed_once, sampled_machines, shapes)

@@ -1,0 +1,142 @@
+"""Rules about nodes, their names, parameters and topics."""
+
+import re
+from collections.abc import Iterator
+from posixpath import normpath
+from typing import Any
+
+from fogspec.base.yaml.positions import Path, dotted
+from fogspec.spec.rules.finding import Finding
+from fogspec.spec.schema import Application, Node, Spec
+
+ROS_WORDS = ("package", "executable", "name", "namespace", "parameters", "parameter_files", "remappings")
+GRAPH_NAME = re.compile(r"(~/|/)?([A-Za-z_{][A-Za-z0-9_{}]*)(/[A-Za-z_{][A-Za-z0-9_{}]*)*|/|~")
+
+
+def all_nodes(spec: Spec) -> Iterator[tuple[Path, Node]]:
+    """Every node of the spec with its path."""
+    for where, some in (("cloud", spec.cloud), ("robot", spec.robot)):
+        for i, node in enumerate(some):
+            yield ("spec", where, i), node
+    if spec.benchmark.workload.node is not None:
+        yield ("spec", "benchmark", "workload", "node"), spec.benchmark.workload.node
+
+
+def kind_of_node(application: Application) -> Iterator[Finding]:
+    """A node is a package and its executable, or a plain process."""
+    for path, node in all_nodes(application.spec):
+        said = [word for word in ROS_WORDS if getattr(node, word)]
+        if node.cmd is not None:
+            for word in said:
+                message = f"{dotted((*path, word))} is for ROS 2 nodes, and this one is a plain process"
+                yield Finding(
+                    "FS502", (*path, word), message, "remove it, or remove cmd", ((*path, "cmd"),), at_key=True
+                )
+        elif node.package is None or node.executable is None:
+            missing = (
+                "executable" if node.package else "package" if node.executable else "package and executable, or cmd"
+            )
+            yield Finding("FS501", path, f"{dotted(path)} must say {missing}", f"add {missing}")
+
+
+def environment_of_nodes(application: Application) -> Iterator[Finding]:
+    """ROS 2 nodes on the cloud need a ROS 2 environment there."""
+    path: Path = ("spec", "ros")
+    if application.spec.ros is None and any(node.package and node.executable for node in application.spec.cloud):
+        message = "spec.ros is missing, and spec.cloud has ROS 2 nodes"
+        yield Finding("FS503", path, message, "add 'ros: {distro: jazzy}'", (("spec", "cloud"),))
+
+
+def unique_names(application: Application) -> Iterator[Finding]:
+    """Two nodes must not have the same full name."""
+    seen: dict[str, Path] = {}
+    for path, node in all_nodes(application.spec):
+        if node.name is None:
+            continue
+        full = f"{(node.namespace or '').rstrip('/')}/{node.name}"
+        if full in seen:
+            message = f"{dotted((*path, 'name'))} is the name of {dotted(seen[full])} too"
+            yield Finding(
+                "FS504", (*path, "name"), message, "give each node a name or namespace of its own", (seen[full],)
+            )
+        seen.setdefault(full, path)
+
+
+def graph_names(application: Application) -> Iterator[Finding]:
+    """Topics, services and namespaces have names that ROS 2 accepts."""
+    spec = application.spec
+    named: list[tuple[Path, str | None]] = [
+        (("spec", "probe", kind), getattr(spec.probe, kind)) for kind in ("request", "response", "service", "action")
+    ]
+    named += [(("spec", "metrics", key, "topic"), metric.topic) for key, metric in spec.metrics.items()]
+    for kind in ("topics", "services", "actions"):
+        listed = getattr(spec.connectivity, kind)
+        named += [(("spec", "connectivity", kind, i), name) for i, name in enumerate(listed)]
+    for path, node in all_nodes(spec):
+        named.append(((*path, "namespace"), node.namespace))
+        for old, new in node.remappings.items():
+            named += [((*path, "remappings", old), old.partition(":=")[0]), ((*path, "remappings", old), new)]
+    for path, name in named:
+        if name is not None and not GRAPH_NAME.fullmatch(name):
+            message = f"{dotted(path)} must be a name that ROS 2 accepts, and '{name}' is not"
+            yield Finding("FS505", path, message, "use letters, digits, '_' and '/'; a digit cannot follow a '/'")
+
+
+def parameter_values(application: Application) -> Iterator[Finding]:
+    """A ROS 2 parameter is true or false, a number, a text, or a list of one of these; maps nest."""
+    for path, node in all_nodes(application.spec):
+        yield from _parameters((*path, "parameters"), node.parameters)
+
+
+def _parameters(path: Path, values: dict[str, Any]) -> Iterator[Finding]:
+    for key, value in values.items():
+        at = (*path, key)
+        if isinstance(value, dict):
+            yield from _parameters(at, value)
+        elif value is None:
+            yield Finding(
+                "FS506", at, f"{dotted(at)} must have a value: ROS 2 has no null", "give it a value, or remove it"
+            )
+        elif isinstance(value, list):
+            kinds = {type(item) for item in value}
+            if kinds - {bool, int, float, str} or len(kinds) > 1:
+                fix = "write 1.0 for 1" if kinds == {int, float} else "write values of one kind"
+                yield Finding("FS506", at, f"{dotted(at)} must hold values of one kind: ROS 2 refuses mixed lists", fix)
+
+
+def paths(application: Application) -> Iterator[Finding]:
+    """Files are in the spec's folder, named relative to it: that folder is what a machine gets."""
+    spec = application.spec
+    named: list[tuple[Path, str | None]] = [
+        (("spec", "ros", "workspace"), spec.ros.workspace if spec.ros else None),
+        (("spec", "probe", "bag"), spec.probe.bag),
+        (("spec", "benchmark", "workload", "bag"), spec.benchmark.workload.bag),
+    ]
+    for path, node in all_nodes(spec):
+        named += [((*path, "parameter_files", i), file) for i, file in enumerate(node.parameter_files)]
+    for path, file in named:
+        if file is not None and (not file or file[0] in "/~" or ":" in file[:3] or "\\" in file):
+            yield Finding(
+                "FS507", path, f"{dotted(path)} must be a path relative to the spec", "write it like data/run.bag"
+            )
+    for path, node in all_nodes(spec):
+        named += [((*path, "cmd", i), word) for i, word in enumerate(node.cmd or [])]
+    for path, file in named:
+        if file is not None and path[1] != "robot" and normpath(file).split("/")[0] == "..":
+            message = f"{dotted(path)} must be in the spec's folder: nothing else is sent to a machine"
+            yield Finding("FS507", path, message, f"move it there: '{normpath(file).lstrip('./')}'")
+
+
+def secrets(application: Application) -> Iterator[Finding]:
+    """A secret's value is in no file."""
+    for path, node in all_nodes(application.spec):
+        for name in node.env:
+            if name in application.spec.secrets:
+                message = f"{dotted((*path, 'env', name))} writes down the value of a secret"
+                yield Finding("FS508", (*path, "env", name), message, "remove it: the value comes from your environment",
+                              (("spec", "secrets"),), at_key=True)  # fmt: skip
+
+
+RULES = (
+    kind_of_node, environment_of_nodes, unique_names, graph_names, parameter_values, paths, secrets,
+)  # fmt: skip

@@ -1,0 +1,48 @@
+"""From a tree of values to a typed document: the first of two passes, one mistake a field.
+
+The types say what is right (pydantic); `fogspec.spec.field_errors` says what is wrong in the language's own words, each
+time at its place in the file. Rules that concern several fields are `fogspec.spec.rules`.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from fogspec.base.diagnostics import Diagnostic
+from fogspec.base.yaml.positions import Node, Path, plain
+from fogspec.spec.field_errors import diagnose
+from fogspec.spec.typos import mend
+
+M = TypeVar("M", bound=BaseModel)
+
+
+@dataclass
+class Checked(Generic[M]):
+    """The document as far as it is right: `value` is None as soon as anything is wrong, `broken` says where.
+
+    `node` is the document as it was meant, with misspelt keys mended, and `data` its values.
+    """
+
+    value: M | None
+    node: Node
+    data: Any
+    wrong: list[Diagnostic]
+    broken: set[Path]
+
+
+def check(model: type[M], node: Node, strict: bool = True) -> Checked[M]:
+    """The typed document, or every field that is wrong."""
+    mended = mend(model, node)
+    wrong, broken = mended.wrong, mended.broken
+    data, value = plain(mended.node), None
+    try:
+        value = model.model_validate(data, strict=strict)
+    except ValidationError as problems:
+        for error in problems.errors(include_url=False):
+            path = tuple(step for step in error["loc"] if step != "[key]")
+            echo = error["type"] == "missing" and path in mended.meant
+            if path not in broken and not echo:
+                wrong.append(diagnose(model, mended.node, path, error))
+            broken.add(path)
+    return Checked(None if wrong else value, mended.node, data, wrong, broken)

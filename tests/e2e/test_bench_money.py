@@ -1,0 +1,135 @@
+"""What a bench may spend: said first, agreed to, at prices that still hold, and never beyond the wall."""
+
+import click
+import pytest
+from ruamel.yaml import YAML
+
+from fogspec.backends.replay import ReplayRunner
+from fogspec.base.errors import WrongFile
+from tests.support.running import CATALOG, Ended, Shell, project, shell  # noqa: F401
+
+SWEEP = "instance_type,latency_s\na.small,2\na.large,0.8\nb.small,2\nb.large,0.8\nb.huge,0.3\na.huge,0.3\n"
+AT = ("--catalog", "offers.csv")
+
+
+@pytest.fixture
+def paid(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Shell:
+    """A compiled project, and a replay that passes for a runner that costs real money; its catalog is the shop's."""
+    monkeypatch.setattr(ReplayRunner, "costs", "real")
+
+    def none(*_: object) -> None:
+        raise WrongFile("no SkyPilot here")
+
+    monkeypatch.setattr("fogspec.cli.options.load_catalog", _Shop(none))
+    project(shell)
+    shell.write("sweep.csv", SWEEP)
+    return shell
+
+
+class _Shop:
+    """`load_catalog` without SkyPilot's own catalogs."""
+
+    def __init__(self, none):
+        from fogspec.cli import options
+
+        self._none, self._real = none, options.load_catalog
+
+    def __call__(self, origin, clouds):
+        return self._none() if origin == "skypilot" else self._real(origin, clouds)
+
+
+def bench(shell: Shell, *words: str, code: int = 0, sweep: str = "sweep.csv") -> Ended:
+    return shell("bench", "specs/demo.yaml", "--from", sweep, *AT, *words, code=code)
+
+
+def results(shell: Shell) -> dict:
+    return YAML(typ="safe", pure=True).load(shell.read("results/demo.yaml"))["spec"]
+
+
+def nothing_happened(shell: Shell) -> bool:
+    return not (shell.folder / "results").exists() and not (shell.folder / ".fogspec/demo/attempts").exists()
+
+
+def test_without_a_yes_nothing_is_spent(paid):
+    said = bench(paid, code=5)
+    assert "4 of 4 samples to measure: at most $0.1" in said.err
+    assert "--yes" in said.err
+    assert nothing_happened(paid)
+    bench(paid, "--yes")
+    assert len(results(paid)["samples"]) == 4
+
+
+def test_who_is_asked_may_decline(paid, monkeypatch):
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr(click, "confirm", lambda *_, **__: False)
+    assert "nothing was started" in bench(paid, code=5).err
+    assert nothing_happened(paid)
+    monkeypatch.setattr(click, "confirm", lambda *_, **__: True)
+    bench(paid)
+    assert len(results(paid)["samples"]) == 4
+
+
+def test_what_is_measured_needs_no_yes(paid):
+    bench(paid, "--yes")
+    assert "0 of 4 samples to measure" in bench(paid).err
+
+
+def test_a_price_that_rose_is_refused_before_anything_starts(paid):
+    paid.write("offers.csv", CATALOG.replace("a.large,,,8,16,0.40", "a.large,,,8,16,0.44"))
+    said = bench(paid, "--yes", code=5)
+    assert "aws/r1 a.large costs $0.44/h, the plan says $0.4/h" in said.err
+    assert "fogspec compile specs/demo.yaml" in said.err
+    assert nothing_happened(paid)
+    paid("compile", "specs/demo.yaml", *AT)
+    bench(paid, "--yes")
+
+
+def test_a_price_that_fell_and_a_machine_that_is_not_measured_are_no_matter(paid):
+    paid.write("offers.csv", CATALOG.replace("a.large,,,8,16,0.40", "a.large,,,8,16,0.30").replace("1.60", "1.80"))
+    bench(paid, "--yes")
+
+
+def test_a_machine_that_is_no_longer_on_offer_is_refused(paid):
+    paid.write("offers.csv", "".join(line for line in CATALOG.splitlines(True) if not line.startswith("b.large")))
+    assert "aws/r1 b.large is not on offer" in bench(paid, "--yes", code=5).err
+
+
+def test_a_dry_run_says_each_sample_and_its_most(paid):
+    said = bench(paid, "--dry-run")
+    assert said.out.count("/h, at most $") == 4
+    assert nothing_happened(paid)
+
+
+def test_max_is_a_wall_below_the_budget(paid):
+    bench(paid, "--yes", "--max", "$0.02")
+    found = results(paid)
+    assert float(found["spent"].removeprefix("$")) <= 0.02
+    assert {one.get("reason") for one in found["samples"]} >= {"budget"}
+    bench(paid, "--yes")
+    assert {one["state"] for one in results(paid)["samples"]} == {"ok"}
+    assert bench(paid, "--max", "2", code=2).err.count("max")
+
+
+def test_a_lower_budget_counts_without_a_new_plan(paid):
+    """The budget is the spec's, not what it was when the plan was written."""
+    text = paid.read("specs/demo.yaml")
+    paid.write("specs/demo.yaml", text.replace("budget: $5", "budget: $0.02"))
+    bench(paid, "--yes")
+    assert float(results(paid)["spent"].removeprefix("$")) <= 0.02
+
+
+def test_a_machine_that_is_not_to_be_had_gives_its_place_in_a_grid_too(paid):
+    paid.write("short.csv", SWEEP.replace("a.large,0.8\n", ""))
+    said = bench(paid, "--yes", sweep="short.csv")
+    states = {one["machine"]["instance"]: (one["state"], one.get("instead_of")) for one in results(paid)["samples"]}
+    assert states["a.large"] == ("failed", None)
+    assert "a.large" in said.out
+    plan = YAML(typ="safe", pure=True).load(paid.read("compiled/demo/plan.yaml"))["spec"]
+    assert not [one for one in plan["alternatives"] if one["machine"]["instance"] in states], (
+        "the grid has all admissible machines already: there is no other"
+    )
+
+
+def test_a_host_without_a_runner_word_measures_what_it_replays(paid):
+    assert "with the replay runner" not in bench(paid, "--dry-run").err
+    assert paid("bench", "specs/demo.yaml", "--runner", "replay", code=2).err

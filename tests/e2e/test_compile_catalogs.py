@@ -1,0 +1,131 @@
+"""Where machines and prices come from, through the command line."""
+
+import json
+import os
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.running import CATALOG, Shell, shell, spec  # noqa: F401
+
+GCP = """InstanceType,vCPUs,MemoryGiB,AcceleratorName,AcceleratorCount,GpuInfo,Region,AvailabilityZone,Price,SpotPrice
+n1-standard-4,4,15,,,,us-central1,us-central1-a,0.19,0.04
+n1-standard-4,4,15,,,,us-central1,us-central1-b,0.20,0.04
+n1-standard-8,8,30,,,,us-central1,us-central1-a,0,0.08
+,,,T4,1,,us-central1,us-central1-a,0.35,0.14
+,,,T4,1,,us-central1,us-central1-b,0.35,0.14
+"""
+
+
+@pytest.fixture
+def clouds(shell: Shell) -> Shell:
+    """SkyPilot's folder of catalogs in a home of its own, and two specs."""
+    home = shell.folder.parent / "home"
+    shell.monkeypatch.setenv("HOME", str(home))
+    shell.monkeypatch.delenv("SKY_RUNTIME_DIR", raising=False)
+    for cloud, text in (("aws", CATALOG), ("gcp", GCP)):
+        path = home / ".sky" / "catalogs" / "v8" / cloud / "vms.csv"
+        path.parent.mkdir(parents=True)
+        path.write_text(text)
+        os.utime(path, (1.79e9, 1.79e9))  # 2026-09-21
+    shell.write("specs/demo.yaml", spec())
+    shell.write(
+        "specs/both.yaml", spec("both", infra="[aws/r1, gcp/us-central1]", hardware="{cpus: 2..8, gpus: [none, T4]}")
+    )
+    return shell
+
+
+def provenance(shell: Shell, name: str) -> str:
+    return re.search(r"  catalog:\n((?:    .*\n)+)", shell.read(f"compiled/{name}/plan.yaml"))[1]
+
+
+def test_skypilots_own_tables_are_read_without_skypilot(clouds: Shell) -> None:
+    clouds("compile", "specs/both.yaml", "--catalog", "skypilot")
+    assert "sky" not in sys.modules
+    plan = clouds.read("compiled/both/plan.yaml")
+    assert "source: skypilot" in plan
+    assert 'date: "2026-09-21"' in plan
+    assert "gcp/us-central1, instance: n1-standard-4, cpus: 4, memory: 15GiB, gpu: {name: T4, count: 1}" in plan
+    assert "price: $0.55/h" in plan, "host and accelerator at the dearest zone"
+    explained = clouds("explain", "specs/both.yaml", "--catalog", "skypilot").out
+    assert "offer" in explained
+
+
+def test_rows_without_a_price_are_said_aloud(clouds: Shell) -> None:
+    said = clouds("compile", "specs/both.yaml", "--catalog", "skypilot").err
+    assert "gcp/vms.csv: 1 row has a price of 0: not a candidate, such as n1-standard-8 at line 4" in said
+
+
+def test_only_the_tables_of_the_clouds_that_a_spec_names_count(clouds: Shell) -> None:
+    clouds("compile", "specs/demo.yaml", "specs/both.yaml", "--catalog", "skypilot")
+    alone, both = provenance(clouds, "demo"), provenance(clouds, "both")
+    (clouds.folder.parent / "home/.sky/catalogs/v8/gcp/vms.csv").write_text(GCP.replace("0.19", "0.21"))
+    clouds("compile", "specs/demo.yaml", "specs/both.yaml", "--catalog", "skypilot")
+    assert provenance(clouds, "demo") == alone
+    assert provenance(clouds, "both") != both
+
+
+def test_a_table_that_is_missing_is_named_with_the_way_to_get_it(clouds: Shell) -> None:
+    clouds.write("specs/demo.yaml", spec(infra="[azure/eastus]"))
+    wrong = clouds("compile", "specs/demo.yaml", "--catalog", "skypilot", code=1).err
+    assert "no table of azure" in wrong
+    assert "sky gpus list --infra azure" in wrong
+
+
+def test_a_folder_in_skypilots_layout_is_a_catalog_too(clouds: Shell) -> None:
+    folder = clouds.folder.parent / "home/.sky/catalogs/v8"
+    clouds("compile", "specs/demo.yaml", "--catalog", str(folder))
+    assert "source: v8" in clouds.read("compiled/demo/plan.yaml")
+
+
+def test_an_old_catalog_is_warned_of_as_the_spec_allows(clouds: Shell) -> None:
+    assert "days old" in clouds("compile", "specs/demo.yaml", "--catalog", "snapshot", code=None).err
+    assert "days old" not in clouds("compile", "specs/demo.yaml", "--catalog", "skypilot").err
+    clouds.write("specs/demo.yaml", spec(catalog="{max_age: 1h}"))
+    assert "spec.catalog.max_age allows" in clouds("compile", "specs/demo.yaml", "--catalog", "skypilot").err
+    clouds.write("specs/demo.yaml", spec(catalog="{max_age: 0s}"))
+    assert "max_age" in clouds("validate", "specs/demo.yaml", code=1).err
+
+
+def test_the_lock_says_which_catalog_and_a_new_one_is_refused_until_it_is_locked(clouds: Shell) -> None:
+    clouds("lock", "specs/demo.yaml", "--catalog", "skypilot")
+    clouds("compile", "specs/demo.yaml")
+    assert "source: skypilot" in clouds.read("compiled/demo/plan.yaml")
+    table = clouds.folder.parent / "home/.sky/catalogs/v8/aws/vms.csv"
+    os.utime(table)
+    clouds("compile", "specs/demo.yaml", "--check")
+    table.write_text(CATALOG.replace("0.10", "0.11"))
+    assert "--upgrade catalog" in clouds("compile", "specs/demo.yaml", code=3).err
+    clouds("lock", "specs/demo.yaml", "--check", code=3)
+    clouds("lock", "specs/demo.yaml", "--upgrade", "catalog")
+    clouds("compile", "specs/demo.yaml")
+    assert "$0.11/h" in clouds.read("compiled/demo/plan.yaml")
+
+
+def test_a_catalog_that_was_read_once_is_read_from_the_cache_and_a_damaged_cache_is_no_matter(clouds: Shell) -> None:
+    clouds("compile", "specs/both.yaml", "--catalog", "skypilot")
+    kept = sorted((clouds.folder.parent / "cache/fogspec/catalogs").glob("*.npz"))
+    assert len(kept) == 2
+    before = {path.name: path.read_bytes() for path in clouds.folder.rglob("*.yaml")}
+    clouds.monkeypatch.setattr("fogspec.catalog.sources.csv.read", lambda *_: pytest.fail("parsed again"))
+    said = clouds("compile", "specs/both.yaml", "--catalog", "skypilot").err
+    assert "a price of 0" in said, "what was left out is said again"
+    assert {path.name: path.read_bytes() for path in clouds.folder.rglob("*.yaml")} == before
+    clouds.monkeypatch.undo()
+    clouds.monkeypatch.setenv("HOME", str(clouds.folder.parent / "home"))
+    clouds.monkeypatch.setenv("XDG_CACHE_HOME", str(clouds.folder.parent / "cache"))
+    for path, content in zip(kept, (b"", kept[1].read_bytes()[:-300]), strict=True):
+        path.write_bytes(content)
+    clouds("compile", "specs/both.yaml", "--catalog", "skypilot", "--check")
+
+
+def test_a_cache_that_cannot_be_written_is_no_matter(clouds: Shell) -> None:
+    Path(clouds.folder.parent / "cache").write_text("a file where the folder would be")
+    clouds("compile", "specs/demo.yaml", "--catalog", "skypilot")
+
+
+def test_the_funnel_counts_every_filter(clouds: Shell) -> None:
+    facts = json.loads(clouds("explain", "specs/demo.yaml", "--catalog", "skypilot", "-o", "json").out)[0]
+    assert "11" in json.dumps(facts["funnel"]), "8 on demand and 3 spot"

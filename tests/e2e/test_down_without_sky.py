@@ -1,0 +1,33 @@
+"""`fogspec down` where SkyPilot is not installed: what runs on this host is ended all the same."""
+
+import pytest
+
+from fogspec.base.errors import CloudFailed
+from fogspec.base.layout import Layout
+from fogspec.deploy.down import down
+from fogspec.deploy.state import SystemTimes
+
+
+class Host:
+    name = "local"
+
+    def __init__(self) -> None:
+        self.left = ["fogspec-arm-1"]
+
+    def names(self, *_: object) -> list[str]:
+        return list(self.left)
+
+    def end(self, launch) -> None:
+        self.left.remove(launch.name)
+
+
+def test_what_can_be_ended_is_ended_and_what_cannot_be_asked_is_said(tmp_path):
+    host = Host()
+
+    def elsewhere():
+        raise CloudFailed("SkyPilot is not installed here", "pip install it")
+
+    with pytest.raises(CloudFailed) as failed:
+        down(Layout(tmp_path, tmp_path / "specs/arm.yaml", "arm"), [elsewhere, lambda: host], SystemTimes(), print)
+    assert host.left == []
+    assert "SkyPilot is not installed here; pip install it" in failed.value.hints

@@ -1,0 +1,115 @@
+"""Files in which nothing is right, or that are no files: each verb says which and what to do, at once, and loses nothing."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from fogspec.base.layout import Layout
+from fogspec.deploy.schema import Machine
+from fogspec.deploy.state import LiveFile, SystemTimes
+from fogspec.plan.schema import MachineRef
+from tests.support.deployed import Deployed, app, tiny  # noqa: F401
+from tests.support.running import Shell, measure, project, shell  # noqa: F401
+
+AT = ("--catalog", "offers.csv")
+MANIFEST = "compiled/demo/manifest.yaml"
+LIVE = ".fogspec/demo/deployment.yaml"
+READ_BY = {
+    "specs/demo.yaml": [
+        ["validate", "specs/demo.yaml"],
+        ["compile", "specs/demo.yaml", *AT],
+        ["lock", "specs/demo.yaml", *AT],
+    ],
+    "offers.csv": [["compile", "specs/demo.yaml", *AT], ["apply", MANIFEST, "--dry-run", "--prices", "offers.csv"]],
+    "results/demo.yaml": [
+        ["compile", "specs/demo.yaml", *AT],
+        ["bench", "demo", "--runner", "local"],
+        ["report", "demo", *AT],
+    ],
+    "compiled/demo/plan.yaml": [["bench", "demo", "--runner", "local"], ["status", *AT]],
+    "compiled/demo/models.yaml": [["verify", MANIFEST, *AT], ["status", *AT]],
+    MANIFEST: [["apply", MANIFEST, "--dry-run", *AT], ["attest", MANIFEST, *AT]],
+    "fogspec.lock": [["status"], ["compile", "specs/demo.yaml"]],
+    LIVE: [["status", *AT], ["diff", *AT]],
+}
+MADE_AGAIN = ("compiled/demo/plan.yaml", "compiled/demo/models.yaml")
+GARBAGE = {
+    "empty": b"", "zeros": b"\0" * 999, "binary": bytes(range(256)), "a list": b"[]\n", "deep": b"[" * 9999,
+    "another version": b"apiVersion: fogspec.dev/v9\nkind: Other\nmetadata: {name: demo}\n",
+}  # fmt: skip
+
+
+@pytest.fixture
+def whole(shell: Shell) -> Shell:
+    """A project with every file that a verb may read; what its live state names does not run."""
+    project(shell)
+    measure(shell)
+    shell("lock", *AT)
+    shell("compile", "specs/demo.yaml")
+    layout = Layout.of(shell.folder / "specs/demo.yaml", "demo")
+    machine = MachineRef.model_construct(
+        infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, spot=False, price=0.02
+    )
+    LiveFile(layout, SystemTimes(), []).put(Machine.model_construct(
+        name="fogspec-demo-12345678-abcdef", deployer="local", state="serving", manifest="sha256:1", machine=machine,
+        runs="sha256:2", files={}, fallback=0, image=None, address="127.0.0.1", at=5.0, boot="b",
+        since="2026-11-21T00:00:00+00:00",
+    ))  # fmt: skip
+    return shell
+
+
+def place(kind: str, path: Path) -> None:
+    """Put it where the file was."""
+    path.unlink()
+    if kind in GARBAGE:
+        path.write_bytes(GARBAGE[kind])
+    elif kind == "a folder":
+        path.mkdir()
+    elif kind == "a pipe":
+        os.mkfifo(path)
+    elif kind == "a device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.symlink_to(path.name)
+
+
+def remove(path: Path) -> None:
+    path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
+
+
+@pytest.mark.parametrize("name", READ_BY)
+def test_garbage_in_the_place_of_a_file(whole: Shell, name: str) -> None:
+    path = whole.folder / name
+    content = path.read_bytes()
+    for number, kind in enumerate((*GARBAGE, "a folder", "a pipe", "a device", "a loop")):
+        words = READ_BY[name][number % len(READ_BY[name])]
+        place(kind, path)
+        ended = whole(*words, code=None)
+        said = f"{words} with {kind} for {name}: {ended}"
+        assert ended.code in ((0, 1, 3) if name in MADE_AGAIN else (1, 3)), said
+        assert path.name in ended.out + ended.err, said
+        if kind in GARBAGE and name not in MADE_AGAIN:
+            assert path.read_bytes() == GARBAGE[kind], f"{said}: it may be all that is left"
+        remove(path)
+        path.write_bytes(content)
+
+
+def test_down_ends_what_runs_whatever_its_live_state_is(tiny: Deployed) -> None:
+    path = tiny.state / "deployment.yaml"
+    for kind in ("zeros", "a list", "a pipe"):
+        tiny.apply()
+        place(kind, path)
+        assert tiny.alive()
+        said = tiny("down", "tiny")
+        assert "1 ended" in said.stdout
+        assert "found by their names" in said.stderr
+        assert (tiny.alive(), tiny.left()) == ([], []), kind
+
+
+def test_nothing_is_written_over_what_is_no_file(whole: Shell) -> None:
+    device = whole.folder / "null"
+    device.symlink_to("/dev/null")
+    said = whole("report", "demo", "--to", "null", code=1).err
+    assert said == "null: cannot be written: it is a device, not a file\n"
+    assert device.is_symlink()

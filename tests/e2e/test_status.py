@@ -1,0 +1,230 @@
+"""What makes what stale: each row of the language's table, through the command line."""
+
+import json
+from collections.abc import Callable
+
+import pytest
+
+from tests.support.running import CATALOG, Shell, measure, project, shell, spec  # noqa: F401
+
+FRESH = {"plan": "fresh", "results": "fresh", "models": "fresh", "menu": "fresh", "manifest": "fresh"}
+AT = ("--catalog", "offers.csv")
+
+
+def states(shell: Shell, *words: str) -> tuple[dict[str, str], dict[str, list[str]], dict]:
+    found = json.loads(shell("status", "specs/demo.yaml", *AT, "-o", "json", *words).out)[0]
+    told = {stage["name"]: stage["reasons"] + stage["notes"] for stage in found["stages"]}
+    return {stage["name"]: stage["state"] for stage in found["stages"]}, told, found
+
+
+@pytest.fixture
+def done(shell: Shell) -> Shell:
+    """A project that is compiled, measured and chosen."""
+    project(shell)
+    measure(shell)
+    shell("compile", "specs/demo.yaml", *AT)
+    assert states(shell)[0] == FRESH
+    return shell
+
+
+def change(shell: Shell, old: str, new: str) -> None:
+    before = shell.read("specs/demo.yaml")
+    assert old in before
+    shell.write("specs/demo.yaml", before.replace(old, new))
+
+
+def test_before_and_while_measuring(shell: Shell) -> None:
+    shell.write("offers.csv", CATALOG)
+    shell.write("specs/demo.yaml", spec())
+    assert states(shell)[0] == {"plan": "missing", "results": "missing", "models": "missing", "menu": "missing",
+                                "manifest": "missing"}  # fmt: skip
+    project(shell)
+    assert states(shell)[0]["plan"] == "fresh"
+    measure(shell, only=2)
+    state, told, found = states(shell)
+    assert state["results"] == "partial"
+    assert "2 of 4 samples to measure" in told["results"][0]
+    assert found["to_measure"] == 2
+    assert found["spent_usd"] > 0
+    shell("status", "specs/demo.yaml", *AT, "--exit-code", code=3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("spec:\n", "spec: # the body\n"), ("$5,", "500 cent,"), ("1min}, setup: 1min", "60s}, setup: 60s")],
+)
+def test_a_comment_or_spelling_changes_nothing(done: Shell, old: str, new: str) -> None:
+    change(done, old, new)
+    assert states(done)[0] == FRESH
+    done("status", "specs/demo.yaml", *AT, "--exit-code")
+    done("compile", "specs/demo.yaml", *AT, "--check")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [("latency: 10s", "latency: 9s", "limit: 10s -> 9s"), ("alpha: 0.5", "alpha: 0.25", "alpha: 0.5 -> 0.25")],
+)
+def test_constraints_and_alpha_make_the_choice_stale(done: Shell, old: str, new: str, says: str) -> None:
+    change(done, old, new)
+    state, told, found = states(done)
+    assert state == FRESH | {"menu": "stale", "manifest": "stale"}
+    assert any(says in line for line in told["manifest"])
+    assert found["to_measure"] == 0
+
+
+def test_another_metric_that_was_measured_makes_models_stale(shell: Shell) -> None:
+    project(shell, metrics="{length: {callback: length}, width: {callback: width}}", objective="{metric: length}")
+    measure(shell)
+    path = "results/demo.yaml"
+    from fogspec.base.files import write_yaml
+    from fogspec.results.schema import Results, sealed
+    from fogspec.spec.loader import read_document
+
+    results = read_document(shell.folder / path, Results)
+    samples = [one.model_copy(update={"metrics": {"length": 1.0 + i, "width": 9.0 - i}})
+               for i, one in enumerate(results.spec.samples)]  # fmt: skip
+    results = sealed(results.metadata, results.spec.model_copy(update={"samples": samples}))
+    write_yaml(shell.folder / path, results.model_dump(mode="json", exclude_none=True), "a test")
+    shell("compile", "specs/demo.yaml", *AT)
+    assert states(shell)[0] == FRESH
+    change(shell, "metric: length", "metric: width")
+    state, _, found = states(shell)
+    assert (state["plan"], state["results"], state["models"], state["manifest"]) == ("fresh", "fresh", "stale", "stale")
+    assert found["to_measure"] == 0
+
+
+def test_new_prices_re_estimate_the_plan_and_make_the_choice_stale(done: Shell) -> None:
+    done.write("offers.csv", CATALOG.replace("a.small,,,2,4,0.10", "a.small,,,2,4,0.15"))
+    state, told, found = states(done)
+    assert (state["plan"], state["results"], state["models"], state["manifest"]) == ("fresh", "fresh", "fresh", "stale")
+    assert any("re-estimated" in line for line in told["plan"])
+    assert found["to_measure"] == 0
+    done("compile", "specs/demo.yaml", *AT)
+    assert states(done)[0] == FRESH
+    assert "$0.15/h" in done.read("compiled/demo/plan.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("{cpus: 2..8}", "{cpus: 2..8, memory: 8GiB..16GiB}"),
+        ("{cpus: 2..8}", "{cpus: 2..8, machines: {deny: [b.large]}}"),
+    ],
+)
+def test_narrower_hardware_costs_nothing(done: Shell, old: str, new: str) -> None:
+    change(done, old, new)
+    state, told, found = states(done)
+    assert (state["plan"], state["results"], state["models"], state["manifest"]) == ("fresh", "fresh", "fresh", "stale")
+    assert any("larger search box" in line for line in told["plan"])
+    assert found["to_measure"] == 0
+    done("compile", "specs/demo.yaml", *AT)
+    assert states(done)[0] == FRESH
+    done("compile", "specs/demo.yaml", *AT, "--check")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says", "left"),
+    [
+        ("{cpus: 2..8}", "{cpus: 2..32}", "spec.hardware.cpus: 2..8 -> 2..32", 2),
+        ("{cpus: 2..8}", "{cpus: 2..8, gpus: [none, T4]}", "spec.hardware.gpus: none -> none, T4", 1),
+        ("{cpus: 2..8}", "{cpus: 2..8, spot: true}", "spec.hardware.spot: False -> True", 2),
+    ],
+)
+def test_wider_hardware_costs_the_new_samples_only(done: Shell, old: str, new: str, says: str, left: int) -> None:
+    change(done, old, new)
+    state, told, found = states(done)
+    assert state == {"plan": "stale", "results": "partial", "models": "stale", "menu": "stale", "manifest": "stale"}
+    assert says in told["plan"]
+    assert found["to_measure"] == left
+    done("compile", "specs/demo.yaml", *AT)
+    state, _, found = states(done)
+    assert (state["plan"], state["results"], found["to_measure"]) == ("fresh", "partial", left)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("work.py]", "work.py, fast]", "spec.cloud"),
+        ("{callback: plan}", "{callback: other}", "spec.probe"),
+        ("{budget: $5", "{warmup: 3, budget: $5", "spec.benchmark.warmup"),
+        ("{budget: $5", "{workload: {node: {cmd: [./client]}}, budget: $5", "spec.benchmark.workload"),
+        ("  probe:", "  ros: {distro: humble}\n  probe:", "spec.ros"),
+    ],
+)
+def test_what_is_measured_makes_everything_stale(done: Shell, old: str, new: str, field: str) -> None:
+    change(done, old, new)
+    state, told, found = states(done)
+    assert state == dict.fromkeys(FRESH, "stale")
+    assert f"{field} changed" in told["plan"]
+    assert f"{field} changed" in told["results"]
+    assert found["to_measure"] == 4
+    done("compile", "specs/demo.yaml", *AT)
+    assert f"{field} changed" in states(done)[1]["results"], "also after the plan was compiled anew"
+
+
+def test_a_workload_that_was_locked_makes_everything_stale(shell: Shell) -> None:
+    project(shell)
+    shell("lock", *AT)
+    shell("compile", "specs/demo.yaml")
+    measure(shell)
+    shell("compile", "specs/demo.yaml")
+    assert states(shell)[0] == FRESH
+    shell.write("specs/work.py", "print('other work')\n")
+    state, told, _ = states(shell)
+    assert state["plan"] == "stale"
+    assert "work.py is not what the lock says" in told["plan"]
+    assert "work.py" in shell("bench", "specs/demo.yaml", "--runner", "local", code=3).err
+    shell("lock", "--check", code=3)
+    shell("lock")
+    state, told, _ = states(shell)
+    assert state == dict.fromkeys(FRESH, "stale")
+    assert "work.py is locked to something else" in told["results"]
+
+
+def test_locking_after_measuring_keeps_the_results_and_says_so(done: Shell) -> None:
+    done("lock", *AT)
+    done("compile", "specs/demo.yaml")
+    state, told, _ = states(done)
+    assert state["results"] == "fresh"
+    assert told["results"] == ["measured before anything was locked"]
+
+
+def test_a_budget_is_checked_again(done: Shell) -> None:
+    change(done, "budget: $5", "budget: $4")
+    state, told, _ = states(done)
+    assert state == FRESH
+    assert told["plan"] == ["spec.benchmark.budget changed, and is enough"]
+    change(done, "budget: $4", "budget: $0.01")
+    assert states(done)[0] == FRESH, "what is measured already needs no budget"
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "stage"),
+    [
+        ("compiled/demo/manifest.yaml", lambda text: text.replace("a.small", "a.large"), "manifest"),
+        ("compiled/demo/models.yaml", lambda text: text + "\n", "models"),
+        ("compiled/demo/tasks/aws-r1-a-small.sky.yaml", lambda text: text + "# mine\n", "plan"),
+        ("compiled/demo/plan.yaml", lambda text: text.replace("samples:", "sample:"), "plan"),
+    ],
+)
+def test_an_edited_file_is_noticed(done: Shell, name: str, edit: Callable[[str], str], stage: str) -> None:
+    done.write(name, edit(done.read(name)))
+    state, told, _ = states(done)
+    assert state == FRESH | {stage: "stale"}
+    assert told[stage]
+
+
+def test_words_for_people(done: Shell) -> None:
+    change(done, "alpha: 0.5", "alpha: 0.25")
+    said = done("status", *AT).out
+    assert "manifest  stale" in said
+    assert "spent" in said
+    assert "next: fogspec compile specs/demo.yaml" in said
+
+
+def test_a_refused_plan_is_a_status_too(shell: Shell) -> None:
+    project(shell)
+    change(shell, "budget: $5", "budget: $0.01")
+    said = shell("status", *AT)
+    assert "cannot be compiled: demo: the plan may cost" in said.out
+    shell("status", *AT, "--exit-code", code=3)

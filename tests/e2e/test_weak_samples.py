@@ -1,0 +1,236 @@
+"""Too few, failed, equal, absurd or contradictory samples: a clear error or a marked weak answer, never a sure wrong one."""
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from fogspec.base.files import write_yaml
+from fogspec.plan.schema import GpuShape, MachineRef, PlanMetadata
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.spec import fingerprints
+from fogspec.spec.loader import load
+from tests.support.running import Shell, project, shell  # noqa: F401
+
+SHAPES = {"a.small": (2, 4, 0.1), "a.large": (8, 16, 0.4), "a.huge": (32, 64, 1.6), "b.small": (2, 8, 0.12),
+          "b.large": (8, 32, 0.48), "b.huge": (32, 128, 1.92), "g.small": (4, 16, 0.6)}  # fmt: skip
+LONG = "{budget: $50, stop: {steps: 20, after: 2h}}"
+BOX = {"hardware": "{cpus: 2..32}"}
+
+
+def sample(instance: str, latency: float | None, tag: str = "", **more: Any) -> Measured:
+    cpus, memory, price = SHAPES.get(instance, (4, 4, 0.2))
+    gpu = GpuShape(name="T4") if instance.startswith("g.") else None
+    machine = MachineRef(infra="aws/r1", instance=instance, cpus=cpus, memory=memory, gpu=gpu, price=price)
+    summary = None if latency is None else LatencySummary(mean=latency, sd=latency / 20)
+    base = {"state": "ok", "requests": 20, "duration": 60.0, "spent": 0.01, "measured_on": "test"}
+    return Measured(id=f"aws-r1-{instance.replace('.', '-')}{tag}", machine=machine, latency=summary, **(base | more))
+
+
+def write(shell: Shell, records: Sequence[Measured]) -> None:
+    application = load([str(shell.folder / "specs/demo.yaml")])[0].application
+    body = ResultsBody(
+        application=fingerprints.measured_digest(application), runner="local", spent=0.0, samples=list(records)
+    )
+    results = sealed(PlanMetadata(name="demo"), body)
+    write_yaml(shell.folder / "results/demo.yaml", results.model_dump(mode="json", exclude_none=True), "test")
+
+
+def compiled(shell: Shell, records: Sequence[Measured], code: int = 0, **parts: str) -> dict[str, Any]:
+    """What compile says of these samples."""
+    project(shell, **(BOX | parts))
+    write(shell, records)
+    ended = shell("compile", "specs/demo.yaml", "--catalog", "offers.csv", "-o", "json", code=code)
+    assert "Traceback" not in ended.err
+    [found] = json.loads(ended.out)
+    return found
+
+
+def explained(shell: Shell, code: int = 0) -> dict[str, Any]:
+    shell("explain", "specs/demo.yaml", "--catalog", "offers.csv", code=code)
+    ended = shell("explain", "specs/demo.yaml", "--catalog", "offers.csv", "-o", "json", code=code)
+    return json.loads(ended.out)[0]
+
+
+def test_one_sample_chooses_what_was_measured_or_says_that_it_did_not(shell: Shell) -> None:
+    found = compiled(shell, [sample("a.small", 3.0)], benchmark="{budget: $5, sampler: adaptive}")
+    chosen = found["menu"]["balanced"]
+    assert chosen["instance"] == "a.small"
+    assert chosen["measured"]
+    others = [one for one in found["menu"]["front"] if not one["measured"]]
+    assert all(one["extrapolated"] for one in others)
+    assert explained(shell)["next_sample"]["usd"] > 0
+
+
+def test_one_sample_of_a_grid_is_marked_where_the_choice_was_not_measured(shell: Shell) -> None:
+    found = compiled(shell, [sample("a.small", 3.0)])
+    chosen, warnings = found["menu"]["balanced"], found["menu"]["warnings"]
+    assert chosen["measured"] or any("not verified" in text for text in warnings)
+    assert chosen["measured"] or any("extrapolated" in text for text in warnings)
+
+
+def test_fewer_samples_than_parameters_have_wide_intervals(shell: Shell) -> None:
+    found = compiled(shell, [sample("a.small", 3.0), sample("a.large", 1.0)])
+    unmeasured = [one for one in found["menu"]["front"] if not one["measured"]]
+    spread = [json_seconds(one["interval"][1]) / json_seconds(one["interval"][0]) for one in unmeasured]
+    assert all(ratio > 1.1 for ratio in spread)
+    assert any("2 samples" in text for text in found["menu"]["warnings"])
+
+
+def json_seconds(text: str) -> float:
+    from fogspec.base.units import parse_duration_s
+
+    return parse_duration_s(text)
+
+
+@pytest.mark.parametrize("state", ["failed", "timeout"])
+def test_all_failed_is_no_choice(shell: Shell, state: str) -> None:
+    failed = [
+        sample(name, None, state=state, reason="crash" if state == "failed" else None) for name in list(SHAPES)[:6]
+    ]
+    found = compiled(shell, failed, code=4)
+    assert found["manifest"] is None
+    assert found["menu"]["predicted"] == 0
+    assert any("does not count" in text for text in found["menu"]["warnings"])
+    assert explained(shell)["next_sample"] is None
+
+
+def test_a_run_that_was_given_up_is_a_lower_bound(shell: Shell) -> None:
+    good = [sample("a.large", 1.0), sample("b.large", 1.0)]
+    waited = sample("a.small", None, state="timeout", waited=60.0)
+    alone = compiled(shell, good)
+    with_bound = compiled(shell, [*good, waited])
+    small = [
+        next((e for e in one["menu"]["hourly_front"] if e["instance"] == "b.small"), None)
+        for one in (alone, with_bound)
+    ]
+    assert small[1] is None or small[0] is None or json_seconds(small[1]["latency"]) > json_seconds(small[0]["latency"])
+    assert all(e["instance"] != "a.small" or not e["meets"] for e in with_bound["menu"]["front"])
+
+
+def test_all_equal_is_the_cheapest(shell: Shell) -> None:
+    found = compiled(shell, [sample(name, 2.0) for name in list(SHAPES)[:6]])
+    assert found["menu"]["balanced"]["instance"] == "a.small"
+
+
+@pytest.mark.parametrize("latency", [0.0, -1.0])
+def test_a_latency_of_nothing_does_not_count(shell: Shell, latency: float) -> None:
+    bad = sample("b.small", 1.0)
+    bad = bad.model_copy(
+        update={"latency": LatencySummary.model_construct(mean=latency, sd=None, p50=None, p95=None, p99=None)}
+    )
+    project(shell, **BOX)
+    write(shell, [sample("a.small", 3.0), sample("a.large", 1.0), bad])
+    ended = shell("compile", "specs/demo.yaml", "--catalog", "offers.csv", code=None)
+    assert ended.code in (0, 1)
+    assert "Traceback" not in ended.err
+    said = ended.out + ended.err
+    assert "is no latency" in said or "results/demo.yaml" in said
+
+
+def test_an_infinite_latency_is_no_number(shell: Shell) -> None:
+    project(shell, **BOX)
+    write(shell, [sample("a.small", 3.0), sample("a.large", 1.0)])
+    path = shell.folder / "results/demo.yaml"
+    path.write_text(path.read_text().replace("mean: 3s", "mean: .inf"))
+    ended = shell("compile", "specs/demo.yaml", "--catalog", "offers.csv", code=1)
+    assert "results/demo.yaml:" in ended.err
+
+
+def test_repeats_that_contradict_each_other_widen_the_interval(shell: Shell) -> None:
+    base = [sample("a.large", 1.0), sample("b.large", 1.0), sample("b.small", 3.0)]
+    agreed = compiled(shell, [*base, sample("a.small", 3.0), sample("a.small", 3.02, "-again")])
+    doubtful = compiled(shell, [*base, sample("a.small", 2.0), sample("a.small", 4.5, "-again")])
+
+    def width(found: dict[str, Any]) -> float:
+        low, high = next(e for e in found["menu"]["hourly_front"] if e["instance"] == "a.small")["interval"]
+        return math.log(json_seconds(high) / json_seconds(low))
+
+    assert width(doubtful) > 2 * width(agreed)
+
+
+def test_a_machine_far_off_from_all_others_is_as_it_was_measured(shell: Shell) -> None:
+    """It swaps: sixty times as slow as its kin, and must not be chosen for what its kin do."""
+    swaps = sample("a.huge", 60.0)
+    others = [sample("a.small", 3.0), sample("b.small", 3.0), sample("b.large", 1.0), sample("b.huge", 0.5)]
+    found = compiled(shell, [*others, swaps], objective="{alpha: 1}")
+    assert found["menu"]["balanced"]["instance"] == "b.huge"
+    assert json_seconds(found["menu"]["balanced"]["latency"]) == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_measured_machine_that_the_catalog_does_not_have(shell: Shell) -> None:
+    found = compiled(shell, [sample("a.small", 3.0), sample("gone.medium", 2.0), sample("b.large", 1.0)])
+    assert found["menu"]["balanced"] is not None
+    assert all(one["instance"] != "gone.medium" for one in found["menu"]["hourly_front"])
+
+
+def test_no_sample_of_a_gpu_type_is_never_sure_of_it(shell: Shell) -> None:
+    found = compiled(shell, [sample(name, 3.0) for name in ("a.small", "a.large", "a.huge")], hardware="{gpus: [none, T4]}",
+                     constraints="{latency: 2s}", code=4)  # fmt: skip
+    assert found["menu"]["balanced"] is None
+    told = explained(shell)
+    assert told["likeliest"]["instance"].startswith("g.")
+    assert 0.05 < told["likeliest"]["probability_met"] < 0.5
+    assert told["next_sample"]["usd"] > 0
+
+
+def test_below_the_asked_confidence_it_is_said_aloud(shell: Shell) -> None:
+    records = [sample("a.small", 3.0), sample("b.small", 3.0), sample("a.huge", 0.6)]
+    found = compiled(
+        shell, records, hardware="{cpus: 8..8}", constraints="{latency: 1.1s, confidence: 0.99}", code=None
+    )
+    assert 0.5 < found["menu"]["balanced"]["probability"] < 0.99
+    assert any("confidence 0.99" in text for text in found["menu"]["warnings"])
+    manifest = shell.read("compiled/demo/manifest.yaml")
+    assert "sure: false" in manifest
+    assert "verified: false" in manifest
+
+
+def test_spot_pays_for_its_interruptions(shell: Shell) -> None:
+    records = [sample(name, 600.0) for name in ("a.small", "a.large", "b.small", "b.large")]
+    calm = compiled(shell, records, hardware="{cpus: 2..8, spot: true}", constraints="{latency: 1h}", benchmark=LONG,
+                    objective="{alpha: 0, interruption: {rate: 0.01/h, restart: 1min}}")  # fmt: skip
+    wild = compiled(shell, records, hardware="{cpus: 2..8, spot: true}", constraints="{latency: 1h}", benchmark=LONG,
+                    objective="{alpha: 0, interruption: {rate: 10/h, restart: 30min}}")  # fmt: skip
+    assert calm["menu"]["balanced"]["spot"]
+    assert not wild["menu"]["balanced"]["spot"]
+
+
+def test_data_transfer_is_part_of_the_cost(shell: Shell) -> None:
+    records = [sample("a.small", 3.0), sample("a.large", 1.0)]
+    without = compiled(shell, records)["menu"]["balanced"]["cost"]
+    moved = compiled(shell, records, objective="{transfer: {per_request: 1GiB, price: $0.09/GiB}}")["menu"]["balanced"][
+        "cost"
+    ]
+    cost = [float(text.strip("$").removesuffix("/request")) for text in (without, moved)]
+    assert cost[1] - cost[0] == pytest.approx(0.09, abs=1e-3)
+
+
+def test_a_machine_library_is_named_in_models_and_manifest(shell: Shell, tmp_path: Any) -> None:
+    machines = ["Cloud,InstanceType,vCPUs,MemoryGiB,Price"]
+    machines += [f"aws,{name},{c},{m},{p}" for name, (c, m, p) in SHAPES.items() if not name.startswith("g.")]
+    rows = ["workload,suite,cloud,instance_type,latency_s"]
+    for number in range(6):
+        rows += [f"w{number},s{number},aws,{name},{1 + (number + 1) / c}" for name, (c, _, _) in SHAPES.items()
+                 if not name.startswith("g.")]  # fmt: skip
+    shell.write("priors/machines.csv", "\n".join([*machines, ""]))
+    shell.write("priors/latencies.csv", "\n".join([*rows, ""]))
+    records = [sample("a.small", 3.0), sample("a.large", 1.5)]
+    compiled(shell, records)
+    assert "priors: null" in shell.read("compiled/demo/models.yaml")
+    shell("compile", "specs/demo.yaml", "--catalog", "offers.csv", "--priors", "priors")
+    digest = next(line for line in shell.read("compiled/demo/models.yaml").splitlines() if "priors:" in line).split()[
+        -1
+    ]
+    assert digest.strip("}").startswith("sha256:")
+    assert digest.strip("}") in shell.read("compiled/demo/manifest.yaml")
+    shell("lock", "specs/demo.yaml", "--catalog", "offers.csv", "--priors", "priors")
+    shell("compile", "specs/demo.yaml")
+    assert digest.strip("}") in shell.read("compiled/demo/manifest.yaml")
+    shell("compile", "specs/demo.yaml", "--check")
+    shell.write("priors/latencies.csv", "\n".join([*rows, "w0,s0,aws,b.huge,9", ""]))
+    assert "machine library" in shell("compile", "specs/demo.yaml", code=3).err
+    shell.write("priors/latencies.csv", "nonsense\n")
+    assert "latencies.csv" in shell("compile", "specs/demo.yaml", "--priors", "priors", code=1).err

@@ -1,0 +1,288 @@
+"""The on-machine agent: every way a workload can behave ends in an outcome that says so."""
+
+import json
+import os
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fogspec.agent import agent, counting, processes
+
+AGENT = Path(agent.__file__)
+TIMED = """
+import json, os, sys, time
+def say(latency, ok=True, end="\\n"):
+    with open(os.environ["FOGSPEC_TIMINGS"], "a") as f:
+        f.write(json.dumps({"name": "plan", "start_s": time.monotonic(), "latency_s": latency, "ok": ok,
+                            "metrics": {}, "reason": None}) + end)
+"""
+
+
+def run(tmp_path: Path, *scripts: str, steps=5, after=5.0, warmup=1, startup=5.0, extra=(), environment=None):
+    processes = [w for s in scripts for w in ("--process", json.dumps([sys.executable, "-c", TIMED + s]))]
+    limits = ["--after", str(after), "--warmup", str(warmup), "--startup", str(startup)]
+    command = [sys.executable, str(AGENT), "--out", str(tmp_path / "out"), *limits, *extra, *processes]
+    if steps is not None:
+        command += ["--steps", str(steps)]
+    ended = subprocess.run(command, timeout=60, capture_output=True, text=True, env=environment)
+    outcome = json.loads((tmp_path / "out" / "outcome.json").read_text())
+    assert ended.returncode == (0 if outcome["state"] == "ok" else 1), ended.stderr
+    return outcome
+
+
+FOREVER = "while True: say(0.01); time.sleep(0.01)"
+
+
+def test_stops_by_steps_warm_up_not_counted(tmp_path):
+    outcome = run(tmp_path, FOREVER, steps=20, warmup=3)
+    assert (outcome["state"], outcome["stopped_by"]) == ("ok", "steps")
+    assert outcome["requests"] >= 23
+    assert 0 < outcome["setup_s"] < outcome["duration_s"] < 5
+
+
+def test_stops_by_time(tmp_path):
+    outcome = run(tmp_path, FOREVER, steps=None, after=0.5)
+    assert (outcome["state"], outcome["stopped_by"]) == ("ok", "time")
+    assert outcome["duration_s"] - outcome["setup_s"] < 4
+
+
+def test_stops_as_soon_as_the_mean_is_known_well_enough(tmp_path):
+    outcome = run(tmp_path, FOREVER, steps=100_000, after=30, extra=["--precision", "0.05"])
+    assert outcome["stopped_by"] == "precision"
+    assert outcome["requests"] < 100
+
+
+def test_a_crash_says_how(tmp_path):
+    outcome = run(tmp_path, "say(1.0); raise SystemExit('no camera')")
+    assert (outcome["state"], outcome["reason"], outcome["exit_codes"]) == ("failed", "crash", [1])
+    assert "exit code 1: no camera" in outcome["detail"]
+
+
+def test_one_process_of_two_that_crashes_ends_both(tmp_path):
+    outcome = run(tmp_path, "time.sleep(600)", "import ctypes; ctypes.string_at(0)")
+    assert outcome["reason"] == "crash"
+    assert "ended by signal 11 (Segmentation fault)" in outcome["detail"]
+    assert None not in outcome["exit_codes"]
+
+
+def test_memory_that_runs_out_is_told_from_a_crash(tmp_path):
+    assert run(tmp_path, "raise MemoryError")["reason"] == "out_of_memory"
+
+
+@pytest.mark.parametrize(
+    "script", ["time.sleep(600)", "raise SystemExit('a worker is gone')", "say(1.0); time.sleep(600)"]
+)
+def test_the_kernel_s_kills_for_want_of_memory_explain_what_came_of_them(tmp_path, monkeypatch, script):
+    # Running a whole machine out of memory is no test's business: the counter is what it would be.
+    kills = iter([7])
+    monkeypatch.setattr(processes, "memory_kills", lambda: next(kills, 8))
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    arguments = ["--out", str(tmp_path), "--after", "0.3", "--startup", "0.5", "--warmup", "1"]
+    assert agent.main([*arguments, "--process", json.dumps([sys.executable, "-c", TIMED + script])]) == 1
+    outcome = json.loads((tmp_path / "outcome.json").read_text())
+    assert (outcome["state"], outcome["reason"]) == ("failed", "out_of_memory")
+    assert "the kernel ended a process for want of memory" in outcome["detail"]
+
+
+def test_the_kernel_s_counter_is_read(tmp_path, monkeypatch):
+    assert processes.memory_kills() >= 0
+    monkeypatch.setattr(processes, "VMSTAT", tmp_path / "vmstat")
+    monkeypatch.setattr(processes, "own_counters", list)
+    assert processes.memory_kills() == 0
+    (tmp_path / "vmstat").write_text("pgfault 12\noom_kill 3\nnr_x 1\n")
+    assert processes.memory_kills() == 3
+
+
+def test_a_program_that_is_not_there(tmp_path):
+    limits = ["--after", "1", "--startup", "1", "--process", '["/no/such/program"]']
+    subprocess.run([sys.executable, str(AGENT), "--out", str(tmp_path), *limits], timeout=120)
+    outcome = json.loads((tmp_path / "outcome.json").read_text())
+    assert (outcome["state"], outcome["reason"]) == ("failed", "setup")
+    assert "/no/such/program cannot be started: No such file" in outcome["detail"]
+
+
+def test_a_silent_end_and_silence_are_no_response(tmp_path):
+    outcome = run(tmp_path / "a", "pass")
+    assert (outcome["reason"], outcome["stopped_by"]) == ("no_response", "exit")
+    outcome = run(tmp_path / "b", "time.sleep(600)", startup=0.5)
+    assert (outcome["reason"], outcome["stopped_by"]) == ("no_response", "startup")
+    assert outcome["duration_s"] < 10
+
+
+def test_a_hang_after_the_first_request_is_ended_by_time_and_leaves_a_lower_bound(tmp_path):
+    outcome = run(tmp_path, "say(0.1); time.sleep(600)", after=0.6)
+    assert (outcome["state"], outcome["stopped_by"]) == ("timeout", "time")
+    assert 0.5 < outcome["waited_s"] < 5
+
+
+def test_silence_after_whoever_asked_has_ended_tells_nothing(tmp_path):
+    outcome = run(tmp_path, "say(0.1)", "time.sleep(600)", after=0.6, warmup=0)
+    assert (outcome["state"], outcome["stopped_by"], outcome["waited_s"]) == ("ok", "time", None)
+
+
+def test_a_workload_that_ends_by_itself_was_measured(tmp_path):
+    outcome = run(tmp_path, "[say(0.1) for _ in range(4)]", steps=100)
+    assert (outcome["state"], outcome["stopped_by"], outcome["requests"]) == ("ok", "exit", 4)
+
+
+def test_partial_and_senseless_lines(tmp_path):
+    script = r"""
+with open(os.environ["FOGSPEC_TIMINGS"], "ab", buffering=0) as f:
+    f.write(b'\xff\xfe\n[]\n{"latency_s": -1, "ok": true}\n{"latency_s": NaN, "ok": true}\n')
+    f.write(b'{"latency_s": 1' + b'0' * 400 + b', "ok": true}\n' + b'[' * 5000 + b'\n')
+    f.write(b'{"latency_s": 0.5,'); time.sleep(0.3); f.write(b' "ok": true}\n{"latency_s": 0.5, "ok"')
+"""
+    outcome = run(tmp_path, script, warmup=0)
+    assert (outcome["requests"], outcome["unreadable"]) == (1, 6)
+
+
+def test_processes_that_detach_and_ignore_signals_are_ended(tmp_path):
+    stubborn = """
+import signal, subprocess
+for number in (signal.SIGINT, signal.SIGTERM): signal.signal(number, signal.SIG_IGN)
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        open(os.environ["FOGSPEC_TIMINGS"] + ".pid", "w").write(str(os.getpid()))
+        while True: time.sleep(1)
+    os._exit(0)
+while True: say(0.01); time.sleep(0.05)
+"""
+    run(tmp_path, stubborn, steps=8)
+    pid = int((tmp_path / "out" / "timings.jsonl.pid").read_text())
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_term_is_answered_with_an_outcome(tmp_path):
+    limits = ["--after", "60", "--startup", "60", "--process", json.dumps([sys.executable, "-c", TIMED + FOREVER])]
+    started = subprocess.Popen([sys.executable, str(AGENT), "--out", str(tmp_path), *limits])
+    while not (tmp_path / "timings.jsonl").exists() or not (tmp_path / "timings.jsonl").stat().st_size:
+        time.sleep(0.02)
+    started.send_signal(signal.SIGTERM)
+    assert started.wait(10) == 1
+    outcome = json.loads((tmp_path / "outcome.json").read_text())
+    assert (outcome["reason"], outcome["detail"]) == ("interrupted", "ended by signal 15 (Terminated)")
+    assert outcome["requests"] >= 1
+
+
+def test_logs_are_kept_small(tmp_path, monkeypatch):
+    chatty = "while True: print('x' * 2**20); say(0.01); time.sleep(0.005)"
+    run(tmp_path, chatty, steps=60, after=20)
+    assert (tmp_path / "out" / "process-0.log").stat().st_size < 2 * agent.LOG_LIMIT
+
+
+def test_the_probes_are_importable_and_this_file_shadows_nobodys_agent(tmp_path):
+    looks = "import fogspec_probe, fogspec_machine.topics, importlib.util as u\nassert u.find_spec('agent') is None\nsay(1.0)"
+    outcome = run(tmp_path, looks, warmup=0)
+    assert outcome["state"] == "ok"
+
+
+def test_a_full_disk_does_not_silence_it(tmp_path, monkeypatch):
+    agent.reserve(tmp_path)
+    assert (tmp_path / "outcome.part").stat().st_size >= 16384
+    agent.write_outcome(tmp_path, {"state": "ok", "detail": "x" * 9000})
+    assert json.loads((tmp_path / "outcome.json").read_text())["state"] == "ok"
+    assert not (tmp_path / "outcome.part").exists()
+
+
+def test_an_out_folder_that_cannot_be_written_is_said_on_standard_error(tmp_path):
+    (tmp_path / "out").write_text("a file")
+    limits = ["--after", "1", "--startup", "1", "--process", '["true"]']
+    ended = subprocess.run([sys.executable, str(AGENT), "--out", str(tmp_path / "out"), *limits],
+                           capture_output=True, text=True, timeout=120)  # fmt: skip
+    assert ended.returncode == 1
+    assert "the agent could not work" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("wrong", ['"text"', "[]", "[1]", "{", '{"a": 1}'])
+def test_a_wrong_process_is_refused(wrong):
+    with pytest.raises(SystemExit) as end:
+        agent.parse(["--out", "x", "--after", "1", "--startup", "1", "--process", wrong])
+    assert end.value.code == 2
+
+
+@pytest.mark.parametrize(("statistic", "truth"), [("mean", 1.0), ("p50", 1.0), ("p95", 1.0 + 0.1 * 1.6449)])
+def test_the_interval_covers_the_truth_as_often_as_it_says(statistic, truth):
+    source = random.Random(7)
+    covered = 0
+    for _ in range(400):
+        values = [source.gauss(1.0, 0.1) for _ in range(150)]
+        value, half = counting.interval(values, statistic)
+        # The quantile's interval is not centred on it; ± half of it is what stopping looks at.
+        covered += abs(value - truth) <= half
+    assert 0.88 <= covered / 400 <= 0.995
+
+
+def test_successive_requests_that_resemble_each_other_widen_the_interval():
+    source, level, values = random.Random(1), 0.0, []
+    for _ in range(400):
+        level = 0.8 * level + source.gauss(0, 0.1)
+        values.append(1 + level)
+    _, half = counting.interval(values, "mean")
+    assert half > 2 * 1.96 * statistics.stdev(values) / 20
+
+
+def test_equal_latencies_are_known_exactly_and_rare_quantiles_not_at_all():
+    assert counting.interval([0.5] * 10, "mean") == (0.5, 0.0)
+    assert counting.interval([0.5] * 50, "p99")[1] == float("inf")
+
+
+def test_only_requests_of_the_callback_count(tmp_path):
+    script = """
+other = lambda: open(os.environ["FOGSPEC_TIMINGS"], "a").write('{"name": "inner", "latency_s": 9, "ok": true}\\n')
+while True: [other() for _ in range(5)]; say(0.01); time.sleep(0.02)
+"""
+    outcome = run(tmp_path, script, steps=4, warmup=1, extra=["--callback", "plan"])
+    assert (outcome["stopped_by"], outcome["unreadable"]) == ("steps", 0)
+    lines = (tmp_path / "out" / "timings.jsonl").read_text().splitlines()
+    assert sum('"plan"' in line for line in lines) >= 5
+
+
+def afterwards(script: str) -> tuple[str, str]:
+    return "--afterwards", json.dumps([sys.executable, "-c", TIMED + script])
+
+
+def test_records_that_are_written_once_everything_has_ended(tmp_path):
+    reads = "import pathlib; assert float(os.environ['FOGSPEC_BEGUN']) <= time.time(); [say(0.1) for _ in range(4)]"
+    outcome = run(tmp_path / "a", "time.sleep(600)", steps=None, after=0.6, extra=afterwards(reads))
+    assert (outcome["state"], outcome["stopped_by"], outcome["requests"]) == ("ok", "time", 4)
+    assert outcome["duration_s"] < 5
+    outcome = run(tmp_path / "b", "pass", steps=None, extra=afterwards(reads))
+    assert (outcome["state"], outcome["stopped_by"]) == ("ok", "exit")
+
+
+def test_what_cannot_be_read_afterwards_says_why_and_a_crash_stays_one(tmp_path):
+    outcome = run(tmp_path / "a", "pass", steps=None, extra=afterwards("raise SystemExit('the bag is damaged')"))
+    assert (outcome["state"], outcome["reason"], outcome["detail"]) == ("failed", "no_response", "the bag is damaged")
+    outcome = run(
+        tmp_path / "b", "raise SystemExit('no camera')", steps=None, extra=afterwards("[say(1) for _ in range(3)]")
+    )
+    assert (outcome["reason"], outcome["requests"]) == ("crash", 3)
+
+
+def test_reading_afterwards_has_an_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(agent, "AFTERWARDS_S", 0.3)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    limits = ["--out", str(tmp_path), "--after", "1", "--startup", "1", *afterwards("time.sleep(600)")]
+    assert agent.main([*limits, "--process", '["true"]']) == 1
+    detail = json.loads((tmp_path / "outcome.json").read_text())["detail"]
+    assert detail == "nothing was timed within 0.3 s after the end"
+
+
+def test_what_a_probe_notes_is_no_request_and_explains_why_there_is_none(tmp_path):
+    script = """
+with open(os.environ["FOGSPEC_TIMINGS"], "a") as f:
+    f.write('{"note": "nobody publishes /pose"}\\n{"warning": "x"}\\n{"metric": {"m": 1}, "at_s": 1}\\n{"unmatched": true}\\n')
+time.sleep(600)
+"""
+    outcome = run(tmp_path, script, startup=0.6)
+    assert outcome["detail"] == "no timed request within 0.6 s of the start: nobody publishes /pose"
+    assert (outcome["requests"], outcome["unreadable"]) == (0, 0)

@@ -1,0 +1,67 @@
+"""What is read out of a deployment's log: it came from another machine, so nothing in it is trusted."""
+
+import json
+
+import pytest
+
+from fogspec.backends import agent_state
+
+
+def line(**said) -> bytes:
+    return b"\x1b[36m(task, pid=7)\x1b[0m === fogspec state " + json.dumps(said).encode() + b" ===\n"
+
+
+def test_the_last_word_counts() -> None:
+    log = (
+        line(state="starting", ready_s=None)
+        + b"nodes talk\n"
+        + line(state="ready", ready_s=2.5, observed=True)
+        + b"more\n"
+    )
+    live = agent_state.told(log, "192.0.2.1")
+    assert (live.state, live.ready_s, live.address, live.observed) == ("ready", 2.5, "192.0.2.1", True)
+
+
+def test_silence() -> None:
+    assert agent_state.told(b"nodes talk\n", None) is None
+
+
+def test_requests_in_few_words() -> None:
+    live = agent_state.told(
+        line(state="ready", latest=[["plan", 0.5, True, None], ["plan", 0.1, False, "door"], ["x"], 7]), None
+    )
+    records = [json.loads(one) for one in live.timings.splitlines()]
+    assert [(one["latency_s"], one["ok"], one["scenario"]) for one in records] == [
+        (0.5, True, None),
+        (0.1, False, "door"),
+    ]
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"state": "perfect"}, {"state": None}, {"state": ["ready"]}, {"state": "ready", "ready_s": "soon", "detail": 5},
+        {"state": "ready", "ready_s": -1}, {"state": "ready", "latest": "many"}, {"state": "ready", "link": "rm -rf /; $(x)"},
+    ],
+)  # fmt: skip
+def test_rubbish_is_left_out(said) -> None:
+    live = agent_state.told(line(**said), None)
+    assert live.state in ("starting", "ready")
+    assert (live.ready_s, live.link, live.timings) == (None, None, b"")
+
+
+def test_broken_json_and_long_words() -> None:
+    assert agent_state.told(b"=== fogspec state {not json} ===\n", None).state == "starting"
+    said = agent_state.told(line(state="ended", detail="\x1b[31m" + "x" * 1000), None)
+    assert said.detail is not None
+    assert len(said.detail) == 300
+    assert "\x1b" not in said.detail
+
+
+def test_timings_are_cut_at_a_line() -> None:
+    whole = b'{"latency_s": 1}\n' * 100_000
+    cut = agent_state.tail(whole)
+    assert len(cut) <= agent_state.TAIL_BYTES
+    assert cut.startswith(b"{")
+    assert cut.endswith(b"\n")
+    assert agent_state.tail(b"short\n") == b"short\n"

@@ -1,0 +1,141 @@
+"""Confinement holds: CPUs for every descendant, memory, and an end for all of the session."""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fogspec.backends.local import limits
+
+ALL = sorted(os.sched_getaffinity(0))
+
+
+def run(tmp_path: Path, script: str, cpus: int = 1, memory_gib: float = 1.0) -> tuple[limits.Confined, Path]:
+    log = tmp_path / "log"
+    words = [sys.executable, "-c", script]
+    started = limits.start(words, cpus=cpus, memory_gib=memory_gib, cwd=tmp_path, env=dict(os.environ),
+                            stdout_path=log, stderr_path=log)  # fmt: skip
+    return started, log
+
+
+def ended(started: limits.Confined) -> int:
+    code = started.process.wait(30)
+    started.end(grace_s=0)
+    return code
+
+
+@pytest.mark.parametrize("cpus", range(1, min(len(ALL), 4) + 1))
+def test_a_grandchild_sees_just_so_many_cpus(tmp_path, cpus):
+    script = "import os, subprocess; subprocess.run(['nproc'], env={'PATH': os.environ['PATH']})"
+    started, log = run(tmp_path, script, cpus=cpus)
+    assert ended(started) == 0
+    assert log.read_text().strip() == str(cpus)
+    assert len(set(started.cpus)) == cpus
+    assert sorted(os.sched_getaffinity(0)) == ALL
+
+
+def test_more_cpus_than_there_are_is_an_error(tmp_path):
+    with pytest.raises(ValueError, match="CPUs were asked for"):
+        run(tmp_path, "pass", cpus=len(ALL) + 1)
+
+
+def test_distinct_cores_come_before_siblings(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4, 5})
+    monkeypatch.setattr(limits, "_core", lambda cpu: f"core {cpu // 2}")
+    assert limits.pick_cpus(3) == (0, 2, 4)
+    assert limits.pick_cpus(4) == (0, 1, 2, 4)
+
+
+HOG = "kept = []\nwhile True: kept.append(bytearray(2**24)); kept[-1][::4096] = b'x' * 4096"
+
+
+def test_memory_is_bounded_and_the_bound_is_the_one_asked_for(tmp_path):
+    fits, _ = run(tmp_path, "x = bytearray(2**27)", memory_gib=0.5)
+    assert ended(fits) == 0
+    hog, log = run(tmp_path, HOG, memory_gib=0.5)
+    code = hog.process.wait(60)
+    if hog.memory_by == "rlimit":
+        assert code == 1
+        assert log.read_text().splitlines()[-1] == "MemoryError"
+    else:
+        assert code == -9
+        assert hog.outcome() == "out_of_memory"
+    hog.end(grace_s=0)
+
+
+def test_ending_asks_first_then_ends_the_whole_session(tmp_path):
+    script = """
+import os, signal, time
+signal.signal(signal.SIGTERM, lambda *_: (print("asked", flush=True), os._exit(3)))
+child = os.fork()
+if child == 0:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    time.sleep(600)
+print(child, "ready", flush=True)
+time.sleep(600)
+"""
+    started, log = run(tmp_path, script)
+    while "ready" not in (log.read_text() if log.exists() else ""):
+        time.sleep(0.02)
+    began = time.monotonic()
+    started.end(grace_s=5)
+    started.end(grace_s=5)
+    assert started.poll() == 3
+    assert time.monotonic() - began < 3
+    assert "asked" in log.read_text()
+    child = int(log.read_text().split()[0])
+    until = time.monotonic() + 5
+    while alive(child) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert not alive(child)
+
+
+def alive(pid: int) -> bool:
+    """Whether it runs: whoever adopted it may not have buried it yet."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
+
+
+def test_what_cannot_be_started_leaves_nothing(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        run(tmp_path / "missing", "pass")
+
+
+def hierarchy(tmp_path: Path, monkeypatch, lines: str, files: dict[str, str]) -> None:
+    """A made-up /sys/fs/cgroup, since a machine has one kind only."""
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    real = limits._text
+    monkeypatch.setattr(limits, "CGROUPS", tmp_path)
+    monkeypatch.setattr(limits, "_text", lambda path: lines if str(path) == "/proc/self/cgroup" else real(path))
+
+
+def test_capacity_is_the_smallest_limit_on_the_way_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)))
+    files = {
+        "a/cpu.max": "350000 100000",
+        "a/b/cpu.max": "max 100000",
+        "a/memory.max": "1073741824",
+        "a/b/memory.max": "max",
+    }
+    hierarchy(tmp_path, monkeypatch, "0::/a/b", files)
+    assert limits.host_capacity() == (3, 1.0)
+
+
+def test_capacity_reads_limits_of_version_1(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)))
+    files = {"cpu/x/cpu.cfs_quota_us": "50000\n", "cpu/x/cpu.cfs_period_us": "100000\n",
+             "memory/memory.limit_in_bytes": "536870912\n"}  # fmt: skip
+    hierarchy(tmp_path, monkeypatch, "3:cpu:/x\n2:memory:/seen/only/outside\n0::/", files)
+    assert limits.host_capacity() == (1, 0.5)
+
+
+def test_a_folder_without_memory_controller_is_no_cgroup(tmp_path, monkeypatch):
+    hierarchy(tmp_path, monkeypatch, "0::/a", {"a/cgroup.procs": "", "cgroup.procs": ""})
+    assert limits.memory_by() == "rlimit"
+    assert sorted(path.name for path in tmp_path.rglob("fogspec-*")) == []

@@ -1,0 +1,114 @@
+"""The journal: every cut through it is a state to go on from, and damage is never passed over."""
+
+import json
+import os
+
+import pytest
+
+from fogspec.base.errors import Differs
+from fogspec.bench.journal import Journal, Started
+from fogspec.plan.schema import MachineRef, Sample
+from fogspec.results.schema import Measured
+
+MACHINE = MachineRef(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory="4GiB", spot=False, price="$3.6/h")
+SAMPLE = Sample(id="one", machine=MACHINE, reason="a corner")
+RECORD = Measured(id="one", machine=MACHINE, measured_on="aws/c6i.large", state="timeout", requests=0,
+                  duration="100s", spent="$0.1")  # fmt: skip
+
+
+def started(name: str) -> Started:
+    return Started(name, "local", "sha256:app", SAMPLE, 3.6, 600.0, 12.5, "boot")
+
+
+def whole(path) -> Journal:
+    journal = Journal(path)
+    journal.begin("local", "sha256:app", "sha256:plan", 1.0)
+    journal.start(started("a"))
+    journal.end("a", 0.1, RECORD)
+    journal.written("a")
+    journal.start(started("b"))
+    journal.end("b", 0.2, None)
+    journal.start(started("c"))
+    return journal
+
+
+def test_what_is_read_back_is_what_was_written(tmp_path):
+    journal = whole(tmp_path / "state" / "journal.jsonl")
+    journal.close()
+    again = Journal(tmp_path / "state" / "journal.jsonl")
+    assert again.book == journal.book
+    assert list(again.book.open) == ["c"]
+    assert again.book.open["c"] == started("c")
+    assert again.book.open["c"].commitment_usd == pytest.approx(0.6)
+    assert (again.book.unwritten, again.book.attempts) == ({}, 3)
+    assert again.book.spent_usd == pytest.approx(1.3)
+    again.close()
+
+
+def test_a_record_that_was_not_written_yet_is_remembered(tmp_path):
+    journal = Journal(tmp_path / "journal.jsonl")
+    journal.begin("local", "sha256:app", "sha256:plan", 0.0)
+    journal.start(started("a"))
+    journal.end("a", 0.1, RECORD)
+    journal.close()
+    again = Journal(tmp_path / "journal.jsonl")
+    assert again.book.unwritten["a"] == (started("a"), RECORD)
+    again.close()
+
+
+def test_a_cut_anywhere_is_a_state_to_go_on_from(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    whole(path).close()
+    content = path.read_bytes()
+    for size in range(0, len(content), 7):
+        path.write_bytes(content[:size])
+        journal = Journal(path)
+        journal.append(do="start", **{**{key: getattr(started("z"), key) for key in Started.__slots__},
+                                      "sample": SAMPLE.model_dump(mode="json")})  # fmt: skip
+        journal.close()
+        lines = path.read_bytes().splitlines()
+        assert [json.loads(line) for line in lines][-1]["name"] == "z"
+        assert lines[:-1] == content[:size].splitlines()[: len(lines) - 1]
+
+
+@pytest.mark.parametrize("damage", [b"nonsense", b"{}", b"[]", b"null", b'{"do": "end", "name": "who"}', b"\xff\xfe"])
+def test_damage_is_said_with_its_line(tmp_path, damage):
+    path = tmp_path / "journal.jsonl"
+    whole(path).close()
+    lines = path.read_bytes().splitlines(keepends=True)
+    content = b"".join([*lines[:2], damage + b"\n", *lines[2:]])
+    path.write_bytes(content)
+    with pytest.raises(Differs, match=r"journal\.jsonl:3: this line"):
+        Journal(path)
+    assert path.read_bytes() == content
+
+
+def test_a_full_disk_leaves_the_journal_as_it_was(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    whole(path).close()
+    before = path.read_bytes()
+    full = False
+
+    def sync(handle: int) -> None:
+        if full:
+            raise OSError(28, "No space left on device")
+        os.fsync(handle)
+
+    journal = Journal(path, sync)
+    book = list(journal.book.open)
+    full = True
+    with pytest.raises(OSError, match="No space"):
+        journal.start(started("d"))
+    assert (path.read_bytes(), list(journal.book.open)) == (before, book)
+    full = False
+    journal.start(started("d"))
+    journal.close()
+
+
+def test_money_of_machines_without_a_record_is_not_forgotten(tmp_path):
+    journal = whole(tmp_path / "journal.jsonl")
+    journal.begin("local", "sha256:app", "sha256:plan", 1.1)
+    assert journal.book.spent_usd == pytest.approx(1.3)
+    journal.begin("local", "sha256:another", "sha256:plan", 0.0)
+    assert journal.book.spent_usd == 0.0
+    journal.close()

@@ -1,0 +1,67 @@
+"""The live table: what it says of samples, also of those that nobody knew of when it began."""
+
+import io
+import json
+from pathlib import Path
+
+from rich.console import Console
+
+from fogspec.backends.protocol import Progress, SoFar
+from fogspec.bench.live_table import COLUMNS, LiveTable
+from fogspec.bench.types import Event
+from fogspec.plan.schema import MachineRef, Sample
+from fogspec.results.schema import LatencySummary, Measured
+
+
+def sample(name: str) -> Sample:
+    machine = MachineRef(infra="aws/r1", instance=f"{name}.large", cpus=2, memory=4.0, price=0.1)
+    return Sample(id=name, machine=machine, reason="")
+
+
+def drawn(table: LiveTable) -> list[list[str]]:
+    columns = [list(column.cells) for column in table.table().columns]
+    return [[str(cell) for cell in row] for row in zip(*columns, strict=True)]
+
+
+def test_it_shows_what_happens(tmp_path: Path):
+    now = [0.0]
+    console = Console(file=io.StringIO(), width=200)
+    table = LiveTable([sample("a"), sample("b")], 200, 2.5, lambda: now[0], console)
+    assert [column.header for column in table.table().columns] == list(COLUMNS)
+    assert [row[2] for row in drawn(table)] == ["waits", "waits"]
+    timings = tmp_path / "timings.jsonl"
+    line = {"name": "w", "latency_s": 0.5, "ok": True}
+    timings.write_text((json.dumps(line) + "\n") * 3 + '{"name": "cut off')
+    table(Event(sample("a"), "starts", 0.0, 0.2, ends_s=100.0))
+    now[0] = 40.0
+    table(Event(sample("a"), "measures", 0.0, 0.2, Progress(running=True, timings=timings), ends_s=100.0))
+    row = drawn(table)[0]
+    assert row == ["a", "aws/r1/a.large", "measures", "3 of 200", "500ms", "40 s", "at most 60 s"]
+    assert "of $2.50, committed at most $0.2000" in str(table.table().caption)
+    far = Progress(running=True, so_far=SoFar(12, 0.25))
+    table(Event(sample("b"), "measures", 0.0, 0.2, far, ends_s=100.0))
+    assert drawn(table)[1][3:5] == ["12 of 200", "250ms"], "its timings come when it is over"
+    record = Measured(
+        id="a", machine=sample("a").machine, measured_on="x", state="ok", requests=200, duration=55.0, spent=0.1,
+        latency=LatencySummary(mean=0.5),
+    )  # fmt: skip
+    table(Event(sample("a"), "is done", 0.1, 0.0, record=record))
+    assert drawn(table)[0][2:] == ["ok", "200 of 200", "500ms", "55 s", ""]
+    table(Event(sample("later"), "starts", 0.1, 0.2, ends_s=300.0))
+    assert [row[0] for row in drawn(table)] == ["a", "b", "later"]
+    with table:
+        now[0] += 1
+
+
+def test_a_narrow_terminal_shows_whole_names(tmp_path: Path):
+    names = [f"aws-us-east-1-c6i-{size}xlarge" for size in (2, 4)]
+    out = io.StringIO()
+    table = LiveTable([sample(name) for name in names], 200, None, lambda: 0.0, Console(file=out, width=80), warmup=5)
+    timings = tmp_path / "timings.jsonl"
+    timings.write_text(json.dumps({"name": "w", "latency_s": 0.5, "ok": True}) + "\n")
+    for count, shown in ((1, ""), (7, "2 of 200")):
+        timings.write_text((json.dumps({"name": "w", "latency_s": 0.5, "ok": True}) + "\n") * count)
+        table(Event(sample(names[0]), "measures", 0.0, 0.2, Progress(running=True, timings=timings)))
+        assert drawn(table)[0][2] == shown, "warm-up does not count"
+    Console(file=out, width=80).print(table.table())
+    assert all(name in out.getvalue() for name in names)

@@ -1,0 +1,121 @@
+"""The results file while it grows: whole, sealed, in the plan's order, and without secrets."""
+
+import gzip
+
+import pytest
+
+from fogspec.agent.secrecy import Secrets
+from fogspec.base import digest
+from fogspec.base.errors import Refused, WrongFile
+from fogspec.base.layout import Layout
+from fogspec.bench.results_file import ResultsFile, set_aside
+from fogspec.bench.run import check_same_runner
+from fogspec.plan.schema import MachineRef
+from fogspec.results.io import read_results, recordings
+from fogspec.results.schema import LatencySummary, Measured, intact
+
+MACHINE = MachineRef(infra="local", instance="1cpu-1gib", cpus=1, memory="1GiB", spot=False, price="$0/h")
+
+
+def record(name: str, detail: str | None = None) -> Measured:
+    latency = LatencySummary.model_construct(mean=0.1 / 3, sd=1e-9, p50=None, p95=None, p99=None)
+    return Measured.model_construct(
+        id=name, machine=MACHINE, measured_on="local/1cpu-1gib", state="ok", reason=None, detail=detail, requests=3,
+        failed_requests=0, latency=latency, waited=None, metrics={"length": 1 / 3}, duration=1 / 7, spent=1 / 9,
+        timings=None,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def file(tmp_path):
+    layout = Layout.of(tmp_path / "specs" / "app.yaml", "app")
+    return ResultsFile(layout, "sha256:a", "sha256:p", "local", None, None, ["b", "a"])
+
+
+def test_after_every_record_the_file_is_whole_and_says_the_same_numbers(file):
+    for count, name in enumerate(["a", "x", "b"], 1):
+        file.put(record(name), 0.1 * count)
+        read = read_results(file.layout)
+        assert intact(read)
+        assert {one.id for one in read.spec.samples} >= {name}
+    assert [one.id for one in read.spec.samples] == ["b", "a", "x"]
+    assert read == file.results()
+    assert read.spec.samples[0] == record("b")
+
+
+def test_going_on_gives_the_same_bytes_as_one_run(file):
+    for name in ("a", "b"):
+        file.put(record(name), 0.2)
+    before = file.layout.results.read_bytes()
+    other = ResultsFile(file.layout, "sha256:a", "sha256:p", "local", None, None, ["b", "a"])
+    other.take(read_results(file.layout))
+    other.write()
+    assert file.layout.results.read_bytes() == before
+
+
+def test_timings_are_kept_and_named(file, tmp_path):
+    raw = tmp_path / "raw.jsonl"
+    raw.write_text("{}\n")
+    kept = file.keep(record("a"), raw)
+    packed = (file.layout.results.parent / kept.timings.path).read_bytes()
+    assert gzip.decompress(packed) == b"{}\n"
+    raw.write_text("")
+    assert file.keep(record("a"), raw).timings is None
+    assert file.keep(record("a"), None).timings is None
+
+
+def test_a_results_folder_that_cannot_be_written_is_said(file):
+    file.layout.results.parent.write_text("a file")
+    with pytest.raises(WrongFile, match=r"results/app\.yaml: cannot be written"):
+        file.put(record("a"), 0.0)
+
+
+def test_secrets_do_not_reach_the_results(file, monkeypatch):
+    monkeypatch.setenv("MAP_TOKEN", "s3cr3t-value")
+    file.redact = Secrets.of(["MAP_TOKEN", "NOT_SET"]).out_of
+    assert file.keep(record("a", "401 for s3cr3t-value"), None).detail == "401 for $MAP_TOKEN"
+
+
+def test_older_results_are_set_aside_with_their_timings(file, tmp_path):
+    raw = tmp_path / "raw.jsonl"
+    for number in (1, 2):
+        raw.write_text(f"{number}\n")
+        file.put(file.keep(record("a"), raw), 0.0)
+        before = file.layout.results.read_bytes()
+        kept = set_aside(file.layout)
+        assert kept.relative_to(tmp_path).as_posix() == f"results/app.old-{number}/app.yaml"
+        assert kept.read_bytes() == before
+        (found,), _ = recordings(str(kept))
+        assert found.timings is not None
+        assert digest.of_bytes(found.timings.read_bytes()) == found.record.timings.digest
+    assert not file.layout.results.exists()
+    assert not file.layout.timings.exists()
+
+
+@pytest.mark.parametrize("reason", ["interrupted", "budget", "capacity", "quota"])
+def test_what_was_measured_stays_when_measuring_it_again_comes_to_nothing(file, tmp_path, reason):
+    raw = tmp_path / "raw.jsonl"
+    raw.write_text("first\n")
+    first = file.keep(record("a"), raw)
+    file.put(first, 0.1)
+    raw.write_text("second\n")
+    broken = record("a").model_copy(update={"state": "failed", "reason": reason})
+    file.put(file.keep(broken, raw), 0.3)
+    read = read_results(file.layout)
+    assert (read.spec.samples, read.spec.spent) == ([first], 0.3)
+    path = file.layout.results.parent / first.timings.path
+    assert gzip.decompress(path.read_bytes()) == b"first\n"
+    crashed = broken.model_copy(update={"reason": "crash"})
+    file.put(file.keep(crashed, raw), 0.4)
+    assert read_results(file.layout).spec.samples[0].reason == "crash"
+
+
+def test_measurements_of_two_kinds_are_not_mixed(file):
+    class Other:
+        name = "replay"
+
+    file.put(record("a"), 0.0)
+    with pytest.raises(Refused, match="they are not mixed"):
+        check_same_runner(file.results(), Other())
+    file.samples.clear()
+    check_same_runner(file.results(), Other())

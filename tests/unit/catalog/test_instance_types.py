@@ -1,0 +1,42 @@
+"""Instance types: one for all places and price kinds of a machine."""
+
+import numpy as np
+
+from fogspec.catalog.instance_types import Shape, types_of, with_measured
+from fogspec.catalog.table import concatenated
+from tests.bench_choice import offers
+
+
+def test_places_of_one_type_are_one_type_and_the_cheapest_stands_for_it():
+    few = offers(20)
+    twice = few.take(np.repeat(np.arange(20), 2))
+    twice.price_usd_per_hour[1::2] *= 0.5
+    twice.region[1::2] = "elsewhere"
+    types = types_of(twice)
+    assert len(types) == len(set(few.instance))
+    for row, one in enumerate(types.of):
+        assert types.keys[one][1] == twice.instance[row]
+        assert twice.price_usd_per_hour[types.offer[one]] <= twice.price_usd_per_hour[row]
+
+
+def test_the_order_of_offers_does_not_matter():
+    few = offers(40)
+    order = np.random.default_rng(1).permutation(40)
+    one, other = types_of(few), types_of(few.take(order))
+    assert one.keys == other.keys
+    assert np.array_equal(one.of[order], other.of)
+
+
+def test_a_measured_machine_that_is_not_offered_is_described_by_the_catalog():
+    catalog = offers(30)
+    some = catalog.take(np.arange(5, 30))
+    gone = Shape("aws", str(catalog.instance[0]), 2.0, 4.0)
+    strange = Shape("aws", "never-heard.of", 7.0, 9.0)
+    joined = with_measured(some, [gone, strange], catalog)
+    assert len(joined) == 27
+    assert joined.vcpus[joined.instance == gone.instance][0] == catalog.vcpus[0]
+    assert (joined.vcpus[-1], joined.memory_gib[-1], joined.arch[-1]) == (7.0, 9.0, "") or joined.instance[
+        -1
+    ] == gone.instance
+    assert with_measured(some, [], catalog) is some
+    assert len(concatenated([some], some.about)) == 25

@@ -1,0 +1,138 @@
+"""A catalog from a file: what is understood, what is left out aloud, and where a wrong file is wrong."""
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fogspec.backends import registry
+from fogspec.base.diagnostics import Problems
+from fogspec.base.errors import WrongFile
+from tests.support.catalogs import HEAD, table
+
+GOOD = "c6i.large,,,2,4,0.085,,us-east-1,"
+
+
+def load(tmp_path: Path, content: bytes, name: str = "aws.csv") -> object:
+    path = tmp_path / name
+    path.write_bytes(content)
+    return registry.catalog(str(path), [])
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "column", "says"),
+    [
+        (b"", 1, 1, "empty"),
+        (b"InstanceType,vCPUs,MemoryGiB,Region\n", 1, 1, "missing: Price"),
+        (f"{HEAD}\n".encode(), 1, 1, "at least one row"),
+        (f"{HEAD},Price\n".encode(), 1, 1, "a column must stand once: Price"),
+        (f"{HEAD}\n{GOOD}\nc6i.xlarge,,,four,8,0.17,,us-east-1,\n".encode(), 3, 14, "vCPUs must be a number"),
+        (f"{HEAD}\n\n{GOOD}\n\nc6i.xlarge,,,4,8,-0.17,,us-east-1,\n".encode(), 5, 18, "Price must be a number"),
+        (f'{HEAD}\n"c6i,x",,,4,8,1e999,,us-east-1,\n'.encode(), 2, 15, "Price must be a number"),
+        (f"{HEAD}\n{GOOD}\nc6i.xlarge,,,4\n".encode(), 3, 1, "9 fields like the header, not 4"),
+        (f'{HEAD}\n"c6i.large,,,2\n'.encode(), 2, 1, "no CSV"),
+        (f"{HEAD}\nc6i.l\xe4rge,,,2,4,1,,us-east-1,\n".encode("latin-1"), 2, 6, "UTF-8"),
+    ],
+)
+def test_a_wrong_file_is_located(tmp_path: Path, content: bytes, line: int, column: int, says: str) -> None:
+    with pytest.raises(Problems) as caught:
+        load(tmp_path, content)
+    [found] = caught.value.diagnostics
+    assert (found.place.line, found.place.column) == (line, column)
+    assert found.place.path.endswith("aws.csv")
+    assert says in found.message
+
+
+def test_all_mistakes_are_told_at_once_in_order(tmp_path: Path) -> None:
+    rows = ["a.large,,,x,4,0.1,,r,", "b.large,,,2,y,z,,r,"]
+    with pytest.raises(Problems) as caught:
+        load(tmp_path, "\n".join([HEAD, *rows]).encode())
+    assert [(d.place.line, d.place.column) for d in caught.value.diagnostics] == [(2, 11), (3, 13), (3, 15)]
+
+
+def test_a_truncated_gzip_a_missing_file_and_a_folder_are_no_traceback(tmp_path: Path) -> None:
+    whole = gzip.compress(f"{HEAD}\n{GOOD}\n".encode())
+    for content in (whole[:-9], b"no gzip at all", whole[:20]):
+        with pytest.raises(WrongFile, match="no whole gzip"):
+            load(tmp_path, content, "aws.csv.gz")
+    with pytest.raises(WrongFile, match="No such file"):
+        registry.catalog(str(tmp_path / "absent.csv"), ["aws"])
+    with pytest.raises(WrongFile, match="has no table of aws"):
+        registry.catalog(str(tmp_path), ["aws"])
+
+
+def test_the_cloud_is_in_the_table_or_in_the_names_or_must_be_said(tmp_path: Path) -> None:
+    content = f"{HEAD}\n{GOOD}\n".encode()
+    assert load(tmp_path, content, "azure.csv").cloud[0] == "azure"  # type: ignore[attr-defined]
+    (tmp_path / "gcp").mkdir()
+    assert load(tmp_path / "gcp", content, "vms.csv").cloud[0] == "gcp"  # type: ignore[attr-defined]
+    with pytest.raises(Problems, match="column Cloud is missing"):
+        load(tmp_path, content, "offers.csv")
+    assert registry.catalog(str(tmp_path / "offers.csv"), ["lambda"]).cloud[0] == "lambda"
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("c6i.xlarge,,,4,8,,,us-east-1,", "no price"),
+        ("c6i.xlarge,,,4,8,0.0,,us-east-1,", "a price of 0"),
+        ("c6i.xlarge,,,,8,0.17,,us-east-1,", "no vCPUs or no memory"),
+        ("c6i.xlarge,,,4,0,0.17,,us-east-1,", "no vCPUs or no memory"),
+        ("g6f.large,L4,0,2,8,0.2,,us-east-1,", "an accelerator without a count"),
+    ],
+)
+def test_what_has_no_price_or_shape_is_no_candidate_and_said(row: str, says: str) -> None:
+    catalog = table(GOOD, row)
+    assert catalog.instance.tolist() == ["c6i.large"]
+    [note] = catalog.about.notes
+    assert note.startswith(f"offers.csv: 1 row has {says}")
+    assert note.endswith(f"such as {row.split(',')[0]} at line 3")
+
+
+def test_a_repeated_offer_counts_once_at_its_highest_price() -> None:
+    catalog = table(GOOD, GOOD, "c6i.large,,,2,4,0.095,,us-east-1,")
+    assert catalog.price_usd_per_hour.tolist() == [0.095]
+    assert catalog.about.notes == ("offers.csv: 2 offers are repeated: the highest price of each counts",)
+
+
+def test_spot_machines_are_offers_of_their_own() -> None:
+    catalog = table("c6i.large,,,2,4,0.085,0.03,us-east-1,use1-az2", "c6i.xlarge,,,4,8,0.17,0,us-east-1,use1-az2")
+    assert list(zip(catalog.instance, catalog.spot.tolist(), catalog.price_usd_per_hour.tolist(), strict=True)) == [
+        ("c6i.large", False, 0.085), ("c6i.xlarge", False, 0.17), ("c6i.large", True, 0.03),
+    ]  # fmt: skip
+    assert "1 row has a spot price of 0: not a spot candidate" in catalog.about.notes[0]
+
+
+def test_the_order_of_rows_changes_nothing() -> None:
+    rows = ["c6i.large,,,2,4,0.085,0.02,us-east-1,a", "g4dn.xlarge,T4,1,4,16,0.526,,us-east-1,b", GOOD]
+    one, other = table(*rows), table(*reversed(rows))
+    assert one.about == other.about
+    assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("instance", "zone", "spot"))
+
+
+def test_architecture_and_family_come_from_the_name_where_the_table_is_silent() -> None:
+    catalog = table("c7g.large,,,2,4,1,,r,", "m6i.large,,,2,8,1,,r,", "g5g.xlarge,T4g,1,4,8,1,,r,")
+    assert dict(zip(catalog.instance, catalog.arch, strict=True)) == {
+        "c7g.large": "arm64", "m6i.large": "x86_64", "g5g.xlarge": "arm64",
+    }  # fmt: skip
+    assert sorted(catalog.family) == ["c7g", "g5g", "m6i"]
+
+
+def test_google_hosts_and_accelerators_are_joined_at_the_sum_of_their_prices() -> None:
+    catalog = table(
+        "n1-standard-4,,,4,15,0.19,0.04,us-central1,us-central1-a",
+        "n1-standard-96,,,96,360,4.56,,us-central1,us-central1-a",
+        "a2-highgpu-1g,,,12,85,0.75,,us-central1,us-central1-a",
+        ",T4,1,,,0.35,0.14,us-central1,us-central1-a",
+        ",A100,1,,,2.93,,us-central1,us-central1-a",
+        cloud="gcp",
+    )
+    found = {(str(i), str(g), bool(s)): round(float(p), 4) for i, g, s, p in zip(
+        catalog.instance, catalog.gpu, catalog.spot, catalog.price_usd_per_hour, strict=True)}  # fmt: skip
+    assert found == {
+        ("n1-standard-4", "", False): 0.19, ("n1-standard-4", "", True): 0.04,
+        ("n1-standard-4", "T4", False): 0.54, ("n1-standard-4", "T4", True): 0.18,
+        ("n1-standard-96", "", False): 4.56,
+        ("a2-highgpu-1g", "A100", False): 3.68,
+    }  # fmt: skip

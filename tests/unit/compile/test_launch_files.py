@@ -1,0 +1,120 @@
+"""Generated launch files: run against a recorder, they start exactly the spec's nodes, with their words unchanged."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fogspec.base.layout import Layout
+from fogspec.compile.launch_files import launch_files, robot_launch
+from fogspec.spec.launch_import import read_launch
+from fogspec.spec.schema import Application
+from tests.support.launching import launched
+from tests.unit.compile.test_tasks import NASTY, application
+
+NODE = {
+    "package": "planner", "executable": "plan", "name": "planner", "namespace": "/arm", "parameter_files": ["config/p.yaml"],
+    "parameters": {"gain": 38.0, "rate": 38, "text": "7", "on": "yes", "deep": {"flag": True}, "list": [1.0, 2.0],
+                   "nasty": NASTY},
+    "remappings": {"/x": "/y", "a": "b"}, "arguments": ["--fast", NASTY], "env": {"B": "2", "NASTY": NASTY},
+}  # fmt: skip
+
+
+def written(app: Application, root: Path) -> Layout:
+    layout = Layout.of(root / "specs" / "x.yaml", app.metadata.name)
+    files = launch_files(app, layout)
+    robot = robot_launch(app, layout)
+    for path, content in {**files, **({layout.robot: robot} if robot else {})}.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return layout
+
+
+def test_the_clouds_launch_file_starts_the_nodes_as_the_spec_says(tmp_path, monkeypatch):
+    layout = written(application(cloud=[NODE, {"cmd": ["printf", NASTY], "arguments": ["more"]}], ros={}), tmp_path)
+    monkeypatch.chdir(tmp_path)
+    node, process = launched(layout.cloud)
+    words = node.keywords
+    assert {key: words[key] for key in ("package", "executable", "name", "namespace")} == {
+        key: NODE[key] for key in ("package", "executable", "name", "namespace")
+    }
+    file, parameters = words["parameters"]
+    assert file == str(tmp_path / "config" / "p.yaml")
+    assert repr(parameters) == repr(NODE["parameters"]), "types and order untouched: 38.0 stays 38.0, '7' a text"
+    assert dict(words["remappings"]) == NODE["remappings"]
+    assert words["arguments"] == NODE["arguments"]
+    assert words["additional_env"] == NODE["env"]
+    assert process.keywords["cmd"] == ["printf", NASTY, "more"]
+    assert all(one.keywords["on_exit"].kind == "Shutdown" for one in (node, process)), "when one ends, all end"
+
+
+def test_the_robots_launch_file_finds_the_specs_files_from_anywhere(tmp_path, monkeypatch):
+    layout = written(application(robot=[NODE, {"cmd": ["./drive"]}]), tmp_path)
+    monkeypatch.chdir("/")
+    node, process = launched(layout.robot)
+    assert Path(node.keywords["parameters"][0]).resolve() == tmp_path / "specs" / "config" / "p.yaml"
+    assert Path(process.keywords["cwd"]).resolve() == tmp_path / "specs"
+    assert "on_exit" not in node.keywords, "the robot goes on when one node ends"
+
+
+@pytest.mark.parametrize(("link", "rmw"), [("zenoh", "RMW_IMPLEMENTATION"), ("wireguard", "ROS_STATIC_PEERS")])
+def test_with_a_link_the_robot_starts_its_end_before_its_nodes(tmp_path, link, rmw):
+    app = application(robot=[NODE], ros={}, connectivity={"link": link, "topics": ["/t"]})
+    layout = written(app, tmp_path)
+    first, *others, begun, tunnel, node = launched(layout.robot)
+    assert (first.kind, first.arguments[0]) == ("SetEnvironmentVariable", rmw)
+    assert all(one.kind == "SetEnvironmentVariable" for one in others)
+    assert all(Path(one.arguments[1]).is_file() for one in others), "a profile that is there"
+    assert begun.kind == "OpaqueFunction"
+    assert tunnel.keywords["cmd"] == ["bash", str(layout.link / "link.sh"), "robot", "up"]
+    assert node.kind == "Node"
+
+
+def test_a_robot_without_nodes_still_gets_its_end_of_the_link(tmp_path):
+    app = application(ros={}, connectivity={"link": "zenoh", "topics": ["/t"]})
+    assert [one.kind for one in launched(written(app, tmp_path).robot)] == [
+        "SetEnvironmentVariable", "OpaqueFunction", "ExecuteProcess"
+    ]  # fmt: skip
+    assert robot_launch(application(), Layout.of("specs/x.yaml", "app")) is None
+
+
+def test_without_ros_there_is_no_launch_file_for_the_cloud():
+    assert launch_files(application(cloud=[{"cmd": ["./x"]}]), Layout.of("specs/x.yaml", "app")) == {}
+
+
+def test_init_reads_the_generated_file_back_as_the_same_nodes(tmp_path):
+    """What cannot be told without running the file, the spec's folder, is noted and left out."""
+    node = {key: value for key, value in NODE.items() if key != "parameter_files"}
+    layout = written(application(robot=[node]), tmp_path)
+    found = read_launch(layout.robot)
+    assert found.robot == [node]
+    assert not found.notes
+
+
+def test_a_source_with_a_line_feed_in_its_name_stays_a_comment(tmp_path):
+    app = application(robot=[{"package": "p", "executable": "e"}])
+    text = robot_launch(app, Layout.of(tmp_path / "a\nimport os; os.abort()\n#.yaml", "app"))
+    assert text is not None
+    compile(text, "robot.launch.py", "exec")
+    assert not any(line.startswith(b"import os") for line in text.splitlines())
+
+
+texts = st.text(max_size=30)
+values = st.recursive(
+    st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False, allow_infinity=False) | texts,
+    lambda inner: st.dictionaries(texts, inner, max_size=3) | st.lists(texts, min_size=1, max_size=3), max_leaves=8,
+)  # fmt: skip
+
+
+@given(
+    st.dictionaries(texts, values, max_size=4), st.lists(texts, max_size=3), st.dictionaries(texts, texts, max_size=3)
+)
+def test_any_words_come_out_as_they_went_in(tmp_path_factory, parameters, arguments, env):
+    node = {"package": "p", "executable": "e", "parameters": parameters, "arguments": arguments, "env": env}
+    folder = tmp_path_factory.mktemp("any")
+    (one,) = launched(written(application(robot=[node]), folder).robot)
+    got = one.keywords
+    assert repr(got.get("parameters", [{}])[-1]) == repr(parameters)
+    assert got.get("arguments", []) == arguments
+    assert got.get("additional_env", {}) == env

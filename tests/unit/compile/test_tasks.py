@@ -1,0 +1,313 @@
+"""Compiled tasks: what is in them, and that everything in them is quoted for its language."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from fogspec.base.templates import render
+from fogspec.compile.tasks import (
+    command,
+    deploy_task,
+    left_out,
+    measured_processes,
+    parameter,
+    ros_environment,
+    sample_task,
+)
+from fogspec.plan.schema import GpuShape, MachineRef, Sample
+from fogspec.spec.schema import Application, Node
+
+NASTY = """it's "$(touch owned)" `x` \\ $HOME ; & | é"""
+
+
+def application(**spec) -> Application:
+    base = {"cloud": [{"package": "p", "executable": "e"}], "probe": {"callback": "x"}, "infra": ["aws/us-east-1"]}
+    return Application.model_validate(
+        {"apiVersion": "fogspec.dev/v1alpha1", "kind": "Application", "metadata": {"name": "app"}, "spec": base | spec}
+    )
+
+
+def sample(**machine) -> Sample:
+    shape = {"infra": "aws/us-east-1", "instance": "g4dn.xlarge", "cpus": 4.0, "memory": 16.0, "price": 0.526}
+    return Sample(id="one", machine=MachineRef(**(shape | machine)), reason="because")
+
+
+def task_of(app: Application, one: Sample, run: str = "true") -> dict:
+    return sample_task(app, one, 601.0, workdir="specs", agent="compiled/app/agent", setup=None, run=run)
+
+
+def test_every_task_ends_its_machine_by_itself():
+    resources = task_of(application(), sample())["resources"]
+    assert resources["autostop"] == {"idle_minutes": 11, "down": True, "wait_for": "none"}
+    deployed = deploy_task(application(), sample().machine, workdir=".", agent="a", setup=None, run="true")
+    assert deployed["resources"]["autostop"]["down"] is True
+
+
+def test_the_machine_is_pinned_with_its_accelerators_spot_and_image():
+    app = application(ros={"image": "docker.io/library/ros:jazzy"})
+    resources = task_of(app, sample(gpu=GpuShape(name="T4"), spot=True))["resources"]
+    assert (resources["infra"], resources["instance_type"]) == ("aws/us-east-1", "g4dn.xlarge")
+    assert (resources["accelerators"], resources["use_spot"]) == ("T4:1", True)
+    assert resources["image_id"] == "docker:docker.io/library/ros:jazzy"
+
+
+def test_a_local_shape_has_no_infra_but_its_size():
+    resources = task_of(application(), sample(infra="local", instance="2cpu-1gib", cpus=2.0, memory=1.0, price=0.0))[
+        "resources"
+    ]
+    assert (resources["cpus"], resources["memory"]) == ("2", "1")
+    assert "infra" not in resources
+
+
+def test_secrets_are_names_only():
+    assert task_of(application(secrets=["HF_TOKEN"]), sample())["secrets"] == {"HF_TOKEN": None}
+
+
+def test_files_are_sent_only_when_something_names_them():
+    assert "workdir" not in task_of(application(), sample())
+    assert task_of(application(cloud=[{"cmd": ["./x"]}]), sample())["workdir"] == "specs"
+
+
+def test_ros_words_become_ros_arguments():
+    node = Node(package="p", executable="e", name="n", namespace="/a", arguments=["--fast"], env={"B": "2", "A": "1"},
+                parameters={"gain": 38.0, "n": 3, "deep": {"on": True}, "text": "7"}, parameter_files=["p.yaml"],
+                remappings={"/x": "/y"})  # fmt: skip
+    assert command(node) == [
+        "env", "A=1", "B=2", "ros2", "run", "p", "e", "--fast", "--ros-args", "-r", "__node:=n", "-r", "__ns:=/a",
+        "--params-file", "p.yaml", "-p", "deep.on:=true", "-p", "gain:=38.0", "-p", "n:=3", "-p", 'text:="7"', "-r", "/x:=/y",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(38.0, "38.0"), (38, "38"), (True, "true"), ("7", '"7"'), ([1.0, 2.0], "[1.0, 2.0]")]
+)
+def test_parameters_keep_their_type(value, text):
+    assert parameter(value) == text
+
+
+def test_topics_are_listened_to_by_a_process_of_their_own():
+    app = application(probe={"request": "/in", "response": "/out"})
+    first = measured_processes(app.spec)[0]
+    assert first == [
+        "python3",
+        "-m",
+        "fogspec_machine.topics",
+        "--request",
+        "/in",
+        "--response",
+        "/out",
+        "--match",
+        "stamp",
+    ]
+
+
+def rendered_sample(app: Application) -> str:
+    return render("run_sample.sh.j2", **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=600.0,
+                  processes=measured_processes(app.spec))  # fmt: skip
+
+
+def test_hostile_words_reach_the_process_unchanged(tmp_path):
+    app = application(cloud=[{"cmd": ["printf", "%s", NASTY]}])
+    fake = tmp_path / "agent.py"
+    fake.write_text("import json, sys\nprint(json.dumps(sys.argv))")
+    run = subprocess.run(["bash", "-c", rendered_sample(app)], capture_output=True, text=True, cwd=tmp_path,
+                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake),
+                              "FOGSPEC_OUT": str(tmp_path / "out")})  # fmt: skip
+    words = json.loads(run.stdout)
+    assert json.loads(words[words.index("--process") + 1]) == ["printf", "%s", NASTY]
+    assert not (tmp_path / "owned").exists()
+
+
+AGENT_FILE = Path(__file__).resolve().parents[3] / "fogspec" / "probe" / "agent.py"
+DEPLOYED = {"ready": ["true"], "listeners": [["sleep", "1"]], "link": None}
+
+
+def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_path):
+    processes = [["sh", "-c", 'printf %s "$1" > said', "x", NASTY], ["sleep", "60"]]
+    script = render("run_deploy.sh.j2", **ros_environment(application().spec), processes=processes, **DEPLOYED)
+    environment = {
+        "PATH": "/usr/bin:/bin",
+        "HOME": "/",
+        "FOGSPEC_AGENT": str(AGENT_FILE),
+        "FOGSPEC_OUT": str(tmp_path / "out"),
+    }
+    subprocess.run(["bash", "-c", script], cwd=tmp_path, timeout=120, env=environment)
+    assert (tmp_path / "said").read_text() == NASTY
+
+
+@pytest.mark.parametrize("template", ["run_sample.sh.j2", "run_deploy.sh.j2", "setup_ros2.sh.j2"])
+def test_scripts_pass_shellcheck(tmp_path, template):
+    app = application(ros={"workspace": "ros2_ws", "apt": ["x y"], "setup": ["echo hello"]}, cloud=[{"cmd": [NASTY]}])
+    script = tmp_path / "script.sh"
+    script.write_text(render(template, **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=9.0, **DEPLOYED,
+                             processes=measured_processes(app.spec)))  # fmt: skip
+    try:
+        checked = subprocess.run(["shellcheck", "-s", "bash", "-S", "warning", "-e", "SC1091,SC2016", str(script)],
+                                 capture_output=True, text=True)  # fmt: skip
+    except FileNotFoundError:
+        pytest.skip("needs shellcheck: apt-get install shellcheck")
+    assert checked.returncode == 0, checked.stdout
+
+
+AGENT = """import json, os, sys
+out = sys.argv[sys.argv.index("--out") + 1]
+os.makedirs(out)
+with open(out + "/outcome.json", "w") as file:
+    file.write(json.dumps({"omp": os.environ.get("OMP_NUM_THREADS", "")}) + "\\n")
+with open(out + "/timings.jsonl", "w") as file:
+    file.write('{"latency_s": 1.5}\\n' * 2)
+sys.exit(3)
+"""
+
+
+def test_without_a_runner_that_reads_folders_the_lines_are_in_the_log(tmp_path):
+    fake = tmp_path / "agent.py"
+    fake.write_text(AGENT)
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake)}
+    for more, omp in (({}, "1"), ({"SKYPILOT_TASK_ID": "x"}, "")):
+        run = subprocess.run(["bash", "-c", rendered_sample(application())], capture_output=True, text=True, cwd=tmp_path,
+                             env=environment | {"OMP_NUM_THREADS": "1"} | more)  # fmt: skip
+        assert run.returncode == 3, run.stderr
+        assert run.stdout.splitlines() == [
+            "=== fogspec measures ===",
+            "=== fogspec begin outcome.json ===", json.dumps({"omp": omp}), "=== fogspec end outcome.json ===",
+            "=== fogspec begin timings.jsonl ===", *['{"latency_s": 1.5}'] * 2, "=== fogspec end timings.jsonl ===",
+        ]  # fmt: skip
+
+
+HOSTILE = """import os, sys
+out = sys.argv[sys.argv.index("--out") + 1]
+os.makedirs(out)
+os.symlink("/etc/passwd", out + "/outcome.json")
+with open(out + "/timings.jsonl", "wb") as file:
+    file.write(b'{"latency_s": 1.5}\\ntorn')
+    file.truncate(2**40 if "SPARSE" in os.environ else file.tell())
+"""
+
+
+def test_what_nodes_put_in_place_of_results_is_not_followed_and_fills_no_disk(tmp_path):
+    """A terabyte without a byte on disk, and a link to somebody else's file."""
+    (tmp_path / "agent.py").write_text(HOSTILE)
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(tmp_path / "agent.py")}
+    script = rendered_sample(application())
+    run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert run.stdout.splitlines()[1:] == [
+        "=== fogspec begin outcome.json ===", "=== fogspec end outcome.json ===",
+        "=== fogspec begin timings.jsonl ===", '{"latency_s": 1.5}', "torn", "=== fogspec end timings.jsonl ===",
+    ]  # fmt: skip
+    log = tmp_path / "log"
+    with open(log, "wb") as out:
+        subprocess.run(["bash", "-c", script], stdout=out, cwd=tmp_path, env=environment | {"SPARSE": "1"}, timeout=60)
+    *before, marker = log.read_bytes().splitlines()
+    assert (max(map(len, before)), marker) == (2**16, b"=== fogspec end timings.jsonl ===")
+
+
+def test_secrets_come_in_a_file_that_is_gone_before_a_node_starts(tmp_path):
+    (tmp_path / "agent.py").write_text('import os\nprint(os.environ["API_KEY"], os.path.exists(".fogspec/secrets"))')
+    (tmp_path / ".fogspec").mkdir()
+    handed = tmp_path / ".fogspec" / "secrets"
+    handed.write_text("export API_KEY='it'\"'\"'s; $(touch owned)'\n")
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(tmp_path / "agent.py"),
+                   "FOGSPEC_OUT": str(tmp_path / "out"), "SKYPILOT_TASK_ID": "x"}  # fmt: skip
+    script = rendered_sample(application(secrets=["API_KEY"]))
+    run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert run.stdout == "it's; $(touch owned) False\n", run.stderr
+    assert not handed.exists()
+    assert not (tmp_path / "owned").exists()
+    assert "secrets" not in rendered_sample(application())
+
+
+def test_slurm_has_neither_images_nor_spot_and_it_is_said():
+    app = application(ros={"image": "docker.io/library/ros:jazzy"})
+    one = sample(infra="slurm/lab", instance="4CPU--16GB", spot=True)
+    resources = task_of(app, one)["resources"]
+    assert not {"image_id", "use_spot", "ports"} & resources.keys()
+    assert [text.split(" is")[0] for text in left_out(app.spec, one.machine)] == [
+        "image docker.io/library/ros:jazzy", "spot"
+    ]  # fmt: skip
+    assert left_out(app.spec, sample().machine) == []
+
+
+def test_places_without_a_list_of_types_are_asked_for_the_shape_whatever_its_name():
+    app = application(ros={"image": "docker.io/library/ros:jazzy"})
+    for infra, image in (("slurm/lab/fast", False), ("kubernetes/me@lab", True), ("ssh/rack", True)):
+        resources = task_of(app, sample(infra=infra, instance="the big one"))["resources"]
+        assert (resources["infra"], resources["cpus"], resources["memory"]) == (infra, "4", "16")
+        assert "instance_type" not in resources
+        assert ("image_id" in resources) == image
+
+
+FAKES = {
+    "apt-get": 'echo "apt-get $*" >> "$HOME/said"',
+    "curl": 'while [ "$1" != -o ]; do shift; done; : > "$2"; echo "curl" >> "$HOME/said"',
+    "rosdep": 'echo "rosdep $*" >> "$HOME/said"',
+    "colcon": 'echo "colcon $* in $PWD" >> "$HOME/said"; mkdir -p install; echo "export BUILT=1" > install/setup.bash',
+    "sudo": '[ "$1" = -E ] && shift; "$@"',
+    "dpkg-query": "exit 1",
+}
+
+
+def test_setting_up_twice_installs_builds_and_logs_and_runs_its_own_lines_once(tmp_path):
+    """The real script in a real bash; only the programs that would change this host are stand-ins."""
+    home, tools, ros = tmp_path / "home", tmp_path / "bin", tmp_path / "ros"
+    workspace = "my ws $(touch owned) '\""
+    for folder in (home, tools, tmp_path / workspace / "src", ros / "jazzy"):
+        folder.mkdir(parents=True)
+    for name, body in FAKES.items():
+        (tools / name).write_text(f"#!/bin/sh\n{body}\n")
+        (tools / name).chmod(0o755)
+    app = application(ros={"workspace": workspace, "apt": ["ros-jazzy-x", "a b"], "setup": ["echo mine >> ~/said"]})
+    script = render("setup_ros2.sh.j2", **ros_environment(app.spec))
+    script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:")
+    (ros / "jazzy" / "setup.bash").write_text("export ROS_DISTRO=jazzy; : $UNBOUND")
+    for _ in range(2):
+        subprocess.run(["bash", "-c", script], cwd=tmp_path, check=True, capture_output=True, text=True, timeout=60,
+                       env={"PATH": "/usr/bin:/bin", "HOME": str(home)})  # fmt: skip
+    said = (home / "said").read_text()
+    assert said.count("mine") == 1
+    assert said.count("apt-get update") == 2, "once each time"
+    assert "apt-get install -qq -y --no-install-recommends -- ros-jazzy-x a b" in said
+    assert said.count(f"in {tmp_path / workspace}") == 2
+    assert "curl" not in said, "ROS 2 is there already"
+    assert "ROS 2 jazzy is ready" in (home / ".fogspec" / "setup.log").read_text()
+    assert not list(tmp_path.rglob("owned"))
+
+
+@pytest.mark.parametrize(("state", "code"), [("installed", 0), ("config-files", 1)])
+def test_nothing_is_asked_of_root_where_all_is_there_and_who_cannot_be_root_is_told(tmp_path, state, code):
+    """A user of a Slurm cluster, whose nodes have what the spec names, or lack it."""
+    tools, ros = tmp_path / "bin", tmp_path / "ros"
+    (ros / "jazzy").mkdir(parents=True)
+    (ros / "jazzy" / "setup.bash").write_text("")
+    tools.mkdir()
+    for name, body in (FAKES | {"id": "echo 1000", "sudo": "exit 1", "dpkg-query": f"printf {state}"}).items():
+        (tools / name).write_text(f"#!/bin/sh\n{body}\n")
+        (tools / name).chmod(0o755)
+    script = render("setup_ros2.sh.j2", **ros_environment(application(ros={"apt": ["ros-jazzy-x"]}).spec))
+    script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:")
+    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
+    assert run.returncode == code
+    assert not (tmp_path / "said").exists()
+    assert ("only root can do this here" in (tmp_path / ".fogspec" / "setup.log").read_text()) == bool(code)
+
+
+@pytest.mark.parametrize(
+    ("codename", "code", "said"), [("noble", 7, ""), ("bookworm", 1, "and this is Toy OS: name an image")]
+)
+def test_a_set_up_that_fails_says_so_and_stops(tmp_path, codename, code, said):
+    for name, body in FAKES.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{'exit 7' if name == 'apt-get' else body}\n")
+        (tmp_path / name).chmod(0o755)
+    (tmp_path / "os-release").write_text(f"VERSION_CODENAME={codename}\nPRETTY_NAME='Toy OS'\n")
+    script = render("setup_ros2.sh.j2", **ros_environment(application(ros={}).spec))
+    script = script.replace("export PATH=", f"export PATH={tmp_path}:").replace(
+        "/etc/os-release", f"{tmp_path}/os-release"
+    )
+    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
+    assert run.returncode == code
+    assert said in run.stdout
+    assert "is ready" not in run.stdout

@@ -1,0 +1,220 @@
+"""Applying with a deployer that does as it is told: which machine is tried next, which stays, what is said."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from fogspec.backends.protocol import CannotStart, Launch, Live, LostContact
+from fogspec.base.errors import CloudFailed, Refused, WrongFile
+from fogspec.base.layout import Layout
+from fogspec.deploy.apply import Apply
+from fogspec.deploy.candidates import Candidate
+from fogspec.deploy.preflight import allowed
+from fogspec.deploy.schema import Machine
+from fogspec.deploy.state import LiveFile
+from fogspec.plan.schema import MachineRef
+
+FIRST, SECOND = "sha256:" + "1" * 64, "sha256:" + "2" * 64
+
+
+@dataclass
+class Times:
+    """A clock that goes on when somebody waits."""
+
+    now: float = 0.0
+
+    def now_s(self) -> float:
+        return self.now
+
+    def boot(self) -> str:
+        return "boot"
+
+    def date(self) -> datetime:
+        return datetime.fromtimestamp(self.now, UTC)
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@dataclass
+class Told:
+    """A deployer; `says` has what is known of each instance type: a state, or what is raised."""
+
+    says: dict[str, list[object]]
+    name: str = "skypilot"
+    poll_s: float = 5.0
+    up: dict[str, str] = field(default_factory=dict)
+    log: list[str] = field(default_factory=list)
+
+    def start(self, launch: Launch) -> None:
+        assert launch.machine is not None
+        self.up[launch.name] = launch.machine.instance
+        self.log.append(f"start {launch.machine.instance}")
+
+    def look(self, launch: Launch) -> Live:
+        answers = self.says[self.up.get(launch.name, "nothing")]
+        answer = answers.pop(0) if len(answers) > 1 else answers[0]
+        if isinstance(answer, Exception):
+            raise answer
+        return answer if isinstance(answer, Live) else Live(str(answer), address="192.0.2.1")  # type: ignore[arg-type]
+
+    def end(self, launch: Launch) -> None:
+        self.log.append(f"end {self.up.pop(launch.name, 'nothing')}")
+
+    def names(self, application: str, state: Path) -> Sequence[str]:
+        return list(self.up)
+
+
+@dataclass
+class World:
+    """One application's folder, clock and deployer."""
+
+    folder: Path
+    deployer: Told
+    times: Times = field(default_factory=Times)
+    said: list[str] = field(default_factory=list)
+
+    def apply(
+        self,
+        digest: str,
+        *machines: str,
+        runs: str = "same",
+        linked: Callable[[Machine, Live], str | None] | None = None,
+    ) -> Apply:
+        candidates = [
+            Candidate(
+                n, MachineRef(infra="aws/r1", instance=name, cpus=2, memory=4.0, price=0.1), {}, f"{runs} {name}", 0.1
+            )
+            for n, name in enumerate(machines)
+        ]
+        live = LiveFile.read(Layout.of(self.folder / "specs" / "demo.yaml", "demo"), self.times)
+        work = Apply(
+            live, b"the manifest", digest, candidates, None, {}, 600.0, lambda _infra: self.deployer, self.said.append
+        )
+        if linked is not None:
+            work.linked = linked
+        return work
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> World:
+    return World(tmp_path, Told({"a": ["starting", "ready"], "b": ["ready"], "nothing": ["gone"]}))
+
+
+def test_the_first_machine_that_answers(world: World) -> None:
+    served = world.apply(FIRST, "a", "b").run()
+    assert (served.machine.instance, served.fallback, served.address) == ("a", 0, "192.0.2.1")
+    assert world.deployer.log == ["start a"]
+    again = world.apply(FIRST, "a", "b")
+    assert again.current() == served
+
+
+@pytest.mark.parametrize("reason", ["capacity", "quota"])
+def test_want_of_capacity_known_late_goes_on_to_the_next(world: World, reason: str) -> None:
+    world.deployer.says["a"] = ["starting", CannotStart(reason, "sold out")]  # type: ignore[arg-type]
+    served = world.apply(FIRST, "a", "b").run()
+    assert (served.machine.instance, served.fallback) == ("b", 1)
+    assert world.deployer.log == ["start a", "end a", "start b"]
+    assert any("a in aws/r1 cannot be had: sold out; the next is tried" in line for line in world.said)
+
+
+def test_what_another_machine_would_not_mend(world: World) -> None:
+    world.deployer.says["a"] = [CannotStart("image", "manifest unknown")]
+    with pytest.raises(CloudFailed, match="manifest unknown"):
+        world.apply(FIRST, "a", "b").run()
+    world.deployer.says["a"] = [CannotStart("budget", "it costs $0.2 an hour now")]
+    with pytest.raises(Refused, match="it costs"):
+        world.apply(FIRST, "a", "b").run()
+    assert world.deployer.up == {}
+
+
+def test_nothing_can_be_had(world: World) -> None:
+    for name in "ab":
+        world.deployer.says[name] = [CannotStart("capacity", "sold out")]
+    with pytest.raises(CloudFailed) as failed:
+        world.apply(FIRST, "a", "b").run()
+    assert "none of 2 machines" in failed.value.hints[0]
+    assert world.deployer.up == {}
+
+
+def test_the_old_machine_ends_after_the_new_one_answers(world: World) -> None:
+    world.apply(FIRST, "b").run()
+    world.apply(SECOND, "a").run()
+    assert world.deployer.log == ["start b", "start a", "end b"]
+
+
+def test_the_same_machine_takes_the_new_manifest(world: World) -> None:
+    first = world.apply(FIRST, "b").run()
+    kept = world.apply(SECOND, "b").kept()
+    assert kept is not None
+    assert (kept.name, kept.manifest) == (first.name, SECOND)
+    assert world.apply(SECOND, "b", runs="other").kept() is None
+
+
+def test_nodes_that_end_while_they_start(world: World) -> None:
+    world.deployer.says["a"] = ["starting", Live("ended", "planner ended with exit code 1")]
+    with pytest.raises(WrongFile, match="planner ended with exit code 1"):
+        world.apply(FIRST, "a").run()
+    assert world.deployer.up == {}
+
+
+def test_a_machine_that_is_taken_away(world: World) -> None:
+    world.deployer.says["a"] = ["starting", Live("gone", "spot capacity was reclaimed")]
+    with pytest.raises(CloudFailed, match="spot capacity was reclaimed"):
+        world.apply(FIRST, "a").run()
+    assert world.deployer.up == {}
+
+
+def test_patience_has_an_end(world: World) -> None:
+    world.deployer.says["a"] = [Live("starting", "the job is setting_up")]
+    with pytest.raises(CloudFailed, match=r"did not answer within 600 s: the job is setting_up"):
+        world.apply(FIRST, "a").run()
+    assert world.times.now == pytest.approx(605)
+    assert world.deployer.up == {}
+
+
+def test_silence_while_waiting_is_waited_out(world: World) -> None:
+    world.deployer.says["a"] = [LostContact("timeout"), LostContact("timeout"), "ready"]
+    assert world.apply(FIRST, "a").run().state == "serving"
+    assert world.deployer.log == ["start a"]
+
+
+def test_silence_starts_nothing_new(world: World) -> None:
+    world.apply(FIRST, "b").run()
+    world.deployer.says["b"] = [LostContact("timeout")]
+    with pytest.raises(CloudFailed, match="nobody can say how it is"):
+        world.apply(FIRST, "b").current()
+    with pytest.raises(CloudFailed, match="nobody can say how it is"):
+        world.apply(SECOND, "b").kept()
+    assert world.deployer.log == ["start b"]
+
+
+def test_ready_means_that_the_link_answers_too(world: World) -> None:
+    answers = iter(["the tunnel is not up yet", "the tunnel is not up yet", None])
+    world.apply(FIRST, "b", linked=lambda _machine, _live: next(answers)).run()
+    assert world.times.now == pytest.approx(10)
+    assert sum("the tunnel is not up yet" in line for line in world.said) == 1, "said once"
+
+
+def test_a_killed_apply_is_seen_through(world: World) -> None:
+    class Killed(BaseException):
+        pass
+
+    world.deployer.says["a"] = ["starting", Killed(), "starting", "ready"]  # type: ignore[list-item]
+    world.deployer.look = lambda launch: (_ for _ in ()).throw(Killed())  # type: ignore[method-assign]
+    with pytest.raises(Killed):
+        world.apply(FIRST, "a").run()
+    del world.deployer.look
+    world.deployer.says["a"] = ["starting", "starting", "ready"]
+    world.apply(FIRST, "a").run()
+    assert world.deployer.log == ["start a"], "it was not started twice"
+
+
+def test_what_the_caller_allows_is_what_the_engine_checks() -> None:
+    task = {"resources": {"max_hourly_cost": 0.1}, "run": "x"}
+    assert allowed(task, None) == task
+    assert allowed(task, 0.2)["resources"] == {"max_hourly_cost": 0.2}
+    assert allowed({"resources": {}}, 0.2) == {"resources": {}}

@@ -1,0 +1,121 @@
+"""Drift: what the nodes do in use against what the model predicted, in both directions."""
+
+import json
+import random
+from pathlib import Path
+
+import pytest
+
+from fogspec.bench.record import Rules
+from fogspec.compile.manifest import Manifest
+from fogspec.deploy import drift
+from fogspec.deploy.drift import drift, interval_s, observe
+from fogspec.plan.schema import MachineRef
+from fogspec.spec.loader import load, read_document
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.mark.parametrize(
+    ("observed", "predicted", "found"),
+    [
+        ((1.0, 1.1), (0.9, 1.05), "none"),
+        ((1.2, 1.3), (0.9, 1.1), "slower"),
+        ((0.5, 0.6), (0.9, 1.1), "faster"),
+        ((0.8, 1.2), (0.9, 1.1), "none"),
+        (None, (0.9, 1.1), "unknown"),
+        ((1.0, 1.1), None, "unknown"),
+    ],
+)
+def test_one_interval_outside_another(observed, predicted, found) -> None:
+    assert drift(observed, predicted) == found
+
+
+def test_few_requests_say_nothing() -> None:
+    assert interval_s([1.0] * 29, "mean") is None
+    assert interval_s([1.0] * 30, "mean") == (1.0, 1.0)
+    assert interval_s([1.0] * 99, "p99") is None
+    assert interval_s([float(n) for n in range(100)], "p99") is None, "the upper end would lie beyond the sample"
+
+
+@pytest.mark.parametrize(("statistic", "truth"), [("mean", 1.0), ("p50", 0.6931), ("p95", 2.9957)])
+def test_intervals_hold_the_truth_as_often_as_they_say(statistic: str, truth: float) -> None:
+    chance = random.Random(3)
+    held = 0
+    for _ in range(400):
+        low, high = interval_s([chance.expovariate(1) for _ in range(300)], statistic)
+        held += low <= truth <= high
+    assert 0.91 <= held / 400 <= 0.99
+
+
+def test_requests_that_resemble_each_other_say_less() -> None:
+    chance, level, values = random.Random(4), 1.0, []
+    for _ in range(300):
+        level = 0.9 * level + 0.1 * chance.gauss(1, 0.5)
+        values.append(level)
+    shuffled = chance.sample(values, len(values))
+    alike, apart = interval_s(values, "mean"), interval_s(shuffled, "mean")
+    assert alike[1] - alike[0] > 2 * (apart[1] - apart[0])
+
+
+@pytest.fixture
+def paper() -> tuple:
+    (loaded,) = load([ROOT / "specs/grasp-planning.yaml"])
+    expected = read_document(ROOT / "compiled/grasp-planning/manifest.yaml", Manifest).expected
+    latency = expected.latency.model_copy(
+        update={"predicted": 1.65, "interval": (1.5, 1.8), "limit": 2.0, "network": 0.0}
+    )
+    return loaded.application, expected.model_copy(update={"latency": latency})
+
+
+MACHINE = MachineRef(infra="aws/us-east-1", instance="g4dn.xlarge", cpus=4, memory=16.0, price=0.526)
+# How the spec's own probe names its requests.
+NAME = Rules.of(load([ROOT / "specs/grasp-planning.yaml"])[0].application).callback
+
+
+def lines(latencies, failed: int = 0) -> bytes:
+    rows = [{"name": NAME, "latency_s": s, "ok": True} for s in latencies]
+    rows += [{"name": NAME, "latency_s": 0.1, "ok": False, "reason": "no grasp"}] * failed
+    return "".join(json.dumps(row) + "\n" for row in rows).encode()
+
+
+def test_a_deployment_that_does_what_was_predicted(paper) -> None:
+    application, expected = paper
+    seen = observe(lines([expected.latency.predicted] * 50), application, expected, MACHINE)
+    assert (seen.requests, seen.drift, seen.breaks) == (50, "none", ())
+    assert seen.cost_usd_per_request == pytest.approx(0.526 / 3600 * expected.latency.predicted)
+
+
+def test_over_the_limit_too_dear_and_failing(paper) -> None:
+    application, expected = paper
+    seen = observe(lines([9.0] * 50, failed=20), application, expected, MACHINE)
+    assert seen.drift == "slower"
+    assert len(seen.breaks) == 3
+    assert "over its limit of 2s" in seen.breaks[0]
+    assert "20 of 70 requests failed" in seen.breaks[2]
+
+
+def test_a_change_shows_whatever_was_before_it(paper) -> None:
+    application, expected = paper
+    seen = observe(lines([1.65] * 9000 + [1.9] * 1000), application, expected, MACHINE)
+    assert (seen.requests, seen.drift) == (1000, "slower")
+
+
+def test_a_request_costs_what_the_choice_reckons(paper) -> None:
+    application, expected = paper
+    transfer = application.spec.objective.transfer.model_copy(update={"per_request": 0.002, "price": 0.09})
+    interruption = application.spec.objective.interruption.model_copy(update={"rate": 1 / 3600, "restart": 60.0})
+    objective = application.spec.objective.model_copy(update={"transfer": transfer, "interruption": interruption})
+    spec = application.spec.model_copy(update={"objective": objective})
+    dearer = application.model_copy(update={"spec": spec})
+    spot = MACHINE.model_copy(update={"spot": True})
+    seen = observe(lines([1.65] * 50), dearer, expected, spot)
+    restarts = 1 + 60 / 3600
+    assert seen.cost_usd_per_request == pytest.approx(0.526 / 3600 * 1.65 * restarts + 0.002 * 0.09, rel=1e-3)
+
+
+def test_nothing_seen_yet(paper) -> None:
+    application, expected = paper
+    seen = observe(b"", application, expected, MACHINE)
+    assert (seen.requests, seen.value_s, seen.drift, seen.breaks) == (0, None, "unknown", ())
+    assert drift.LEAST == 30

@@ -1,0 +1,234 @@
+"""The link's script without a network: keys, public halves, and what is refused; and what the task is told."""
+
+import stat
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from fogspec.base.errors import Refused, WrongFile
+from fogspec.base.layout import Layout
+from fogspec.base.templates import render
+from fogspec.cli import main
+from fogspec.compile.launch_files import launch_files, link_of_machine, link_script
+from fogspec.compile.tasks import deploy_task, deployed_processes, ros_environment
+from fogspec.deploy import link
+from fogspec.plan.schema import MachineRef
+from fogspec.spec.schema import Application
+from tests.unit.compile.test_tasks import application
+
+LAYOUT = Layout.of("specs/x.yaml", "app")
+SPEC = """\
+apiVersion: fogspec.dev/v1alpha1
+kind: Application
+metadata: {name: arm}
+spec:
+  cloud: [{package: arm, executable: planner}]
+  ros: {distro: jazzy}
+  probe: {request: /image, response: /pose}
+  infra: [aws/us-east-1]
+  benchmark: {budget: $1}
+  connectivity: {link: zenoh}
+"""
+
+
+@pytest.fixture(autouse=True)
+def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("FOGSPEC_LINKS", str(tmp_path / "my links"))
+    return tmp_path / "my links"
+
+
+def arm(link: str = "zenoh") -> Application:
+    return application(ros={}, connectivity={"link": link, "topics": ["/t"]})
+
+
+def at(app: Application, side: str, *words: str, said: str = "") -> "subprocess.CompletedProcess[str]":
+    script = link_script(app, LAYOUT)
+    return subprocess.run(["bash", "-c", script, "link.sh", side, *words], input=said, capture_output=True, text=True)
+
+
+def test_keys_are_made_once_and_are_the_owners_alone(links):
+    app = arm()
+    public = link.make_keys(app, LAYOUT)
+    private = links / "app" / "robot" / "private.key"
+    before = private.read_bytes()
+    assert stat.S_IMODE(private.stat().st_mode) == 0o600
+    assert stat.S_IMODE(private.parent.stat().st_mode) == 0o700
+    assert link.make_keys(app, LAYOUT) == public
+    assert private.read_bytes() == before
+    assert link.environment(app, LAYOUT) == {"FOGSPEC_LINK_PEER": public}
+    assert "PRIVATE" not in public
+
+
+def test_before_the_robot_has_a_key_nothing_is_launched():
+    with pytest.raises(Refused) as refused:
+        link.environment(arm(), LAYOUT)
+    assert any("fogspec keys" in hint for hint in refused.value.hints)
+    assert link.environment(application(), LAYOUT) == {}
+
+
+def test_public_halves_are_exchanged_and_forgotten(links):
+    app = arm()
+    link.make_keys(app, LAYOUT)
+    cloud = at(app, "cloud", "keys").stdout
+    files = link.join(app, LAYOUT, "203.0.113.7", cloud)
+    assert {path.name: path.read_text().strip() for path in files} == {"peer": cloud.strip(), "address": "203.0.113.7"}
+    link.leave(app, LAYOUT)
+    link.leave(app, LAYOUT)
+    assert sorted(path.name for path in (links / "app" / "robot").iterdir()) == ["private.key", "public", "public.pem"]
+
+
+@pytest.mark.parametrize(("address", "kept"), [("2001:db8::1", "[2001:db8::1]"), ("host.example", "host.example")])
+def test_an_address_is_kept_as_a_url_wants_it(links, address, kept):
+    assert at(arm(), "robot", "address", address).returncode == 0
+    assert (links / "app" / "robot" / "address").read_text().strip() == kept
+
+
+@pytest.mark.parametrize("address", ["", "a b", "x;touch owned", "$(id)", "a/b", 'a"b'])
+def test_what_is_no_address_is_refused(address, links):
+    assert at(arm(), "robot", "address", address).returncode == 1
+    assert not (links / "app" / "robot" / "address").exists()
+
+
+def test_what_is_no_public_half_of_the_other_end_is_refused():
+    app = arm()
+    robot = at(app, "robot", "keys").stdout
+    for said in ("", "\n", "hello", "AAAA", "$(id)", robot):
+        refused = at(app, "robot", "peer", said=said)
+        assert refused.returncode == 1, said
+        assert refused.stderr.startswith("link: ")
+    with pytest.raises(WrongFile, match=r"certificate of CN=robot\.app, not of CN=cloud\.app"):
+        link.join(app, LAYOUT, "203.0.113.7", robot)
+
+
+@pytest.mark.parametrize("link", ["zenoh", "wireguard"])
+def test_a_private_key_is_not_taken_for_a_public_half(link, links):
+    app = arm(link)
+    if link == "wireguard" and subprocess.run(["bash", "-c", "command -v wg"], capture_output=True).returncode:
+        pytest.skip("needs wg: apt-get install wireguard-tools")
+    assert at(app, "robot", "keys").returncode == 0
+    private = (links / "app" / "robot" / "private.key").read_text()
+    body = "".join(line for line in private.splitlines() if not line.startswith("-----"))
+    assert at(app, "robot", "peer", said=body).returncode == 1
+
+
+def test_up_before_the_exchange_says_what_is_missing(tmp_path):
+    app = arm()
+    layout = Layout.of(tmp_path / "specs" / "x.yaml", "app")
+    for path, content in launch_files(app, layout).items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    run = subprocess.run(["bash", str(layout.link / "link.sh"), "robot", "up"], capture_output=True, text=True)
+    assert (run.returncode, run.stderr) == (1, "link: the cloud end is not known here: link.sh robot peer\n")
+
+
+def test_the_verb_prints_the_public_half_and_never_the_private_one(tmp_path, monkeypatch, capsys, links):
+    monkeypatch.chdir(tmp_path)
+    Path("spec.yaml").write_text(SPEC)
+    with pytest.raises(SystemExit) as end:
+        main(["keys", "spec.yaml"])
+    assert not end.value.code
+    said = capsys.readouterr()
+    assert said.out == f"arm: {(links / 'arm' / 'robot' / 'public').read_text()}"
+    body = (links / "arm" / "robot" / "private.key").read_text().splitlines()[1]
+    assert body not in said.out + said.err
+
+
+def test_the_verb_without_a_link_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("spec.yaml").write_text(SPEC.replace("zenoh", "none"))
+    with pytest.raises(SystemExit) as end:
+        main(["keys", "spec.yaml"])
+    assert end.value.code == 1
+    assert "spec.connectivity.link is none" in capsys.readouterr().err
+
+
+def deployed(app: Application, infra: str = "aws/us-east-1") -> dict:
+    machine = MachineRef(infra=infra, instance="m6i.large", cpus=2.0, memory=8.0, price=0.096)
+    return deploy_task(
+        app, machine, workdir=".", agent="a", setup=None, run="true", launch="c.py", link="compiled/app/link"
+    )
+
+
+def test_the_task_asks_for_the_robots_public_half_and_opens_one_port():
+    task = deployed(arm())
+    assert task["envs"] == {"FOGSPEC_LINK_PEER": None}
+    assert task["resources"]["ports"] == [7448]
+    assert task["file_mounts"]["~/.fogspec/link"] == "compiled/app/link"
+    assert task["file_mounts"]["~/.fogspec/launch/cloud.launch.py"] == "c.py"
+    assert "ports" not in deployed(arm("wireguard"))["resources"], "SkyPilot opens TCP ports only"
+    assert "ports" not in deployed(arm(), "slurm/lab")["resources"], "SkyPilot opens none there"
+
+
+def test_the_link_starts_first_and_nodes_by_ros2_launch(tmp_path):
+    (link, nodes) = deployed_processes(arm())
+    said = tmp_path / "said"
+    for name in ("bash", "ros2"):
+        (tmp_path / name).write_text(f'#!/bin/sh\necho {name} "$@" >> "{said}"\n')
+        (tmp_path / name).chmod(0o755)
+    for words in (link, nodes):
+        subprocess.run(words, check=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin", "HOME": "/home/me and you"})
+    assert said.read_text().splitlines() == [
+        "bash /home/me and you/.fogspec/link/link.sh cloud up",
+        "ros2 launch /home/me and you/.fogspec/launch/cloud.launch.py",
+    ]
+    assert deployed_processes(application(cloud=[{"cmd": ["./x", "y"]}])) == [["./x", "y"]]
+
+
+def run_script(app: Application) -> str:
+    ros = ros_environment(app.spec)
+    return render(
+        "run_deploy.sh.j2",
+        **ros,
+        processes=deployed_processes(app),
+        listeners=[],
+        ready=None,
+        link=link_of_machine(app),
+    )
+
+
+@pytest.mark.parametrize("link", ["zenoh", "wireguard"])
+def test_the_machines_scripts_pass_shellcheck(link, tmp_path):
+    for text in (run_script(arm(link)), render("setup_link.sh.j2", **link_of_machine(arm(link)))):
+        script = tmp_path / "script.sh"
+        script.write_text(text)
+        try:
+            checked = subprocess.run(["shellcheck", "-s", "bash", "-S", "warning", "-e", "SC1091", str(script)],
+                                     capture_output=True, text=True)  # fmt: skip
+        except FileNotFoundError:
+            pytest.skip("needs shellcheck: apt-get install shellcheck")
+        assert checked.returncode == 0, checked.stdout
+
+
+def machine(tmp_path: Path, **environment: str) -> "subprocess.CompletedProcess[str]":
+    """The deployment's run script on a machine: real but for ROS 2 and for what keeps the nodes running."""
+    app, folder = arm(), tmp_path / "compiled" / "app"
+    layout = Layout.of(tmp_path / "specs" / "x.yaml", "app")
+    for path, content in launch_files(app, layout).items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    (tmp_path / "keeper.py").write_text("import os; print(os.environ['RMW_IMPLEMENTATION'])")
+    (tmp_path / "setup.bash").write_text("")
+    script = run_script(app).replace("/opt/ros/jazzy/setup.bash", str(tmp_path / "setup.bash"))
+    words = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path / "home"), "FOGSPEC_AGENT": str(tmp_path / "agent.py"),
+             "FOGSPEC_OUT": str(tmp_path / "out"), "FOGSPEC_LINK": str(folder / "link")}  # fmt: skip
+    return subprocess.run(["bash", "-c", script], capture_output=True, text=True, env=words | environment)
+
+
+def test_the_machine_makes_its_own_key_and_hands_out_its_public_half(tmp_path, links):
+    public = link.make_keys(arm(), LAYOUT)
+    run = machine(tmp_path, FOGSPEC_LINK_PEER=public)
+    assert (run.returncode, run.stdout) == (0, "rmw_zenoh_cpp\n"), run.stderr
+    mine = tmp_path / "home" / ".fogspec" / "links" / "app" / "cloud"
+    assert (tmp_path / "out" / "link.pub").read_text() == (mine / "public").read_text()
+    assert (mine / "peer").read_text().strip() == public
+    assert (mine / "private.key").read_bytes() != (links / "app" / "robot" / "private.key").read_bytes()
+    link.join(arm(), LAYOUT, "203.0.113.7", (tmp_path / "out" / "link.pub").read_text())
+
+
+@pytest.mark.parametrize("peer", [{}, {"FOGSPEC_LINK_PEER": ""}, {"FOGSPEC_LINK_PEER": "AAAA"}])
+def test_without_the_robots_public_half_no_node_starts(tmp_path, peer):
+    run = machine(tmp_path, **peer)
+    assert run.returncode == 1
+    assert "rmw_zenoh_cpp" not in run.stdout
+    assert "link: " in run.stderr

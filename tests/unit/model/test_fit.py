@@ -1,0 +1,132 @@
+"""Fitted models: what counts as a sample, what a prediction is worth, and that nothing is guessed."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fogspec.model import predict
+from fogspec.model.fit import fit
+from fogspec.plan.schema import GpuShape, MachineRef, PlanMetadata
+from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, sealed
+from tests.bench_choice import application, offers
+
+
+def predict(models, catalog):
+    return predict.predict(models, catalog, ["latency"]).targets["latency"]
+
+
+SHAPES = [(c, c * r) for c in (2.0, 16.0, 64.0) for r in (2.0, 4.0, 8.0)]
+
+
+def record(cpus: float, memory: float, mean: float | None, **more) -> Measured:
+    gpu = more.pop("gpu", None)
+    machine = MachineRef(infra="aws/r0", instance=more.pop("instance", f"s{cpus:g}m{memory:g}"), cpus=cpus, memory=memory,
+                         gpu=gpu, price=0.1)  # fmt: skip
+    latency = None if mean is None else LatencySummary(mean=mean, **more.pop("summary", {}))
+    base = {"state": "ok", "requests": 50, "duration": 60.0, "spent": 0.01, "measured_on": "x"}
+    return Measured(id=f"{cpus:g}-{memory:g}-{gpu}", machine=machine, latency=latency, **(base | more))
+
+
+def results(*records: Measured) -> Results:
+    body = ResultsBody(application="", plan=None, runner="x", spent=0.0, samples=list(records))
+    return sealed(PlanMetadata(name="made-up"), body)
+
+
+@given(st.floats(0.01, 100), st.floats(0.1, 1000))
+@settings(deadline=None)
+def test_a_noise_free_curve_is_recovered(a, b):
+    models = fit(application(), results(*(record(c, m, a + b / c) for c, m in SHAPES)))
+    [model] = models.spec.models
+    assert model.memory_family == "constant"
+    predicted = predict(models, offers(50))
+    inside = ~predicted.extrapolated
+    truth = a + b / offers(50).vcpus
+    assert np.median(np.abs(predicted.value[inside] / truth[inside] - 1)) < 0.1
+    low, high = np.array([predicted.interval(row, 0.9) for row in np.flatnonzero(inside)]).T
+    assert np.mean((low <= truth[inside]) & (truth[inside] <= high)) > 0.6
+
+
+def test_failed_samples_are_named_and_the_machine_that_failed_is_no_candidate():
+    catalog = offers(50)
+    failing = str(catalog.instance[0])
+    good = [record(c, m, 1 + 8 / c) for c, m in SHAPES]
+    bad = record(float(catalog.vcpus[0]), float(catalog.memory_gib[0]), None, instance=failing, state="failed",
+                 reason="out_of_memory", detail="needs more")  # fmt: skip
+    models = fit(application(), results(*good, bad))
+    assert [(one.unfit, one.why) for one in models.spec.unusable] == [(True, "out of memory: needs more")]
+    assert predict(models, catalog).unfit[0]
+
+
+def test_a_sample_that_the_cloud_refused_says_nothing_of_the_machine():
+    bad = record(2.0, 4.0, None, state="failed", reason="capacity")
+    [one] = fit(application(), results(bad)).spec.unusable
+    assert not one.unfit
+
+
+@pytest.mark.parametrize("statistic", ["p95", "p99"])
+def test_a_statistic_that_was_not_measured_is_not_made_up(statistic):
+    app = application()
+    spec = app.spec
+    wanted = spec.constraints.model_copy(update={"statistic": statistic})
+    app = app.model_copy(update={"spec": spec.model_copy(update={"constraints": wanted})})
+    models = fit(app, results(record(2.0, 4.0, 1.0)))
+    assert models.spec.models == []
+    assert statistic in models.spec.unusable[0].why
+
+
+def test_a_measured_machine_is_its_measurement_and_others_are_predicted():
+    catalog = offers(50)
+    inside = next(i for i in range(50) if 2 <= catalog.vcpus[i] <= 64)
+    own = record(float(catalog.vcpus[inside]), float(catalog.memory_gib[inside]), 123.0,
+                 instance=str(catalog.instance[inside]))  # fmt: skip
+    predicted = predict(fit(application(), results(own, *(record(c, m, 1 + 8 / c) for c, m in SHAPES))), catalog)
+    assert predicted.measured[inside]
+    assert predicted.value[inside] == pytest.approx(123.0, rel=0.1)
+    low, high = predicted.interval(inside, 0.9)
+    assert low < 123.0 * 1.05
+    assert high / low < 1.5
+
+
+def test_gpus_have_models_of_their_own():
+    t4 = GpuShape(name="T4")
+    with_t4 = [record(c, 4 * c, 1.6 + 0.001 * c, gpu=t4) for c in (4.0, 8.0, 16.0)]
+    models = fit(application(), results(*(record(c, m, 1 + 8 / c) for c, m in SHAPES), *with_t4))
+    assert [(m.gpu, m.n) for m in models.spec.models] == [(None, 9), ("T4:1", 3)]
+    assert any("R²" in text for text in models.spec.models[1].warnings)
+    assert models.spec.models[1].p == 1
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_samples_are_marked_weak(count):
+    models = fit(application(), results(*(record(c, m, 1.0) for c, m in SHAPES[:count])))
+    [model] = models.spec.models
+    assert model.warnings
+    predicted = predict(models, offers(30))
+    wide = [high / low for low, high in (predicted.interval(row, 0.9) for row in range(30))]
+    assert max(wide) > 3, "one sample says little of machines of other sizes"
+
+
+def test_all_equal_is_a_constant_and_needs_no_r2():
+    [model] = fit(application(), results(*(record(c, m, 2.0) for c, m in SHAPES))).spec.models
+    assert (model.cpu_family, model.memory_family, model.r2) == ("constant", "constant", None)
+
+
+def test_the_interval_widens_with_confidence_and_holds_the_prediction():
+    noisy = [record(c, m, (1 + 8 / c) * (1 + 0.05 * math.sin(7 * c + m))) for c, m in SHAPES]
+    predicted = predict(fit(application(), results(*noisy)), offers(50))
+    for row in range(50):
+        narrow, wide = predicted.interval(row, 0.5), predicted.interval(row, 0.95)
+        if narrow and wide:
+            assert wide[0] < narrow[0] <= predicted.value[row] <= narrow[1] < wide[1]
+
+
+def test_local_measurements_are_marked_extrapolated():
+    local = MachineRef(infra="local", instance="1cpu-1gib", cpus=1.0, memory=1.0, price=0.0)
+    models = fit(application(), results(*(
+        record(c, 1.0, 1 / c).model_copy(update={"machine": local.model_copy(update={"cpus": c})}) for c in (1.0, 2.0, 4.0, 8.0)
+    )))  # fmt: skip
+    assert models.spec.measured_on_local
+    assert predict(models, offers(20)).extrapolated.all()

@@ -1,0 +1,62 @@
+"""What other workloads say of machines: kept apart, borrowed, completed."""
+
+import numpy as np
+import pytest
+
+from fogspec.numerics.priors import Library, prior_for
+from fogspec.numerics.samples import observations
+from fogspec.numerics.surrogate import fit
+from tests.support.machines import amdahl, family
+
+MACHINES = family()
+NAMES = tuple(f"aws/{i}" for i in range(len(MACHINES)))
+SERIAL = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4)
+
+
+def library(missing=(), suites=None):
+    log = np.log(np.array([amdahl(MACHINES, serial) for serial in SERIAL]))
+    for workload, machine in missing:
+        log[workload, machine] = np.nan
+    names = tuple(f"w{i}" for i in range(len(SERIAL)))
+    return Library(NAMES, MACHINES, names, suites or names, log)
+
+
+def test_a_library_sharpens_predictions():
+    truth, at = amdahl(MACHINES, 0.07), [0, 14]
+    prior = prior_for(library(), NAMES, MACHINES)
+    with_prior = fit(MACHINES, observations(at, truth[at]), prior)
+    without = fit(MACHINES, observations(at, truth[at]))
+    assert _error(with_prior, truth) < 0.5 * _error(without, truth)
+
+
+def test_a_suite_that_is_left_out_says_nothing():
+    suites = ("a", "a", "b", "b", "b", "b")
+    prior = prior_for(library(suites=suites), NAMES, MACHINES, leave_out=["a"])
+    assert prior is not None
+    assert len(prior.profiles) == 4
+    assert prior_for(library(suites=suites), NAMES, MACHINES, leave_out=["b"]) is None
+    assert prior_for(library(suites=suites), NAMES, MACHINES, leave_out=["a", "b"]) is None
+
+
+def test_missing_cells_are_filled_close_to_what_they_were():
+    whole = prior_for(library(), NAMES, MACHINES)
+    holed = prior_for(library(missing=[(1, 4), (3, 9)]), NAMES, MACHINES)
+    assert np.isfinite(holed.profiles).all()
+    assert np.abs(holed.profiles - whole.profiles).max() < 0.2
+
+
+def test_an_unknown_machine_borrows_from_its_kin_and_says_so():
+    renamed = (*NAMES[:-1], "aws/new")
+    prior = prior_for(library(), renamed, MACHINES)
+    assert prior.own[-1] > 0
+    assert (prior.own[:-1] == 0).all()
+    assert np.abs(prior.profiles[:, -1] - prior_for(library(), NAMES, MACHINES).profiles[:, -1]).max() < 0.2
+
+
+def test_a_table_of_the_wrong_shape_is_refused():
+    with pytest.raises(ValueError, match="workloads x machines"):
+        Library(NAMES, MACHINES, ("w",), ("s",), np.zeros((2, len(NAMES))))
+
+
+def _error(posterior, truth):
+    return float(np.abs(posterior.mean - np.log(truth)).mean())

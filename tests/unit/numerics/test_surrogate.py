@@ -1,0 +1,118 @@
+"""What the surrogate says of machines after few samples, and after samples that are odd."""
+
+import time
+
+import numpy as np
+import pytest
+
+from fogspec.numerics import features
+from fogspec.numerics.samples import observations
+from fogspec.numerics.surrogate import fit, prepare
+from tests.support.machines import amdahl, family
+
+FEW = [0, 3, 6, 10, 17]
+
+
+def test_recovers_a_scaling_law_from_five_noise_free_samples():
+    machines = family()
+    truth = amdahl(machines, 0.1)
+    posterior = fit(machines, observations(FEW, truth[FEW], [0.0] * 5))
+    assert np.abs(np.exp(posterior.mean) / truth - 1).max() < 0.1
+    low, high = posterior.quantile(0.05), posterior.quantile(0.95)
+    assert ((low <= truth) & (truth <= high)).mean() > 0.85
+
+
+def test_measured_machines_are_known_and_others_less_so():
+    machines = family()
+    posterior = fit(machines, observations(FEW, amdahl(machines, 0.1)[FEW]))
+    assert posterior.measured.sum() == 5
+    assert posterior.sd[posterior.measured].max() < 0.05 < posterior.sd[~posterior.measured].max() + 0.03
+    assert (posterior.sd[~posterior.measured] > posterior.sd[posterior.measured].min()).all()
+
+
+def test_without_a_sample_nothing_is_known():
+    posterior = fit(family(), observations([], []))
+    assert not posterior.measured.any()
+    assert posterior.extrapolated.all()
+    assert posterior.sd.min() > 3
+
+
+def test_one_sample_leaves_the_others_open():
+    posterior = fit(family(), observations([3], [1.0]))
+    assert posterior.mean[3] == pytest.approx(0.0, abs=0.02)
+    assert posterior.sd[~posterior.measured].min() > posterior.sd[3]
+    assert np.isfinite(posterior.quantile(0.9)).all()
+
+
+def test_all_equal_samples_are_no_trouble():
+    posterior = fit(family(), observations(FEW, [2.0] * 5))
+    assert np.abs(posterior.mean - np.log(2.0)).max() < 0.25
+    assert np.isfinite(posterior.sd).all()
+
+
+def test_contradictory_repeats_widen_what_is_said_of_the_machine():
+    machines = family()
+    agreeing = fit(machines, observations([3, 3], [1.0, 1.01]))
+    contradictory = fit(machines, observations([3, 3], [1.0, 3.0]))
+    assert contradictory.sd[3] > 5 * agreeing.sd[3]
+    assert contradictory.mean[3] == pytest.approx(np.log(np.sqrt(3.0)), abs=0.2)
+
+
+def test_a_lower_bound_raises_the_prediction():
+    machines = family()
+    truth = amdahl(machines, 0.1)
+    plain = fit(machines, observations([3, 10], truth[[3, 10]]))
+    bounded = fit(
+        machines,
+        observations([3, 10, 0], [*truth[[3, 10]], 2 * float(np.exp(plain.mean[0]))], None, [False, False, True]),
+    )
+    assert bounded.mean[0] > plain.mean[0] + 0.3
+    assert not bounded.measured[0]
+
+
+def test_a_lower_bound_far_below_changes_nothing():
+    machines = family()
+    plain = fit(machines, observations([3, 10], [1.0, 1.0]))
+    bounded = fit(machines, observations([3, 10, 0], [1.0, 1.0, 1e-6], None, [False, False, True]))
+    assert bounded.mean == pytest.approx(plain.mean, abs=0.02)
+
+
+@pytest.mark.parametrize("latency_s", [0.0, -1.0, float("inf"), float("nan")])
+def test_impossible_latencies_are_refused(latency_s):
+    with pytest.raises(ValueError, match="positive and finite"):
+        observations([0], [latency_s])
+
+
+def test_probabilities_and_quantiles_agree():
+    posterior = fit(family(), observations(FEW, amdahl(family(), 0.3)[FEW]))
+    for p in (0.05, 0.5, 0.9):
+        assert posterior.probability_below(posterior.quantile(p)) == pytest.approx(p, abs=1e-4)
+    assert posterior.probability_below(np.inf) == pytest.approx(1.0)
+    assert (posterior.probability_below(0.0) == 0).all()
+
+
+def test_draws_have_the_moments_of_the_posterior():
+    machines = family()
+    posterior = prepare(machines, draws=4096).fit(observations(FEW, amdahl(machines, 0.1)[FEW]))
+    assert np.abs(posterior.draws.mean(0) - posterior.mean).max() < 0.25 * posterior.sd.max()
+    assert posterior.draws.std(0)[~posterior.measured] == pytest.approx(posterior.sd[~posterior.measured], rel=0.25)
+
+
+def test_a_fit_of_one_family_takes_milliseconds():
+    space, samples = prepare(family()), observations(FEW, amdahl(family(), 0.1)[FEW])
+    space.fit(samples)
+    best = min(_seconds(lambda: space.fit(samples)) for _ in range(10))
+    assert best < 0.010
+
+
+def _seconds(work):
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def test_of_too_many_kinds_the_most_frequent_are_kept(monkeypatch):
+    code = np.array([7, 7, 7, 3, 3, 9, -1])
+    assert features.same(code).tolist() == [[0, 1, 0]] * 3 + [[1, 0, 0]] * 2 + [[0, 0, 1], [0, 0, 0]]
+    monkeypatch.setattr(features, "MOST_NUMBERS", 2 * len(code))
+    assert features.same(code).tolist() == [[0, 1]] * 3 + [[1, 0]] * 2 + [[0, 0]] * 2

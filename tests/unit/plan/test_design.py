@@ -1,0 +1,105 @@
+"""Which machines are measured: the grid, a list, and what is said where there is none."""
+
+import pytest
+
+from fogspec.base.errors import NothingMeets, WrongFile
+from fogspec.catalog.filters import admit
+from fogspec.catalog.table import Catalog
+from fogspec.plan.design import Picks, pick
+from fogspec.spec.schema import Application
+from tests.support.catalogs import application, table
+
+OFFERS = (
+    "c6i.large,,,2,4,0.085,0.03,us-east-1,a",
+    "c6i.large,,,2,4,0.106,,us-west-1,a",
+    "c6a.large,,,2,4,0.0765,,us-east-1,a",
+    "m6i.large,,,2,8,0.096,,us-east-1,a",
+    "r6i.large,,,2,16,0.126,,us-east-1,a",
+    "g4dn.xlarge,T4,1,4,16,0.526,,us-east-1,a",
+)
+
+
+def picked(application: Application, catalog: Catalog) -> Picks:
+    return pick(application.spec, catalog, admit(catalog, application.spec.hardware, application.spec.infra))
+
+
+def test_the_cheapest_machine_of_each_cell_is_taken_and_every_gap_is_said() -> None:
+    found = picked(application({"gpus": ["none", "T4", "A100"]}), table(*OFFERS))
+    assert [one.offer.instance for one in found.picks] == ["c6a.large", "m6i.large", "r6i.large", "g4dn.xlarge"]
+    assert found.picks[1].reason == "smallest vCPUs (2), median memory (8 GiB)"
+    assert found.picks[3].reason == "smallest vCPUs (4), smallest memory (16 GiB) with T4"
+    said = "\n".join(found.notes)
+    assert "GPU none: the median vCPU count is also the smallest or largest: its cells are skipped" in said
+    assert "GPU T4: 4 vCPUs with median memory: g4dn.xlarge again, sampled once" in said
+    assert "GPU A100: no admissible machine, nothing is sampled" in said
+
+
+def test_a_burstable_machine_in_the_grid_is_said() -> None:
+    offers = table("t3.large,2,8,0.08,us-east-1,1", head="InstanceType,vCPUs,MemoryGiB,Price,Region,Burstable")
+    assert "t3.large is burstable, its latency depends on CPU credits left" in "\n".join(
+        picked(application(), offers).notes
+    )
+
+
+def test_ids_name_the_machine_and_nothing_else() -> None:
+    one = picked(application(), table(*OFFERS)).picks[0]
+    assert one.id == "aws-us-east-1-c6a-large"
+    only = application({"spot": True, "machines": {"allow": ["c6i.*"]}})
+    assert [one.id for one in picked(only, table(*OFFERS)).picks] == ["aws-us-east-1-c6i-large-spot"]
+    carrier = table("n1-standard-4,,,4,15,0.2,,us-central1,b", ",T4,1,,,0.35,,us-central1,b", cloud="gcp")
+    both = picked(application({"gpus": ["none", "T4"]}, ["gcp/us-central1"]), carrier)
+    assert [one.id for one in both.picks] == ["gcp-us-central1-n1-standard-4", "gcp-us-central1-n1-standard-4-t4-1"]
+
+
+def test_overlapping_places_sample_a_machine_once() -> None:
+    found = picked(application({"machines": {"allow": ["m6i.*"]}}, ["aws/us-east-1", "aws"]), table(*OFFERS))
+    assert len(found.picks) == 1
+    assert "aws/us-east-1 m6i.large is found twice, sampled once" in found.notes
+
+
+def test_a_list_is_taken_as_it_stands_and_says_what_is_no_candidate() -> None:
+    wanted = ["g4dn.xlarge", "c6i.large", "local/2cpu-4gib"]
+    found = picked(application(infra=["aws/us-west-1", "aws/us-east-1"], machines=wanted), table(*OFFERS))
+    assert [(one.offer.infra, one.offer.instance, one.offer.price_usd_per_hour) for one in found.picks] == [
+        ("aws/us-east-1", "g4dn.xlarge", 0.526),
+        ("aws/us-west-1", "c6i.large", 0.106),
+        ("aws/us-east-1", "c6i.large", 0.085),
+        ("local", "2cpu-4gib", 0.0),
+    ]
+    assert found.notes == (
+        "g4dn.xlarge is listed in benchmark.machines, and is no candidate: hardware does not admit it",
+    )
+
+
+def test_an_unknown_listed_machine_is_a_mistake_with_a_suggestion() -> None:
+    with pytest.raises(WrongFile, match=r"no instance type 'c6i\.larg'") as caught:
+        picked(application(machines=["c6i.larg"]), table(*OFFERS))
+    assert caught.value.hints[0].startswith("did you mean c6i.large, ")
+    with pytest.raises(WrongFile, match=r"no instance type 'm6i\.large' in aws/us-west-1"):
+        picked(application(infra=["aws/us-west-1"], machines=["m6i.large"]), table(*OFFERS))
+
+
+def test_no_machine_is_an_answer_that_says_which_filter_left_none() -> None:
+    with pytest.raises(NothingMeets) as caught:
+        picked(application({"cpus": "128.."}), table(*OFFERS))
+    assert (
+        caught.value.hints[0]
+        == "7 offers -> 6 after infra -> 5 after hardware.spot -> 4 after hardware.gpus -> 0 after hardware.cpus"
+    )
+    with pytest.raises(NothingMeets) as caught:
+        picked(application(infra=["aws/us-esat-1"]), table(*OFFERS))
+    assert caught.value.hints[0] == "7 offers -> 0 after infra"
+    assert caught.value.hints[1].startswith("the catalog has no machine in aws/us-esat-1; did you mean aws/us-")
+    with pytest.raises(NothingMeets) as caught:
+        picked(application(infra=["slurm/lab"]), table(*OFFERS))
+    assert "no machine in slurm/lab; --catalog takes a list of its machines" in caught.value.hints[1]
+
+
+@pytest.mark.parametrize(
+    ("hardware", "said"),
+    [({"gpus": ["A100"]}, "for hardware.gpus: T4"), ({"cpus": 3}, "for hardware.cpus: "), ({"memory": "3GiB"}, " GiB")],
+)
+def test_where_no_machine_is_left_what_there_was_is_said(hardware: dict[str, object], said: str) -> None:
+    with pytest.raises(NothingMeets) as ended:
+        picked(application(hardware), table(*OFFERS))
+    assert any("on offer there" in hint and said in hint for hint in ended.value.hints)

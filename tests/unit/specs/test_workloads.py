@@ -1,0 +1,90 @@
+"""The bundled workloads: real work that checks its own answers, on as many CPUs as it is given."""
+
+import importlib
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fogspec.agent
+from fogspec.bench import record
+from tests.conftest import ROOT
+
+WORKLOADS = ROOT / "specs" / "workloads"
+PROBE = Path(next(iter(fogspec.agent.__path__)))
+
+
+@pytest.fixture(scope="module")
+def modules():
+    """The workloads as modules, with the probe beside them as on a sampled machine."""
+    before = list(sys.path)
+    sys.path[:0] = [str(WORKLOADS), str(PROBE)]
+    try:
+        pytest.importorskip("small_gicp")
+        yield {name: importlib.import_module(name) for name in ("lidar_odometry", "planner")}
+    finally:
+        sys.path[:] = before
+
+
+def run(tmp_path, name, *words, cpus=None):
+    """Three requests in a process of its own; returns the lines that it wrote."""
+    timings = tmp_path / f"{name}-{cpus}.jsonl"
+    chosen = set(sorted(os.sched_getaffinity(0))[:cpus])
+    ended = subprocess.run(
+        [sys.executable, str(WORKLOADS / f"{name}.py"), "--requests", "3", *words], capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": str(PROBE), "FOGSPEC_TIMINGS": str(timings)}, timeout=120,
+        preexec_fn=lambda: os.sched_setaffinity(0, chosen),
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    said = record.read(timings, record.Rules(warmup=0, valid=0.9, statistic="mean"))
+    assert said.unreadable == 0
+    return [json.loads(line) for line in timings.read_text().splitlines()]
+
+
+def test_drift_is_how_far_an_estimated_motion_is_from_the_true_one(modules):
+    drift, truth = modules["lidar_odometry"].drift, np.eye(4)
+    truth[:3, 3] = 0.2, 0.1, 0.0
+    assert drift(truth, truth) == pytest.approx((0, 0), abs=1e-6)
+    moved, turned = truth.copy(), truth.copy()
+    moved[:3, 3] += 0.03, 0.0, 0.04
+    assert drift(moved, truth) == pytest.approx((0.05, 0), abs=1e-6)
+    angle = math.radians(1.5)
+    turned[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    assert drift(turned, truth) == pytest.approx((0, 1.5), abs=1e-6)
+
+
+def test_a_ray_meets_the_floor_where_it_must(modules):
+    lidar = modules["lidar_odometry"]
+    hall = lidar.Hall(np.random.default_rng(1))
+    down, up = np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 1.0]])
+    origin = np.array([0.0, 0.0, 1.5])
+    assert hall.ranges(origin, down) == pytest.approx([1.5])
+    assert np.isinf(hall.ranges(origin, up)).all()
+
+
+def test_the_planner_finds_the_same_path_on_one_cpu_and_on_two(tmp_path, modules):
+    lengths = []
+    for cpus in (1, 2):
+        if cpus > len(os.sched_getaffinity(0)):
+            pytest.skip("this host has one CPU")
+        lines = run(tmp_path, "planner", "--samples", "3000", cpus=cpus)
+        assert [line["name"] for line in lines] == ["plan"] * 3
+        lengths.append([line["metrics"].get("path_length_m") for line in lines])
+    assert lengths[0] == pytest.approx(lengths[1])
+    straight = math.dist(modules["planner"].START[:3], modules["planner"].GOAL[:3])
+    assert all(straight < length < 3 * straight for length in lengths[0])
+    assert len(set(lengths[0])) == 3, "every request is a roadmap of its own"
+
+
+def test_what_touches_a_wall_is_not_free(modules):
+    planner = modules["planner"]
+    upright = np.array([1.0, 0.0, 0.0, 0.0])
+    poses = np.array([[*at, *upright] for at in ((1.5, 1.5, 1.5), (5.1, 0.5, 1.5), (0.5, 1.5, 1.5), (1.5, 1.5, 2.9))])
+    assert planner.free(poses).tolist() == [True, False, False, False]
+    through = np.stack([planner.START, np.array([9.0, 1.0, 1.5, *upright])])[None]
+    assert planner.edges_free(through).tolist() == [False]

@@ -1,0 +1,137 @@
+"""JSON Schema 2020-12 of each kind of document, made from the types: `python -m tools.json_schemas [--check]`.
+
+An editor teaches the language from these files alone: descriptions, examples, defaults as people write them.
+"""
+
+import importlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+ROOT = Path(__file__).resolve().parents[1]
+KINDS = {
+    "Application": "fogspec.spec.schema:Application",
+    "SamplingPlan": "fogspec.plan.schema:Plan",
+    "Lock": "fogspec.spec.lockfile:Lock",
+    "Results": "fogspec.results.schema:Results",
+    "Models": "fogspec.model.fit:Models",
+    "Menu": "fogspec.choice.menu:Menu",
+    "DeploymentManifest": "fogspec.compile.manifest:Manifest",
+    "LiveState": "fogspec.deploy.schema:LiveState",
+}
+POSITIVE = "(?=[^eE/]*[1-9])"  # a quantity above zero, before its exponent and its unit
+
+
+def model_of(kind: str) -> type[BaseModel]:
+    """The type of a kind of document, imported when it is asked for."""
+    module, _, name = KINDS[kind].partition(":")
+    found: type[BaseModel] = getattr(importlib.import_module(module), name)
+    return found
+
+
+def schema_of(kind: str) -> dict[str, Any]:
+    """The JSON Schema of a kind of document, as a YAML reader of version 1.2 sees it."""
+    model = model_of(kind)
+    schema = model.model_json_schema(by_alias=True)
+    _with_defaults(model, schema)
+    for name, definition in schema.get("$defs", {}).items():
+        found = _models(model).get(name)
+        if found is not None:
+            _with_defaults(found, definition)
+    _tidy(schema)
+    version = "v1alpha1"
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": f"urn:fogspec:{version}:{kind}"}
+    return {**head, "title": kind, **{key: value for key, value in schema.items() if key != "title"}}
+
+
+def _models(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
+    """Every model that a model is made of, by name."""
+    from fogspec.spec.introspect import part
+
+    found: dict[str, type[BaseModel]] = {}
+    queue: list[Any] = [model]
+    while queue:
+        kind, items = part(queue.pop())
+        queue += [items] if items is not None else []
+        if isinstance(kind, type) and issubclass(kind, BaseModel) and kind.__name__ not in found:
+            found[kind.__name__] = kind
+            queue += [field.annotation for field in kind.model_fields.values()]
+    return found
+
+
+def _with_defaults(model: type[BaseModel], definition: dict[str, Any]) -> None:
+    """Write defaults with their units; leave out those that say nothing, and titles that repeat the name."""
+    defaults = model.model_construct().model_dump(mode="json", by_alias=True, warnings=False)
+    by_key = {field.alias or name: field for name, field in model.model_fields.items()}
+    for name, declared in definition.get("properties", {}).items():
+        declared.pop("title", None)
+        if any(getattr(mark, "gt", None) == 0 for mark in by_key[name].metadata) and declared.get("type") == "string":
+            declared["gt"] = 0
+        if "default" in declared:
+            declared["default"] = defaults.get(name)
+            if declared["default"] in (None, [], {}) or "$ref" in declared:
+                del declared["default"]
+    if definition.get("additionalProperties") is False:
+        definition["patternProperties"] = {"^x-": {"description": "a key of your own; ignored"}}
+
+
+def _tidy(node: Any) -> None:
+    """Merge `X or null` into one type, and turn limits on quantities, which are texts, into patterns."""
+    for child in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
+        _tidy(child)
+    if not isinstance(node, dict):
+        return
+    if "patternProperties" in node:
+        node.setdefault("additionalProperties", False)  # keys that are no names
+    choices = node.get("anyOf")
+    if isinstance(choices, list) and len(choices) == 2 and choices[1] == {"type": "null"} and "type" in choices[0]:
+        del node["anyOf"]
+        inner = dict(choices[0])
+        kinds = inner["type"] if isinstance(inner["type"], list) else [inner["type"]]
+        examples = node.get("examples") or inner.get("examples")
+        node.update(inner, type=[*kinds, "null"])
+        if examples:
+            node["examples"] = examples
+        if "enum" in node:
+            node["enum"] = [*node["enum"], None]
+    if node.get("type") in ("string", ["string", "null"]):
+        above = node.pop("gt", None) == 0
+        above = node.pop("exclusiveMinimum", None) == 0 or above
+        node.pop("ge", None)
+        node.pop("minimum", None)
+        if above and "pattern" in node:
+            node["pattern"] = f"^{POSITIVE}{node['pattern'].removeprefix('^')}"
+
+
+def generated() -> dict[Path, str]:
+    """Every file that is made from the types, with its text."""
+    from fogspec.spec.reference import codes_page, fields_page
+
+    files = {
+        ROOT / "schemas" / f"{kind}.json": json.dumps(schema_of(kind), indent=2, ensure_ascii=False) + "\n"
+        for kind in KINDS
+    }
+    files[ROOT / "docs" / "reference" / "fields.md"] = fields_page()
+    files[ROOT / "docs" / "reference" / "codes.md"] = codes_page()
+    return files
+
+
+def main(arguments: list[str]) -> int:
+    """Write the files, or with `--check` say which differ; the exit code."""
+    differing = [path for path, text in generated().items() if not path.is_file() or path.read_text("utf-8") != text]
+    for path in differing:
+        if "--check" not in arguments:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(generated()[path], "utf-8")
+        print(f"{path.relative_to(ROOT)} {'differs from the types' if '--check' in arguments else 'written'}")
+    if differing and "--check" in arguments:
+        print("write them: python -m tools.json_schemas")
+        return 3
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
