@@ -6,12 +6,12 @@ import time
 import numpy as np
 
 from fogspec.backends import registry
-from fogspec.catalog.table import About, Catalog, texts
+from fogspec.catalog.table import About, Catalog, strings
 from fogspec.choice.choose import choose
 from fogspec.model.fit import Models, fit
 from fogspec.model.predict import predict
 from fogspec.plan.schema import MachineRef, PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec.schema import Application
 
 OFFERS, RUNS = 50_000, 21
@@ -23,11 +23,11 @@ def offers(count: int, seed: int = 0) -> Catalog:
     vcpus = 2.0 ** random.integers(1, 8, count)
     memory = vcpus * 2.0 ** random.integers(1, 4, count)
     price = (0.03 * vcpus + 0.004 * memory) * np.exp(0.2 * random.standard_normal(count))
-    names = texts(f"f{i % 400}.s{int(v)}m{int(m)}" for i, (v, m) in enumerate(zip(vcpus, memory, strict=True)))
-    same, none = texts([""] * count), np.zeros(count)
+    names = strings(f"f{i % 400}.s{int(v)}m{int(m)}" for i, (v, m) in enumerate(zip(vcpus, memory, strict=True)))
+    same, none = strings([""] * count), np.zeros(count)
     return Catalog(
-        About("made up", "", "", ""), texts(["aws"] * count), texts(f"r{i % 30}" for i in range(count)), same, names, vcpus,
-        memory, same, none, none + np.nan, price, none.astype(bool), texts(["x86_64"] * count), same, vcpus / 2, none + 3,
+        About("made up", "", "", ""), strings(["aws"] * count), strings(f"r{i % 30}" for i in range(count)), same, names, vcpus,
+        memory, same, none, none + np.nan, price, none.astype(bool), strings(["x86_64"] * count), same, vcpus / 2, none + 3,
         none.astype(bool),
     ).in_order()  # fmt: skip
 
@@ -52,7 +52,7 @@ def measured(names: dict[str, tuple[float, float]] | None = None) -> Models:
         for name, (c, m) in shapes.items()
     ]  # fmt: skip
     body = ResultsBody(application="", plan=None, runner="x", spent=0.0, samples=records)
-    return fit(application(), sealed(PlanMetadata(name="made-up"), body))
+    return fit(application(), with_checksum(PlanMetadata(name="made-up"), body))
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from fogspec.base.files import write_yaml
 from fogspec.base.units import parse_duration_s
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load, read_document
 from tests.support.scenes import SPEC, Scene
@@ -75,7 +75,7 @@ def parallel(folder: Path) -> str:
     ]  # fmt: skip
     body = ResultsBody(application=fingerprints.measured_digest(load([str(spec)])[0].application), runner="skypilot",
                        spent=0.09, samples=records)  # fmt: skip
-    recorded = sealed(plan.metadata, body).model_dump(mode="json", exclude_none=True)
+    recorded = with_checksum(plan.metadata, body).model_dump(mode="json", exclude_none=True)
     write_yaml(folder / "recorded.yaml", recorded, "bench_runner")
     words = [*fogspec, "bench", "specs/nine.yaml", "--runner", "replay", "--from", "recorded.yaml", "--pace", "1"]
     wall_s = _wall(words, folder)

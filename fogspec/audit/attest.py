@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from fogspec import __version__
-from fogspec.audit.verify import Link, verify
+from fogspec.audit.verify import Check, verify
 from fogspec.base import digest
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import Layout
 from fogspec.catalog.table import Catalog
-from fogspec.compile.bundle import Opened, references
+from fogspec.compile.bundle import ManifestBundle, references
 from fogspec.spec.lockfile import image_of, is_pinned
 
 STATEMENT = "https://in-toto.io/Statement/v1"
@@ -25,11 +25,11 @@ BUILD = "tag:fogspec.dev,2026:compile/v1"
 BUILDER = "tag:fogspec.dev,2026:fogspec"
 
 
-def statement(opened: Opened, catalog: Catalog) -> dict[str, Any]:
-    """The statement; raises Differs when the chain behind the manifest does not hold: nothing else may be attested."""
+def statement(opened: ManifestBundle, catalog: Catalog) -> dict[str, Any]:
+    """The statement; raises OutOfDate when the chain behind the manifest does not hold: nothing else may be attested."""
     links = verify(opened, catalog)
     if broken := [link for link in links if link.breaks]:
-        raise Differs(
+        raise OutOfDate(
             f"{opened.layout.manifest}: not attested, for the chain breaks at {broken[0].name}",
             *broken[0].breaks, f"see: fogspec verify {opened.layout.manifest}",
         )  # fmt: skip
@@ -54,7 +54,7 @@ def text(data: dict[str, Any]) -> str:
     return json.dumps(data, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
 
 
-def subjects(opened: Opened) -> list[dict[str, Any]]:
+def subjects(opened: ManifestBundle) -> list[dict[str, Any]]:
     """What is attested: the manifest and every file that is approved with it, by path from the folder of specs' root."""
     layout = opened.layout
     found = [(layout.manifest, opened.digest)]
@@ -62,7 +62,7 @@ def subjects(opened: Opened) -> list[dict[str, Any]]:
     return [{"name": layout.relative(path), "digest": _digest(value)} for path, value in found]
 
 
-def materials(opened: Opened) -> list[dict[str, Any]]:
+def materials(opened: ManifestBundle) -> list[dict[str, Any]]:
     """What it was made from: spec, lock, plan, results with their raw timings, models, catalog, and a pinned image.
 
     Digests are of the files' bytes, which any tool can check; annotated is fogspec's own digest, of what is read of them.
@@ -99,11 +99,11 @@ def _digest(text: str) -> dict[str, str]:
     return {algorithm: value}
 
 
-def check(opened: Opened, data: Any) -> Link:
+def check(opened: ManifestBundle, data: Any) -> Check:
     """Whether a statement attests this manifest as it is now."""
     now = {one["name"]: one["digest"] for one in subjects(opened)}
     if not isinstance(data, dict) or (data.get("_type"), data.get("predicateType")) != (STATEMENT, PREDICATE):
-        return Link("attestation", "", ("it is no in-toto Statement v1 with SLSA provenance v1",))
+        return Check("attestation", "", ("it is no in-toto Statement v1 with SLSA provenance v1",))
     listed = data.get("subject")
     said = (
         {one.get("name"): one.get("digest") for one in listed if isinstance(one, dict)}
@@ -112,4 +112,4 @@ def check(opened: Opened, data: Any) -> Link:
     )
     breaks = [f"it does not attest {name}" if name not in said else f"{name} is not what was attested"
               for name, value in now.items() if said.get(name) != value]  # fmt: skip
-    return Link("attestation", f"{len(now)} files", tuple(breaks))
+    return Check("attestation", f"{len(now)} files", tuple(breaks))

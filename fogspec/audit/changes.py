@@ -3,13 +3,13 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from fogspec.audit.compare import Change, short, words_of
+from fogspec.audit.compare import Change, change_text, short
 from fogspec.audit.diff import Difference, measuring_words
 
 NAMES = {"price": "machine", "month": "a month", "request": "a request", "latency": "latency"}
 
 
-def text(one: Difference, running: Sequence[Change] | None = None) -> str:
+def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
     """The difference in lines; `running` is what differs between what runs and the manifest."""
     lines = [f"{one.layout.name}: {headline(one)}"]
     lines += [f"  {change.field}: {short(change.before)} -> {short(change.after)}" for change in one.changes]
@@ -19,7 +19,7 @@ def text(one: Difference, running: Sequence[Change] | None = None) -> str:
         lines.append(f"  {measuring_words(one)}")
     if running is not None:
         lines.append(f"  running: {'as the manifest says' if not running else 'not what the manifest says'}")
-        lines += [f"    {words_of(change)}" for change in running]
+        lines += [f"    {change_text(change)}" for change in running]
     return "\n".join(lines)
 
 
@@ -47,7 +47,7 @@ def _cost_lines(one: Difference) -> Iterator[str]:
         yield f"{NAMES[name]} {was} -> {now}{f' ({relative})' if relative else ''}"
 
 
-def facts(one: Difference, running: Sequence[Change] | None = None) -> dict[str, Any]:
+def as_dict(one: Difference, running: Sequence[Change] | None = None) -> dict[str, Any]:
     """The same for programs."""
     return {
         "name": one.layout.name,
@@ -88,7 +88,7 @@ def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
         lines += ["", "</details>", ""]
     if running is not None:
         lines += [f"What runs {'is what the manifest says.' if not running else 'differs from the manifest:'}", ""]
-        lines += [f"- {escaped(words_of(change))}" for change in running]
+        lines += [f"- {escaped(change_text(change))}" for change in running]
     return "\n".join(lines).rstrip()
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fogspec.base.diagnostics import Problems
+from fogspec.base.diagnostics import DiagnosticError
 from fogspec.spec.loader import read_plain
 
 LONGEST = 80
@@ -44,13 +44,13 @@ def changes_in_file(path: Path, content: bytes) -> list[Change]:
     after = read_plain(path, content)
     try:
         before = read_plain(path)
-    except Problems as problems:
+    except DiagnosticError as problems:
         return [Change("", problems.diagnostics[0].message, "a whole file")]
     found = list(changes(before, after))
     return [one for one in found if not one.is_digest] or found
 
 
-def words_of(change: Change) -> str:
+def change_text(change: Change) -> str:
     """`expected.latency.limit: 2s -> 1s`."""
     return f"{change.field}: {short(change.before)} -> {short(change.after)}".removeprefix(": ")
 

@@ -8,14 +8,14 @@ from typing import Any
 from fogspec.audit.compare import Change, changes
 from fogspec.audit.freshness import status
 from fogspec.base import units
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import Outcome
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
 from fogspec.catalog.table import Catalog
-from fogspec.compile.compiler import Compiled, compile_application, money
+from fogspec.compile.compiler import Artifacts, compile_application, money
 from fogspec.plan.schema import lifetime_s
-from fogspec.results.schema import done
+from fogspec.results.schema import completed
 from fogspec.spec.loader import LoadedSpec, read_plain
 
 COSTS = {
@@ -59,12 +59,12 @@ def difference(loaded: LoadedSpec, catalog: Catalog) -> Difference:
     secrets = application.spec.secrets
     try:
         compiled = compile_application(application, loaded.path, catalog)
-    except Outcome as refused:
+    except FogspecError as refused:
         told = redacted(before, secrets)
         return Difference(layout, told, None, (), {}, (), refused=refused.message)
     after = manifest_now(compiled)
     old, new = redacted(before, secrets), redacted(after, secrets)
-    left = [sample for sample in compiled.plan.spec.samples if sample.id not in done(compiled.results)]
+    left = [sample for sample in compiled.plan.spec.samples if sample.id not in completed(compiled.results)]
     body = compiled.plan.spec
     worst = sum(sample.machine.price for sample in left) * lifetime_s(body.after, body.setup) / 3600
     return Difference(
@@ -82,12 +82,12 @@ def manifest_in(path: Path, content: bytes | None = None) -> Mapping[str, Any]:
     """The manifest in a file, or in what the file was; damaged, it has one field that says so."""
     try:
         found = read_plain(path, content)
-    except Problems as problems:
+    except DiagnosticError as problems:
         return {"damaged": problems.diagnostics[0].message}
     return found if isinstance(found, dict) else {"damaged": "it has no mapping"}
 
 
-def manifest_now(compiled: Compiled) -> Mapping[str, Any] | None:
+def manifest_now(compiled: Artifacts) -> Mapping[str, Any] | None:
     """The manifest that compile would write, as a reader of the file would see it."""
     content = compiled.files.get(compiled.layout.manifest)
     if content is None:
@@ -190,7 +190,7 @@ def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
 
 
-def _no_manifest(compiled: Compiled) -> str | None:
+def _no_manifest(compiled: Artifacts) -> str | None:
     if compiled.chosen is None:
         return compiled.stale or "nothing is measured yet: there is no manifest"
     return None if compiled.chosen.manifest is not None else "no machine meets the limits"

@@ -10,20 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from fogspec.audit.compare import changes, changes_in_file, words_of
+from fogspec.audit.compare import change_text, changes, changes_in_file
 from fogspec.base import digest
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import Outcome
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.catalog.table import Catalog
-from fogspec.compile.compiler import Compiled, compile_application, money
-from fogspec.plan.reuse import still_serves
+from fogspec.compile.compiler import Artifacts, compile_application, money
+from fogspec.plan.reuse import covers
 from fogspec.plan.schema import Plan, PlanBody, TaskRef
 from fogspec.results.io import read_results
-from fogspec.results.schema import Results, done
+from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import read_document
-from fogspec.spec.lock_io import drift, read_pins
+from fogspec.spec.lock_io import lock_drift, read_pins
 from fogspec.spec.lockfile import pins_of_measurement
 from fogspec.spec.schema import Application
 
@@ -60,45 +60,45 @@ class Status:
 
 
 def status(application: Application, spec_path: str, catalog: Catalog) -> Status:
-    """How things stand with one application; raises Problems for results that were edited."""
+    """How things stand with one application; raises DiagnosticError for results that were edited."""
     layout = Layout.of(spec_path, application.metadata.name)
     results = read_results(layout)
     spent = results.spec.spent if results else 0.0
     budget = application.spec.benchmark.budget
     try:
         compiled = compile_application(application, spec_path, catalog)
-    except Outcome as refused:
+    except FogspecError as refused:
         return Status(layout, (), spent, budget, None, refused.message)
     plan = _plan(application, layout, compiled)
     measured = _results(application, layout, compiled, results)
-    left = len({sample.id for sample in compiled.plan.spec.samples} - done(compiled.results))
+    left = len({sample.id for sample in compiled.plan.spec.samples} - completed(compiled.results))
     derived = [_derived(name, path, compiled, measured) for name, path in _after(layout, compiled)]
     return Status(layout, (plan, measured, *derived), spent, budget, left)
 
 
-def _after(layout: Layout, compiled: Compiled) -> Iterator[tuple[str, Path]]:
+def _after(layout: Layout, compiled: Artifacts) -> Iterator[tuple[str, Path]]:
     yield "models", layout.models
     yield "menu", layout.menu
     if compiled.chosen is None or compiled.chosen.manifest is not None or layout.manifest.is_file():
         yield "manifest", layout.manifest
 
 
-def _plan(application: Application, layout: Layout, compiled: Compiled) -> Stage:
+def _plan(application: Application, layout: Layout, compiled: Artifacts) -> Stage:
     if not layout.plan.is_file():
         return Stage("plan", layout.plan, "missing", (f"fogspec compile {layout.spec}",))
     try:
         old = read_document(layout.plan, Plan)
-    except Problems as problems:
+    except DiagnosticError as problems:
         return Stage("plan", layout.plan, "stale", (problems.diagnostics[0].message,))
     was, now = old.spec, compiled.plan.spec
     reasons = [*changed_reads(was.application.reads, application), *_changed_pins(was.pins, now.pins)]
-    reasons += [f"{name} is not what the lock says" for name in drift(application, layout, read_pins(layout))]
+    reasons += [f"{name} is not what the lock says" for name in lock_drift(application, layout, read_pins(layout))]
     other_catalog = was.catalog.digest != now.catalog.digest
     if _samples(was, other_catalog) != _samples(now, other_catalog):
         for name in ("hardware", "infra", "sampler", "steps", "after", "warmup", "setup"):
             before, after = (body.model_dump(mode="json")[name] for body in (was, now))
             where = "spec." if name in ("hardware", "infra") else "spec.benchmark."
-            reasons += map(words_of, changes(before, after, f"{where}{name}"))
+            reasons += map(change_text, changes(before, after, f"{where}{name}"))
         picked = "from the new catalog other machines are picked" if other_catalog else "it is not what compile writes"
         reasons = reasons or [picked]
     reasons = reasons or [f"{path} is not what was compiled" for path in _edited(layout, was)][:NAMED]
@@ -139,19 +139,19 @@ def _changed_pins(before: Mapping[str, str] | None, now: Mapping[str, str]) -> l
     return [f"{name} is locked to something else" for name in names if (before or {}).get(name) != now.get(name)]
 
 
-def _results(application: Application, layout: Layout, compiled: Compiled, results: Results | None) -> Stage:
+def _results(application: Application, layout: Layout, compiled: Artifacts, results: Results | None) -> Stage:
     samples = {sample.id for sample in compiled.plan.spec.samples}
     if results is None:
         return Stage("results", layout.results, "missing", (f"{len(samples)} samples to measure",))
     if compiled.results is None:
         pins = pins_of_measurement(application, read_pins(layout))
-        others = [f"{name} is locked to something else" for name in fingerprints.other_pins(results.spec.pins, pins)]
+        others = [f"{name} is locked to something else" for name in fingerprints.changed_pins(results.spec.pins, pins)]
         reasons = others
         if results.spec.application != fingerprints.measured_digest(application):
             fields = changed_reads(results.spec.reads, application) if results.spec.reads else []
             reasons = [*fields, *others] or ["they measured something else"]
         return Stage("results", layout.results, "stale", tuple(reasons))
-    left = samples - done(results)
+    left = samples - completed(results)
     unlocked = () if results.spec.pins or not compiled.plan.spec.pins else ("measured before anything was locked",)
     if left:
         why = f"{len(left)} of {len(samples)} samples to measure: {', '.join(sorted(left)[:NAMED])}"
@@ -159,13 +159,13 @@ def _results(application: Application, layout: Layout, compiled: Compiled, resul
     sampling = compiled.results.spec.sampling if compiled.plan.spec.sampler == "adaptive" else None
     if sampling is not None and sampling.ended is None:
         return Stage("results", layout.results, "partial", ("the next machines are to be asked for",), unlocked)
-    if sampling is not None and not still_serves(application, sampling):
+    if sampling is not None and not covers(application, sampling):
         why = "the search box has grown since machines were asked for"
         return Stage("results", layout.results, "partial", (why,), unlocked)
     return Stage("results", layout.results, "fresh", (), unlocked)
 
 
-def _derived(name: str, path: Path, compiled: Compiled, measured: Stage) -> Stage:
+def _derived(name: str, path: Path, compiled: Artifacts, measured: Stage) -> Stage:
     if not path.is_file():
         return Stage(name, path, "missing", (f"results are {measured.state}",) if measured.state != "fresh" else ())
     if measured.state != "fresh":
@@ -180,6 +180,6 @@ def _derived(name: str, path: Path, compiled: Compiled, measured: Stage) -> Stag
 
 def _what_differs(path: Path, now: bytes) -> list[str]:
     """The fields that differ; digests only where nothing else does."""
-    told = list(map(words_of, changes_in_file(path, now)))
+    told = list(map(change_text, changes_in_file(path, now)))
     more = [f"and {len(told) - NAMED} more fields"] if len(told) > NAMED else []
     return [*told[:NAMED], *more] or ["its text was edited"]

@@ -4,18 +4,18 @@ import os
 import subprocess
 from pathlib import Path
 
-from fogspec.base.errors import WrongCommand
+from fogspec.base.errors import UsageError
 
 
 class Repository:
     """The git repository that the working directory is in."""
 
     def __init__(self) -> None:
-        """Raises WrongCommand where the working directory is in no repository, or git does not want to look at it."""
+        """Raises UsageError where the working directory is in no repository, or git does not want to look at it."""
         try:
             self.top = Path(self._run("rev-parse", "--show-toplevel").decode().strip())
-        except WrongCommand as failed:
-            raise WrongCommand(
+        except UsageError as failed:
+            raise UsageError(
                 f"{os.getcwd()} is in no git repository that can be read",
                 "a review compares what is committed with what is checked out: run it in a clone",
                 "fogspec diff says without git what compile would change",
@@ -25,15 +25,15 @@ class Repository:
     def base_of(self, range_: str) -> str:
         """The commit that a change starts from: of `BASE..HEAD` or `BASE`, where it and the checked-out commit part.
 
-        Raises WrongCommand for a commit that is not here, or a HEAD that is not the one checked out.
+        Raises UsageError for a commit that is not here, or a HEAD that is not the one checked out.
         """
         base, dots, head = range_.partition("..")
         if dots and (head := head.lstrip(".")) and self._commit(head) != self._commit("HEAD"):
-            raise WrongCommand(f"{head} is not what is checked out", f"git checkout {head}")
+            raise UsageError(f"{head} is not what is checked out", f"git checkout {head}")
         commit = self._commit(base or "HEAD")
         try:
             return self._run("merge-base", commit, "HEAD").decode().strip()
-        except WrongCommand:
+        except UsageError:
             return commit
 
     def at(self, commit: str, path: Path) -> bytes | None:
@@ -41,7 +41,7 @@ class Repository:
         inside = Path(os.path.relpath(path.absolute(), self.top)).as_posix()
         try:
             return self._run("show", f"{commit}:{inside}")
-        except WrongCommand:
+        except UsageError:
             return None
 
     def paths(self, commit: str) -> list[Path]:
@@ -53,18 +53,18 @@ class Repository:
 
     def _commit(self, name: str) -> str:
         if name.startswith("-"):
-            raise WrongCommand(f"{name} is no commit")
+            raise UsageError(f"{name} is no commit")
         try:
             return self._run("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}").decode().strip()
-        except WrongCommand:
+        except UsageError:
             hint = "commit something first" if name == "HEAD" else f"fetch it: git fetch origin {name}"
-            raise WrongCommand(f"there is no commit {name} here", hint) from None
+            raise UsageError(f"there is no commit {name} here", hint) from None
 
     def _run(self, *words: str) -> bytes:
         try:
             return subprocess.run(["git", *words], check=True, capture_output=True).stdout
         except OSError as problem:
-            raise WrongCommand(f"git cannot be started: {problem.strerror}") from None
+            raise UsageError(f"git cannot be started: {problem.strerror}") from None
         except subprocess.CalledProcessError as failed:
             said = failed.stderr.decode("utf-8", "replace").strip() or f"exit code {failed.returncode}"
-            raise WrongCommand(f"git {words[0]}: {said.splitlines()[0]}") from None
+            raise UsageError(f"git {words[0]}: {said.splitlines()[0]}") from None

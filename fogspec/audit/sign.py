@@ -7,10 +7,10 @@ import json
 from typing import Any, NamedTuple
 
 from fogspec.audit import attest
-from fogspec.audit.verify import Link
-from fogspec.base.errors import WrongCommand, WrongFile
+from fogspec.audit.verify import Check
+from fogspec.base.errors import InvalidInput, UsageError
 from fogspec.base.regular import read_file
-from fogspec.compile.bundle import Opened
+from fogspec.compile.bundle import ManifestBundle
 
 PAYLOAD = "application/vnd.in-toto+json"
 INSTALL = "pip install 'fogspec[attest]'"
@@ -30,34 +30,34 @@ class _Library(NamedTuple):
 
 
 def sign(text: str, key: str) -> str:
-    """The statement in an envelope signed with the private key, as JSON; raises WrongFile for a key that is none."""
+    """The statement in an envelope signed with the private key, as JSON; raises InvalidInput for a key that is none."""
     library, content = _library(), _read(key)
     try:
         private = library.keys.load_pem_private_key(content, None)
         envelope = library.dsse.Envelope(text.encode(), PAYLOAD, {})
         envelope.sign(library.signer.CryptoSigner(private))
     except library.wrong as wrong:
-        raise WrongFile(f"{key}: is no private key without a password that can sign: {wrong}") from None
+        raise InvalidInput(f"{key}: is no private key without a password that can sign: {wrong}") from None
     return json.dumps(envelope.to_dict(), indent=2, sort_keys=True) + "\n"
 
 
-def check_signed(opened: Opened, path: str, key: str) -> Link:
+def check_signed(opened: ManifestBundle, path: str, key: str) -> Check:
     """Whether the envelope at `path` is signed with the key and attests the manifest as it is now."""
     library, content = _library(), _read(key)
     try:
         public = library.signer.SSlibKey.from_crypto(library.keys.load_pem_public_key(content))
     except library.wrong as wrong:
-        raise WrongFile(f"{key}: is no public key: {wrong}") from None
+        raise InvalidInput(f"{key}: is no public key: {wrong}") from None
     try:
         envelope = library.dsse.Envelope.from_dict(json.loads(_read(path)))
         envelope.verify([public], 1)
         data: Any = json.loads(envelope.payload)
     except library.unsound as wrong:
-        return Link("attestation", path, (f"not signed with {key}: {wrong}",))
+        return Check("attestation", path, (f"not signed with {key}: {wrong}",))
     if envelope.payload_type != PAYLOAD:
-        return Link("attestation", path, (f"it holds {envelope.payload_type}, not {PAYLOAD}",))
+        return Check("attestation", path, (f"it holds {envelope.payload_type}, not {PAYLOAD}",))
     link = attest.check(opened, data)
-    return Link(link.name, f"{path}, signed with {key}", link.breaks)
+    return Check(link.name, f"{path}, signed with {key}", link.breaks)
 
 
 def _library() -> _Library:
@@ -66,7 +66,7 @@ def _library() -> _Library:
         from cryptography.hazmat.primitives import serialization
         from securesystemslib import dsse, exceptions, signer
     except ImportError:
-        raise WrongCommand("signing needs securesystemslib", INSTALL) from None
+        raise UsageError("signing needs securesystemslib", INSTALL) from None
     wrong = (ValueError, TypeError, UnsupportedAlgorithm, exceptions.UnsupportedLibraryError)
     unsound = (*wrong, KeyError, AttributeError, exceptions.VerificationError)
     return _Library(dsse, signer, serialization, wrong, unsound)
@@ -76,4 +76,4 @@ def _read(path: str) -> bytes:
     try:
         return read_file(path)
     except OSError as problem:
-        raise WrongFile(f"{path}: cannot be read: {problem.strerror}") from None
+        raise InvalidInput(f"{path}: cannot be read: {problem.strerror}") from None

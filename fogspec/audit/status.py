@@ -8,7 +8,7 @@ from fogspec.base import units
 from fogspec.compile.compiler import money
 
 
-def words(one: Status, running: Sequence[str] = ()) -> str:
+def as_text(one: Status, running: Sequence[str] = ()) -> str:
     """A line a stage, and why under it; `running` are lines about what runs."""
     lines = [one.layout.name]
     for stage in one.stages:
@@ -40,7 +40,7 @@ def _next(one: Status) -> list[str]:
     return [f"next: fogspec compile {one.layout.spec}"]
 
 
-def facts(one: Status) -> dict[str, Any]:
+def as_dict(one: Status) -> dict[str, Any]:
     """The same for programs."""
     return {
         "name": one.layout.name,

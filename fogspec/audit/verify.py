@@ -11,27 +11,27 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fogspec import __version__
-from fogspec.audit.compare import changes_in_file, words_of
+from fogspec.audit.compare import change_text, changes_in_file
 from fogspec.base import digest
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import Outcome, WrongFile
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import FogspecError, InvalidInput
 from fogspec.bench.record import Rules, read
 from fogspec.catalog.table import Catalog
-from fogspec.compile.bundle import Opened
-from fogspec.compile.compiler import Compiled, compile_application
+from fogspec.compile.bundle import ManifestBundle
+from fogspec.compile.compiler import Artifacts, compile_application
 from fogspec.plan.schema import Plan, digest_without_budget
 from fogspec.results.io import raw_timings, read_results
 from fogspec.results.schema import LatencySummary, Measured, Results
 from fogspec.results.statistics import summary, weights
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import read_document
-from fogspec.spec.lock_io import drift, read_pins
+from fogspec.spec.lock_io import lock_drift, read_pins
 
 SHOWN = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class Check:
     """One link of the chain: what was compared, and how it breaks; `notes` are worth knowing and break nothing."""
 
     name: str
@@ -45,20 +45,20 @@ class Link:
         return "breaks" if self.breaks else "holds"
 
 
-def verify(opened: Opened, catalog: Catalog) -> list[Link]:
+def verify(opened: ManifestBundle, catalog: Catalog) -> list[Check]:
     """Every link of the chain of one manifest, from what was written to what will run."""
     layout = opened.layout
     named = opened.manifest.provenance
     links = [_spec(opened), _catalog(opened, catalog), _beside(opened)]
     try:
         results = read_results(layout)
-    except Problems as problems:
+    except DiagnosticError as problems:
         why = tuple(one.message for one in problems.diagnostics)
-        return [*links, Link("results", str(layout.results), why), *_later("results", "models", "manifest")]
+        return [*links, Check("results", str(layout.results), why), *_later("results", "models", "manifest")]
     try:
         compiled = compile_application(opened.loaded.application, opened.loaded.path, catalog)
-    except Outcome as refused:
-        return [*links, Link("plan", str(layout.plan), (refused.message, *refused.hints)),
+    except FogspecError as refused:
+        return [*links, Check("plan", str(layout.plan), (refused.message, *refused.hints)),
                 *_later("plan", "results", "models", "manifest")]  # fmt: skip
     links += [_plan(opened, compiled), _results(opened, compiled, results)]
     if results is None or compiled.results is None:
@@ -70,40 +70,40 @@ def verify(opened: Opened, catalog: Catalog) -> list[Link]:
     return [*links, _deployment(opened, compiled)]
 
 
-def _later(first: str, *names: str) -> list[Link]:
-    return [Link(name, "", (f"cannot be recomputed: the link {first} breaks",)) for name in names if name != first]
+def _later(first: str, *names: str) -> list[Check]:
+    return [Check(name, "", (f"cannot be recomputed: the link {first} breaks",)) for name in names if name != first]
 
 
-def _spec(opened: Opened) -> Link:
+def _spec(opened: ManifestBundle) -> Check:
     application, reference = opened.loaded.application, opened.manifest.provenance.application
     if fingerprints.chosen_digest(application) == reference.digest:
-        return Link("spec", reference.path)
+        return Check("spec", reference.path)
     fields = [name for name, now in fingerprints.chosen_fields(application).items() if reference.reads.get(name) != now]
     told = ", ".join(f"spec.{name}" for name in fields) or "what the choice reads of it"
-    return Link("spec", reference.path, (f"{told} changed since the manifest was made",))
+    return Check("spec", reference.path, (f"{told} changed since the manifest was made",))
 
 
-def _catalog(opened: Opened, catalog: Catalog) -> Link:
+def _catalog(opened: ManifestBundle, catalog: Catalog) -> Check:
     named, now = opened.manifest.provenance.catalog, catalog.about
     what = " ".join(filter(None, (now.source, now.revision, now.date)))
     if named.digest == now.digest:
-        return Link("catalog", what)
+        return Check("catalog", what)
     was = " ".join(filter(None, (named.source, named.revision, named.date)))
-    return Link("catalog", what, (f"the manifest was made from another catalog: {was}, {named.digest}",))
+    return Check("catalog", what, (f"the manifest was made from another catalog: {was}, {named.digest}",))
 
 
-def _beside(opened: Opened) -> Link:
+def _beside(opened: ManifestBundle) -> Check:
     """Files and folders that the spec names, and that the lock pins."""
     layout, pins = opened.layout, read_pins(opened.layout)
     if pins is None:
-        return Link(
+        return Check(
             "lock", str(layout.lock), (), ("there is no lock: images and files beside the spec are not pinned",)
         )
-    drifted = drift(opened.loaded.application, layout, pins)
-    return Link("lock", str(layout.lock), tuple(f"{name} is not what the lock says" for name in drifted))
+    drifted = lock_drift(opened.loaded.application, layout, pins)
+    return Check("lock", str(layout.lock), tuple(f"{name} is not what the lock says" for name in drifted))
 
 
-def _plan(opened: Opened, compiled: Compiled) -> Link:
+def _plan(opened: ManifestBundle, compiled: Artifacts) -> Check:
     layout, named = opened.layout, opened.manifest.provenance.plan
     breaks = _differing(layout.plan, compiled)
     for sample in compiled.plan.spec.samples:
@@ -112,20 +112,20 @@ def _plan(opened: Opened, compiled: Compiled) -> Link:
         found = digest_without_budget(read_document(layout.plan, Plan))
         if found != named.digest:
             breaks.append(f"the manifest was made from another plan: {named.digest}, not {found}")
-    return Link("plan", f"{layout.plan} and {len(compiled.plan.spec.samples)} tasks", tuple(breaks[:SHOWN]))
+    return Check("plan", f"{layout.plan} and {len(compiled.plan.spec.samples)} tasks", tuple(breaks[:SHOWN]))
 
 
-def _results(opened: Opened, compiled: Compiled, results: Results | None) -> Link:
+def _results(opened: ManifestBundle, compiled: Artifacts, results: Results | None) -> Check:
     layout, named = opened.layout, opened.manifest.provenance.results
     if results is None:
-        return Link("results", str(layout.results), ("it is missing",))
+        return Check("results", str(layout.results), ("it is missing",))
     breaks = [] if compiled.stale is None else [compiled.stale]
     if results.integrity != named.digest:
         breaks.append(f"the manifest was made from other results: {named.digest}, not {results.integrity}")
-    return Link("results", str(layout.results), tuple(breaks))
+    return Check("results", str(layout.results), tuple(breaks))
 
 
-def _timings(opened: Opened, results: Results) -> Link:
+def _timings(opened: ManifestBundle, results: Results) -> Check:
     """Raw timings: as they were recorded, and the records follow from them."""
     layout = opened.layout
     rules = Rules.of(opened.loaded.application)
@@ -133,7 +133,7 @@ def _timings(opened: Opened, results: Results) -> Link:
     breaks = [wrong for record in kept for wrong in _record(record, layout.results.parent, rules)]
     without = len(results.spec.samples) - len(kept)
     notes = (f"{without} of {len(results.spec.samples)} records have no raw timings",) if without else ()
-    return Link("timings", f"{len(kept)} files of raw timings", tuple(breaks[:SHOWN]), notes)
+    return Check("timings", f"{len(kept)} files of raw timings", tuple(breaks[:SHOWN]), notes)
 
 
 def _record(record: Measured, folder: Path, rules: Rules) -> Iterator[str]:
@@ -141,7 +141,7 @@ def _record(record: Measured, folder: Path, rules: Rules) -> Iterator[str]:
     path = folder / record.timings.path
     try:
         content = raw_timings(record, folder)
-    except WrongFile as wrong:
+    except InvalidInput as wrong:
         yield wrong.message
         return
     with tempfile.NamedTemporaryFile(suffix=".jsonl") as plain:
@@ -167,14 +167,14 @@ def _same(was: Any, found: Any) -> bool:
     return bool(was == found)
 
 
-def _bytes(name: str, path: Path, compiled: Compiled, named: str | None = None, notes: tuple[str, ...] = ()) -> Link:
+def _bytes(name: str, path: Path, compiled: Artifacts, named: str | None = None, notes: tuple[str, ...] = ()) -> Check:
     breaks = _differing(path, compiled)
     if not breaks and named is not None and digest.of_bytes(path.read_bytes()) != named:
         breaks.append(f"the manifest was made from another one: {named}")
-    return Link(name, str(path), tuple(breaks[:SHOWN]), notes)
+    return Check(name, str(path), tuple(breaks[:SHOWN]), notes)
 
 
-def _differing(path: Path, compiled: Compiled) -> list[str]:
+def _differing(path: Path, compiled: Artifacts) -> list[str]:
     now = compiled.files.get(path)
     if now is None:
         return [f"{path} no longer follows from spec, catalog and results"] if path.exists() else [f"{path} is missing"]
@@ -184,15 +184,17 @@ def _differing(path: Path, compiled: Compiled) -> list[str]:
         return []
     if path.suffix != ".yaml":
         return [f"{path} is not what is computed"]
-    return [f"{path}: {line}" for line in map(words_of, changes_in_file(path, now))] or [f"{path}: its text was edited"]
+    return [f"{path}: {line}" for line in map(change_text, changes_in_file(path, now))] or [
+        f"{path}: its text was edited"
+    ]
 
 
-def _builder(opened: Opened) -> tuple[str, ...]:
+def _builder(opened: ManifestBundle) -> tuple[str, ...]:
     version = opened.manifest.provenance.builder.version
     return () if version == __version__ else (f"made by fogspec {version}, recomputed by {__version__}",)
 
 
-def _deployment(opened: Opened, compiled: Compiled) -> Link:
+def _deployment(opened: ManifestBundle, compiled: Artifacts) -> Check:
     """What will run: the task, what stays on the robot, and what is sent along."""
     layout = opened.layout
     derived = {
@@ -205,10 +207,10 @@ def _deployment(opened: Opened, compiled: Compiled) -> Link:
     rest = [path for path in sorted(compiled.files) if path not in derived]
     breaks = [*opened.edited(), *(line for path in rest for line in _differing(path, compiled))]
     breaks += [f"{path} should not be there" for path in compiled.removed]
-    return Link("deployment", f"{len(rest)} files that run or are shown", tuple(dict.fromkeys(breaks))[:SHOWN])
+    return Check("deployment", f"{len(rest)} files that run or are shown", tuple(dict.fromkeys(breaks))[:SHOWN])
 
 
-def mend(opened: Opened, broken: Link) -> str:
+def remedy(opened: ManifestBundle, broken: Check) -> str:
     """What to do about a link that breaks."""
     layout = opened.layout
     if broken.name in ("results", "timings"):
@@ -219,7 +221,7 @@ def mend(opened: Opened, broken: Link) -> str:
     return f"make it again and review it: {lock}fogspec compile {layout.spec}"
 
 
-def words(opened: Opened, links: list[Link]) -> str:
+def as_text(opened: ManifestBundle, links: list[Check]) -> str:
     """A line a link, and how it breaks under it."""
     lines = [f"{opened.layout.manifest}  {opened.digest}"]
     for link in links:
@@ -228,7 +230,7 @@ def words(opened: Opened, links: list[Link]) -> str:
     return "\n".join(lines)
 
 
-def facts(opened: Opened, links: list[Link]) -> dict[str, Any]:
+def as_dict(opened: ManifestBundle, links: list[Check]) -> dict[str, Any]:
     """The same for programs."""
     return {
         "manifest": str(opened.layout.manifest),

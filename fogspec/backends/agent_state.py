@@ -5,7 +5,7 @@ import re
 from dataclasses import replace
 from typing import Any, Literal, TypeGuard
 
-from fogspec.backends.protocol import Live
+from fogspec.backends.protocol import DeploymentStatus
 from fogspec.backends.skypilot.errors import plain
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {
@@ -19,11 +19,11 @@ PLATFORM = ("ERROR: Job ", "✓ Job finished", "⚙︎ ", "├── ", "└─�
 TOLD = re.compile(rb"=== fogspec state (\{.*\}) ===")
 
 
-def live(said: bytes, timings: bytes, address: str | None) -> Live:
+def deployment_status(said: bytes, timings: bytes, address: str | None) -> DeploymentStatus:
     """From the bytes of state.json and the end of the timings; nothing said is `starting`."""
     facts = _facts(said)
     seconds, detail = facts.get("ready_s"), facts.get("detail")
-    return Live(
+    return DeploymentStatus(
         state=STATES.get(str(facts.get("state")), "starting"),
         detail="".join(c for c in detail if c.isprintable())[:300] if isinstance(detail, str) else None,
         address=address,
@@ -32,17 +32,19 @@ def live(said: bytes, timings: bytes, address: str | None) -> Live:
     )  # fmt: skip
 
 
-def told(log: bytes, address: str | None) -> Live | None:
+def told(log: bytes, address: str | None) -> DeploymentStatus | None:
     """The last thing that the keeper says in a log, with the requests that it tells of; None where it says nothing."""
     lines = TOLD.findall(log)
     if not lines:
         return None
     rows = _facts(lines[-1]).get("latest")
     records = [_record(row) for row in rows if _sound(row)] if isinstance(rows, list) else []
-    return with_words(live(lines[-1], "".join(f"{json.dumps(one)}\n" for one in records).encode(), address), log)
+    return with_words(
+        deployment_status(lines[-1], "".join(f"{json.dumps(one)}\n" for one in records).encode(), address), log
+    )
 
 
-def with_words(said: Live, log: bytes) -> Live:
+def with_words(said: DeploymentStatus, log: bytes) -> DeploymentStatus:
     """What the nodes printed last is why they ended."""
     if said.state != "ended" or not said.detail or (words := last_words(log)) is None:
         return said

@@ -42,7 +42,7 @@ def _unsaid(status: str | None, log: Path) -> dict[str, Any]:
     said = f"the job ended as {status}" + (f": {words}" if words else "")
     if status == "CANCELLED":
         return {"lost": True, "detail": said}
-    if logs.starved(log):
+    if logs.out_of_memory(log):
         return {"reason": "out_of_memory", "detail": said}
     return {"reason": "setup" if status == "FAILED_SETUP" else "crash", "detail": said}
 

@@ -23,7 +23,7 @@ class ImageRegistry(Protocol):
     """Where container images come from."""
 
     def digest(self, name: str) -> str:
-        """The digest that an image's name stands for now; raises an Outcome when that cannot be said."""
+        """The digest that an image's name stands for now; raises an FogspecError when that cannot be said."""
         ...
 
 
@@ -46,7 +46,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class SoFar:
+class Partial:
     """How far a sample is that measures elsewhere: its requests, and the mean of the valid latencies in seconds."""
 
     requests: int
@@ -80,10 +80,10 @@ class Progress:
     waited_s: float | None = None
     billed_s: float | None = None
     recorded: Measured | None = None
-    so_far: SoFar | None = None
+    so_far: Partial | None = None
 
 
-class CannotStart(Exception):
+class LaunchRefused(Exception):
     """A machine could not be had; `again` says whether trying again soon can help."""
 
     def __init__(self, reason: Reason, detail: str, *, again: bool = False) -> None:
@@ -93,7 +93,7 @@ class CannotStart(Exception):
         self.again = again
 
 
-class LostContact(Exception):
+class Unreachable(Exception):
     """A runner cannot tell just now what became of a job; asking again later may help."""
 
 
@@ -112,27 +112,27 @@ class Runner(Protocol):
     costs: Literal["real", "recorded", "nothing"]
 
     def start(self, job: Job) -> None:
-        """Start the job; raises `CannotStart`. Whether or not it raises, `end` must be called."""
+        """Start the job; raises `LaunchRefused`. Whether or not it raises, `end` must be called."""
         ...
 
     def look(self, job: Job) -> Progress:
-        """What is known of it now, asked from any process; raises `LostContact`."""
+        """What is known of it now, asked from any process; raises `Unreachable`."""
         ...
 
     def end(self, job: Job) -> None:
         """End it and everything it started, and verify that nothing is left; idempotent.
 
-        Raises `LostContact` when that could not be verified.
+        Raises `Unreachable` when that could not be verified.
         """
         ...
 
 
 @runtime_checkable
-class FindsStrays(Protocol):
+class ListsMachines(Protocol):
     """A runner that can find machines whose journal is lost, or is on another host."""
 
     def strays(self, prefix: str, folder: Path) -> Sequence[str]:
-        """Names of jobs that begin with `prefix` and whose machines may be up; raises `LostContact`.
+        """Names of jobs that begin with `prefix` and whose machines may be up; raises `Unreachable`.
 
         `folder` is where this application's attempts are, for runners whose machines are this host.
         """
@@ -157,7 +157,7 @@ class Launch:
 
 
 @dataclass(frozen=True, slots=True)
-class Live:
+class DeploymentStatus:
     """What is known of a launch.
 
     `starting` until the nodes answer, `ready` while they do; `ended` when a node has ended though its machine may
@@ -182,22 +182,22 @@ class Deployer(Protocol):
     poll_s: float
 
     def start(self, launch: Launch) -> None:
-        """Begin to start it; raises `CannotStart`. Whether or not it raises, `end` must be called in the end."""
+        """Begin to start it; raises `LaunchRefused`. Whether or not it raises, `end` must be called in the end."""
         ...
 
-    def look(self, launch: Launch) -> Live:
-        """What is known of it now, asked from any process; raises `LostContact`.
+    def look(self, launch: Launch) -> DeploymentStatus:
+        """What is known of it now, asked from any process; raises `Unreachable`.
 
-        Raises `CannotStart` once it is known that its machine cannot be had.
+        Raises `LaunchRefused` once it is known that its machine cannot be had.
         """
         ...
 
     def end(self, launch: Launch) -> None:
-        """End it and verify that nothing is left; idempotent. Raises `LostContact` when that could not be verified."""
+        """End it and verify that nothing is left; idempotent. Raises `Unreachable` when that could not be verified."""
         ...
 
     def names(self, application: str, state: Path) -> Sequence[str]:
-        """Names of all that runs of this application, whoever started it; raises `LostContact`.
+        """Names of all that runs of this application, whoever started it; raises `Unreachable`.
 
         `state` is the application's folder of live state, for deployers whose machines are this host.
         """

@@ -35,7 +35,7 @@ def load(registry: Mapping[str, str], name: str) -> Any:
 def catalog(path: str | None, clouds: Sequence[str]) -> Catalog:
     """The catalog `snapshot` or `skypilot`, else that in the folder or CSV file at `path`; the snapshot without one.
 
-    `clouds` are those that the spec names. Raises Problems or WrongFile.
+    `clouds` are those that the spec names. Raises DiagnosticError or InvalidInput.
     """
     kind = path if path in (None, "snapshot", "skypilot") else "folder" if os.path.isdir(path) else "csv"
     source: CatalogSource = load(CATALOGS, kind or "snapshot")(path or "", clouds)

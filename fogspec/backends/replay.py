@@ -7,8 +7,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Literal
 
-from fogspec.backends.protocol import CannotStart, Job, Progress
-from fogspec.plan.design import nth_sample
+from fogspec.backends.protocol import Job, LaunchRefused, Progress
+from fogspec.plan.design import replicate
 from fogspec.results.io import Recording
 
 SIZE_LIMIT = 256 * 2**20
@@ -35,12 +35,12 @@ class ReplayRunner:
         self.poll_s = 0.05 if pace else 0.0
 
     def start(self, job: Job) -> None:
-        """Find the recording; raises CannotStart when this machine was not recorded, or not so often."""
+        """Find the recording; raises LaunchRefused when this machine was not recorded, or not so often."""
         number = self._find(job)
         if number is None:
             machine = job.sample.machine
-            further = "" if nth_sample(job.sample.id) == 1 else "further "
-            raise CannotStart("capacity", f"there is no {further}recording of {machine.infra}/{machine.instance}")
+            further = "" if replicate(job.sample.id) == 1 else "further "
+            raise LaunchRefused("capacity", f"there is no {further}recording of {machine.infra}/{machine.instance}")
         job.folder.mkdir(parents=True)
         state = {"recording": number, "at_s": self._now_s()}
         (job.folder / "replay.json").write_text(json.dumps(state), encoding="utf-8")
@@ -74,7 +74,7 @@ class ReplayRunner:
         exact = [n for n in same if self._recordings[n].record.machine.infra == machine.infra]
         # A sweep need not say where it was measured; two places that differ are not mixed up.
         anywhere = [n for n in same if not self._recordings[n].record.machine.infra]
-        return next(islice(exact or anywhere, nth_sample(job.sample.id) - 1, None), None)
+        return next(islice(exact or anywhere, replicate(job.sample.id) - 1, None), None)
 
 
 def _unpacked(recording: Recording, path: Path) -> Path | None:

@@ -6,7 +6,7 @@ from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Span:
     """Where in a file: 1-based line and column, and the width of what is underlined, in characters."""
 
     path: str
@@ -21,13 +21,13 @@ class Diagnostic:
 
     code: str
     message: str
-    place: Place
+    place: Span
     fix: str | None = None
     severity: Literal["error", "warning"] = "error"
     source_line: str | None = None
 
 
-class Problems(Exception):
+class DiagnosticError(Exception):
     """A file is wrong: carries every diagnostic found, errors first in their files' order. Exit code 1."""
 
     def __init__(self, diagnostics: Sequence[Diagnostic]) -> None:

@@ -1,7 +1,7 @@
 """Ends of a command other than success: an exit code, what happened in one line, and what to do next."""
 
 
-class Outcome(Exception):
+class FogspecError(Exception):
     """Ends the command with `exit_code`; `message` is one line, `hints` are lines under it."""
 
     exit_code = 1
@@ -12,43 +12,43 @@ class Outcome(Exception):
         self.hints = hints
 
 
-class WrongFile(Outcome):
+class InvalidInput(FogspecError):
     """A file is wrong and has no better place than its name."""
 
     exit_code = 1
 
 
-class WrongCommand(Outcome):
+class UsageError(FogspecError):
     """The command line is wrong."""
 
     exit_code = 2
 
 
-class Differs(Outcome):
+class OutOfDate(FogspecError):
     """Something is stale, edited or drifted."""
 
     exit_code = 3
 
 
-class NothingMeets(Outcome):
+class Infeasible(FogspecError):
     """No configuration meets the constraints: an answer, not a crash."""
 
     exit_code = 4
 
 
-class Refused(Outcome):
+class Refused(FogspecError):
     """Over the budget, or no confirmation."""
 
     exit_code = 5
 
 
-class CloudFailed(Outcome):
+class CloudError(FogspecError):
     """Quota, capacity, network: safe to run again."""
 
     exit_code = 6
 
 
-class Interrupted(Outcome):
+class Interrupted(FogspecError):
     """The user stopped it: safe to run again."""
 
     exit_code = 130

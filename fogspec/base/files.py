@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from fogspec.base.errors import WrongFile
+from fogspec.base.errors import InvalidInput
 from fogspec.base.regular import check_file
 
 PLAIN = re.compile(
@@ -42,7 +42,7 @@ def write_yaml(path: Path, data: Mapping[str, Any], made: str, source: str | Non
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file whole: to a temporary file in its folder, then renamed over it.
 
-    Raises WrongFile, naming the path, when that cannot be done; what stood there before stays as it was.
+    Raises InvalidInput, naming the path, when that cannot be done; what stood there before stays as it was.
     """
     temporary = None
     try:
@@ -57,7 +57,7 @@ def write_bytes(path: Path, content: bytes) -> None:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as problem:
-        raise WrongFile(f"{path}: cannot be written: {problem.strerror}") from None
+        raise InvalidInput(f"{path}: cannot be written: {problem.strerror}") from None
     finally:
         if temporary is not None:
             with contextlib.suppress(OSError):

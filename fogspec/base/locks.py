@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from fogspec.base.errors import Refused, WrongFile
+from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.file_kinds import not_a_file
 
 
@@ -24,17 +24,17 @@ def start_ticks(pid: int) -> int | None:
 
 
 @contextlib.contextmanager
-def held(path: Path, what: str, remove: bool = False) -> Iterator[None]:
+def application_lock(path: Path, what: str, remove: bool = False) -> Iterator[None]:
     """Hold the lock at `path` for `what`; raises Refused, naming what holds it, when another process does.
 
-    Raises WrongFile for what is no file.
+    Raises InvalidInput for what is no file.
 
     What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
     to clean up. With `remove` the file goes when it is over; a lock on a file that has gone is no lock: it is taken anew.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and (kind := not_a_file(path.stat().st_mode)) is not None:
-        raise WrongFile(f"{path}: {kind}", "remove it")
+        raise InvalidInput(f"{path}: {kind}", "remove it")
     with contextlib.ExitStack() as files:
         while True:
             file = files.enter_context(open(path, "a+", encoding="utf-8"))

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from fogspec.agent.secrecy import Secrets
-from fogspec.base.errors import WrongCommand
+from fogspec.base.errors import UsageError
 
 HIDDEN = "(redacted)"
 SECRET_KEY = re.compile(
@@ -15,9 +15,9 @@ SECRET_KEY = re.compile(
 
 
 def check_set(names: Iterable[str]) -> None:
-    """Raises WrongCommand for secrets that the environment does not have: before anything is started, not after."""
+    """Raises UsageError for secrets that the environment does not have: before anything is started, not after."""
     if missing := sorted(name for name in names if name not in os.environ):
-        raise WrongCommand(
+        raise UsageError(
             f"spec.secrets: the environment does not have {', '.join(missing)}, so nothing was started",
             f"export {' '.join(f'{name}=…' for name in missing)}",
         )

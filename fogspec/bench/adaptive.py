@@ -10,14 +10,14 @@ from fogspec.base.files import write_bytes
 from fogspec.base.layout import Layout
 from fogspec.bench.prepare import read_task
 from fogspec.bench.results_file import ResultsFile
-from fogspec.catalog.filters import Admissible, admit
+from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.table import Catalog
 from fogspec.choice.next_samples import next_samples
-from fogspec.compile.compiler import plan_file, task_file, with_alternatives, with_tasks
+from fogspec.compile.compiler import plan_file, task_file, with_substitutes, with_tasks
 from fogspec.numerics.priors import Library
-from fogspec.plan.initial_batch import Asked
-from fogspec.plan.reuse import recorded, still_serves
-from fogspec.plan.schema import Plan, Sample, Sampling, Wave, machine_ref, next_on, sample_on
+from fogspec.plan.initial_batch import NextBatch
+from fogspec.plan.reuse import covers, plan_from_campaign
+from fogspec.plan.schema import Batch, Plan, Sample, Sampling, machine_ref, next_on, sample_on
 from fogspec.spec import fingerprints
 from fogspec.spec.lock_io import read_pins
 from fogspec.spec.lockfile import pinned, pins_of_measurement
@@ -69,7 +69,7 @@ class Tasks:
 
 
 @dataclass(slots=True)
-class Waves:
+class AdaptiveSampling:
     """The decisions of an adaptive campaign. Each is in the results before anything follows from it."""
 
     application: Application
@@ -79,17 +79,17 @@ class Waves:
     ledger: ResultsFile
     lifetime_s: float
     library: Library | None = None
-    admissible: Admissible = field(init=False)
+    admissible: Filtered = field(init=False)
 
     def __post_init__(self) -> None:
-        self.admissible = admit(self.catalog, self.application.spec.hardware, self.application.spec.infra)
+        self.admissible = filter_offers(self.catalog, self.application.spec.hardware, self.application.spec.infra)
 
     def begin(self) -> list[Sample]:
         """Write the first wave down, or go on with the waves that were asked for before; returns all their samples."""
         if self.ledger.sampling is None:
             body = self.tasks.plan.spec
             samples = [sample.model_copy(update={"task": None}) for sample in body.samples]
-            self._decide([Wave(reason=FIRST, samples=samples)])
+            self._decide([Batch(reason=FIRST, samples=samples)])
         self._write_plan()
         return [sample for wave in self._waves() for sample in wave.samples]
 
@@ -97,7 +97,7 @@ class Waves:
         """The samples of the next wave, for at most `left_usd` all together; none when sampling has ended."""
         before = self.ledger.sampling
         assert before is not None
-        if before.ended is not None and not asks_again(self.application, before):
+        if before.ended is not None and not should_resume(self.application, before):
             return []
         if len(before.waves) >= HOPELESS and not any(one.state == "ok" for one in self.ledger.samples.values()):
             return []
@@ -108,13 +108,13 @@ class Waves:
             next_on(machine_ref(offers.offer(row)), why, taken)
             for row, why in zip(asked.rows, asked.reasons, strict=True)
         ]
-        waves = [*self._waves(), *([Wave(reason=asked.reason, samples=samples)] if samples else [])]
+        waves = [*self._waves(), *([Batch(reason=asked.reason, samples=samples)] if samples else [])]
         for_money = not samples and math.isfinite(left_usd) and bool(self._asked(math.inf).rows)
         self._decide(waves, None if samples else asked.reason, for_money)
         self._write_plan()
         return samples
 
-    def _asked(self, left_usd: float) -> Asked:
+    def _asked(self, left_usd: float) -> NextBatch:
         offers = self.admissible.offers
         return next_samples(
             self.application, offers, list(self.ledger.samples.values()),
@@ -122,10 +122,10 @@ class Waves:
             wave=self.application.spec.benchmark.wave,
         )  # fmt: skip
 
-    def _waves(self) -> Sequence[Wave]:
+    def _waves(self) -> Sequence[Batch]:
         return self.ledger.sampling.waves if self.ledger.sampling is not None else ()
 
-    def _decide(self, waves: Sequence[Wave], ended: str | None = None, for_money: bool = False) -> None:
+    def _decide(self, waves: Sequence[Batch], ended: str | None = None, for_money: bool = False) -> None:
         spec = self.application.spec
         self.ledger.decide(Sampling(
             hardware=spec.hardware, infra=spec.infra, limits=limits_of(self.application), waves=list(waves), ended=ended,
@@ -137,10 +137,10 @@ class Waves:
         assert self.ledger.sampling is not None
         layout, source = self.layout, self.layout.relative(self.layout.spec)
         pins = pins_of_measurement(self.application, read_pins(layout))
-        bare = recorded(self.application, source, self.catalog, self.ledger.sampling, pins)
+        bare = plan_from_campaign(self.application, source, self.catalog, self.ledger.sampling, pins)
         files: dict[Any, bytes] = {}
         exact = pinned(self.application, read_pins(layout))
-        plan = with_tasks(exact, with_alternatives(exact, bare, self.admissible), layout, files)
+        plan = with_tasks(exact, with_substitutes(exact, bare, self.admissible), layout, files)
         files[layout.plan] = plan_file(plan, layout)
         self.tasks.adopt(plan, files)
         self.ledger.order[:] = [sample.id for sample in plan.spec.samples]
@@ -148,9 +148,9 @@ class Waves:
         self.ledger.write()
 
 
-def asks_again(application: Application, sampling: Sampling) -> bool:
+def should_resume(application: Application, sampling: Sampling) -> bool:
     """Whether a campaign that ended is to go on: for other limits, a larger box, or if there is more money now."""
-    same = sampling.limits == limits_of(application) and still_serves(application, sampling)
+    same = sampling.limits == limits_of(application) and covers(application, sampling)
     return sampling.for_money or not same
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from fogspec.backends.protocol import Job, Progress
-from fogspec.bench.journal import Started
+from fogspec.bench.journal import LaunchRecord
 from fogspec.results.schema import Reason
 
 END_BACKOFF_S = 30.0
@@ -19,7 +19,7 @@ class Attempt:
     says how it ended, `again` whether trying again soon can help.
     """
 
-    started: Started
+    started: LaunchRecord
     job: Job
     since_s: float
     same_boot: bool

@@ -8,14 +8,14 @@ between any two steps, and the next one goes on from the journal.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from fogspec.backends.protocol import CannotStart, Job, LostContact, Progress, Runner
+from fogspec.backends.protocol import Job, LaunchRefused, Progress, Runner, Unreachable
 from fogspec.base.clock import Clock
 from fogspec.base.errors import Refused
 from fogspec.bench.attempt import Attempt
-from fogspec.bench.journal import Journal, Started
-from fogspec.bench.record import confined, measured
-from fogspec.bench.retry import Tries, overdrawn
-from fogspec.bench.types import Event, Ledger, Order, Waiting
+from fogspec.bench.journal import Journal, LaunchRecord
+from fogspec.bench.record import make_record, within_attempt
+from fogspec.bench.retry import RetryPolicy, overdrawn
+from fogspec.bench.types import CampaignConfig, Event, Queued, ResultsSink
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
 
@@ -27,16 +27,16 @@ SLOW_ENDS = 4
 class Campaign:
     """One run of the loop over one results file; `left` names machines that could not be verified gone."""
 
-    order: Order
+    order: CampaignConfig
     runner: Runner
     journal: Journal
-    ledger: Ledger
+    ledger: ResultsSink
     clock: Clock
     tell: Callable[[Event], None] = lambda _event: None
     stopping: Callable[[], bool] = lambda: False
     running: dict[str, Attempt] = field(default_factory=dict)
-    waiting: list[Waiting] = field(default_factory=list)
-    tries: Tries = field(default_factory=Tries)
+    waiting: list[Queued] = field(default_factory=list)
+    tries: RetryPolicy = field(default_factory=RetryPolicy)
     left: list[str] = field(default_factory=list)
 
     def recover(self) -> set[str]:
@@ -60,7 +60,7 @@ class Campaign:
 
     def run(self, samples: Sequence[Sample]) -> None:
         """Measure the samples, beside those that run on from before, until nothing is left to do."""
-        self.waiting += [Waiting(sample) for sample in samples]
+        self.waiting += [Queued(sample) for sample in samples]
         try:
             while self.waiting or self.running:
                 if self.stopping():
@@ -88,7 +88,7 @@ class Campaign:
         """USD per hour that measuring it costs with this runner."""
         return 0.0 if self.runner.costs == "nothing" else sample.machine.price
 
-    def _adopted(self, started: Started) -> Attempt:
+    def _adopted(self, started: LaunchRecord) -> Attempt:
         same_boot = started.boot == self.clock.boot()
         task = self.order.task(started.sample) if started.application == self.order.application else None
         attempt = Attempt(
@@ -101,7 +101,7 @@ class Campaign:
             attempt.ending = Progress(running=False, lost=True)
         return attempt
 
-    def _job(self, started: Started, task: object) -> Job:
+    def _job(self, started: LaunchRecord, task: object) -> Job:
         assert isinstance(task, dict)
         order = self.order
         return Job(started.name, started.sample, task, order.root, order.attempts / started.name, started.lifetime_s)
@@ -121,11 +121,11 @@ class Campaign:
             self.waiting.remove(entry)
             self._launch(entry, now)
 
-    def _launch(self, entry: Waiting, now: float) -> None:
+    def _launch(self, entry: Queued, now: float) -> None:
         sample, order = entry.sample, self.order
         task = order.task(sample)
         assert task is not None, sample.id
-        started = Started(
+        started = LaunchRecord(
             order.name(sample, self.journal.book.attempts + 1), self.runner.name, order.application, sample,
             self.price(sample), order.lifetime_s, now, self.clock.boot(), entry.instead_of,
         )  # fmt: skip
@@ -136,9 +136,9 @@ class Campaign:
         self._say(sample, "starts", attempt)
         try:
             self.runner.start(attempt.job)
-        except CannotStart as no:
+        except LaunchRefused as no:
             attempt.ending = Progress(running=False, reason=no.reason, detail=no.detail, again=no.again, billed_s=0.0)
-        except LostContact as lost:
+        except Unreachable as lost:
             self._say(sample, "lost contact", attempt, detail=str(lost))
 
     def _stop_what_does_not_fit(self) -> None:
@@ -164,8 +164,8 @@ class Campaign:
         """How the sample ended, or None while it runs."""
         sample, now = attempt.started.sample, self.clock.now_s()
         try:
-            progress = confined(self.runner.look(attempt.job), attempt.job.folder)
-        except LostContact as lost:
+            progress = within_attempt(self.runner.look(attempt.job), attempt.job.folder)
+        except Unreachable as lost:
             self._say(sample, "lost contact", attempt, detail=str(lost))
             attempt.unheard(now)
         else:
@@ -180,7 +180,7 @@ class Campaign:
     def _ended(self, attempt: Attempt) -> bool:
         try:
             self.runner.end(attempt.job)
-        except LostContact as lost:
+        except Unreachable as lost:
             # Clouds take a while; only what takes long is worth a word of why.
             long = attempt.ends >= SLOW_ENDS
             self._say(attempt.started.sample, "ends", attempt, detail=str(lost) if long else None)
@@ -204,17 +204,17 @@ class Campaign:
             self.journal.end(started.name, spent_usd, None)
             self.ledger.paid(self.journal.book.spent_usd)
             if pause_s is not None:
-                self.waiting.append(Waiting(sample, self.clock.now_s() + pause_s, started.instead_of))
+                self.waiting.append(Queued(sample, self.clock.now_s() + pause_s, started.instead_of))
             self._say(sample, "is tried again" if wanted else "is no longer wanted", attempt, detail=end.detail)
         else:
             if end.lost:
                 end = replace(end, reason="interrupted", detail=end.detail or "its results are beyond reach")
-            record = measured(sample, end, self.order.rules, billed_s, spent_usd)
+            record = make_record(sample, end, self.order.rules, billed_s, spent_usd)
             record = record.model_copy(update={"instead_of": started.instead_of})
             self._record(started, record, end)
         del self.running[started.name]
 
-    def _record(self, started: Started, record: Measured, end: Progress) -> None:
+    def _record(self, started: LaunchRecord, record: Measured, end: Progress) -> None:
         """Into the journal and the results; a machine that cannot be had gives its place to another."""
         root = started.instead_of or started.sample.id
         queued = {entry.sample.id for entry in self.waiting}
@@ -227,18 +227,18 @@ class Campaign:
         self.journal.end(started.name, record.spent, record)
         self._write(started, record)
         if other is not None:
-            self.waiting.append(Waiting(other, instead_of=root))
+            self.waiting.append(Queued(other, instead_of=root))
 
-    def _write(self, started: Started, record: Measured) -> None:
+    def _write(self, started: LaunchRecord, record: Measured) -> None:
         self.ledger.put(record, self.journal.book.spent_usd)
         self.journal.written(started.name)
         self._say(started.sample, "is done", self.running.get(started.name), record=record)
 
-    def _unaffordable(self, entry: Waiting, commitment: float) -> None:
+    def _unaffordable(self, entry: Queued, commitment: float) -> None:
         left = (self.order.budget_usd or 0.0) - self.journal.book.spent_usd
         detail = f"would commit ${commitment:.4f}, and ${max(left, 0.0):.4f} of the budget is left"
         progress = Progress(running=False, reason="budget", detail=detail)
-        record = measured(entry.sample, progress, self.order.rules, 0.0, 0.0)
+        record = make_record(entry.sample, progress, self.order.rules, 0.0, 0.0)
         record = record.model_copy(update={"instead_of": entry.instead_of})
         self.ledger.put(record, self.journal.book.spent_usd)
         self._say(entry.sample, "is done", record=record)

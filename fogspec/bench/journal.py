@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 from fogspec.base.regular import check_file
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
@@ -26,7 +26,7 @@ MOST = 1e12  # of seconds, of USD: more is garbage
 
 
 @dataclass(frozen=True, slots=True)
-class Started:
+class LaunchRecord:
     """A machine that was started, or was about to be: enough to find it, end it and know its worst bill."""
 
     name: str
@@ -46,11 +46,11 @@ class Started:
 
 
 @dataclass(slots=True)
-class Book:
+class JournalState:
     """What the journal adds up to: machines not known to be gone, records not yet written, money spent."""
 
-    open: dict[str, Started] = field(default_factory=dict)
-    unwritten: dict[str, tuple[Started, Measured]] = field(default_factory=dict)
+    open: dict[str, LaunchRecord] = field(default_factory=dict)
+    unwritten: dict[str, tuple[LaunchRecord, Measured]] = field(default_factory=dict)
     spent_usd: float = 0.0
     campaign: dict[str, Any] | None = None
     campaigns: int = 0
@@ -82,9 +82,9 @@ class Book:
             raise ValueError(kind)
 
 
-def _started(entry: Mapping[str, Any]) -> Started:
+def _started(entry: Mapping[str, Any]) -> LaunchRecord:
     instead_of = entry.get("instead_of")
-    return Started(
+    return LaunchRecord(
         _name(entry["name"]), _name(entry["runner"]), _name(entry["application"]), Sample.model_validate(entry["sample"]),
         _amount(entry["price_usd_per_hour"]), _amount(entry["lifetime_s"]), _amount(entry["at_s"]), _name(entry["boot"]),
         None if instead_of is None else _name(instead_of),
@@ -109,9 +109,9 @@ class Journal:
     """An append-only file, held open; `book` is what it says so far."""
 
     def __init__(self, path: Path, sync: Callable[[int], None] = os.fsync) -> None:
-        """Read what is there and cut off a torn last line; raises Differs for a journal that was damaged."""
+        """Read what is there and cut off a torn last line; raises OutOfDate for a journal that was damaged."""
         self.path, self._sync = path, sync
-        self.book = Book()
+        self.book = JournalState()
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             check_file(path)
@@ -128,7 +128,7 @@ class Journal:
         try:
             self.book.take(json.loads(line))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as wrong:
-            raise Differs(
+            raise OutOfDate(
                 f"{self.path}:{number}: this line of the journal cannot be read",
                 "it says which machines were started; look for machines left running, then delete the file",
             ) from wrong
@@ -157,9 +157,9 @@ class Journal:
         base_usd = max(results_usd, self.book.spent_usd) if goes_on else results_usd
         self.append(do="campaign", runner=runner, application=application, plan=plan, base_usd=base_usd)
 
-    def start(self, started: Started) -> None:
+    def start(self, started: LaunchRecord) -> None:
         """Call before a machine is started."""
-        facts = {key: getattr(started, key) for key in Started.__slots__}
+        facts = {key: getattr(started, key) for key in LaunchRecord.__slots__}
         self.append(do="start", **{**facts, "sample": started.sample.model_dump(mode="json")})
 
     def end(self, name: str, spent_usd: float, record: Measured | None) -> None:

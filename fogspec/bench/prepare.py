@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.base import digest
-from fogspec.base.errors import Differs, WrongCommand
+from fogspec.base.errors import OutOfDate, UsageError
 from fogspec.base.layout import Layout
 from fogspec.base.regular import read_file
 from fogspec.plan.schema import Plan, Sample
 from fogspec.results.io import read_results
-from fogspec.results.schema import Results, done
+from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import read_document
-from fogspec.spec.lock_io import drift, read_pins
+from fogspec.spec.lock_io import lock_drift, read_pins
 from fogspec.spec.lockfile import pins_of_measurement
 from fogspec.spec.schema import Application
 
@@ -40,35 +40,35 @@ class Prepared:
     read: Results | None = None
 
     def check_current(self) -> None:
-        """Raises Differs where another bench has measured since this was prepared: its samples must not be lost."""
+        """Raises OutOfDate where another bench has measured since this was prepared: its samples must not be lost."""
         if read_results(self.layout) != self.read:
-            raise Differs(f"{self.layout.results} has changed since this bench began", "run the bench again")
+            raise OutOfDate(f"{self.layout.results} has changed since this bench began", "run the bench again")
 
 
 def prepare(application: Application, spec_path: str | Path, only: Sequence[str]) -> Prepared:
     """Check everything that a benchmark of this application relies on.
 
-    `only` names samples to measure, again if need be; without it, all that are not measured yet. Raises Differs for
-    a missing or stale plan or an edited task, Problems for a file that cannot be read, WrongCommand for a sample
+    `only` names samples to measure, again if need be; without it, all that are not measured yet. Raises OutOfDate for
+    a missing or stale plan or an edited task, Problems for a file that cannot be read, UsageError for a sample
     that the plan does not have.
     """
     layout = Layout.of(spec_path, application.metadata.name)
     again = f"fogspec compile {layout.spec}"
     if not os.path.lexists(layout.plan):
-        raise Differs(f"{layout.name} has no plan yet", again)
+        raise OutOfDate(f"{layout.name} has no plan yet", again)
     plan = read_document(layout.plan, Plan)
     if plan.spec.application.digest != fingerprints.planned_digest(application):
-        raise Differs(f"{layout.plan} is stale: {_changed(application, plan)} changed since it was compiled", again)
+        raise OutOfDate(f"{layout.plan} is stale: {_changed(application, plan)} changed since it was compiled", again)
     pins = read_pins(layout)
-    if drifted := drift(application, layout, pins):
-        raise Differs(f"{', '.join(drifted)}: not what {layout.lock} pins", f"fogspec lock {layout.spec}", again)
+    if drifted := lock_drift(application, layout, pins):
+        raise OutOfDate(f"{', '.join(drifted)}: not what {layout.lock} pins", f"fogspec lock {layout.spec}", again)
     if plan.spec.pins != pins_of_measurement(application, pins):
-        raise Differs(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
+        raise OutOfDate(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
     tasks = {sample.id: _task(layout, sample, again) for sample in plan.spec.samples}
     results = read_results(layout)
     outdated = results is not None and (
         results.spec.application != fingerprints.measured_digest(application)
-        or bool(fingerprints.other_pins(results.spec.pins, plan.spec.pins))
+        or bool(fingerprints.changed_pins(results.spec.pins, plan.spec.pins))
     )
     counting = None if outdated else results
     return Prepared(
@@ -85,14 +85,14 @@ def _changed(application: Application, plan: Plan) -> str:
 
 def _task(layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
     if sample.task is None:
-        raise Differs(f"{layout.plan}: sample {sample.id} has no task", again)
+        raise OutOfDate(f"{layout.plan}: sample {sample.id} has no task", again)
     path = layout.compiled / sample.task.path
     try:
         content = read_file(path)
     except OSError as problem:
-        raise Differs(f"{path}: cannot be read: {problem.strerror}", again) from None
+        raise OutOfDate(f"{path}: cannot be read: {problem.strerror}", again) from None
     if digest.of_bytes(content) != sample.task.digest:
-        raise Differs(f"{path} is not what was compiled: what is reviewed is what runs", again)
+        raise OutOfDate(f"{path} is not what was compiled: what is reviewed is what runs", again)
     return read_task(content)
 
 
@@ -107,8 +107,8 @@ def read_task(content: bytes) -> Mapping[str, Any]:
 def _todo(plan: Plan, results: Results | None, only: Sequence[str]) -> list[Sample]:
     known = {sample.id: sample for sample in plan.spec.samples}
     if unknown := [name for name in only if name not in known]:
-        raise WrongCommand(f"the plan has no sample {', '.join(unknown)}", f"samples: {', '.join(known)}")
+        raise UsageError(f"the plan has no sample {', '.join(unknown)}", f"samples: {', '.join(known)}")
     if only:
         return [known[name] for name in dict.fromkeys(only)]
-    measured = done(results)
+    measured = completed(results)
     return [sample for sample in plan.spec.samples if sample.id not in measured]

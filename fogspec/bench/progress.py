@@ -15,7 +15,7 @@ from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
 
 
-class Watcher(AbstractContextManager["Watcher"], Protocol):
+class ProgressReporter(AbstractContextManager["ProgressReporter"], Protocol):
     """Told of everything that happens to a sample."""
 
     def __call__(self, event: Event) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fogspec.backends.protocol import Runner
 from fogspec.base import units
 from fogspec.base.errors import Refused
-from fogspec.bench.adaptive import asks_again
+from fogspec.bench.adaptive import should_resume
 from fogspec.bench.prepare import Prepared
 from fogspec.catalog.table import Catalog
 from fogspec.compile.compiler import money
@@ -17,7 +17,7 @@ NAMED = 9
 
 
 @dataclass(frozen=True, slots=True)
-class Offering:
+class Quote:
     """A bench before it begins. `worst_usd` is what its samples cost if each machine runs until it ends by itself."""
 
     name: str
@@ -30,13 +30,15 @@ class Offering:
     costs: str
 
     @classmethod
-    def of(cls, prepared: Prepared, runner: Runner, max_usd: float | None) -> "Offering":
+    def of(cls, prepared: Prepared, runner: Runner, max_usd: float | None) -> "Quote":
         """From the plan, and what was spent of its budget already."""
         body, benchmark = prepared.plan.spec, prepared.application.spec.benchmark
         spent = prepared.results.spec.spent if prepared.results is not None else 0.0
         left = None if benchmark.budget is None else max(benchmark.budget - spent, 0.0)
         sampling = prepared.results.spec.sampling if prepared.results is not None else None
-        decided = sampling is not None and sampling.ended is not None and not asks_again(prepared.application, sampling)
+        decided = (
+            sampling is not None and sampling.ended is not None and not should_resume(prepared.application, sampling)
+        )
         adaptive = body.sampler == "adaptive" and not prepared.only and not decided
         walls = [one for one in (left, max_usd) if one is not None]
         return cls(

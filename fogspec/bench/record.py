@@ -16,7 +16,7 @@ from fogspec.backends.protocol import Progress
 from fogspec.base import digest
 from fogspec.base.units import format_duration
 from fogspec.plan.schema import Sample
-from fogspec.results.hangs import hanging
+from fogspec.results.hangs import detect_hang
 from fogspec.results.join import Request, Value, join
 from fogspec.results.schema import LatencySummary, Measured, Reason, State, StoppedBy, Timings
 from fogspec.results.statistics import NEEDED, summary, weights
@@ -130,7 +130,7 @@ def _count(one: Request, rules: Rules, requests: Requests) -> None:
                 requests.metrics.setdefault(metric, []).append((float(value), one.scenario))
 
 
-def judge(requests: Requests, progress: Progress, rules: Rules) -> tuple[State, Reason | None, str | None]:
+def classify(requests: Requests, progress: Progress, rules: Rules) -> tuple[State, Reason | None, str | None]:
     """State, reason and detail of a sample that has ended.
 
     A reason that runner or agent gave stands. Too many failed requests make the sample failed: fast nonsense
@@ -152,7 +152,7 @@ def judge(requests: Requests, progress: Progress, rules: Rules) -> tuple[State, 
         return "timeout", None, progress.detail or "no request was answered after warm-up in the time allowed"
     if missing := [name for name in rules.scenarios if name not in requests.kinds]:
         return "insufficient", None, f"no valid request of scenario {', '.join(missing)}"
-    hangs, tolerable = hanging(requests.finished, progress.waited_s, rules.timeout_s, rules.valid)
+    hangs, tolerable = detect_hang(requests.finished, progress.waited_s, rules.timeout_s, rules.valid)
     if not tolerable:
         return "failed", "no_response", hangs
     if n < NEEDED[rules.statistic]:
@@ -173,13 +173,13 @@ def _remarks(requests: Requests) -> Iterator[str | None]:
             yield f"requests waited for one another: of {took} on average the node worked {worked}"
 
 
-def measured(sample: Sample, progress: Progress, rules: Rules, duration_s: float, spent_usd: float) -> Measured:
+def make_record(sample: Sample, progress: Progress, rules: Rules, duration_s: float, spent_usd: float) -> Measured:
     """The record of a sample that has ended; `timings` is left to whoever keeps the raw file."""
     if progress.recorded is not None:
         fresh = {"id": sample.id, "machine": sample.machine, "duration": duration_s, "spent": spent_usd}
         return progress.recorded.model_copy(update={**fresh, "timings": None})
     requests = read(progress.timings, rules)
-    state, reason, detail = judge(requests, progress, rules)
+    state, reason, detail = classify(requests, progress, rules)
     stopped_by: Any = progress.stopped_by if progress.stopped_by in get_args(StoppedBy) else None
     return Measured.model_construct(
         id=sample.id, machine=sample.machine, measured_on=plain(progress.measured_on), state=state, reason=reason,
@@ -199,7 +199,7 @@ def plain(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text[:DETAIL_LIMIT]).strip()
 
 
-def confined(progress: Progress, folder: Path) -> Progress:
+def within_attempt(progress: Progress, folder: Path) -> Progress:
     """The progress without timings that lie outside its attempt's folder, wherever a link in their path may lead."""
     path = progress.timings
     if path is None or path.resolve().is_relative_to(folder.resolve()):
@@ -207,7 +207,7 @@ def confined(progress: Progress, folder: Path) -> Progress:
     return replace(progress, timings=None, detail="its timings are not where they belong, and were not read")
 
 
-def packed(path: Path, redact: Callable[[str], str] = lambda text: text) -> bytes:
+def compress(path: Path, redact: Callable[[str], str] = lambda text: text) -> bytes:
     """The raw timings compressed, the same bytes for the same content; secrets' values are taken out."""
     with opened(path) as file:
         content = file.read(SIZE_LIMIT)
@@ -224,7 +224,7 @@ def opened(path: Path) -> BinaryIO:
     return os.fdopen(descriptor, "rb")
 
 
-def reference(relative: str, content: bytes) -> Timings:
+def timings_reference(relative: str, content: bytes) -> Timings:
     """How a record names its raw timings."""
     return Timings(path=relative, digest=digest.of_bytes(content))
 

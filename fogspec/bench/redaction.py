@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fogspec.agent.secrecy import Secrets
 from fogspec.base.files import write_bytes
-from fogspec.bench.progress import Watcher
+from fogspec.bench.progress import ProgressReporter
 from fogspec.bench.record import opened
 from fogspec.bench.types import Event
 
@@ -14,7 +14,7 @@ ENDS = ("is done", "is tried again", "is no longer wanted")
 FILE_LIMIT = 256 * 2**20
 
 
-def out_of_files(secrets: Secrets, folder: Path) -> None:
+def redact_files(secrets: Secrets, folder: Path) -> None:
     """Write what an attempt left anew where it has a secret: a workload writes what it likes."""
     if not secrets:
         return
@@ -30,10 +30,10 @@ def out_of_files(secrets: Secrets, folder: Path) -> None:
 
 
 @dataclass(slots=True)
-class Teller:
+class RedactingProgress:
     """Tells a watcher what happens, without secrets; remembers where the logs of each sample are."""
 
-    watcher: Watcher
+    watcher: ProgressReporter
     secrets: Secrets
     folders: dict[str, Path] = field(default_factory=dict)
 
@@ -42,6 +42,6 @@ class Teller:
         if event.folder is not None:
             self.folders[event.sample.id] = event.folder
             if event.what in ENDS:
-                out_of_files(self.secrets, event.folder)
+                redact_files(self.secrets, event.folder)
         detail = None if event.detail is None else self.secrets.out_of(event.detail)
         self.watcher(replace(event, detail=detail))

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from fogspec.base.files import write_bytes, write_yaml
 from fogspec.base.layout import Layout
-from fogspec.bench.record import packed, reference
+from fogspec.bench.record import compress, timings_reference
 from fogspec.plan.schema import PlanMetadata, Sampling
-from fogspec.results.schema import Measured, Results, ResultsBody, finished, sealed
+from fogspec.results.schema import Measured, Results, ResultsBody, is_final, with_checksum
 
 
 @dataclass(slots=True)
@@ -47,11 +47,11 @@ class ResultsFile:
             return record
         if self._better(record) is not record:
             return record
-        content = packed(timings, self.redact)
+        content = compress(timings, self.redact)
         path = self.layout.timings / f"{record.id}.jsonl.gz"
         write_bytes(path, content)
         relative = path.relative_to(self.layout.results.parent).as_posix()
-        return record.model_copy(update={"timings": reference(relative, content)})
+        return record.model_copy(update={"timings": timings_reference(relative, content)})
 
     def put(self, record: Measured, spent_usd: float) -> None:
         """Write the file with this record in place of an older one, unless the older one says more."""
@@ -73,7 +73,7 @@ class ResultsFile:
     def _better(self, record: Measured) -> Measured:
         """The older record where there is one that is finished and this one is not: it was paid for."""
         older = self.samples.get(record.id)
-        keeps = older is not None and finished(older) and not finished(record)
+        keeps = older is not None and is_final(older) and not is_final(record)
         return older if older is not None and keeps else record
 
     def results(self) -> Results:
@@ -88,7 +88,7 @@ class ResultsFile:
             runner=self.runner, source=self.source,
             budget=self.budget_usd, spent=self.spent_usd, sampling=self.sampling, samples=ordered,
         )  # fmt: skip
-        return sealed(PlanMetadata(name=self.layout.name), body)
+        return with_checksum(PlanMetadata(name=self.layout.name), body)
 
     def write(self) -> None:
         """Write the file: another one appears in its place, or the old one stays."""

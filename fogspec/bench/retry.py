@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from fogspec.backends.protocol import Progress
 from fogspec.plan.schema import Sample
 from fogspec.plan.substitutes import other_region
-from fogspec.results.schema import NOT_TO_BE_HAD
+from fogspec.results.schema import UNAVAILABLE
 
 TRIES = 3
 BACKOFF_S = (5.0, 30.0)
@@ -19,7 +19,7 @@ def overdrawn(usd: float, budget_usd: float) -> bool:
 
 
 @dataclass(slots=True)
-class Tries:
+class RetryPolicy:
     """How often each sample was started in this campaign, by its id."""
 
     count: dict[str, int] = field(default_factory=dict)
@@ -37,7 +37,7 @@ class Tries:
 
     def instead(self, sample: Sample, reason: str | None, others: Sequence[Sample]) -> Sample | None:
         """The first of the other machines that was not tried yet; a quota is the same for all machines of a region."""
-        if reason not in NOT_TO_BE_HAD:
+        if reason not in UNAVAILABLE:
             return None
         helps = (
             one for one in others

@@ -7,39 +7,39 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.agent.secrecy import Secrets
-from fogspec.backends.naming import prefix_of
+from fogspec.backends.naming import sample_prefix
 from fogspec.backends.protocol import Runner
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
-from fogspec.base.errors import CloudFailed, Interrupted, Refused, WrongFile
-from fogspec.base.locks import held
+from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
+from fogspec.base.locks import application_lock
 from fogspec.base.signals import Interrupt, interruptible
 from fogspec.bench import progress
-from fogspec.bench.adaptive import Tasks, Waves
+from fogspec.bench.adaptive import AdaptiveSampling, Tasks
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.journal import Journal
-from fogspec.bench.orphans import adopt_strays
+from fogspec.bench.orphans import adopt_orphans
 from fogspec.bench.prepare import Prepared
 from fogspec.bench.quote import check_prices
 from fogspec.bench.record import Rules
-from fogspec.bench.redaction import Teller
+from fogspec.bench.redaction import RedactingProgress
 from fogspec.bench.results_file import ResultsFile, set_aside
-from fogspec.bench.types import Order
+from fogspec.bench.types import CampaignConfig
 from fogspec.catalog.table import Catalog
 from fogspec.numerics.priors import Library
 from fogspec.plan.reuse import price_rises
 from fogspec.plan.schema import Sample, lifetime_s
-from fogspec.results.schema import Results, done
+from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
 from fogspec.spec.lock_io import read_pins
 from fogspec.spec.lockfile import pinned
 
 DEADLINE_BEFORE_END_S = 60.0
-Watch = Callable[[Campaign], progress.Watcher]
+Watch = Callable[[Campaign], progress.ProgressReporter]
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
+class BenchOptions:
     """What a bench may do beside its plan.
 
     It spends at most `max_usd`; with `resume` it takes down machines that no journal here knows. An adaptive
@@ -55,7 +55,7 @@ class Terms:
 
 
 @dataclass(frozen=True, slots=True)
-class Benched:
+class BenchResult:
     """The results as they are on disk, and the folders with the logs of what was measured now, by sample."""
 
     results: Results
@@ -68,24 +68,24 @@ class _Bench:
 
     prepared: Prepared
     runner: Runner
-    terms: Terms
+    terms: BenchOptions
     interrupt: Interrupt
     left: list[str] = field(default_factory=list)
 
 
-def bench(prepared: Prepared, runner: Runner, watch: Watch, terms: Terms | None = None) -> Benched:
+def bench(prepared: Prepared, runner: Runner, watch: Watch, terms: BenchOptions | None = None) -> BenchResult:
     """Measure what is to be measured.
 
-    Raises Refused while another bench, apply or down of this application runs, Differs where results changed meanwhile,
-    CloudFailed for machines that could not be verified gone, Interrupted when the user stopped it, WrongFile for a disk
+    Raises Refused while another bench, apply or down of this application runs, OutOfDate where results changed meanwhile,
+    CloudError for machines that could not be verified gone, Interrupted when the user stopped it, InvalidInput for a disk
     that cannot be written; results are on disk in every case.
     """
     layout, left = prepared.layout, list[str]()
     again = f"the same command goes on where this one stopped; fogspec down {layout.name} ends everything"
     try:
-        with held(layout.state / "lock", f"bench of {layout.name}"), interruptible() as interrupt:
+        with application_lock(layout.state / "lock", f"bench of {layout.name}"), interruptible() as interrupt:
             prepared.check_current()
-            benched = _measure(_Bench(prepared, runner, terms or Terms(), interrupt, left), watch)
+            benched = _measure(_Bench(prepared, runner, terms or BenchOptions(), interrupt, left), watch)
     except KeyboardInterrupt:
         now = "interrupted at once" if left else "interrupted at once: nothing runs any more"
         raise Interrupted(now, *map("may still run: {}".format, left), again) from None
@@ -93,16 +93,16 @@ def bench(prepared: Prepared, runner: Runner, watch: Watch, terms: Terms | None 
         raise
     except OSError as problem:
         said = f"{problem.filename or layout.state}: {problem.strerror or problem}"
-        raise WrongFile(said, *map("may still run: {}".format, left), again) from None
+        raise InvalidInput(said, *map("may still run: {}".format, left), again) from None
     if left:
-        raise CloudFailed("these machines could not be verified gone", *left, again)
+        raise CloudError("these machines could not be verified gone", *left, again)
     if interrupt.asked:
-        kept = f"{len(done(benched.results))} samples are done and kept in {layout.results}"
+        kept = f"{len(completed(benched.results))} samples are done and kept in {layout.results}"
         raise Interrupted("interrupted: nothing runs any more", kept, again)
     return benched
 
 
-def _measure(one: _Bench, watch: Watch) -> Benched:
+def _measure(one: _Bench, watch: Watch) -> BenchResult:
     """Run the campaign; `left` is kept up to date also when this raises."""
     layout = one.prepared.layout
     journal = Journal(layout.state / "journal.jsonl")
@@ -110,13 +110,13 @@ def _measure(one: _Bench, watch: Watch) -> Benched:
     try:
         campaign, ledger, tasks = _campaign(one, journal, secret)
         with watch(campaign) as watcher:
-            teller = Teller(watcher, secret)
+            teller = RedactingProgress(watcher, secret)
             campaign.tell = teller
             starts = bool(one.prepared.todo) or one.prepared.plan.spec.sampler == "adaptive"
-            adopt_strays(campaign, one.prepared.plan.spec.samples, one.terms.resume, starts)
+            adopt_orphans(campaign, one.prepared.plan.spec.samples, one.terms.resume, starts)
             going_on = campaign.recover()
             _run(one, campaign, ledger, tasks, going_on)
-        return Benched(ledger.results(), teller.folders)
+        return BenchResult(ledger.results(), teller.folders)
     except KeyboardInterrupt:
         one.left[:] = journal.book.open
         raise
@@ -133,7 +133,9 @@ def _run(one: _Bench, campaign: Campaign, ledger: ResultsFile, tasks: Tasks, goi
     if adaptive and not one.interrupt.asked:
         assert terms.catalog is not None
         life = campaign.order.lifetime_s
-        waves = Waves(prepared.application, prepared.layout, terms.catalog, tasks, ledger, life, terms.library)
+        waves = AdaptiveSampling(
+            prepared.application, prepared.layout, terms.catalog, tasks, ledger, life, terms.library
+        )
         todo = _unmeasured(waves.begin(), ledger)
     campaign.run([sample for sample in todo if sample.id not in going_on])
     while waves is not None and not one.interrupt.asked and not campaign.left:
@@ -146,7 +148,7 @@ def _run(one: _Bench, campaign: Campaign, ledger: ResultsFile, tasks: Tasks, goi
 
 
 def _unmeasured(samples: list[Sample], ledger: ResultsFile) -> list[Sample]:
-    measured = done(ledger.results())
+    measured = completed(ledger.results())
     return [sample for sample in samples if sample.id not in measured]
 
 
@@ -181,11 +183,11 @@ def _campaign(one: _Bench, journal: Journal, secret: Secrets) -> tuple[Campaign,
     journal.begin(runner.name, measures, prepared.plan_digest, ledger.spent_usd)
     life = lifetime_s(body.after, body.setup)
     walls = [spec.benchmark.budget, None if one.terms.max_usd is None else journal.book.spent_usd + one.terms.max_usd]
-    order = Order(
+    order = CampaignConfig(
         application=measures, rules=Rules.of(prepared.application),
         budget_usd=min((wall for wall in walls if wall is not None), default=None),
         deadline_s=life - DEADLINE_BEFORE_END_S, lifetime_s=life, task=tasks.task, root=layout.root,
-        attempts=layout.state / "attempts", prefix=prefix_of(layout.name), token=secrets.token_hex(4),
+        attempts=layout.state / "attempts", prefix=sample_prefix(layout.name), token=secrets.token_hex(4),
         instead=lambda name: _substitutes(tasks.instead(name), ledger, one.terms.prices),
     )  # fmt: skip
     campaign = Campaign(

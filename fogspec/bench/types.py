@@ -14,7 +14,7 @@ SAMPLE_IN_NAME = 30
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class CampaignConfig:
     """What a campaign is to do. `application` is a digest of what is measured.
 
     `task` gives a sample's reviewed task, parsed, or None when the sample is not asked for; `instead` gives samples
@@ -41,7 +41,7 @@ class Order:
 
 
 @dataclass(frozen=True, slots=True)
-class Waiting:
+class Queued:
     """A sample that is to be started, `not_before_s` by the campaign's clock, perhaps in the place of another."""
 
     sample: Sample
@@ -67,7 +67,7 @@ class Event:
     ends_s: float | None = None
 
 
-class Ledger(Protocol):
+class ResultsSink(Protocol):
     """Where records go."""
 
     def keep(self, record: Measured, timings: Path | None) -> Measured:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fogspec.base.units import Range
 from fogspec.catalog.machine import Gpu
-from fogspec.catalog.table import Catalog, Floats, Texts
+from fogspec.catalog.table import Catalog, Floats, Strings
 from fogspec.spec.schema import Hardware
 
 Mask = NDArray[np.bool_]
@@ -26,7 +26,7 @@ class Filter:
 
 
 @dataclass(frozen=True, slots=True)
-class Funnel:
+class FilterCounts:
     """What became of `offered` offers, filter by filter; `admitted` is what is left."""
 
     offered: int
@@ -44,14 +44,14 @@ class Funnel:
 
 
 @dataclass(frozen=True, slots=True)
-class Admissible:
+class Filtered:
     """The admissible offers, one a machine, place and price kind, and the funnel they came through."""
 
     offers: Catalog
-    funnel: Funnel
+    funnel: FilterCounts
 
 
-def admit(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Admissible:
+def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Filtered:
     """The offers that `hardware` and `infra` admit, in the catalog's order.
 
     Zones of one region are merged into one offer at the highest of their prices, for a task pins the region and
@@ -67,7 +67,7 @@ def admit(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Admissi
         filters.append(Filter(name, removed, len(offers)))
     merged = merge_zones(offers, infra)
     filters.append(Filter("zones of one region merged", len(offers) - len(merged), len(merged)))
-    return Admissible(merged, Funnel(len(catalog), tuple(filters)))
+    return Filtered(merged, FilterCounts(len(catalog), tuple(filters)))
 
 
 def parts(infra: str) -> list[str]:
@@ -165,11 +165,11 @@ def _any(catalog: Catalog, masks: Sequence[Mask]) -> Mask:
     return found
 
 
-def _equal(column: Texts, text: str) -> Mask:
+def _equal(column: Strings, text: str) -> Mask:
     return np.asarray(column == text, dtype=np.bool_)
 
 
-def _within(column: Texts, words: set[str]) -> Mask:
+def _within(column: Strings, words: set[str]) -> Mask:
     return np.fromiter(map(words.__contains__, column.tolist()), np.bool_, len(column))
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.catalog.table import Catalog, Texts, ranks
+from fogspec.catalog.table import Catalog, Strings, ranks
 from fogspec.numerics.features import Machines, codes
 
 Key = tuple[str, str, str, float]
@@ -50,7 +50,7 @@ class InstanceTypes:
         return [f"{cloud}/{instance}" for cloud, instance, _, _ in self.keys]
 
 
-def types_of(offers: Catalog) -> InstanceTypes:
+def instance_types(offers: Catalog) -> InstanceTypes:
     """The types of these offers."""
     key = np.zeros(len(offers), dtype=np.int64)
     for column in (offers.cloud, offers.instance, offers.gpu, offers.gpu_count):
@@ -115,9 +115,9 @@ def _row(shape: Shape, offers: Catalog, catalog: Catalog | None) -> Catalog:
     )  # fmt: skip
 
 
-def _text(word: str) -> Texts:
+def _text(word: str) -> Strings:
     return np.array([word], dtype=np.object_)
 
 
-def _codes(column: Texts) -> NDArray[np.int64]:
+def _codes(column: Strings) -> NDArray[np.int64]:
     return codes([str(word) for word in column])

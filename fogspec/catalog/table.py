@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fogspec.catalog.machine import Gpu, Offer
 
 Floats = NDArray[np.float64]
-Texts = NDArray[np.object_]  # of str: one pointer a row, equal texts shared, so that 500,000 rows fit in memory
+Strings = NDArray[np.object_]  # of str: one pointer a row, equal texts shared, so that 500,000 rows fit in memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,19 +33,19 @@ class Catalog:
     """
 
     about: About
-    cloud: Texts
-    region: Texts
-    zone: Texts
-    instance: Texts
+    cloud: Strings
+    region: Strings
+    zone: Strings
+    instance: Strings
     vcpus: Floats
     memory_gib: Floats
-    gpu: Texts
+    gpu: Strings
     gpu_count: Floats
     gpu_memory_gib: Floats
     price_usd_per_hour: Floats
     spot: NDArray[np.bool_]
-    arch: Texts
-    family: Texts
+    arch: Strings
+    family: Strings
     physical_cores: Floats
     clock_ghz: Floats
     burstable: NDArray[np.bool_]
@@ -113,7 +113,7 @@ class Catalog:
         )  # fmt: skip
 
 
-def texts(values: Iterable[str]) -> Texts:
+def strings(values: Iterable[str]) -> Strings:
     """A column of texts."""
     return np.fromiter(values, dtype=np.object_)
 
@@ -125,7 +125,7 @@ def concatenated(catalogs: Sequence[Catalog], about: About) -> Catalog:
     return Catalog(about=about, **{name: np.concatenate([getattr(one, name) for one in parts]) for name in names})
 
 
-def ranks(column: Texts | Floats) -> NDArray[np.int32]:
+def ranks(column: Strings | Floats) -> NDArray[np.int32]:
     """Each row's rank among the column's distinct texts, in code point order, or numbers, none of them NaN."""
     rank = {word: i for i, word in enumerate(sorted(set(column.tolist())))}
     return np.fromiter(map(rank.__getitem__, column.tolist()), np.int32, len(column))

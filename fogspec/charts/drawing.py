@@ -14,7 +14,7 @@ from fogspec.charts.chart import Chart, Crowd, Machine
 from fogspec.charts.drawing_models import interval_of, latency_chart
 from fogspec.choice.choose import Choice, latency_limit_s
 from fogspec.choice.menu import LEVEL, floored, limit_text, thinned, weights
-from fogspec.choice.shortlist import stand_outs
+from fogspec.choice.shortlist import shortlist
 from fogspec.model.fit import Models
 from fogspec.spec.schema import Application
 
@@ -50,7 +50,7 @@ def named(choice: Choice) -> dict[str, int]:
             if miss.row not in found.values():
                 found[f"nearest in {miss.limit}"] = miss.row
         return dict(list(found.items())[: ALTERNATIVES + 1])
-    others = [(role, row) for role, row in stand_outs(choice).items()]
+    others = [(role, row) for role, row in shortlist(choice).items()]
     return {"chosen": choice.chosen, **dict(others[:ALTERNATIVES])}
 
 
@@ -128,7 +128,7 @@ def _described(choice: Choice, row: int, name: str, metric: str | None, factor: 
     return next((words for words in ways if len(words) <= WORDS), ways[-1])
 
 
-def pictures(
+def charts(
     application: Application, choice: Choice, models: Models, doubts: Sequence[str], layout: Layout
 ) -> dict[Path, bytes]:
     """The pictures' files; none where nothing can be predicted."""

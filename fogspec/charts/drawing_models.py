@@ -9,7 +9,7 @@ from fogspec.catalog.table import Floats
 from fogspec.charts.model_svg import LatencyChart, Level, Panel, Sample
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL
-from fogspec.model.fit import Known, Models
+from fogspec.model.fit import Models, Observation
 from fogspec.model.predict import Predictions
 from fogspec.numerics import curves
 from fogspec.plan.schema import MachineRef
@@ -84,7 +84,7 @@ def _each_once(choice: Choice, rows: np.ndarray) -> list[int]:
     return found
 
 
-def _sample(one: Known) -> Sample:
+def _sample(one: Observation) -> Sample:
     latency, t = one.values["latency"], NormalDist().inv_cdf((1 + LEVEL) / 2)
     return Sample(
         one.machine.instance, one.machine.cpus, latency, latency * math.exp(-t * one.error),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Catalog, Floats
-from fogspec.model.predict import Predicted, Predictions
+from fogspec.model.predict import Predictions, PredictionSet
 from fogspec.numerics import select
 from fogspec.numerics.frontier import pareto
 from fogspec.numerics.select import Mask, Miss, Scale
@@ -79,14 +79,14 @@ class Choice:
         """For each limit how far it would have to be relaxed; none while some machine meets them all."""
         if self.feasible.any():
             return ()
-        return select.misses(self.needs(floors(self.confidence)[-1]), self.bounds, self.eligible)
+        return select.misses(self.needs(levels(self.confidence)[-1]), self.bounds, self.eligible)
 
     @cached_property
     def nearest(self) -> int | None:
         """The machine that comes nearest to the limits where none meets them all."""
         if self.feasible.any():
             return None
-        return select.nearest(self.needs(floors(self.confidence)[-1]), self.bounds, self.eligible)
+        return select.nearest(self.needs(levels(self.confidence)[-1]), self.bounds, self.eligible)
 
     def needs(self, floor: float | None) -> Mapping[str, Floats]:
         """What each limit would have to be for each offer to meet it with this probability; the values without one.
@@ -106,7 +106,7 @@ class Choice:
     @property
     def latency_needs(self) -> Floats:
         """What a limit on latency would have to be for each offer to meet it with the least probability asked for."""
-        return self._latency_needs(floors(self.confidence)[-1])
+        return self._latency_needs(levels(self.confidence)[-1])
 
     def _latency_needs(self, floor: float) -> Floats:
         if self.latency.posterior is None:
@@ -149,7 +149,7 @@ class Choice:
         return int(rows[np.argmax(met[types[rows]])])
 
 
-def choose(application: Application, predicted: Predicted) -> Choice:
+def choose(application: Application, predicted: PredictionSet) -> Choice:
     """The choice under the application's limits and objective (the paper, section 2.E, made exhaustive)."""
     spec, offers = application.spec, predicted.offers
     latency = predicted.targets["latency"]
@@ -158,7 +158,7 @@ def choose(application: Application, predicted: Predicted) -> Choice:
     costs = Costs.of(spec, offers.price_usd_per_hour, offers.spot)
     cost = costs.per_request(latency.value)
     values, bounds = _limits(application, offers, latency, metrics, cost)
-    within_s = latency_within(application, costs)
+    within_s = latency_budget(application, costs)
     eligible = np.isfinite(x) & np.isfinite(latency.value) & ~latency.unfit
     held = eligible.copy()
     for name, bound in bounds.items():
@@ -186,20 +186,20 @@ def _feasible(
         return held, None
     if not bounds:
         return held, confidence
-    for floor in floors(confidence):
-        enough = latency_needed(latency, metrics, bounds, floor)
+    for floor in levels(confidence):
+        enough = required_latency(latency, metrics, bounds, floor)
         sure = held & (enough <= within_s)
         if sure.any():
             return sure, floor
     return sure, None
 
 
-def floors(confidence: float) -> tuple[float, float]:
+def levels(confidence: float) -> tuple[float, float]:
     """The probabilities of meeting the limits that are asked for, one after the other."""
     return confidence, min(confidence, LIKELY)
 
 
-def latency_needed(
+def required_latency(
     latency: Predictions, metrics: Mapping[str, Predictions], bounds: Mapping[str, float], floor: float
 ) -> Floats:
     """The latency in seconds (n,) that each offer must be allowed to meet all limits with this probability.
@@ -257,7 +257,7 @@ def _limits(
     return {name: values for name, values, _ in bounded}, {name: bound for name, _, bound in bounded}
 
 
-def latency_within(application: Application, costs: Costs) -> Floats:
+def latency_budget(application: Application, costs: Costs) -> Floats:
     """The largest latency of each offer that keeps the limits on latency, rate, cost and price."""
     constraints, objective = application.spec.constraints, application.spec.objective
     found = np.full(len(costs.price_usd_per_hour), np.inf)

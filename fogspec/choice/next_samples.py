@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Catalog, Floats
-from fogspec.choice.choose import Choice, choose, latency_within
-from fogspec.model.fit import evidence, targets
-from fogspec.model.predict import Predicted, from_evidence, shape_of
+from fogspec.choice.choose import Choice, choose, latency_budget
+from fogspec.model.fit import partition, targets
+from fogspec.model.predict import PredictionSet, predict_from, shape_of
 from fogspec.numerics.acquisition import Policy, gains, next_wave
 from fogspec.numerics.priors import Library
 from fogspec.numerics.select import weighed
 from fogspec.numerics.surrogate import Posterior
-from fogspec.plan.initial_batch import Asked, Bill, asked, first_wave
+from fogspec.plan.initial_batch import NextBatch, SampleCosts, initial_batch, next_batch
 from fogspec.plan.schema import MachineRef
 from fogspec.results.schema import Measured
 from fogspec.spec.schema import Application
@@ -25,7 +25,7 @@ def next_samples(
     application: Application, offers: Catalog, records: Sequence[Measured], *, usd_per_sample: Floats,
     left_usd: float = np.inf, library: Library | None = None, wave: int = 1,
     excluded: Collection[tuple[str, str]] = (),
-) -> Asked:  # fmt: skip
+) -> NextBatch:  # fmt: skip
     """The offers to measure next, or none with the reason why sampling ends.
 
     `usd_per_sample` (n,) is what a sample of each offer may cost; a whole wave fits into `left_usd`. A type (cloud,
@@ -34,9 +34,9 @@ def next_samples(
     choice was not measured, it is: that verifies it.
     """
     if not records:
-        return first_wave(offers, usd_per_sample, left_usd, library)
-    known, unusable = evidence(records, application.spec.constraints.statistic)
-    predicted = from_evidence(known, unusable, offers, targets(application), None, library)
+        return initial_batch(offers, usd_per_sample, left_usd, library)
+    known, unusable = partition(records, application.spec.constraints.statistic)
+    predicted = predict_from(known, unusable, offers, targets(application), None, library)
     state = _State.of(application, predicted, [one.machine for one in unusable], usd_per_sample, excluded)
     if not any(one.machine.infra != "local" for one in known):
         return state.again(left_usd, library)
@@ -44,7 +44,7 @@ def next_samples(
 
 
 @dataclass(frozen=True, slots=True)
-class Next:
+class NextSample:
     """The sample that is worth most for its price: the offer, by which share of its objective it betters the choice on
     average, how probably its machine is better than the chosen one, and what it costs at most.
     """
@@ -55,9 +55,9 @@ class Next:
     usd: float
 
 
-def most_worth(
-    application: Application, predicted: Predicted, failed: Collection[MachineRef], usd_per_sample: Floats
-) -> Next | None:
+def best_next_sample(
+    application: Application, predicted: PredictionSet, failed: Collection[MachineRef], usd_per_sample: Floats
+) -> NextSample | None:
     """What one more sample would be worth, whether or not it is worth its money; None when nothing is left to try."""
     state = _State.of(application, predicted, failed, usd_per_sample, ())
     choice = choose(application, predicted)
@@ -71,10 +71,10 @@ def most_worth(
     better = None
     if choice.chosen is not None:
         better = float(np.mean(values[:, one] < values[:, predicted.types.of[choice.chosen]]))
-    return Next(int(state.bill.row[one]), float(expected[one]), better, float(state.bill.usd[one]))
+    return NextSample(int(state.bill.row[one]), float(expected[one]), better, float(state.bill.usd[one]))
 
 
-def probability_better(application: Application, predicted: Predicted, choice: Choice, row: int) -> float | None:
+def probability_better(application: Application, predicted: PredictionSet, choice: Choice, row: int) -> float | None:
     """How probably one offer's type meets the limits and is better than the chosen one; None if that cannot be said."""
     if choice.latency.posterior is None or choice.chosen is None:
         return None
@@ -88,33 +88,33 @@ class _State:
     """What is known, by type: `barred` (N,) types are not asked for."""
 
     application: Application
-    predicted: Predicted
-    bill: Bill
+    predicted: PredictionSet
+    bill: SampleCosts
     barred: NDArray[np.bool_]
 
     @classmethod
     def of(
-        cls, application: Application, predicted: Predicted, failed: Collection[MachineRef], usd_per_sample: Floats,
+        cls, application: Application, predicted: PredictionSet, failed: Collection[MachineRef], usd_per_sample: Floats,
         excluded: Collection[tuple[str, str]],
     ) -> "_State":  # fmt: skip
         """Types of machines that failed, that are excluded, that are unfit, or that are no offers are barred."""
         types, offered = predicted.types, len(usd_per_sample)
         beyond = np.full(len(types.of) - offered, float(usd_per_sample.mean()))
-        bill = Bill.of(types, np.concatenate([usd_per_sample, beyond]))
+        bill = SampleCosts.of(types, np.concatenate([usd_per_sample, beyond]))
         useless = {shape_of(one).key for one in failed}
         barred = np.array([key in useless or key[:2] in excluded for key in types.keys]) | (bill.row >= offered)
         barred[types.of[:offered][predicted.targets["latency"].unfit]] = True
         return cls(application, predicted, bill, barred)
 
-    def again(self, left_usd: float, library: Library | None) -> Asked:
+    def again(self, left_usd: float, library: Library | None) -> NextBatch:
         """Another first wave among what was not tried, for so far nothing could be measured."""
         rows = self.bill.row[~self.barred]
         if not len(rows):
-            return Asked((), (), "every machine was tried or is ruled out, and none could be measured")
-        found = first_wave(self.predicted.offers.take(rows), self.bill.usd[~self.barred], left_usd, library)
-        return Asked(tuple(int(rows[row]) for row in found.rows), found.reasons, found.reason)
+            return NextBatch((), (), "every machine was tried or is ruled out, and none could be measured")
+        found = initial_batch(self.predicted.offers.take(rows), self.bill.usd[~self.barred], left_usd, library)
+        return NextBatch(tuple(int(rows[row]) for row in found.rows), found.reasons, found.reason)
 
-    def improving(self, left_usd: float, wave: int) -> Asked:
+    def improving(self, left_usd: float, wave: int) -> NextBatch:
         """By expected improvement; then the choice itself."""
         choice = choose(self.application, self.predicted)
         posterior = choice.latency.posterior
@@ -125,25 +125,27 @@ class _State:
         )
         if found.machines:
             reasons = [self._reason(posterior, *each) for each in zip(found.machines, found.worth, strict=True)]
-            return asked(found, self.bill, reasons, left_usd)
-        return self._verifying(choice, asked(found, self.bill, (), left_usd).reason, left_usd)
+            return next_batch(found, self.bill, reasons, left_usd)
+        return self._verifying(choice, next_batch(found, self.bill, (), left_usd).reason, left_usd)
 
     def _reason(self, posterior: Posterior, one: int, worth: float) -> str:
         again = "measured again, for one sample may err: " if posterior.measured[one] else ""
         return f"{again}may better the choice by {worth:.1%} on average, for at most ${self.bill.usd[one]:.4g}"
 
-    def _verifying(self, choice: Choice, why: str, left_usd: float) -> Asked:
+    def _verifying(self, choice: Choice, why: str, left_usd: float) -> NextBatch:
         """The choice itself, where it was not measured and can be paid for."""
         row = choice.chosen
         if row is None or choice.latency.measured[row]:
-            return Asked((), (), why)
+            return NextBatch((), (), why)
         one = int(self.predicted.types.of[row])
         name = choice.offers.instance[row]
         if self.barred[one]:
-            return Asked((), (), f"{why}; the choice, {name}, could not be measured")
+            return NextBatch((), (), f"{why}; the choice, {name}, could not be measured")
         if self.bill.usd[one] > left_usd:
-            return Asked((), (), f"{why}; the choice, {name}, is not verified: it may cost ${self.bill.usd[one]:.4g}")
-        return Asked((int(self.bill.row[one]),), ("verifies the choice",), why)
+            return NextBatch(
+                (), (), f"{why}; the choice, {name}, is not verified: it may cost ${self.bill.usd[one]:.4g}"
+            )
+        return NextBatch((int(self.bill.row[one]),), ("verifies the choice",), why)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +153,7 @@ class _Question:
     """The spec's limits and objective over joint draws, each type at its cheapest offer."""
 
     application: Application
-    predicted: Predicted
+    predicted: PredictionSet
     choice: Choice
 
     def drawn(self, posterior: Posterior) -> Floats:
@@ -161,7 +163,7 @@ class _Question:
         row = np.where(offered, types.offer, 0)
         costs = Costs.of(spec, choice.offers.price_usd_per_hour[row], choice.offers.spot[row])
         latency = np.exp(posterior.draws)
-        held = (latency <= latency_within(self.application, costs)) & (offered & ~choice.latency.unfit[row])
+        held = (latency <= latency_budget(self.application, costs)) & (offered & ~choice.latency.unfit[row])
         x = latency
         for name, predictions in choice.metrics.items():
             if predictions.posterior is None:

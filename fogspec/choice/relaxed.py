@@ -30,7 +30,7 @@ class Relaxed:
     row: int | None
 
 
-def relax(application: Application, models: Models, choice: Choice) -> Relaxed | None:
+def relaxed_optimum(application: Application, models: Models, choice: Choice) -> Relaxed | None:
     """The paper's choice over the same offers; None where no continuous machine meets the limits.
 
     One problem for each GPU type and infra, compared at the end by the exact objective of where they end.

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from fogspec.choice.choose import Choice, choose
-from fogspec.model.fit import Known, Models, targets
-from fogspec.model.predict import Ground, Predicted, shape_of
+from fogspec.model.fit import Models, Observation, targets
+from fogspec.model.predict import PredictionSet, PredictionSpace, shape_of
 from fogspec.spec.schema import Application
 
 LEVEL = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Binding:
+class Slack:
     """One limit at the choice.
 
     `value` is predicted; `needs` is what the limit may be lowered to before the chosen machine no longer meets it with
@@ -48,14 +48,14 @@ class Influence:
 
 
 @dataclass(frozen=True, slots=True)
-class Weak:
+class WideInterval:
     """A machine with a wide interval, as the ratio of its ends, among those that could be the choice."""
 
     row: int
     ratio: float
 
 
-def bindings(choice: Choice) -> list[Binding]:
+def slacks(choice: Choice) -> list[Slack]:
     """Every limit at the chosen machine; none when nothing was chosen."""
     row = choice.chosen
     if row is None:
@@ -70,7 +70,7 @@ def bindings(choice: Choice) -> list[Binding]:
         alone = others & ~(needs[name] <= bound)
         better = np.flatnonzero(alone & (choice.objective < choice.objective[row]))
         nearest = int(better[np.argmin(needs[name][better])]) if len(better) else None
-        found.append(Binding(
+        found.append(Slack(
             name, bound, float(choice.values[name][row]), float(needs[name][row]), int(alone.sum()),
             None if nearest is None else float(needs[name][nearest]),
             None if nearest is None else str(choice.offers.instance[nearest]),
@@ -78,7 +78,9 @@ def bindings(choice: Choice) -> list[Binding]:
     return found
 
 
-def influences(application: Application, models: Models, ground: Ground | None, choice: Choice) -> list[Influence]:
+def influences(
+    application: Application, models: Models, ground: PredictionSpace | None, choice: Choice
+) -> list[Influence]:
     """Each sample left out in turn, those that change the choice first, then those that move predictions most."""
     body = models.spec
     if ground is None or len(body.known) < 2:
@@ -91,7 +93,7 @@ def influences(application: Application, models: Models, ground: Ground | None, 
     return sorted(found, key=lambda one: (not one.changes, -round(one.moves, 6), one.id))
 
 
-def _influence(application: Application, predicted: Predicted, left_out: Known, choice: Choice) -> Influence:
+def _influence(application: Application, predicted: PredictionSet, left_out: Observation, choice: Choice) -> Influence:
     without = choose(application, predicted)
     both = np.isfinite(choice.latency.value) & np.isfinite(without.latency.value)
     moved = np.abs(np.log(without.latency.value[both] / choice.latency.value[both]))
@@ -107,7 +109,7 @@ def _influence(application: Application, predicted: Predicted, left_out: Known, 
     return Influence(left_out.id, name, name != now, float(np.median(moved)) if both.any() else 0.0, missed, covered)
 
 
-def weak_spots(choice: Choice, count: int = 3) -> list[Weak]:
+def widest_intervals(choice: Choice, count: int = 3) -> list[WideInterval]:
     """The machines that might meet the limits with the widest intervals, an instance type once."""
     posterior = choice.latency.posterior
     if posterior is None:
@@ -115,12 +117,12 @@ def weak_spots(choice: Choice, count: int = 3) -> list[Weak]:
     low, high = (posterior.quantile(p) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     of = choice.latency.of
     possible = choice.eligible & (low[of] <= choice.within_s)
-    found: list[Weak] = []
+    found: list[WideInterval] = []
     seen: set[int] = set()
     for row in np.flatnonzero(possible)[np.argsort(-np.round(high[of] / low[of], 6)[possible], kind="stable")].tolist():
         if of[row] not in seen and len(found) < count:
             seen.add(int(of[row]))
-            found.append(Weak(row, float(high[of[row]] / low[of[row]])))
+            found.append(WideInterval(row, float(high[of[row]] / low[of[row]])))
     return found
 
 

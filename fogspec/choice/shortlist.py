@@ -3,7 +3,7 @@
 from fogspec.choice.choose import Choice
 
 
-def stand_outs(choice: Choice) -> dict[str, int]:
+def shortlist(choice: Choice) -> dict[str, int]:
     """The rows worth naming beside the chosen one, each once, by what they stand out for."""
     named = {
         "cheapest": choice.cheapest,

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import click
 
 from fogspec import __version__
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import Outcome
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import FogspecError
 
 VERBS = {
     "init": "write a commented, valid spec",
@@ -68,12 +68,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
         code = 130
-    except Problems as problems:
+    except DiagnosticError as problems:
         from fogspec.report.diagnostics import show_diagnostics
 
         show_diagnostics(problems.diagnostics)
         code = 1
-    except Outcome as outcome:
+    except FogspecError as outcome:
         click.echo("\n  ".join([outcome.message, *outcome.hints]), err=True)
         code = outcome.exit_code
     except BrokenPipeError:

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.errors import Refused, WrongCommand
+from fogspec.base.errors import Refused, UsageError
 from fogspec.base.units import UnitError, format_price, parse_price_usd_per_hour
 from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, catalogs_for, clouds_of, load_catalog
 
 if TYPE_CHECKING:
     from fogspec.catalog.table import Catalog
-    from fogspec.compile.bundle import Opened
+    from fogspec.compile.bundle import ManifestBundle
 
 
 @click.command()
@@ -36,21 +36,21 @@ def command(
     is left alone. Ctrl-C ends what is being started.
     """
     from fogspec.backends import registry
-    from fogspec.compile.bundle import open_manifest
-    from fogspec.deploy.preflight import check_fresh, order, words
+    from fogspec.compile.bundle import open_bundle
+    from fogspec.deploy.preflight import as_text, check_fresh, launch_plan
     from fogspec.deploy.session import apply
-    from fogspec.deploy.state import SystemTimes
+    from fogspec.deploy.state import SystemWallClock
 
-    opened = open_manifest(manifest)
+    opened = open_bundle(manifest)
     catalog = catalogs_for([opened.loaded], catalog_path)[0]
     check_fresh(opened, catalog)
     ask = registry.registry().digest
-    ordered = order(opened, _prices(opened, prices, catalog), _price(most), resolve_image, ask)
-    click.echo("\n".join(words(ordered)), err=True)
+    ordered = launch_plan(opened, _prices(opened, prices, catalog), _price(most), resolve_image, ask)
+    click.echo("\n".join(as_text(ordered)), err=True)
     if dry_run:
         return
     applied = apply(
-        ordered, registry.deployer, SystemTimes(), lambda text: click.echo(text, err=True), lambda: _ask(yes)
+        ordered, registry.deployer, SystemWallClock(), lambda text: click.echo(text, err=True), lambda: _ask(yes)
     )
     machine = applied.machine
     if output == "json":
@@ -72,7 +72,7 @@ def command(
         click.echo(f"{opened.layout.name}: no changes; runs on {what}, at {machine.address}")
 
 
-def _prices(opened: "Opened", origin: str | None, catalog: "Catalog") -> "Catalog":
+def _prices(opened: "ManifestBundle", origin: str | None, catalog: "Catalog") -> "Catalog":
     return catalog if origin is None else load_catalog(origin, clouds_of(opened.loaded))
 
 
@@ -80,7 +80,7 @@ def _price(text: str | None) -> float | None:
     try:
         return None if text is None else parse_price_usd_per_hour(text)
     except UnitError as wrong:
-        raise WrongCommand(f"--max: {wrong}", *([f"write {wrong.fix}"] if wrong.fix else [])) from None
+        raise UsageError(f"--max: {wrong}", *([f"write {wrong.fix}"] if wrong.fix else [])) from None
 
 
 def _ask(yes: bool) -> None:

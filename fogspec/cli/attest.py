@@ -23,9 +23,9 @@ def command(manifest: str, catalog_path: str | None, key: str | None, out: Path 
     """
     from fogspec.audit import attest
     from fogspec.base.files import write_bytes
-    from fogspec.compile.bundle import open_manifest
+    from fogspec.compile.bundle import open_bundle
 
-    opened = open_manifest(manifest)
+    opened = open_bundle(manifest)
     text = attest.text(attest.statement(opened, catalogs_for([opened.loaded], catalog_path)[0]))
     if key is not None:
         from fogspec.audit.sign import sign

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.errors import Differs, Outcome, Refused, WrongCommand, WrongFile
+from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
 from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from
 
 if TYPE_CHECKING:
     from fogspec.backends.protocol import Runner
     from fogspec.bench.campaign import Campaign
     from fogspec.bench.prepare import Prepared
-    from fogspec.bench.progress import Watcher
-    from fogspec.bench.quote import Offering
-    from fogspec.bench.run import Benched
+    from fogspec.bench.progress import ProgressReporter
+    from fogspec.bench.quote import Quote
+    from fogspec.bench.run import BenchResult
     from fogspec.catalog.table import Catalog
     from fogspec.numerics.priors import Library
     from fogspec.spec.loader import LoadedSpec
@@ -68,8 +68,8 @@ def command(
     are taken down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
     """
     from fogspec.bench.prepare import prepare
-    from fogspec.bench.quote import Offering, check_prices
-    from fogspec.bench.run import Terms, bench
+    from fogspec.bench.quote import Quote, check_prices
+    from fogspec.bench.run import BenchOptions, bench
 
     names = [name.strip() for name in only.split(",") if name.strip()]
     unusable = []
@@ -78,7 +78,7 @@ def command(
         runner = _runner(prepared, runner_name, recorded, pace)
         runner.at_once = min(runner.at_once, at_once or runner.at_once)
         _check_place(prepared, runner)
-        offering = Offering.of(prepared, runner, max_usd)
+        offering = Quote.of(prepared, runner, max_usd)
         click.echo(offering.line(), err=True)
         if prepared.outdated:
             kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
@@ -92,13 +92,13 @@ def command(
         _check_needed(prepared, runner)
         _confirm(offering, yes)
         library = _library(prepared, priors) if catalog is not None else None
-        terms = Terms(max_usd, resume, catalog, prices, library)
+        terms = BenchOptions(max_usd, resume, catalog, prices, library)
         benched = bench(prepared, runner, lambda campaign, p=prepared: _watcher(campaign, p, output), terms)  # type: ignore[misc]
         _report(prepared, benched, output)
         if not any(record.state == "ok" for record in benched.results.spec.samples):
             unusable.append(prepared.layout.name)
     if unusable:
-        raise WrongFile(
+        raise InvalidInput(
             f"{', '.join(unusable)}: no sample could be measured", "the lines above say why, and where the logs are"
         )
 
@@ -109,9 +109,9 @@ def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: 
     local = all(sample.machine.infra == "local" for sample in prepared.plan.spec.samples)
     name = name or ("replay" if recorded is not None else "local" if local else "skypilot")
     if (name == "replay") != (recorded is not None):
-        raise WrongCommand("--runner replay and --from FILE go together")
+        raise UsageError("--runner replay and --from FILE go together")
     if name not in RUNNERS:
-        raise WrongCommand(f"--runner: say where to measure: {', '.join(RUNNERS)}")
+        raise UsageError(f"--runner: say where to measure: {', '.join(RUNNERS)}")
     if recorded is None:
         runner: Runner = registry.runner(name)()
         return runner
@@ -134,7 +134,7 @@ def _check_place(prepared: "Prepared", runner: "Runner") -> None:
 
 
 def _check_needed(prepared: "Prepared", runner: "Runner") -> None:
-    """Raises an Outcome for files and secrets that a sample would miss, before a machine is paid to miss them."""
+    """Raises an FogspecError for files and secrets that a sample would miss, before a machine is paid to miss them."""
     from fogspec.base.redaction import check_set
     from fogspec.spec.lock_io import check_files
 
@@ -155,14 +155,14 @@ def _catalogs(
     catalog = catalogs_for([one], path)[0]
     if adaptive and catalog.about.digest != prepared.plan.spec.catalog.digest:
         compiling = f"fogspec compile {prepared.layout.spec}" + (f" --catalog {path}" if path else "")
-        raise Differs(
+        raise OutOfDate(
             f"{prepared.layout.plan} was compiled from another catalog: {prepared.plan.spec.catalog.source}", compiling
         )
     if not real:
         return catalog, None
     try:
         prices = load_catalog("skypilot", clouds_of(one))
-    except Outcome as none:
+    except FogspecError as none:
         click.echo(
             f"prices are compared with {catalog.about.source}, not with SkyPilot's own: {none.message}", err=True
         )
@@ -172,13 +172,13 @@ def _catalogs(
 
 def _library(prepared: "Prepared", path: Path | None) -> "Library | None":
     """What an adaptive campaign knows of machines beforehand: from the command line, else what the lock says."""
-    from fogspec.model.priors import locked_library
+    from fogspec.model.priors import locked_priors
     from fogspec.spec.lock_io import read_pins
 
-    return library_from(path) or locked_library(prepared.layout, read_pins(prepared.layout))
+    return library_from(path) or locked_priors(prepared.layout, read_pins(prepared.layout))
 
 
-def _confirm(offering: "Offering", yes: bool) -> None:
+def _confirm(offering: "Quote", yes: bool) -> None:
     """Raises Refused unless the user agrees to spend; what costs nothing needs no consent."""
     if yes or not offering.asks:
         return
@@ -188,7 +188,7 @@ def _confirm(offering: "Offering", yes: bool) -> None:
         raise Refused("not confirmed: nothing was started")
 
 
-def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Watcher":
+def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "ProgressReporter":
     from fogspec.bench import progress
 
     if output == "json":
@@ -202,7 +202,7 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Watche
     return progress.Lines(lambda text: click.echo(text, err=True))
 
 
-def _report(prepared: "Prepared", benched: "Benched", output: str) -> None:
+def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
     from fogspec.bench import progress
 
     layout, results = prepared.layout, benched.results

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.errors import Differs, NothingMeets
+from fogspec.base.errors import Infeasible, OutOfDate
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, SPECS, catalogs_for, library_from
 
 
@@ -35,9 +35,9 @@ def command(specs: tuple[str, ...], catalog_path: str | None, priors: Path | Non
         click.echo("\n\n".join(summary.summary(one) for one in compiled))
     if check and changed:
         again = f"fogspec compile {' '.join(specs)}"
-        raise Differs(
+        raise OutOfDate(
             f"{len(changed)} files differ from what compile would write", *map(str, changed), f"write them: {again}"
         )
     if none := [one for one in compiled if one.chosen is not None and one.chosen.manifest is None]:
         names = ", ".join(one.layout.name for one in none)
-        raise NothingMeets(f"{names}: no machine meets the limits", *(f"see {one.layout.menu}" for one in none))
+        raise Infeasible(f"{names}: no machine meets the limits", *(f"see {one.layout.menu}" for one in none))

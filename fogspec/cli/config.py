@@ -31,11 +31,11 @@ def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, ou
     """
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import load
-    from fogspec.spec.render import written
+    from fogspec.spec.render import render_document
 
     loaded = load(find_specs(specs), overlays)
     if output == "json":
-        click.echo(json.dumps([written(one.application) for one in loaded], indent=2, ensure_ascii=False))
+        click.echo(json.dumps([render_document(one.application) for one in loaded], indent=2, ensure_ascii=False))
     else:
         click.echo("\n---\n".join("\n".join(_lines(one, origins)) for one in loaded))
 
@@ -43,9 +43,9 @@ def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, ou
 def _lines(loaded: "LoadedSpec", origins: bool) -> Iterator[str]:
     from fogspec.base.yaml.flow import block
     from fogspec.base.yaml.positions import find
-    from fogspec.spec.render import written
+    from fogspec.spec.render import render_document
 
-    lines = list(block(written(loaded.application)))
+    lines = list(block(render_document(loaded.application)))
     width = min(60, max(len(line) for line, _ in lines))
     places = loaded.places
     for line, path in lines:

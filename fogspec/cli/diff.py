@@ -4,7 +4,7 @@ import json
 
 import click
 
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 from fogspec.cli.options import CATALOG, catalogs_for
 
 
@@ -24,7 +24,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     from fogspec.audit import changes
     from fogspec.audit.diff import difference
     from fogspec.deploy.health import running_changes
-    from fogspec.deploy.state import SystemTimes
+    from fogspec.deploy.state import SystemWallClock
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import load
 
@@ -33,12 +33,12 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     found = []
     for one, catalog in zip(loaded, catalogs, strict=True):
         differing = difference(one, catalog)
-        found.append((differing, running_changes(differing.layout, SystemTimes(), one.application)))
+        found.append((differing, running_changes(differing.layout, SystemWallClock(), one.application)))
     if output == "json":
-        facts = [changes.facts(differing, live) for differing, live in found]
+        facts = [changes.as_dict(differing, live) for differing, live in found]
         click.echo(json.dumps(facts, indent=2, ensure_ascii=False))
     else:
-        show = changes.markdown if output == "markdown" else changes.text
+        show = changes.markdown if output == "markdown" else changes.as_text
         click.echo("\n\n".join(show(differing, live) for differing, live in found))
     if exit_code and (others := [differing.layout.name for differing, live in found if differing.differs or live]):
-        raise Differs(f"not what compile would write now, or not what runs: {', '.join(others)}")
+        raise OutOfDate(f"not what compile would write now, or not what runs: {', '.join(others)}")

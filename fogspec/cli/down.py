@@ -25,10 +25,10 @@ def command(spec_or_name: str, output: str) -> None:
     elsewhere. Idempotent; other applications are not touched.
     """
     from fogspec.deploy.down import down, layout_of, leave_link
-    from fogspec.deploy.state import SystemTimes
+    from fogspec.deploy.state import SystemWallClock
 
     layout = layout_of(spec_or_name)
-    count, spent_usd = down(layout, _deployers(layout), SystemTimes(), lambda text: click.echo(text, err=True))
+    count, spent_usd = down(layout, _deployers(layout), SystemWallClock(), lambda text: click.echo(text, err=True))
     leave_link(layout)
     if output == "json":
         click.echo(json.dumps({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fogspec.base.errors import WrongCommand
+from fogspec.base.errors import UsageError
 from fogspec.cli.options import CATALOG, OUTPUT, applications_of, catalogs_for
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def command(
         campaigns = [Campaign(s, m, noise, seed) for _, s, m in ROWS] if every else [campaign]
         _of_suite(suite, priors, kinds, campaigns, choices, workers, output)
     else:
-        raise WrongCommand(
+        raise UsageError(
             "evaluate needs SPEC --sweep FILE, or --suite DIR",
             "fogspec evaluate specs/NAME.yaml --sweep sweep.csv",
             "fogspec evaluate --suite DIR --priors DIR -o json",
@@ -78,7 +78,7 @@ def _of_suite(
     from fogspec.evaluation.suite import KINDS
 
     if unknown := set(kinds) - set(KINDS):
-        raise WrongCommand(f"--kind is one of {', '.join(KINDS)}, got {min(unknown)!r}")
+        raise UsageError(f"--kind is one of {', '.join(KINDS)}, got {min(unknown)!r}")
     done, digest = evaluate(suite, priors, kinds, campaigns, workers=workers)
     if choices:
         told = [json.dumps(one.line(), ensure_ascii=False) + "\n" for ended in done for one in ended]
@@ -102,15 +102,15 @@ def _of_sweep(
     from fogspec.evaluation.replay import Case, Noise
     from fogspec.evaluation.sweeping import replayed
     from fogspec.evaluation.sweeps import read_sweep
-    from fogspec.model.priors import read_library
+    from fogspec.model.priors import read_priors
     from fogspec.numerics.priors import prior_for
 
     loaded = applications_of(spec)
     if len(loaded) != 1:
-        raise WrongCommand(f"{spec} has {len(loaded)} applications, a sweep is of one")
+        raise UsageError(f"{spec} has {len(loaded)} applications, a sweep is of one")
     application = loaded[0].application
     read = read_sweep(sweep, application, catalogs_for(loaded, catalog_path)[0])
-    library = read_library(priors) if priors else None
+    library = read_priors(priors) if priors else None
     prior = prior_for(library, read.names, read.machines) if library else None
     noise = Noise.of(read.problem, "none", 0) if campaign.noise == "none" else read.repeats
     case = Case.of(read.problem, read.machines, prior, noise)

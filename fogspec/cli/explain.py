@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.errors import WrongCommand
+from fogspec.base.errors import UsageError
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, applications_of, catalogs_for, library_from
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def _code(name: str, output: str) -> None:
 
     if name not in CODES:
         near = closest(name, CODES)
-        raise WrongCommand(
+        raise UsageError(
             f"there is no code {name}", *([f"did you mean {near}?"] if near else []), f"codes: {', '.join(CODES)}"
         )
     click.echo(json.dumps({"code": name, **CODES[name]._asdict()}, indent=2) if output == "json" else code_text(name))
@@ -81,13 +81,13 @@ def _field(name: str, spec: str | None, output: str) -> bool:
     """Explain the fields of this name; whether there are any."""
     from fogspec.spec.discover import spec_of
     from fogspec.spec.field_docs import matching, pages
-    from fogspec.spec.locate import where_set
+    from fogspec.spec.locate import locate
     from fogspec.spec.reference import field_data, field_text
     from fogspec.spec.schema import Application
 
     known = pages(Application)
     found = matching(known, name)
-    places = where_set(spec_of(spec) or spec, [page.path for page in found]) if spec and found else {}
+    places = locate(spec_of(spec) or spec, [page.path for page in found]) if spec and found else {}
     if found and output == "json":
         click.echo(
             json.dumps([field_data(page, places.get(page.path, [])) for page in found], indent=2, ensure_ascii=False)
@@ -106,7 +106,7 @@ def _nothing(name: str) -> None:
 
     near = closest(name.rpartition(".")[2], [page.path.rpartition(".")[2] for page in pages(Application)])
     hint = f"did you mean {near}?" if near else "all fields: fogspec explain spec"
-    raise WrongCommand(f"the language has no field {name}, and specs/ no application", hint)
+    raise UsageError(f"the language has no field {name}, and specs/ no application", hint)
 
 
 def _below(known: list["FieldPage"], found: list["FieldPage"]) -> list[str]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.errors import WrongCommand
+from fogspec.base.errors import UsageError
 
 
 @click.command()
@@ -20,7 +20,7 @@ def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import is_name
     from fogspec.spec.launch_import import read_launch
-    from fogspec.spec.loader import examine
+    from fogspec.spec.loader import check_file
     from fogspec.spec.scaffold import first_data, first_text, name_from
 
     if spec and is_name(str(spec)) and not spec.suffix:
@@ -29,7 +29,7 @@ def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     name = name or name_from((spec and spec.name) or (launch and os.path.basename(launch)) or Path.cwd().name)
     spec = spec or Path("specs") / f"{name}.yaml"
     if spec.exists():
-        raise WrongCommand(f"{spec} is there already", "name another file, or remove it")
+        raise UsageError(f"{spec} is there already", "name another file, or remove it")
     root = spec.parent.parent if spec.absolute().parent.name == "specs" else spec.parent
     schema = root / "schemas" / "Application.json"
     notes = [f"From {os.path.basename(launch)}, which was read and not run."] if launch else []
@@ -44,7 +44,7 @@ def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     write_bytes(spec, text.encode())
     click.echo(f"{spec}: written; name your topics under probe, then: fogspec validate {spec}")
     show_diagnostics(found.notes if found else [])
-    wrong = [one for one in examine([spec])[1] if one.severity == "error"]
+    wrong = [one for one in check_file([spec])[1] if one.severity == "error"]
     if wrong:
         show_diagnostics(wrong)
         raise click.exceptions.Exit(1)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, clouds_of, library_from, load_catalog, located
 
 
@@ -43,7 +43,7 @@ def command(
         origin = _origin(catalog_path, layout.root) or (pins.catalog.origin if pins else "snapshot")
         about = load_catalog(located(origin, layout), clouds_of(one)).about
         pin = PriorsPin(origin=_beside(priors, layout.root), digest=library.digest) if priors and library else None
-        wanted.append(lock_update.Wanted(one.application, layout, origin, about, pin))
+        wanted.append(lock_update.LockRequest(one.application, layout, origin, about, pin))
     ask = (lambda _name: "not asked for yet") if check else registry.registry().digest
     locks = lock_update.relock(wanted, ask, ["catalog"] if check else upgrade, whole=not specs)
     changes = {path: lock_update.differences(read_lock(path), lock) for path, lock in locks.items()}
@@ -54,7 +54,7 @@ def command(
     _say(changes, output)
     if check and any(changes.values()):
         count = sum(map(len, changes.values()))
-        raise Differs(
+        raise OutOfDate(
             f"{count} {'thing is' if count == 1 else 'things are'} not as locked", "write the lock: fogspec lock"
         )
 

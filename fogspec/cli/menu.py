@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.errors import NothingMeets, WrongCommand
+from fogspec.base.errors import Infeasible, UsageError
 from fogspec.base.units import UnitError
 from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, applications_of, catalogs_for, library_from
 
@@ -31,17 +31,17 @@ def command(
 
     Nothing is measured anew and nothing is written.
     """
-    from fogspec.report.menu import menu_of, show
+    from fogspec.report.menu import menu_view, show
 
     loaded = applications_of(spec, name)
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
     try:
         served = [
-            menu_of(one.application, one.path, catalog, alpha, latency, cost, library)
+            menu_view(one.application, one.path, catalog, alpha, latency, cost, library)
             for one, catalog in zip(loaded, catalogs, strict=True)
         ]
     except UnitError as wrong:
-        raise WrongCommand(str(wrong), *([f"write {wrong.fix}"] if wrong.fix else [])) from None
+        raise UsageError(str(wrong), *([f"write {wrong.fix}"] if wrong.fix else [])) from None
     menus = [one.menu for one in served]
     if output == "json":
         click.echo(json.dumps([menu.model_dump(mode="json") for menu in menus], indent=2, ensure_ascii=False))
@@ -51,4 +51,4 @@ def command(
             color = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
         click.echo("\n\n".join(show(one.menu, one.plot(width, color)) for one in served), color=color)
     if none := [menu.metadata.name for menu in menus if menu.spec.balanced is None]:
-        raise NothingMeets(f"{', '.join(none)}: no machine meets the limits")
+        raise Infeasible(f"{', '.join(none)}: no machine meets the limits")

@@ -2,7 +2,7 @@
 
 import click
 
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 
 
 @click.command()
@@ -17,7 +17,7 @@ def command(files: tuple[str, ...], check: bool) -> None:
     found = [migrate(path) for path in find_specs(files)]
     old = [one for one in found if one.changed]
     if check and old:
-        raise Differs(f"{len(old)} files are not at {API_VERSION}", *(one.path for one in old))
+        raise OutOfDate(f"{len(old)} files are not at {API_VERSION}", *(one.path for one in old))
     for one in old:
         write(one)
         click.echo(f"{one.path}: {', '.join(one.versions)}")

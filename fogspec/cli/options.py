@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.errors import Differs, WrongCommand
+from fogspec.base.errors import OutOfDate, UsageError
 
 if TYPE_CHECKING:
     from fogspec.base.layout import Layout
@@ -50,34 +50,34 @@ PRIORS = click.option(
 def applications_of(what: str, name: str | None = None) -> list["LoadedSpec"]:
     """The applications of a spec, or the one in specs/ that `what` names; `name` picks one where a spec has several.
 
-    Raises WrongCommand where there is none, Problems where the spec is wrong.
+    Raises UsageError where there is none, Problems where the spec is wrong.
     """
     from fogspec.spec.discover import is_name, spec_of
     from fogspec.spec.loader import load
 
     path = spec_of(what)
     if path is None and is_name(what) and os.path.isdir("specs"):
-        raise WrongCommand(f"specs/ has no application named {what}", "name its file, such as specs/NAME.yaml")
+        raise UsageError(f"specs/ has no application named {what}", "name its file, such as specs/NAME.yaml")
     wanted = name or (what if path else None)
     found = [one for one in load([path or what]) if wanted in (None, one.application.metadata.name)]
     if not found:
-        raise WrongCommand(f"{path or what} has no application named {wanted}")
+        raise UsageError(f"{path or what} has no application named {wanted}")
     return found
 
 
 def library_from(path: Path | None) -> "Library | None":
-    """The machine library that the command line names; None leaves it to the lock. Raises WrongFile and Problems."""
+    """The machine library that the command line names; None leaves it to the lock. Raises InvalidInput and DiagnosticError."""
     if path is None:
         return None
-    from fogspec.model.priors import read_library
+    from fogspec.model.priors import read_priors
 
-    return read_library(path)
+    return read_priors(path)
 
 
 def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> list["Catalog"]:
     """Each application's catalog: what the command line asks for, else what the lock says, else the snapshot.
 
-    Raises Differs when the catalog is no longer the one that was locked, WrongFile or Problems when it cannot be read.
+    Raises OutOfDate when the catalog is no longer the one that was locked, InvalidInput or Problems when it cannot be read.
     Says what was left out of a catalog that was asked for, and that a catalog is older than a spec allows.
     """
     from fogspec.base.layout import Layout
@@ -125,7 +125,7 @@ def _as_locked(catalog: "Catalog", pins: "Pins", layout: "Layout") -> "Catalog":
 
     pin = pins.catalog
     if catalog.about.digest != pin.digest:
-        raise Differs(
+        raise OutOfDate(
             f"{layout.name}: the catalog {pin.origin} is not the one that {layout.lock} pins",
             f"fogspec lock {layout.spec} --upgrade catalog",
         )

@@ -19,12 +19,12 @@ def command() -> None:
 def build(source: Path | None, out: Path) -> None:
     """Write a machine library for `--priors`."""
     from fogspec.model import sparecores
-    from fogspec.model.priors import read_library, rows_of, write_library
+    from fogspec.model.priors import read_priors, rows_of, write_priors
 
     if source is not None and source.is_dir():
         machines, latencies = rows_of(source)
     else:
         machines, latencies = sparecores.read(source or sparecores.database())
-    write_library(out, machines, latencies)
-    library = read_library(out)
+    write_priors(out, machines, latencies)
+    library = read_priors(out)
     click.echo(f"{out}: {len(library.workloads)} workloads on {len(library.names)} machines, {library.digest}")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.errors import WrongCommand
+from fogspec.base.errors import UsageError
 from fogspec.cli.options import CATALOG, PRIORS, applications_of, catalogs_for, library_from
 
 
@@ -26,7 +26,7 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
 
     loaded = applications_of(what, name)
     if to is not None and len(loaded) > 1:
-        raise WrongCommand(f"{what} has {len(loaded)} applications, {to} holds one: choose with --name")
+        raise UsageError(f"{what} has {len(loaded)} applications, {to} holds one: choose with --name")
     catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
     given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
     for one, catalog in zip(loaded, catalogs, strict=True):

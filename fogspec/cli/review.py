@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.errors import Differs, WrongFile
+from fogspec.base.errors import InvalidInput, OutOfDate
 from fogspec.cli.options import CATALOG, catalogs_for
 
 
@@ -35,7 +35,7 @@ def command(
     commit = repository.base_of(range_)
     try:
         loaded = load(find_specs(specs))
-    except WrongFile:
+    except InvalidInput:
         if not removed(repository, commit, ()):
             raise
         loaded = []  # the change removes the last of them
@@ -50,4 +50,4 @@ def command(
     else:
         write_bytes(out, text.encode())
     if exit_code and (stale := [one.difference.layout.name for one in reviews if not one.fresh]):
-        raise Differs(f"not fresh: {', '.join(stale)}", "fogspec status says why")
+        raise OutOfDate(f"not fresh: {', '.join(stale)}", "fogspec status says why")

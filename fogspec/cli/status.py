@@ -4,7 +4,7 @@ import json
 
 import click
 
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 from fogspec.cli.options import CATALOG, OUTPUT, catalogs_for
 
 
@@ -22,7 +22,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     from fogspec.audit import freshness, status
     from fogspec.backends import registry
     from fogspec.deploy import health
-    from fogspec.deploy.state import SystemTimes
+    from fogspec.deploy.state import SystemWallClock
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import load
 
@@ -32,17 +32,19 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
         for one, catalog in zip(loaded, catalogs_for(loaded, catalog_path), strict=True)
     ]
     lives = [
-        health.running(loaded_one.application, one.layout, one.fresh, SystemTimes(), registry.deployer)
+        health.health_report(loaded_one.application, one.layout, one.fresh, SystemWallClock(), registry.deployer)
         for loaded_one, one in zip(loaded, found, strict=True)
     ]
     if output == "json":
         facts = [
-            {**status.facts(one), "deployment": None if live is None else health.facts(live)}
+            {**status.as_dict(one), "deployment": None if live is None else health.as_dict(live)}
             for one, live in zip(found, lives, strict=True)
         ]
         click.echo(json.dumps(facts, indent=2, ensure_ascii=False))
     else:
-        told = [status.words(one, health.words(live) if live else ()) for one, live in zip(found, lives, strict=True)]
+        told = [
+            status.as_text(one, health.as_text(live) if live else ()) for one, live in zip(found, lives, strict=True)
+        ]
         click.echo("\n\n".join(told))
     others = [
         one.layout.name
@@ -50,4 +52,4 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
         if not (one.fresh and (live is None or live.well))
     ]
     if exit_code and others:
-        raise Differs(f"not everything is fresh and as predicted: {', '.join(others)}")
+        raise OutOfDate(f"not everything is fresh and as predicted: {', '.join(others)}")

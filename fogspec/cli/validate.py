@@ -16,10 +16,10 @@ def command(files: tuple[str, ...], overlays: tuple[str, ...], output: str, colo
     """Check FILES, or the specs in folders, or those that patterns match; without any, those in specs/."""
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import examine
+    from fogspec.spec.loader import check_file
 
     paths = find_specs(files)
-    loaded, diagnostics = examine(paths, overlays)
+    loaded, diagnostics = check_file(paths, overlays)
     show_diagnostics(diagnostics, output, color)
     if any(one.severity == "error" for one in diagnostics):
         raise click.exceptions.Exit(1)

@@ -4,7 +4,7 @@ import json
 
 import click
 
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, catalogs_for
 
 
@@ -22,19 +22,21 @@ def command(manifest: str, catalog_path: str | None, output: str, attestation: s
     Nothing is written. Exit code 3 when a link breaks.
     """
     from fogspec.audit import verify
-    from fogspec.compile.bundle import open_manifest
+    from fogspec.compile.bundle import open_bundle
 
     if (attestation is None) != (key is None):
         raise click.UsageError("--attestation and --key go together")
-    opened = open_manifest(manifest)
+    opened = open_bundle(manifest)
     links = verify.verify(opened, catalogs_for([opened.loaded], catalog_path)[0])
     if attestation is not None and key is not None:
         from fogspec.audit.sign import check_signed
 
         links.append(check_signed(opened, attestation, key))
     if output == "json":
-        click.echo(json.dumps(verify.facts(opened, links), indent=2, ensure_ascii=False))
+        click.echo(json.dumps(verify.as_dict(opened, links), indent=2, ensure_ascii=False))
     else:
-        click.echo(verify.words(opened, links))
+        click.echo(verify.as_text(opened, links))
     if broken := [link for link in links if link.breaks]:
-        raise Differs(f"{opened.layout.manifest}: the chain breaks at {broken[0].name}", verify.mend(opened, broken[0]))
+        raise OutOfDate(
+            f"{opened.layout.manifest}: the chain breaks at {broken[0].name}", verify.remedy(opened, broken[0])
+        )

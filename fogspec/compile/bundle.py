@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fogspec.base import digest
-from fogspec.base.errors import WrongFile
+from fogspec.base.errors import InvalidInput
 from fogspec.base.layout import Layout
 from fogspec.base.regular import read_file
 from fogspec.compile.manifest import Manifest
@@ -14,7 +14,7 @@ from fogspec.spec.loader import LoadedSpec, load, read_document
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class ManifestBundle:
     """A manifest on disk, the digest of its bytes, and the application that it deploys."""
 
     manifest: Manifest
@@ -31,15 +31,17 @@ class Opened:
         ]
 
 
-def open_manifest(path: str | os.PathLike[str]) -> Opened:
+def open_bundle(path: str | os.PathLike[str]) -> ManifestBundle:
     """The manifest at `compiled/NAME/manifest.yaml` and its spec.
 
-    Raises Problems for a file that is damaged or a spec that is wrong, WrongFile for one that is not there or stands
+    Raises DiagnosticError for a file that is damaged or a spec that is wrong, InvalidInput for one that is not there or stands
     elsewhere, so that what it names by relative path cannot be found.
     """
     at = Path(path)
     if not at.is_file():
-        raise WrongFile(f"{at}: there is no such manifest", "fogspec status says what is missing before there is one")
+        raise InvalidInput(
+            f"{at}: there is no such manifest", "fogspec status says what is missing before there is one"
+        )
     manifest = read_document(at, Manifest)
     name = manifest.metadata.name
     whole = Path(os.path.abspath(at))
@@ -48,14 +50,14 @@ def open_manifest(path: str | os.PathLike[str]) -> Opened:
     spec = root / manifest.provenance.application.path
     layout = Layout.of(spec, name)
     if os.path.abspath(layout.manifest) != str(whole):
-        raise WrongFile(
+        raise InvalidInput(
             f"{at}: the manifest of {name} must stand at {layout.manifest}, beside what it names",
             f"make it there: fogspec compile {spec}",
         )
     found = next((one for one in load([spec]) if one.application.metadata.name == name), None)
     if found is None:
-        raise WrongFile(f"{spec} has no application named {name}, which {at} deploys")
-    return Opened(manifest, digest.of_bytes(at.read_bytes()), layout, found)
+        raise InvalidInput(f"{spec} has no application named {name}, which {at} deploys")
+    return ManifestBundle(manifest, digest.of_bytes(at.read_bytes()), layout, found)
 
 
 def references(manifest: Manifest) -> list[TaskRef]:

@@ -11,29 +11,29 @@ from typing import TYPE_CHECKING, Any
 
 import fogspec.agent
 from fogspec.base import digest, units
-from fogspec.base.diagnostics import Problems
+from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import Refused
 from fogspec.base.files import write_bytes, yaml_text
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
-from fogspec.catalog.filters import Admissible, admit
+from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.table import Catalog
 from fogspec.compile.tasks import left_out, measured_processes, ros_environment, sample_task
-from fogspec.plan.budget import bill, cents_up, cheapest_ways, fits
-from fogspec.plan.reuse import kept, recorded
+from fogspec.plan.budget import ceil_cents, cheapest_options, estimate_cost, within_budget
+from fogspec.plan.reuse import plan_from_campaign, reuse_plan
 from fogspec.plan.schema import Plan, Sample, TaskRef, digest_without_budget, lifetime_s, make_plan
-from fogspec.plan.substitutes import alternatives
+from fogspec.plan.substitutes import substitutes
 from fogspec.results.io import read_results
-from fogspec.results.schema import Results, done
+from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import read_document
 from fogspec.spec.lock_io import read_pins
 from fogspec.spec.lockfile import pinned, pins_of_measurement
-from fogspec.spec.probe import halves, name_of
+from fogspec.spec.probe import name_of, probe_parts
 from fogspec.spec.schema import Application
 
 if TYPE_CHECKING:
-    from fogspec.compile.decision import Chosen
+    from fogspec.compile.decision import Decision
     from fogspec.numerics.priors import Library
 
 LINK_FILES = ("link.sh", "policy.xml", "cloud.json5", "robot.json5", "cloud.conf", "robot.conf",
@@ -45,7 +45,7 @@ PROBE_FILES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Compiled:
+class Artifacts:
     """One application's files, by path; `removed` are files of ours that no longer follow from the inputs.
 
     `stale` says why there are results that do not count, `chosen` is there once there are results that do.
@@ -55,12 +55,12 @@ class Compiled:
     layout: Layout
     catalog: Catalog
     plan: Plan
-    admissible: Admissible
+    admissible: Filtered
     files: dict[Path, bytes]
     removed: tuple[Path, ...]
     results: Results | None = None
     stale: str | None = None
-    chosen: "Chosen | None" = field(default=None)
+    chosen: "Decision | None" = field(default=None)
 
     def differing(self) -> list[Path]:
         """Files on disk that are not what compile would write, and those that should not be there."""
@@ -80,10 +80,10 @@ class Compiled:
 
 def compile_application(
     application: Application, spec_path: str | Path, catalog: Catalog, library: "Library | None" = None
-) -> Compiled:
+) -> Artifacts:
     """Everything that follows from the inputs; `library` is the machine library, otherwise the one that is locked.
 
-    Raises Problems or WrongFile for a wrong file, NothingMeets when no machine is admissible, Refused when the
+    Raises DiagnosticError or InvalidInput for a wrong file, Infeasible when no machine is admissible, Refused when the
     plan may cost more than the budget.
     """
     layout = Layout.of(spec_path, application.metadata.name)
@@ -92,21 +92,21 @@ def compile_application(
     exact = pinned(application, pins)
     depends = pins_of_measurement(application, pins)
     results, stale = _usable_results(application, layout, depends)
-    admissible = admit(catalog, application.spec.hardware, application.spec.infra)
+    admissible = filter_offers(catalog, application.spec.hardware, application.spec.infra)
     if library is None and (results is not None or application.spec.benchmark.sampler == "adaptive"):
-        from fogspec.model.priors import locked_library
+        from fogspec.model.priors import locked_priors
 
-        library = locked_library(layout, pins)
-    bare = _going_on(application, source, catalog, depends, results)
+        library = locked_priors(layout, pins)
+    bare = _campaign_plan(application, source, catalog, depends, results)
     if bare is None:
-        bare = _kept_plan(application, layout, catalog, depends, results)
+        bare = _reusable_plan(application, layout, catalog, depends, results)
     if bare is None:
         bare = make_plan(application, source, catalog, depends, admissible, library)
     check_budget(application, bare, admissible, results)
     sent = dict(_agent_files(layout))
     files = dict(sent)
-    plan = with_tasks(exact, with_alternatives(exact, bare, admissible), layout, files)
-    files |= substitutes(exact, plan, layout, results)
+    plan = with_tasks(exact, with_substitutes(exact, bare, admissible), layout, files)
+    files |= substitute_tasks(exact, plan, layout, results)
     files[layout.plan] = plan_file(plan, layout)
     chosen = None
     if results is not None:
@@ -115,12 +115,12 @@ def compile_application(
         plan_digest = digest_without_budget(plan)
         chosen = choose_files(exact, layout, catalog, admissible, results, plan_digest, sent, library)
         files |= chosen.files
-    return Compiled(
+    return Artifacts(
         exact, layout, catalog, plan, admissible, files, tuple(_leftover(layout, files)), results, stale, chosen
     )  # fmt: skip
 
 
-def _going_on(
+def _campaign_plan(
     application: Application, source: str, catalog: Catalog, pins: Mapping[str, str], results: Results | None
 ) -> Plan | None:
     """The plan of an adaptive campaign that has begun: what was asked for is written in its results."""
@@ -128,10 +128,10 @@ def _going_on(
     sampling = results.spec.sampling if results is not None else None
     if sampling is None or benchmark.sampler != "adaptive" or benchmark.machines:
         return None
-    return recorded(application, source, catalog, sampling, pins)
+    return plan_from_campaign(application, source, catalog, sampling, pins)
 
 
-def _kept_plan(
+def _reusable_plan(
     application: Application, layout: Layout, catalog: Catalog, pins: Mapping[str, str], results: Results | None
 ) -> Plan | None:
     """The plan on disk, where all of it is measured, it still serves, and the spec's box or the prices are new."""
@@ -139,21 +139,21 @@ def _kept_plan(
         return None
     try:
         plan = read_document(layout.plan, Plan)
-    except Problems:
+    except DiagnosticError:
         return None
     body, spec = plan.spec, application.spec
     if (body.hardware, body.infra, body.picked_from) == (spec.hardware, spec.infra, catalog.about.digest):
         return None
-    if not {sample.id for sample in body.samples} <= done(results):
+    if not {sample.id for sample in body.samples} <= completed(results):
         return None
-    return kept(application, plan, catalog, pins)
+    return reuse_plan(application, plan, catalog, pins)
 
 
-def check_budget(application: Application, plan: Plan, admissible: Admissible, results: Results | None) -> None:
+def check_budget(application: Application, plan: Plan, admissible: Filtered, results: Results | None) -> None:
     """Raises Refused when what is still to be measured may cost more than the budget leaves."""
     body = plan.spec
-    due = bill(plan, done(results), results.spec.spent if results else 0.0)
-    if fits(plan, due):
+    due = estimate_cost(plan, completed(results), results.spec.spent if results else 0.0)
+    if within_budget(plan, due):
         return
     assert body.budget is not None
     before = f", {money(due.spent_usd)} of it spent already" if due.spent_usd else ""
@@ -162,8 +162,8 @@ def check_budget(application: Application, plan: Plan, admissible: Admissible, r
         "nothing was written",
         f"{len(due.todo)} samples to measure: measuring {money(due.estimate.measuring)}, set-up {money(due.estimate.setup)}",
         "ways to make it fit, those that lose least first:",
-        *(f"- {way.line()}" for way in cheapest_ways(application, plan, due, admissible)),
-        f"- raise spec.benchmark.budget to {units.format_money(cents_up(due.total_usd))}: loses nothing",
+        *(f"- {way.line()}" for way in cheapest_options(application, plan, due, admissible)),
+        f"- raise spec.benchmark.budget to {units.format_money(ceil_cents(due.total_usd))}: loses nothing",
     )
 
 
@@ -179,13 +179,15 @@ def _agent_files(layout: Layout) -> Iterator[tuple[Path, bytes]]:
         yield layout.agent / name, (folder / name).read_bytes()
 
 
-def with_alternatives(application: Application, plan: Plan, admissible: Admissible) -> Plan:
+def with_substitutes(application: Application, plan: Plan, admissible: Filtered) -> Plan:
     """The plan, with the machines that take a sample's place where it cannot be had."""
-    others = alternatives(application.spec, plan.spec.samples, admissible.offers)
+    others = substitutes(application.spec, plan.spec.samples, admissible.offers)
     return plan.model_copy(update={"spec": plan.spec.model_copy(update={"alternatives": others})})
 
 
-def substitutes(application: Application, plan: Plan, layout: Layout, results: Results | None) -> dict[Path, bytes]:
+def substitute_tasks(
+    application: Application, plan: Plan, layout: Layout, results: Results | None
+) -> dict[Path, bytes]:
     """The tasks of machines that took a sample's place, by path."""
     planned = {sample.id for sample in plan.spec.samples}
     records = results.spec.samples if results is not None else []
@@ -244,7 +246,7 @@ def _limits(application: Application, plan: Plan) -> list[str]:
     if body.steps is not None:
         words += ["--steps", str(body.steps)]
     words += ["--callback", name_of(application.spec.probe)]
-    if (afterwards := halves(application.spec).afterwards) is not None:
+    if (afterwards := probe_parts(application.spec).afterwards) is not None:
         words += ["--afterwards", json.dumps(afterwards)]
     if stop.precision is not None:
         statistic = application.spec.constraints.statistic
@@ -264,7 +266,7 @@ def _usable_results(
             f"{layout.results} measured something else: nodes, environment, probe, metrics, workload, or how it is "
             "driven has changed since"
         )
-    if others := fingerprints.other_pins(results.spec.pins, pins):
+    if others := fingerprints.changed_pins(results.spec.pins, pins):
         return None, f"{layout.results} measured something else: {', '.join(others)} changed since"
     return results, None
 

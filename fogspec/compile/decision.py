@@ -8,17 +8,17 @@ from typing import Any
 from fogspec.base import digest
 from fogspec.base.files import yaml_text
 from fogspec.base.layout import Layout
-from fogspec.catalog.filters import Admissible
+from fogspec.catalog.filters import Filtered
 from fogspec.catalog.table import Catalog
-from fogspec.charts.drawing import pictures
+from fogspec.charts.drawing import charts
 from fogspec.choice.choose import Choice, choose
 from fogspec.choice.menu import Menu, make_menu
-from fogspec.choice.relaxed import Relaxed, chosen_by_relaxing, relax
+from fogspec.choice.relaxed import Relaxed, chosen_by_relaxing, relaxed_optimum
 from fogspec.compile.deploy_files import deployable
 from fogspec.compile.links import link_of
 from fogspec.compile.manifest import FileRef, Manifest, Sources, make_manifest
 from fogspec.model.fit import Models, fit, targets
-from fogspec.model.predict import Predicted, predict
+from fogspec.model.predict import PredictionSet, predict
 from fogspec.numerics.priors import Library
 from fogspec.plan.schema import ApplicationRef, CatalogRef
 from fogspec.results.schema import Results
@@ -28,11 +28,11 @@ from fogspec.spec.schema import Application
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class Decision:
     """A choice and its files by path; there is a manifest if and only if some machine meets the limits."""
 
     models: Models
-    predicted: Predicted
+    predicted: PredictionSet
     choice: Choice
     menu: Menu
     manifest: Manifest | None
@@ -40,18 +40,18 @@ class Chosen:
 
 
 def choose_files(
-    application: Application, layout: Layout, catalog: Catalog, admissible: Admissible, results: Results,
+    application: Application, layout: Layout, catalog: Catalog, admissible: Filtered, results: Results,
     plan_digest: str, sent: Mapping[Path, bytes], library: Library | None = None,
-) -> Chosen:  # fmt: skip
+) -> Decision:  # fmt: skip
     """Fit, choose, and lay out what is written of it; `sent` are the files that every machine gets."""
     source, about = layout.relative(layout.spec), catalog.about
     models = fit(application, results, library.digest if library else None)
     predicted = predict(models, admissible.offers, targets(application), catalog, library)
     choice, relaxed = decide(application, models, predicted)
-    warnings = warnings_of(application, models, choice)
+    warnings = warnings_for(application, models, choice)
     menu = make_menu(application, choice, warnings)
     files = {layout.models: _yaml(models, source), layout.menu: _yaml(menu, source)}
-    files |= pictures(application, choice, models, doubts_of(models, choice), layout)
+    files |= charts(application, choice, models, caveats(models, choice), layout)
     manifest = None
     if choice.chosen is not None:
         made = deployable(application, layout, choice, sent, files)
@@ -69,21 +69,21 @@ def choose_files(
         )  # fmt: skip
         manifest = make_manifest(application, choice, models, sources, warnings, relaxed)
         files[layout.manifest] = _yaml(manifest, source)
-    return Chosen(models, predicted, choice, menu, manifest, files)
+    return Decision(models, predicted, choice, menu, manifest, files)
 
 
-def decide(application: Application, models: Models, predicted: Predicted) -> tuple[Choice, Relaxed | None]:
+def decide(application: Application, models: Models, predicted: PredictionSet) -> tuple[Choice, Relaxed | None]:
     """The choice by the method that the spec asks for, and where the paper's method ends."""
     choice = choose(application, predicted)
-    relaxed = relax(application, models, choice)
+    relaxed = relaxed_optimum(application, models, choice)
     if application.spec.objective.method == "relaxed":
         choice = chosen_by_relaxing(choice, relaxed)
     return choice, relaxed
 
 
-def warnings_of(application: Application, models: Models, choice: Choice) -> list[str]:
+def warnings_for(application: Application, models: Models, choice: Choice) -> list[str]:
     """What a reviewer must know before believing the figures, most important first."""
-    found, row = doubts_of(models, choice), choice.chosen
+    found, row = caveats(models, choice), choice.chosen
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
         found += [f"curve of {model.target}{beside}: {text}" for text in model.warnings]
@@ -99,7 +99,7 @@ def warnings_of(application: Application, models: Models, choice: Choice) -> lis
     return found
 
 
-def doubts_of(models: Models, choice: Choice) -> list[str]:
+def caveats(models: Models, choice: Choice) -> list[str]:
     """What speaks against the choice itself; the pictures have room for the first."""
     if models.spec.measured_on_local:
         return [
@@ -107,7 +107,7 @@ def doubts_of(models: Models, choice: Choice) -> list[str]:
             "the ranking is a guess, and how far off it is cannot be said"
         ]
     if choice.chosen is not None:
-        return _doubts(choice, choice.chosen)
+        return _caveats(choice, choice.chosen)
     if choice.feasible.any():
         return [
             "the relaxed method ends beside no machine that meets the limits, though there are some: use exhaustive"
@@ -115,7 +115,7 @@ def doubts_of(models: Models, choice: Choice) -> list[str]:
     return []
 
 
-def _doubts(choice: Choice, row: int) -> list[str]:
+def _caveats(choice: Choice, row: int) -> list[str]:
     """What speaks against the chosen machine."""
     found, name = [], choice.offers.instance[row]
     if choice.exhaustive is not None and choice.objective[row] > choice.objective[choice.exhaustive]:

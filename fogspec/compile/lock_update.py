@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from fogspec.base.errors import WrongCommand
+from fogspec.base.errors import UsageError
 from fogspec.base.layout import Layout
 from fogspec.catalog.table import About
 from fogspec.spec.lock_io import files_beside, read_lock, read_pins
@@ -16,7 +16,7 @@ ALL = "all"
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class LockRequest:
     """One application to lock: `origin` is what `--catalog` says for it, `about` the catalog found there.
 
     `priors` is the machine library that `--priors` names, None to leave what is locked.
@@ -30,17 +30,17 @@ class Wanted:
 
 
 def relock(
-    wanted: Sequence[Wanted], digest_of: Callable[[str], str], upgrade: Sequence[str], whole: bool
+    wanted: Sequence[LockRequest], digest_of: Callable[[str], str], upgrade: Sequence[str], whole: bool
 ) -> dict[Path, Lock]:
     """The locks as they should be, by path: one for each folder that has specs.
 
     `digest_of` asks a registry. `upgrade` names what is asked for anew though it is locked: `catalog`, an image as a
-    spec names it, or `all`. `whole` says that there are no other applications than these. Raises WrongCommand for a
+    spec names it, or `all`. `whole` says that there are no other applications than these. Raises UsageError for a
     name that no spec has.
     """
     known = {"catalog", ALL, *filter(None, (image_named(one.application) for one in wanted))}
     if unknown := [name for name in upgrade if name not in known]:
-        raise WrongCommand(f"nothing to upgrade is named {', '.join(unknown)}", f"there is: {', '.join(sorted(known))}")
+        raise UsageError(f"nothing to upgrade is named {', '.join(unknown)}", f"there is: {', '.join(sorted(known))}")
     ask = cache(digest_of)
     found: dict[Path, dict[str, Pins]] = {}
     for one in wanted:
@@ -57,7 +57,7 @@ def relock(
     return {path: Lock(spec=LockBody(applications=pins)) for path, pins in found.items()}
 
 
-def _catalog(one: Wanted, old: Pins | None, upgrade: Sequence[str]) -> CatalogPin:
+def _catalog(one: LockRequest, old: Pins | None, upgrade: Sequence[str]) -> CatalogPin:
     if old is not None and old.catalog.origin == one.origin and not {"catalog", ALL} & set(upgrade):
         return old.catalog
     about = one.about

@@ -12,7 +12,7 @@ from fogspec.base.quantities import Cost, Duration, Memory, Price, Strict
 from fogspec.choice.choose import Choice, latency_limit_s
 from fogspec.choice.menu import LEVEL, Entry, entry_of, rounded, scale_texts, weights
 from fogspec.choice.relaxed import Relaxed
-from fogspec.choice.shortlist import stand_outs
+from fogspec.choice.shortlist import shortlist
 from fogspec.model.fit import Model, Models
 from fogspec.plan.schema import ApplicationRef, CatalogRef, Count, GpuShape, PlanMetadata, TaskRef
 from fogspec.spec.schema import Application, Billing, Connectivity, Node, Statistic
@@ -355,7 +355,7 @@ def _limits(choice: Choice, row: int) -> ExpectedLimits:
 def alternatives(choice: Choice) -> list[Alternative]:
     """The other named choices, the runner-up, and the nearest machine that a limit rules out."""
     found: list[Alternative] = []
-    for role, row in stand_outs(choice).items():
+    for role, row in shortlist(choice).items():
         entry = entry_of(choice, row)
         found.append(Alternative(
             role=role, infra=entry.infra, instance=entry.instance, latency=entry.latency, cost=entry.cost,

@@ -11,7 +11,7 @@ from typing import Any
 from fogspec.base import digest
 from fogspec.compile.links import link_of, port_of
 from fogspec.plan.schema import MachineRef, Sample
-from fogspec.spec.probe import halves, optional, player
+from fogspec.spec.probe import optional, player, probe_parts
 from fogspec.spec.schema import Application, Node, Spec
 
 DEPLOYMENT_IDLE_MINUTES = 30
@@ -145,7 +145,7 @@ def _needs_files(spec: Spec) -> bool:
 
 def measured_processes(spec: Spec) -> list[list[str]]:
     """Every process of a sample: who listens, what is offloaded, and what sends the requests, if it is not a node itself."""
-    client, inside = spec.benchmark.workload.node, halves(spec).inside
+    client, inside = spec.benchmark.workload.node, probe_parts(spec).inside
     nodes = [[*inside, *command(node)] for node in spec.cloud]
     return [*listener(spec), *nodes, *([command(client)] if client else []), *player(spec)]
 
@@ -157,7 +157,7 @@ def deployed_processes(application: Application) -> list[list[str]]:
     if application.spec.ros is not None:
         nodes = [_found("${FOGSPEC_LAUNCH:-$HOME/.fogspec/launch}/cloud.launch.py", "exec ros2 launch", "")]
     # What serves people must not depend on what watches it.
-    watched = [optional(halves(application.spec).inside, argv) for argv in nodes]
+    watched = [optional(probe_parts(application.spec).inside, argv) for argv in nodes]
     return [*(link if link_of(application).protocol is not None else []), *watched]
 
 
@@ -168,7 +168,7 @@ def _found(path: str, program: str, words: str) -> list[str]:
 
 def listener(spec: Spec) -> list[list[str]]:
     """The processes that listen to the graph beside the nodes."""
-    return [list(argv) for argv in halves(spec).beside]
+    return [list(argv) for argv in probe_parts(spec).beside]
 
 
 def command(node: Node) -> list[str]:
@@ -226,7 +226,7 @@ def ros_environment(spec: Spec) -> dict[str, Any]:
         "setup_digest": digest.of_value(ros.setup if ros else [])[7:19],
         "apt_source": dict(zip(("codename", "sha256"), ROS_APT_PACKAGES[ros.distro], strict=True)) if ros else {},
         "apt_source_version": ROS_APT_SOURCE,
-        "compiler": bool(halves(spec).inside),
+        "compiler": bool(probe_parts(spec).inside),
         "secrets": spec.secrets,
         "packages": BAG_PACKAGES if spec.probe.bag or spec.benchmark.workload.bag else [],
     }

@@ -9,30 +9,30 @@ import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from fogspec.backends.naming import is_launch_of, name_of
-from fogspec.backends.protocol import CannotStart, Deployer, Live, LostContact
-from fogspec.base.errors import CloudFailed, Interrupted, Refused, WrongFile
+from fogspec.backends.naming import deployment_name, is_deployment_of
+from fogspec.backends.protocol import Deployer, DeploymentStatus, LaunchRefused, Unreachable
+from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
 from fogspec.deploy.candidates import Candidate
 from fogspec.deploy.schema import Machine, date_of
-from fogspec.deploy.state import LiveFile
+from fogspec.deploy.state import DeploymentState
 
 NO_CAPACITY = ("capacity", "quota")
 STOPPED = "interrupted: what was being started is gone, what served before still does"
 
 
-class _Gone(Exception):
+class _MachineLost(Exception):
     """A machine went away before its nodes answered."""
 
 
 @dataclass(slots=True)
-class Apply:
+class Rollout:
     """One application of a manifest.
 
     `deployer_of` finds who keeps a machine by its infra; `linked` joins robot and cloud once the nodes are ready, and
     says why the link does not answer yet.
     """
 
-    live: LiveFile
+    live: DeploymentState
     manifest: bytes
     digest: str
     candidates: Sequence[Candidate]
@@ -42,12 +42,12 @@ class Apply:
     deployer_of: Callable[[str], Deployer]
     tell: Callable[[str], None] = lambda _text: None
     stopping: Callable[[], bool] = lambda: False
-    linked: Callable[[Machine, Live], str | None] = lambda _machine, _live: None
+    linked: Callable[[Machine, DeploymentStatus], str | None] = lambda _machine, _live: None
 
     def current(self) -> Machine | None:
         """The machine that serves this manifest already; None where there is none, or its nodes have ended.
 
-        None also where files beside the spec have changed since. Raises CloudFailed where nobody can say: another one
+        None also where files beside the spec have changed since. Raises CloudError where nobody can say: another one
         beside it would cost twice.
         """
         for machine in self.live.machines:
@@ -63,7 +63,7 @@ class Apply:
     def kept(self) -> Machine | None:
         """The machine that serves an older manifest and is given the same by this one: it goes on under the new manifest.
 
-        None where there is none. Raises CloudFailed where nobody can say.
+        None where there is none. Raises CloudError where nobody can say.
         """
         first = self.candidates[0]
         for machine in self.live.machines:
@@ -77,30 +77,30 @@ class Apply:
         return None
 
     def _lives(self, machine: Machine) -> bool:
-        """Whether its nodes run; raises CloudFailed where nobody can say."""
+        """Whether its nodes run; raises CloudError where nobody can say."""
         try:
             live = self.deployer_of(machine.machine.infra).look(self.live.launch(machine))
-        except CannotStart:
+        except LaunchRefused:
             return False
-        except LostContact as lost:
-            raise CloudFailed(f"{machine.name}: nobody can say how it is: {lost}", "safe to run again") from None
+        except Unreachable as lost:
+            raise CloudError(f"{machine.name}: nobody can say how it is: {lost}", "safe to run again") from None
         return live.state in ("starting", "ready")
 
     def strangers(self) -> list[str]:
         """Machines that were started to serve this application and that the live state does not have.
 
-        Raises CloudFailed where nobody can say: another one beside them would cost twice.
+        Raises CloudError where nobody can say: another one beside them would cost twice.
         """
         layout, known = self.live.layout, {machine.name for machine in self.live.machines}
         deployers = {one.name: one for one in (self.deployer_of(c.machine.infra) for c in self.candidates)}
         try:
             found = [name for one in deployers.values() for name in one.names(layout.name, layout.state)]
-        except LostContact as lost:
-            raise CloudFailed(f"{layout.name}: nobody can say what runs of it: {lost}", "safe to run again") from None
-        return sorted(name for name in set(found) - known if is_launch_of(name, layout.name))
+        except Unreachable as lost:
+            raise CloudError(f"{layout.name}: nobody can say what runs of it: {lost}", "safe to run again") from None
+        return sorted(name for name in set(found) - known if is_deployment_of(name, layout.name))
 
     def tidy(self, keep: Sequence[str]) -> bool:
-        """End all machines but these; whether there were any. Raises CloudFailed for one not verified gone."""
+        """End all machines but these; whether there were any. Raises CloudError for one not verified gone."""
         others = [machine for machine in self.live.machines if machine.name not in keep]
         for machine in others:
             end(self.live, machine, self.deployer_of(machine.machine.infra), self.tell)
@@ -110,7 +110,7 @@ class Apply:
         """A machine that an earlier apply of this manifest started and did not see through, if it is still there."""
         for machine in self.live.machines:
             if machine.state == "starting" and machine.manifest == self.digest and machine.runs == self._runs(machine):
-                with contextlib.suppress(CannotStart):
+                with contextlib.suppress(LaunchRefused):
                     if self._look(machine).state in ("starting", "ready"):
                         return machine
                 self._end(machine)
@@ -119,8 +119,8 @@ class Apply:
     def run(self) -> Machine:
         """Start the machine, or the next one where it cannot be had; wait until it answers; end the old one.
 
-        Raises CloudFailed when none could be had or the nodes do not answer in time, Refused for a price that rose,
-        WrongFile when a node ended, Interrupted when the user stopped it: what served before still does.
+        Raises CloudError when none could be had or the nodes do not answer in time, Refused for a price that rose,
+        InvalidInput when a node ended, Interrupted when the user stopped it: what served before still does.
         """
         begun = self.unfinished()
         for one in self.candidates:
@@ -131,7 +131,7 @@ class Apply:
                 self.live.put(served, ends=True)
                 self.tidy([served.name])
                 return served
-        raise CloudFailed("the manifest names no machine that may be started")
+        raise CloudError("the manifest names no machine that may be started")
 
     def _tried(self, one: Candidate, begun: Machine | None) -> Machine | None:
         """The machine once it answers, or None where the next is to be tried.
@@ -143,17 +143,17 @@ class Apply:
             machine, begun = begun or self._journaled(one), None
             try:
                 return self._wait(self._started(machine, one))
-            except CannotStart as no:
+            except LaunchRefused as no:
                 self._end(machine)
                 self._next(one, no)
                 return None
-            except _Gone as gone:
+            except _MachineLost as gone:
                 self._end(machine)
                 if self.stopping():
                     raise Interrupted(STOPPED) from None
                 why = f"{machine.name}: its machine is gone: {gone}"
                 if not again:
-                    raise CloudFailed(why, "safe to run again") from None
+                    raise CloudError(why, "safe to run again") from None
                 again = False
                 self.tell(f"{why}; it is started once more")
 
@@ -161,7 +161,7 @@ class Apply:
         """The machine's record, on disk before anything is started."""
         times, deployer = self.live.times, self.deployer_of(one.machine.infra)
         machine = Machine(
-            name=name_of(self.live.layout.name, self.digest, secrets.token_hex(3)),
+            name=deployment_name(self.live.layout.name, self.digest, secrets.token_hex(3)),
             deployer=deployer.name, state="starting", manifest=self.digest,
             machine=one.machine.model_copy(update={"price": one.price_usd_per_hour}), runs=one.runs, fallback=one.number,
             image=self.image, files=dict(self.files), at=times.now_s(), boot=times.boot(),
@@ -179,12 +179,12 @@ class Apply:
         self.live.keep_manifest(machine.name, self.manifest)
         try:
             deployer.start(self.live.launch(machine, one.task))
-        except LostContact as lost:
+        except Unreachable as lost:
             self.tell(f"lost contact: {lost}")
         return machine
 
-    def _next(self, one: Candidate, no: CannotStart) -> None:
-        """Say that the next machine is tried; raises CloudFailed where there is none, or none would help.
+    def _next(self, one: Candidate, no: LaunchRefused) -> None:
+        """Say that the next machine is tried; raises CloudError where there is none, or none would help.
 
         Raises Refused for a price that rose between the look-up here and the launch.
         """
@@ -199,7 +199,7 @@ class Apply:
             hints = (f"none of {len(self.candidates)} machines can be had now: safe to run again",)
         elif no.reason in NO_CAPACITY:
             hints = ("spec.deployment.fallbacks lets other machines take its place", "safe to run again")
-        raise CloudFailed(f"{what}: {no.detail}", *hints)
+        raise CloudError(f"{what}: {no.detail}", *hints)
 
     def _wait(self, machine: Machine) -> Machine:
         """The machine once its nodes and its end of the link answer, else none is left of it.
@@ -217,15 +217,17 @@ class Apply:
                 return machine.model_copy(update={"state": "serving", "address": live.address})
             if live.state == "ended":
                 self._end(machine)
-                raise WrongFile(f"{machine.name}: the nodes do not run: {live.detail or 'they ended without a word'}")
+                raise InvalidInput(
+                    f"{machine.name}: the nodes do not run: {live.detail or 'they ended without a word'}"
+                )
             if live.state == "gone":
-                raise _Gone(live.detail or "nobody said why")
+                raise _MachineLost(live.detail or "nobody said why")
             if why and why != said:
                 said = why
                 self.tell(f"{machine.name}: {said}")
             if self.live.up_s(machine) > self.patience_s:
                 self._end(machine)
-                raise CloudFailed(
+                raise CloudError(
                     f"{machine.name}: the nodes did not answer within {self.patience_s:g} s{f': {said}' if said else ''}",
                     "spec.deployment.patience is how long is waited; what served before still does",
                 )
@@ -234,25 +236,25 @@ class Apply:
     def _end(self, machine: Machine) -> None:
         end(self.live, machine, self.deployer_of(machine.machine.infra), self.tell)
 
-    def _look(self, machine: Machine) -> Live:
+    def _look(self, machine: Machine) -> DeploymentStatus:
         try:
             return self.deployer_of(machine.machine.infra).look(self.live.launch(machine))
-        except LostContact as lost:
-            return Live("starting", f"no contact just now: {lost}")
+        except Unreachable as lost:
+            return DeploymentStatus("starting", f"no contact just now: {lost}")
 
 
-def end(live: LiveFile, machine: Machine, deployer: Deployer, tell: Callable[[str], None]) -> None:
-    """End a machine and forget it once it is verified gone; raises CloudFailed when that cannot be verified.
+def end(live: DeploymentState, machine: Machine, deployer: Deployer, tell: Callable[[str], None]) -> None:
+    """End a machine and forget it once it is verified gone; raises CloudError when that cannot be verified.
 
     A disk that is full keeps no machine alive: what cannot be written now is written by whoever ends it again.
     """
     if machine.state != "ending":
-        with contextlib.suppress(WrongFile, OSError):
+        with contextlib.suppress(InvalidInput, OSError):
             live.put(machine.model_copy(update={"state": "ending"}))
     try:
         deployer.end(live.launch(machine))
-    except LostContact as lost:
-        raise CloudFailed(
+    except Unreachable as lost:
+        raise CloudError(
             f"{machine.name}: could not be verified gone: {lost}",
             f"it may still cost money: fogspec down {live.layout.name}",
         ) from None

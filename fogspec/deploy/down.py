@@ -5,18 +5,18 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from fogspec.backends.protocol import Deployer, Launch, LostContact
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import CloudFailed, Interrupted, Outcome, WrongFile
+from fogspec.backends.protocol import Deployer, Launch, Unreachable
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput
 from fogspec.base.layout import Layout
-from fogspec.base.locks import held
+from fogspec.base.locks import application_lock
 from fogspec.compile.manifest import Manifest
 from fogspec.deploy.apply import end
-from fogspec.deploy.state import LiveFile, SystemTimes, Times
+from fogspec.deploy.state import DeploymentState, SystemWallClock, WallClock
 
 
 def layout_of(spec_or_name: str) -> Layout:
-    """The files of the application that a spec's path or a name means; raises WrongFile for neither.
+    """The files of the application that a spec's path or a name means; raises InvalidInput for neither.
 
     Of a name, only the live state below the working directory is needed: the spec may be gone.
     """
@@ -25,21 +25,21 @@ def layout_of(spec_or_name: str) -> Layout:
 
         try:
             found = load([spec_or_name])
-        except Problems as wrong:
+        except DiagnosticError as wrong:
             what = wrong.diagnostics[0]
-            raise WrongFile(
+            raise InvalidInput(
                 f"{what.place.path}:{what.place.line}:{what.place.column}: {what.message}",
                 f"what runs is ended by its application's name too: fogspec down {Path(spec_or_name).stem}",
             ) from None
         if len(found) > 1:
             names = ", ".join(one.application.metadata.name for one in found)
-            raise WrongFile(f"{spec_or_name} has several applications", f"name one of them: {names}")
+            raise InvalidInput(f"{spec_or_name} has several applications", f"name one of them: {names}")
         return Layout.of(spec_or_name, found[0].application.metadata.name)
     layout = Layout(Path(), Path("specs") / f"{spec_or_name}.yaml", spec_or_name)
     if os.path.basename(spec_or_name) != spec_or_name or spec_or_name in (".", "..", ""):
-        raise WrongFile(f"{spec_or_name!r} is no application's name", "name one, or its spec")
+        raise InvalidInput(f"{spec_or_name!r} is no application's name", "name one, or its spec")
     if not layout.state.is_dir() and not layout.compiled.is_dir():
-        raise WrongFile(f"there is no application named {spec_or_name} here", f"looked for {layout.state}")
+        raise InvalidInput(f"there is no application named {spec_or_name} here", f"looked for {layout.state}")
     return layout
 
 
@@ -48,23 +48,23 @@ def leave_link(layout: Layout) -> None:
     from fogspec.deploy.link import leave
     from fogspec.spec.loader import load
 
-    with contextlib.suppress(Problems, WrongFile):
+    with contextlib.suppress(DiagnosticError, InvalidInput):
         for one in load([layout.spec]):
             if one.application.metadata.name == layout.name:
                 leave(one.application, layout)
 
 
 def down(
-    layout: Layout, deployers: Sequence[Callable[[], Deployer]], times: Times, tell: Callable[[str], None]
+    layout: Layout, deployers: Sequence[Callable[[], Deployer]], times: WallClock, tell: Callable[[str], None]
 ) -> tuple[int, float]:
     """End everything of one application; how many machines that were, and what they cost in USD.
 
     Machines that are not in the live state are found by the application's name, also those of a bench that died. Where
     one of the deployers cannot be had, those of the others are ended all the same.
-    Raises Refused while a bench or an apply runs, CloudFailed for what could not be verified gone.
+    Raises Refused while a bench or an apply runs, CloudError for what could not be verified gone.
     """
     try:
-        with held(layout.state / "lock", f"down of {layout.name}", remove=True):
+        with application_lock(layout.state / "lock", f"down of {layout.name}", remove=True):
             done = _down(_live(layout, times, tell), deployers, tell)
         with contextlib.suppress(OSError):
             layout.state.rmdir()
@@ -73,25 +73,27 @@ def down(
     except KeyboardInterrupt:
         again = f"run it again: fogspec down {layout.name}"
         raise Interrupted("interrupted: what was not said to be gone may still run", again) from None
-    except (BrokenPipeError, Outcome):
+    except (BrokenPipeError, FogspecError):
         raise
     except OSError as problem:
         said = f"{problem.filename or layout.state}: {problem.strerror or problem}"
-        raise WrongFile(said, f"run it again: fogspec down {layout.name}") from None
+        raise InvalidInput(said, f"run it again: fogspec down {layout.name}") from None
 
 
-def _live(layout: Layout, times: Times, tell: Callable[[str], None]) -> LiveFile:
+def _live(layout: Layout, times: WallClock, tell: Callable[[str], None]) -> DeploymentState:
     """The live state; a damaged file hides no machine, for all are found by name as well."""
     try:
-        return LiveFile.read(layout, times)
-    except Problems as problems:
+        return DeploymentState.read(layout, times)
+    except DiagnosticError as problems:
         tell(f"{layout.live}: {problems.diagnostics[0].message}: machines are found by their names")
-        return LiveFile(layout, times, [])
+        return DeploymentState(layout, times, [])
 
 
-def _down(live: LiveFile, makers: Sequence[Callable[[], Deployer]], tell: Callable[[str], None]) -> tuple[int, float]:
+def _down(
+    live: DeploymentState, makers: Sequence[Callable[[], Deployer]], tell: Callable[[str], None]
+) -> tuple[int, float]:
     deployers, left, ended = list[Deployer](), list[str](), 0
-    unwritten: list[WrongFile | OSError] = []
+    unwritten: list[InvalidInput | OSError] = []
     for make in makers:
         with _gathering(left, unwritten):
             deployers.append(make())
@@ -103,19 +105,19 @@ def _down(live: LiveFile, makers: Sequence[Callable[[], Deployer]], tell: Callab
                 end(live, machine, by_name[machine.deployer], tell)
                 ended += 1
             elif not left:
-                raise LostContact(f"{machine.name}: nobody here can end what {machine.deployer} runs")
+                raise Unreachable(f"{machine.name}: nobody here can end what {machine.deployer} runs")
     for deployer in deployers:
         with _gathering(left, unwritten):
-            ended += _strays(live, deployer, tell)
+            ended += _orphans(live, deployer, tell)
     if left:
-        raise CloudFailed(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
+        raise CloudError(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
     if unwritten:
         raise unwritten[0]
     live.clear()
     return ended, spent
 
 
-def _strays(live: LiveFile, deployer: Deployer, tell: Callable[[str], None]) -> int:
+def _orphans(live: DeploymentState, deployer: Deployer, tell: Callable[[str], None]) -> int:
     """End what bears the application's name and is in no list; how many there were."""
     layout = live.layout
     names = list(deployer.names(layout.name, layout.state))
@@ -123,20 +125,20 @@ def _strays(live: LiveFile, deployer: Deployer, tell: Callable[[str], None]) -> 
         deployer.end(Launch(name, None, {}, layout.root, live.folder(name)))
         tell(f"{name}: gone")
     if rest := deployer.names(layout.name, layout.state):
-        raise LostContact(f"still there: {', '.join(rest)}")
+        raise Unreachable(f"still there: {', '.join(rest)}")
     return len(names)
 
 
 @contextlib.contextmanager
-def _gathering(left: list[str], unwritten: list[WrongFile | OSError]) -> Iterator[None]:
+def _gathering(left: list[str], unwritten: list[InvalidInput | OSError]) -> Iterator[None]:
     """What goes wrong with one machine keeps no other one alive."""
     try:
         yield
-    except CloudFailed as failed:
+    except CloudError as failed:
         left.append("; ".join([failed.message, *failed.hints]))
-    except LostContact as lost:
+    except Unreachable as lost:
         left.append(str(lost))
-    except (WrongFile, OSError) as problem:
+    except (InvalidInput, OSError) as problem:
         unwritten.append(problem)
 
 
@@ -146,12 +148,15 @@ def places_of(layout: Layout) -> list[str]:
     from fogspec.spec.loader import read_document
 
     clouds: set[str] = set()
-    with contextlib.suppress(Problems, WrongFile):
-        clouds |= {machine.machine.infra.partition("/")[0] for machine in LiveFile.read(layout, SystemTimes()).machines}
-    with contextlib.suppress(Problems, WrongFile):
+    with contextlib.suppress(DiagnosticError, InvalidInput):
+        clouds |= {
+            machine.machine.infra.partition("/")[0]
+            for machine in DeploymentState.read(layout, SystemWallClock()).machines
+        }
+    with contextlib.suppress(DiagnosticError, InvalidInput):
         plan = read_document(layout.plan, Plan)
         clouds |= {sample.machine.infra.partition("/")[0] for sample in plan.spec.samples}
-    with contextlib.suppress(Problems, WrongFile):
+    with contextlib.suppress(DiagnosticError, InvalidInput):
         clouds |= {read_document(layout.manifest, Manifest).spec.infra.partition("/")[0]}
     away = sorted(clouds - {"local"})
     return ["local", *away[:1]]

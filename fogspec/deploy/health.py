@@ -8,18 +8,18 @@ from typing import Any, Literal
 from fogspec.audit.compare import Change, changes
 from fogspec.audit.diff import read_manifest, telling
 from fogspec.audit.status import interval_words, short
-from fogspec.backends.protocol import CannotStart, Deployer, Live, LostContact
+from fogspec.backends.protocol import Deployer, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base import digest, units
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import Outcome
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
 from fogspec.compile.compiler import money
 from fogspec.compile.manifest import Manifest
 from fogspec.deploy.drift import Observed, observe
-from fogspec.deploy.redacted import discreet
+from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import Machine
-from fogspec.deploy.state import LiveFile, Times
+from fogspec.deploy.state import DeploymentState, WallClock
 from fogspec.spec.loader import read_document, read_plain
 from fogspec.spec.lock_io import files_deployed
 from fogspec.spec.schema import Application
@@ -29,7 +29,7 @@ Health = Literal["Healthy", "Drifted", "Degraded", "Progressing", "Missing", "Un
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
+class HealthReport:
     """What runs of one application: two words, why, and the figures; `machines` are all that may cost money."""
 
     sync: Sync
@@ -38,7 +38,7 @@ class Running:
     changes: tuple[Change, ...]
     machines: tuple[Machine, ...]
     serving: Machine | None
-    live: Live | None
+    live: DeploymentStatus | None
     observed: Observed | None
     manifest: Manifest | None
     spent_usd: float
@@ -50,21 +50,21 @@ class Running:
         return self.sync == "Synced" and self.health == "Healthy"
 
 
-def running(
-    application: Application, layout: Layout, fresh: bool, times: Times, deployer_for: Callable[[str], Deployer]
-) -> Running | None:
+def health_report(
+    application: Application, layout: Layout, fresh: bool, times: WallClock, deployer_for: Callable[[str], Deployer]
+) -> HealthReport | None:
     """How the application's deployment stands; None where nothing was applied. Nothing is written.
 
     `fresh` says whether the manifest on disk follows from its inputs.
     """
-    live_file = LiveFile.read(layout, times)
+    live_file = DeploymentState.read(layout, times)
     if not live_file.machines:
         return None
     serving = next((one for one in live_file.machines if one.state == "serving"), None)
     subject = serving or live_file.machines[-1]
-    live = _look(live_file, subject, cache(discreet(deployer_for, application.spec.secrets)))
+    live = _look(live_file, subject, cache(redacting(deployer_for, application.spec.secrets)))
     approved = _manifest(live_file, subject)
-    differs = differences_of_running(layout, live_file, subject, application)
+    differs = manifest_changes(layout, live_file, subject, application)
     reasons = [] if fresh else ["the manifest on disk is stale: fogspec diff says why"]
     reasons += (
         ["another manifest is committed than the one that runs"] if subject.manifest != _committed(layout) else []
@@ -75,13 +75,13 @@ def running(
     if live is not None and approved is not None and live.state == "ready":
         observed = observe(live.timings, application, approved.expected, subject.machine)
     health, why = _health(subject, live, observed, approved)
-    return Running(
+    return HealthReport(
         "OutOfSync" if differs or not fresh or serving is None else "Synced", health, (*reasons, *why), tuple(differs),
         tuple(live_file.machines), serving, live, observed, approved, live_file.total_usd(), live_file.up_s(subject),
     )  # fmt: skip
 
 
-def differences_of_running(layout: Layout, live: LiveFile, machine: Machine, application: Application) -> list[Change]:
+def manifest_changes(layout: Layout, live: DeploymentState, machine: Machine, application: Application) -> list[Change]:
     """What differs between the manifest on disk, with the files beside the spec, and what a machine was started for."""
     files = _files_changed(application, layout, machine)
     if _committed(layout) == machine.manifest:
@@ -89,7 +89,7 @@ def differences_of_running(layout: Layout, live: LiveFile, machine: Machine, app
     secrets = application.spec.secrets
     try:
         before: Any = read_plain(live.folder(machine.name) / "manifest.yaml")
-    except (Problems, Outcome, OSError):
+    except (DiagnosticError, FogspecError, OSError):
         before = {"digest": machine.manifest}
     return telling(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets))) + files
 
@@ -106,32 +106,32 @@ def _files_changed(application: Application, layout: Layout, machine: Machine) -
     return [Change(name, "as it was started", "changed since") for name in names]
 
 
-def running_changes(layout: Layout, times: Times, application: Application) -> list[Change] | None:
+def running_changes(layout: Layout, times: WallClock, application: Application) -> list[Change] | None:
     """The same for whatever serves now, asking nobody; None where nothing does."""
-    live = LiveFile.read(layout, times)
+    live = DeploymentState.read(layout, times)
     serving = next((one for one in live.machines if one.state == "serving"), None)
-    return None if serving is None else differences_of_running(layout, live, serving, application)
+    return None if serving is None else manifest_changes(layout, live, serving, application)
 
 
-def _look(live: LiveFile, machine: Machine, deployer_of: Callable[[str], Deployer]) -> Live | None:
+def _look(live: DeploymentState, machine: Machine, deployer_of: Callable[[str], Deployer]) -> DeploymentStatus | None:
     try:
         return deployer_of(machine.machine.infra).look(live.launch(machine))
-    except CannotStart as no:
-        return Live("gone", no.detail)
-    except (LostContact, Outcome):
+    except LaunchRefused as no:
+        return DeploymentStatus("gone", no.detail)
+    except (Unreachable, FogspecError):
         return None
 
 
-def _manifest(live: LiveFile, machine: Machine) -> Manifest | None:
+def _manifest(live: DeploymentState, machine: Machine) -> Manifest | None:
     """The manifest that the machine was started for."""
     try:
         return read_document(live.folder(machine.name) / "manifest.yaml", Manifest)
-    except (Problems, Outcome):
+    except (DiagnosticError, FogspecError):
         return None
 
 
 def _health(
-    machine: Machine, live: Live | None, observed: Observed | None, manifest: Manifest | None
+    machine: Machine, live: DeploymentStatus | None, observed: Observed | None, manifest: Manifest | None
 ) -> tuple[Health, list[str]]:
     if live is None:
         return "Unknown", ["nobody can say just now how it is"]
@@ -151,7 +151,7 @@ def _health(
     return "Degraded" if observed.breaks else "Drifted" if drifted else "Healthy", notes
 
 
-def words(one: Running) -> list[str]:
+def as_text(one: HealthReport) -> list[str]:
     """The deployment in lines."""
     subject = one.serving or one.machines[-1]
     machine = subject.machine
@@ -181,7 +181,7 @@ def _observed_words(seen: Observed, manifest: Manifest) -> str:
     return f"{value} of the latest {seen.requests} requests{failed}{cost}; {predicted}{unsaid}"
 
 
-def facts(one: Running) -> dict[str, Any]:
+def as_dict(one: HealthReport) -> dict[str, Any]:
     """The same for programs."""
     seen, manifest = one.observed, one.manifest
     return {

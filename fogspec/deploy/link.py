@@ -9,7 +9,7 @@ import os
 import subprocess
 from pathlib import Path
 
-from fogspec.base.errors import CloudFailed, Refused, WrongFile
+from fogspec.base.errors import CloudError, InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.compile.launch_files import link_script
 from fogspec.compile.links import link_of
@@ -28,10 +28,10 @@ def folder_of(name: str) -> Path:
 def make_keys(application: Application, layout: Layout) -> str:
     """Make the robot's private key where there is none, and return its public half.
 
-    Raises WrongFile without a link in the spec, CloudFailed when a program is missing.
+    Raises InvalidInput without a link in the spec, CloudError when a program is missing.
     """
     if link_of(application).protocol is None:
-        raise WrongFile(
+        raise InvalidInput(
             f"{layout.spec}: spec.connectivity.link is none, which needs no keys", "write zenoh or wireguard"
         )
     return _run(application, layout, "keys").strip()
@@ -54,7 +54,7 @@ def environment(application: Application, layout: Layout) -> dict[str, str]:
 def join(application: Application, layout: Layout, address: str, public: str) -> list[Path]:
     """Take the cloud's public half and address; returns the files to copy where this computer is not the robot.
 
-    Raises WrongFile for what is no public half of the cloud's end, or no address.
+    Raises InvalidInput for what is no public half of the cloud's end, or no address.
     """
     if link_of(application).protocol is None:
         return []
@@ -69,7 +69,7 @@ def leave(application: Application, layout: Layout) -> None:
         _run(application, layout, "leave")
 
 
-def unanswered(application: Application, layout: Layout) -> str | None:
+def link_error(application: Application, layout: Layout) -> str | None:
     """Why the cloud's end does not answer from here; None when it does, when there is no link, or when only the robot
     could tell: WireGuard says nothing to who is not in the tunnel.
     """
@@ -77,7 +77,7 @@ def unanswered(application: Application, layout: Layout) -> str | None:
         return None
     try:
         _run(application, layout, "check")
-    except (CloudFailed, WrongFile) as problem:
+    except (CloudError, InvalidInput) as problem:
         return problem.message
     return None
 
@@ -90,8 +90,8 @@ def _run(application: Application, layout: Layout, *words: str, said: str = "") 
             input=said, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
         )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired) as problem:
-        raise CloudFailed(f"the link's script did not end: {problem}") from None
+        raise CloudError(f"the link's script did not end: {problem}") from None
     if run.returncode != 0:
         lines = [line.removeprefix("link: ") for line in run.stderr.splitlines()] or ["the link's script failed"]
-        raise WrongFile(f"{application.metadata.name}: {lines[0]}", *lines[1:4])
+        raise InvalidInput(f"{application.metadata.name}: {lines[0]}", *lines[1:4])
     return run.stdout

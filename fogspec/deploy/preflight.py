@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.audit.status import interval_words, short
-from fogspec.audit.verify import mend, verify
+from fogspec.audit.verify import remedy, verify
 from fogspec.base import digest, units
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 from fogspec.base.regular import read_file
 from fogspec.catalog.table import Catalog
-from fogspec.compile.bundle import Opened
+from fogspec.compile.bundle import ManifestBundle
 from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_now, price_words
 from fogspec.plan.schema import MachineRef, TaskRef
@@ -19,35 +19,35 @@ from fogspec.spec.lock_io import check_files, files_deployed
 
 
 @dataclass(frozen=True, slots=True)
-class Ordered:
+class LaunchPlan:
     """What a person approved, ready to be launched: the machine and its fall-backs, with the image that they run.
 
     `files` are digests of the files and folders beside the spec that go along, as they are now.
     """
 
-    opened: Opened
+    opened: ManifestBundle
     content: bytes
     candidates: tuple[Candidate, ...]
     image: str | None
     files: Mapping[str, str]
 
 
-def check_fresh(opened: Opened, catalog: Catalog) -> None:
-    """Raises Differs for a manifest that was edited or no longer follows from its inputs, saying which and how."""
+def check_fresh(opened: ManifestBundle, catalog: Catalog) -> None:
+    """Raises OutOfDate for a manifest that was edited or no longer follows from its inputs, saying which and how."""
     if broken := [link for link in verify(opened, catalog) if link.breaks]:
-        raise Differs(
+        raise OutOfDate(
             f"{opened.layout.manifest}: is stale or was edited, so nothing was started",
             *(f"{link.name}: {text}" for link in broken for text in link.breaks[:3]),
-            mend(opened, broken[0]),
+            remedy(opened, broken[0]),
         )
 
 
-def order(
-    opened: Opened, prices: Catalog, most_usd_per_hour: float | None, resolve: bool, ask: Callable[[str], str]
-) -> Ordered:
+def launch_plan(
+    opened: ManifestBundle, prices: Catalog, most_usd_per_hour: float | None, resolve: bool, ask: Callable[[str], str]
+) -> LaunchPlan:
     """The candidates at their prices now; fall-backs that became too dear are left out.
 
-    Raises WrongFile when a file that is to be sent is missing, Refused when the chosen machine costs more than is allowed,
+    Raises InvalidInput when a file that is to be sent is missing, Refused when the chosen machine costs more than is allowed,
     or for an image that is not pinned.
     """
     check_files(opened.loaded.application, opened.layout, measured=False)
@@ -77,7 +77,7 @@ def order(
         elif not affordable(candidate, limit, most_usd_per_hour):
             continue
         found.append(candidate)
-    return Ordered(opened, opened.layout.manifest.read_bytes(), tuple(found), image, files)
+    return LaunchPlan(opened, opened.layout.manifest.read_bytes(), tuple(found), image, files)
 
 
 def allowed(task: Mapping[str, Any], most_usd_per_hour: float | None) -> Mapping[str, Any]:
@@ -92,7 +92,7 @@ def _peer(task: Mapping[str, Any], peer: Mapping[str, str]) -> dict[str, Any]:
     return {"envs": {**task.get("envs", {}), **peer}} if peer else {}
 
 
-def runs_digest(task: Mapping[str, Any], machine: MachineRef, opened: Opened, files: Mapping[str, str]) -> str:
+def runs_digest(task: Mapping[str, Any], machine: MachineRef, opened: ManifestBundle, files: Mapping[str, str]) -> str:
     """Digest of all that the machine is given: a new price or another expectation needs no other machine."""
     resources = {key: value for key, value in task["resources"].items() if key != "max_hourly_cost"}
     sent = {one.path: one.digest for one in opened.manifest.spec.files if one.path != opened.layout.robot.name}
@@ -102,20 +102,20 @@ def runs_digest(task: Mapping[str, Any], machine: MachineRef, opened: Opened, fi
 
 
 def read_task(folder: Path, reference: TaskRef) -> dict[str, Any]:
-    """The reviewed task, parsed; raises Differs for another one."""
+    """The reviewed task, parsed; raises OutOfDate for another one."""
     from ruamel.yaml import YAML
 
     try:
         content = read_file(folder / reference.path)
     except OSError as problem:
-        raise Differs(f"{folder / reference.path}: cannot be read: {problem.strerror}") from None
+        raise OutOfDate(f"{folder / reference.path}: cannot be read: {problem.strerror}") from None
     if digest.of_bytes(content) != reference.digest:
-        raise Differs(f"{folder / reference.path} is not what the manifest says: what is reviewed is what runs")
+        raise OutOfDate(f"{folder / reference.path} is not what the manifest says: what is reviewed is what runs")
     task: dict[str, Any] = YAML(typ="safe", pure=True).load(content)
     return task
 
 
-def words(ordered: Ordered) -> list[str]:
+def as_text(ordered: LaunchPlan) -> list[str]:
     """What will run and what it costs, in lines."""
     manifest, first = ordered.opened.manifest, ordered.candidates[0]
     spec, latency = manifest.spec, manifest.expected.latency

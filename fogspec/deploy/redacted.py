@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from fogspec.agent.secrecy import Secrets
-from fogspec.backends.protocol import CannotStart, Deployer, Launch, Live, LostContact
+from fogspec.backends.protocol import Deployer, DeploymentStatus, Launch, LaunchRefused, Unreachable
 
 
-class Discreet:
+class RedactingDeployer:
     """Does what another deployer does, and passes on what it says without the secrets."""
 
     def __init__(self, deployer: Deployer, secrets: Secrets) -> None:
@@ -21,7 +21,7 @@ class Discreet:
         with self._discreetly():
             self._deployer.start(launch)
 
-    def look(self, launch: Launch) -> Live:
+    def look(self, launch: Launch) -> DeploymentStatus:
         """How it is."""
         with self._discreetly():
             live = self._deployer.look(launch)
@@ -41,13 +41,13 @@ class Discreet:
     def _discreetly(self) -> Iterator[None]:
         try:
             yield
-        except CannotStart as no:
-            raise CannotStart(no.reason, self._secrets.out_of(no.detail), again=no.again) from None
-        except LostContact as lost:
-            raise LostContact(self._secrets.out_of(str(lost))) from None
+        except LaunchRefused as no:
+            raise LaunchRefused(no.reason, self._secrets.out_of(no.detail), again=no.again) from None
+        except Unreachable as lost:
+            raise Unreachable(self._secrets.out_of(str(lost))) from None
 
 
-def discreet(deployer_for: Callable[[str], Deployer], names: Iterable[str]) -> Callable[[str], Deployer]:
+def redacting(deployer_for: Callable[[str], Deployer], names: Iterable[str]) -> Callable[[str], Deployer]:
     """The same deployers by infra, without the values of these variables in what they say."""
     secrets = Secrets.of(names)
-    return lambda infra: Discreet(deployer_for(infra), secrets)
+    return lambda infra: RedactingDeployer(deployer_for(infra), secrets)

@@ -48,7 +48,7 @@ class Machine(Strict):
         return max(0.0, (today - datetime.fromisoformat(self.since)).total_seconds())
 
 
-class LiveBody(Strict):
+class DeploymentBody(Strict):
     """The machines, and what those that are gone have cost since the application was last down."""
 
     machines: list[Machine]
@@ -61,7 +61,7 @@ class LiveState(Strict):
     apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
     kind: Literal["LiveState"] = "LiveState"
     metadata: PlanMetadata
-    spec: LiveBody
+    spec: DeploymentBody
 
 
 def date_of(unix_s: float) -> str:

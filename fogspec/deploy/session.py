@@ -4,22 +4,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
-from fogspec.backends.protocol import Deployer, Live
-from fogspec.base.errors import Interrupted, Outcome, Refused, WrongFile
-from fogspec.base.locks import held
+from fogspec.backends.protocol import Deployer, DeploymentStatus
+from fogspec.base.errors import FogspecError, Interrupted, InvalidInput, Refused
+from fogspec.base.locks import application_lock
 from fogspec.base.redaction import check_set
 from fogspec.base.signals import interruptible
 from fogspec.compile.links import link_of
 from fogspec.deploy import link
-from fogspec.deploy.apply import Apply
-from fogspec.deploy.preflight import Ordered
-from fogspec.deploy.redacted import discreet
+from fogspec.deploy.apply import Rollout
+from fogspec.deploy.preflight import LaunchPlan
+from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import Machine
-from fogspec.deploy.state import LiveFile, Times
+from fogspec.deploy.state import DeploymentState, WallClock
 
 
 @dataclass(frozen=True, slots=True)
-class Applied:
+class RolloutResult:
     """What serves now, and whether anything was changed for it; `kept` says that the machine is the same as before."""
 
     machine: Machine
@@ -28,12 +28,12 @@ class Applied:
     kept: bool = False
 
 
-def joiner(ordered: Ordered, tell: Callable[[str], None]) -> Callable[[Machine, Live], str | None]:
+def link_check(ordered: LaunchPlan, tell: Callable[[str], None]) -> Callable[[Machine, DeploymentStatus], str | None]:
     """Hands the cloud's public half and address to the robot's end, and says why the link does not answer yet."""
     application, layout = ordered.opened.loaded.application, ordered.opened.layout
     joined: set[str] = set()
 
-    def linked(machine: Machine, live: Live) -> str | None:
+    def linked(machine: Machine, live: DeploymentStatus) -> str | None:
         if link_of(application).protocol is None:
             return None
         if live.link is None or live.address is None:
@@ -44,38 +44,38 @@ def joiner(ordered: Ordered, tell: Callable[[str], None]) -> Callable[[Machine, 
             if (how := link_of(application).opening(application, machine.machine.infra, live.address)) is not None:
                 tell(f"link: {how}")
             joined.add(live.link)
-        return link.unanswered(application, layout)
+        return link.link_error(application, layout)
 
     return linked
 
 
 def apply(
-    ordered: Ordered, deployer_for: Callable[[str], Deployer], times: Times, tell: Callable[[str], None],
+    ordered: LaunchPlan, deployer_for: Callable[[str], Deployer], times: WallClock, tell: Callable[[str], None],
     confirm: Callable[[], None],
-) -> Applied:  # fmt: skip
+) -> RolloutResult:  # fmt: skip
     """Bring what runs to what the manifest says; `confirm` is called before money is spent, and may raise.
 
-    Raises CloudFailed, WrongFile or Interrupted as `Apply.run` does, Refused while another apply, bench or down runs or where
-    a machine serves that this folder does not know, WrongCommand for a secret that is not in the environment.
+    Raises CloudError, InvalidInput or Interrupted as `Rollout.run` does, Refused while another apply, bench or down runs
+    or where a machine serves that this folder does not know, UsageError for a secret that is not in the environment.
     """
     layout = ordered.opened.layout
     begun = times.now_s()
     names = ordered.opened.loaded.application.spec.secrets
-    deployer_of = cache(discreet(deployer_for, names))
-    live: LiveFile | None = None
+    deployer_of = cache(redacting(deployer_for, names))
+    live: DeploymentState | None = None
     try:
-        with held(layout.state / "lock", f"apply of {layout.name}"), interruptible() as interrupt:
-            live = LiveFile.read(layout, times)
-            work = Apply(
+        with application_lock(layout.state / "lock", f"apply of {layout.name}"), interruptible() as interrupt:
+            live = DeploymentState.read(layout, times)
+            work = Rollout(
                 live, ordered.content, ordered.opened.digest, ordered.candidates, ordered.image, ordered.files,
-                ordered.opened.manifest.spec.patience, deployer_of, tell, lambda: interrupt.asked, joiner(ordered, tell),
+                ordered.opened.manifest.spec.patience, deployer_of, tell, lambda: interrupt.asked, link_check(ordered, tell),
             )  # fmt: skip
             served = work.current()
             if served is not None:
-                return Applied(served, work.tidy([served.name]), times.now_s() - begun)
+                return RolloutResult(served, work.tidy([served.name]), times.now_s() - begun)
             if (stays := work.kept()) is not None:
                 work.tidy([stays.name])
-                return Applied(stays, True, times.now_s() - begun, kept=True)
+                return RolloutResult(stays, True, times.now_s() - begun, kept=True)
             check_set(names)
             if strangers := work.strangers():
                 raise Refused(
@@ -87,15 +87,15 @@ def apply(
                 tell(f"  replaces  {machine.name}: {what}, which ends when the new one answers")
             with interrupt.question():
                 confirm()
-            return Applied(work.run(), True, times.now_s() - begun)
+            return RolloutResult(work.run(), True, times.now_s() - begun)
     except KeyboardInterrupt:
         again = f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything"
         begun_now = [one.name for one in live.machines if one.state != "serving"] if live is not None else []
         raise Interrupted("interrupted at once", *map("may still run: {}".format, begun_now), again) from None
-    except (BrokenPipeError, Outcome):
+    except (BrokenPipeError, FogspecError):
         raise
     except OSError as problem:
-        raise WrongFile(
+        raise InvalidInput(
             f"{problem.filename or layout.state}: {problem.strerror or problem}",
             f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything",
         ) from None

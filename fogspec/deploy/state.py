@@ -11,15 +11,15 @@ from typing import Any, Protocol
 
 from fogspec.backends.protocol import Launch
 from fogspec.base.clock import SystemClock
-from fogspec.base.diagnostics import Problems
+from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.files import write_bytes, write_yaml
 from fogspec.base.layout import Layout
-from fogspec.deploy.schema import LiveBody, LiveState, Machine
+from fogspec.deploy.schema import DeploymentBody, LiveState, Machine
 from fogspec.plan.schema import PlanMetadata
 from fogspec.spec.loader import read_document
 
 
-class Times(Protocol):
+class WallClock(Protocol):
     """The clock that never jumps, and the date."""
 
     def now_s(self) -> float:
@@ -39,7 +39,7 @@ class Times(Protocol):
         ...
 
 
-class SystemTimes(SystemClock):
+class SystemWallClock(SystemClock):
     """This host's clocks."""
 
     def date(self) -> datetime:
@@ -48,24 +48,24 @@ class SystemTimes(SystemClock):
 
 
 @dataclass(slots=True)
-class LiveFile:
+class DeploymentState:
     """What runs of one application, as it is on disk: every change is there before it takes effect."""
 
     layout: Layout
-    times: Times
+    times: WallClock
     machines: list[Machine]
     spent_usd: float = 0.0
 
     @classmethod
-    def read(cls, layout: Layout, times: Times) -> "LiveFile":
-        """What the file says, nothing where there is none; raises Problems for one that was damaged."""
+    def read(cls, layout: Layout, times: WallClock) -> "DeploymentState":
+        """What the file says, nothing where there is none; raises DiagnosticError for one that was damaged."""
         if not os.path.lexists(layout.live):
             return cls(layout, times, [])
         try:
             body = read_document(layout.live, LiveState).spec
-        except Problems as wrong:
+        except DiagnosticError as wrong:
             fix = f"fogspec down {layout.name} finds what runs by its name and ends it"
-            raise Problems([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics]) from None
+            raise DiagnosticError([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics]) from None
         return cls(layout, times, list(body.machines), body.spent)
 
     def put(self, machine: Machine, *, ends: bool = False) -> None:
@@ -116,7 +116,9 @@ class LiveFile:
 
     def _write(self, machines: list[Machine], spent_usd: float | None = None) -> None:
         spent = round(self.spent_usd if spent_usd is None else spent_usd, 6)
-        state = LiveState(metadata=PlanMetadata(name=self.layout.name), spec=LiveBody(machines=machines, spent=spent))
+        state = LiveState(
+            metadata=PlanMetadata(name=self.layout.name), spec=DeploymentBody(machines=machines, spent=spent)
+        )
         write_yaml(
             self.layout.live,
             state.model_dump(mode="json"),

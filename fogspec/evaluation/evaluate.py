@@ -11,7 +11,7 @@ from pathlib import Path
 from fogspec.evaluation.running import Campaign, Ended, run
 from fogspec.evaluation.suite import Suite
 from fogspec.evaluation.suites import read_suite
-from fogspec.model.priors import read_library
+from fogspec.model.priors import read_priors
 from fogspec.numerics.priors import Library
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -33,10 +33,10 @@ def evaluate(
 ) -> tuple[list[list[Ended]], str]:
     """For each campaign what became of every problem of these kinds (all if none), and the priors' digest or ''.
 
-    Raises Problems and WrongFile for what is wrong with the files. Linear algebra runs in one thread a process:
+    Raises DiagnosticError and InvalidInput for what is wrong with the files. Linear algebra runs in one thread a process:
     two processes of two threads are slower than two of one, and sums would depend on the machine.
     """
-    read, library = read_suite(suite), read_library(priors) if priors else None
+    read, library = read_suite(suite), read_priors(priors) if priors else None
     wanted = [i for i, problem in enumerate(read.problems) if not kinds or problem.kind in kinds]
     # The longest first: the other process does not wait for one at the end.
     order = sorted(wanted, key=lambda i: -len(read.problems[i].rows))
@@ -49,7 +49,7 @@ def evaluate(
 
 def _start(suite: Path, priors: Path | None) -> None:
     global _world
-    _world = _World(read_suite(suite), read_library(priors) if priors else None)
+    _world = _World(read_suite(suite), read_priors(priors) if priors else None)
 
 
 def _one(campaign: Campaign, index: int) -> list[Ended]:

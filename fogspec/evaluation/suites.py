@@ -11,7 +11,7 @@ from fogspec.model.tables import Measured, Table, found, opened, problem, read_l
 
 
 def read_suite(folder: Path) -> Suite:
-    """A whole suite; raises `Problems` for wrong rows and `WrongFile` for a missing or unreadable file."""
+    """A whole suite; raises `DiagnosticError` for wrong rows and `InvalidInput` for a missing or unreadable file."""
     table = read_machines(found(folder, "machines.csv"))
     measured = read_latencies(found(folder, "latencies.csv"), table)
     return Suite(table, tuple(read_problems(found(folder, "problems.jsonl"), table, measured)))

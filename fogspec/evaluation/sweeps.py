@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fogspec.base.errors import WrongCommand, WrongFile
-from fogspec.catalog.filters import admit, matches_infra
+from fogspec.base.errors import InvalidInput, UsageError
+from fogspec.catalog.filters import filter_offers, matches_infra
 from fogspec.catalog.instance_types import machines_of
 from fogspec.catalog.table import Catalog
 from fogspec.choice.choose import latency_limit_s
@@ -35,13 +35,13 @@ def read_sweep(path: Path, application: Application, catalog: Catalog) -> Sweep:
     """The sweep's machines that the spec admits; several rows of one machine are repeats, the truth their mean.
 
     Columns: instance_type and latency_s; infra (`aws/us-east-1`) where a type is on offer in several places, else its
-    cheapest offer counts; anything else is not read. Raises Problems for rows that are wrong or name no machine of
-    the catalog, WrongFile where fewer than two admissible machines are left.
+    cheapest offer counts; anything else is not read. Raises DiagnosticError for rows that are wrong or name no machine of
+    the catalog, InvalidInput where fewer than two admissible machines are left.
     """
     spec = application.spec
     if spec.objective.metric:
-        raise WrongCommand(f"a sweep replays latency and cost; objective.metric is {spec.objective.metric}")
-    offers = admit(catalog, spec.hardware, spec.infra).offers
+        raise UsageError(f"a sweep replays latency and cost; objective.metric is {spec.objective.metric}")
+    offers = filter_offers(catalog, spec.hardware, spec.infra).offers
     if spec.constraints.price is not None:
         offers = offers.take(offers.price_usd_per_hour <= spec.constraints.price)
     latencies: dict[int, list[float]] = {}
@@ -58,7 +58,7 @@ def read_sweep(path: Path, application: Application, catalog: Catalog) -> Sweep:
         else:
             latencies.setdefault(found, []).append(latency)
     if len(latencies) < FEWEST:
-        raise WrongFile(f"{path}: the spec admits {len(latencies)} of its machines, a replay needs {FEWEST}")
+        raise InvalidInput(f"{path}: the spec admits {len(latencies)} of its machines, a replay needs {FEWEST}")
     at = np.array(sorted(latencies), dtype=np.intp)
     measured = [latencies[int(row)] for row in at]
     truth = np.array([float(np.mean(one)) for one in measured])

@@ -63,7 +63,7 @@ class Model(Strict):
         return curves.Shape(self.cpu_family, self.memory_family)
 
 
-class Known(Strict):
+class Observation(Strict):
     """A machine that was measured: its values by target, and the relative standard error of the latency."""
 
     id: str
@@ -72,7 +72,7 @@ class Known(Strict):
     error: float
 
 
-class Unusable(Strict):
+class RejectedSample(Strict):
     """A sample without a value, and why.
 
     `unfit` says that the machine itself was seen to fail, `short_of_memory` that it had too little memory, as any machine
@@ -101,8 +101,8 @@ class ModelsBody(Strict):
     measured_on_local: bool
     predictor: Predictor
     models: list[Model]
-    known: list[Known]
-    unusable: list[Unusable]
+    known: list[Observation]
+    unusable: list[RejectedSample]
 
 
 class Models(Strict):
@@ -120,8 +120,8 @@ def fit(application: Application, results: Results, priors: str | None = None) -
     `priors` is the digest of the machine library that predictions are made with.
     """
     statistic = application.spec.constraints.statistic
-    known, unusable = evidence(results.spec.samples, statistic)
-    groups: dict[str | None, list[Known]] = {}
+    known, unusable = partition(results.spec.samples, statistic)
+    groups: dict[str | None, list[Observation]] = {}
     for one in known:
         groups.setdefault(_gpu_key(one.machine), []).append(one)
     models = [
@@ -131,22 +131,22 @@ def fit(application: Application, results: Results, priors: str | None = None) -
         if (with_it := [one for one in group if target in one.values])
     ]
     body = ModelsBody(
-        statistic=statistic, measured_on_local=stands_in(application, known),
+        statistic=statistic, measured_on_local=is_proxy(application, known),
         predictor=Predictor(surrogate=VERSION, priors=priors), models=models, known=known, unusable=unusable,
     )  # fmt: skip
     return Models(metadata=PlanMetadata(name=application.metadata.name), spec=body)
 
 
-def stands_in(application: Application, known: Sequence[Known]) -> bool:
+def is_proxy(application: Application, known: Sequence[Observation]) -> bool:
     """Whether shapes of this host stand in for the machines on offer, instead of being them."""
     return application.spec.infra != ["local"] and any(one.machine.infra == "local" for one in known)
 
 
-def evidence(records: Sequence[Measured], statistic: Statistic) -> tuple[list[Known], list[Unusable]]:
+def partition(records: Sequence[Measured], statistic: Statistic) -> tuple[list[Observation], list[RejectedSample]]:
     """What the records say of their machines."""
-    entries = [_known(record, statistic) for record in records]
-    known = [one for one in entries if isinstance(one, Known)]
-    return known, [one for one in entries if isinstance(one, Unusable)]
+    entries = [_observation(record, statistic) for record in records]
+    known = [one for one in entries if isinstance(one, Observation)]
+    return known, [one for one in entries if isinstance(one, RejectedSample)]
 
 
 def targets(application: Application) -> list[str]:
@@ -156,12 +156,12 @@ def targets(application: Application) -> list[str]:
     return ["latency", *sorted(metrics)]
 
 
-def _known(record: Measured, statistic: Statistic) -> Known | Unusable:
+def _observation(record: Measured, statistic: Statistic) -> Observation | RejectedSample:
     # A run that answered nothing waited for its first request: that request takes longer than it waited.
     waited = record.waited if record.latency is None and record.waited else None
 
-    def unusable(why: str, unfit: bool) -> Unusable:
-        return Unusable(
+    def unusable(why: str, unfit: bool) -> RejectedSample:
+        return RejectedSample(
             id=record.id, machine=record.machine, why=why, unfit=unfit, at_least=waited,
             short_of_memory=record.reason == "out_of_memory",
         )  # fmt: skip
@@ -181,7 +181,7 @@ def _known(record: Measured, statistic: Statistic) -> Known | Unusable:
     if not (math.isfinite(value) and value > 0):
         return unusable(f"a latency of {value:g} s is no latency", unfit=False)
     values = {"latency": value, **record.metrics}
-    return Known(id=record.id, machine=record.machine, values=values, error=_error(record, statistic))
+    return Observation(id=record.id, machine=record.machine, values=values, error=_error(record, statistic))
 
 
 def _error(record: Measured, statistic: Statistic) -> float:
@@ -198,7 +198,7 @@ def _gpu_key(machine: MachineRef) -> str | None:
     return None if machine.gpu is None else f"{machine.gpu.name}:{machine.gpu.count:g}"
 
 
-def _model(target: str, gpu: str | None, group: Sequence[Known]) -> Model:
+def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:
     vcpus = np.array([one.machine.cpus for one in group])
     memory = np.array([one.machine.memory for one in group])
     values = np.array([one.values[target] for one in group])

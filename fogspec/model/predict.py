@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.catalog.instance_types import InstanceTypes, Key, Shape, types_of, with_measured
+from fogspec.catalog.instance_types import InstanceTypes, Key, Shape, instance_types, with_measured
 from fogspec.catalog.table import Catalog, Floats
-from fogspec.model.fit import Known, Model, Models, Unusable
+from fogspec.model.fit import Model, Models, Observation, RejectedSample
 from fogspec.numerics import curves
 from fogspec.numerics.priors import Library, prior_for
 from fogspec.numerics.samples import observations
@@ -55,7 +55,7 @@ class Predictions:
 
 
 @dataclass(frozen=True)
-class Ground:
+class PredictionSpace:
     """Everything about the offers that does not depend on what was measured on them, made once.
 
     `types` are those of the offers and of the measured machines besides; `place` finds them by key.
@@ -70,15 +70,17 @@ class Ground:
     def of(
         cls, offers: Catalog, machines: Sequence[MachineRef], catalog: Catalog | None = None,
         library: Library | None = None,
-    ) -> "Ground":  # fmt: skip
+    ) -> "PredictionSpace":  # fmt: skip
         """`machines` are measured, and described by `catalog` where they are no offers."""
         shapes = [shape_of(one) for one in machines if counts(one, offers)]
-        types = types_of(with_measured(offers, shapes, catalog))
+        types = instance_types(with_measured(offers, shapes, catalog))
         prior = None if library is None else prior_for(library, types.names, types.machines)
         place = {key: row for row, key in enumerate(types.keys)}
         return cls(offers, types, prepare(types.machines, prior), place)
 
-    def predicted(self, known: Sequence[Known], unusable: Sequence[Unusable], targets: Sequence[str]) -> "Predicted":
+    def predicted(
+        self, known: Sequence[Observation], unusable: Sequence[RejectedSample], targets: Sequence[str]
+    ) -> "PredictionSet":
         """Predictions of these targets for every offer, from this evidence."""
         known = [one for one in known if counts(one.machine, self.offers)]
         unusable = [one for one in unusable if counts(one.machine, self.offers)]
@@ -87,39 +89,41 @@ class Ground:
         unfit[[self.place[shape_of(one.machine).key] for one in unusable if one.unfit]] = True
         of = self.types.of[: len(self.offers)]
         found = {name: _conditioned(self.space, self.place, known, unusable, name) for name in targets}
-        return Predicted(
+        return PredictionSet(
             self.offers, self.types, {name: _broadcast(one, unfit, of) for name, one in found.items()}, self
         )
 
 
 @dataclass(frozen=True)
-class Predicted:
+class PredictionSet:
     """Predictions of every target for the offers; no `ground` where the families' curves predict."""
 
     offers: Catalog
     types: InstanceTypes
     targets: Mapping[str, Predictions]
-    ground: Ground | None = None
+    ground: PredictionSpace | None = None
 
 
 def predict(
     models: Models, offers: Catalog, targets: Sequence[str], catalog: Catalog | None = None,
     library: Library | None = None,
-) -> Predicted:  # fmt: skip
+) -> PredictionSet:  # fmt: skip
     """Predictions of these targets for every offer; `catalog` describes measured machines that are no offers."""
     body = models.spec
     if body.measured_on_local or not len(offers):
-        return Predicted(offers, types_of(offers), {name: _by_curves(models, offers, name) for name in targets})
-    return from_evidence(body.known, body.unusable, offers, targets, catalog, library)
+        return PredictionSet(
+            offers, instance_types(offers), {name: _by_curves(models, offers, name) for name in targets}
+        )
+    return predict_from(body.known, body.unusable, offers, targets, catalog, library)
 
 
-def from_evidence(
-    known: Sequence[Known], unusable: Sequence[Unusable], offers: Catalog, targets: Sequence[str],
+def predict_from(
+    known: Sequence[Observation], unusable: Sequence[RejectedSample], offers: Catalog, targets: Sequence[str],
     catalog: Catalog | None = None, library: Library | None = None,
-) -> Predicted:  # fmt: skip
+) -> PredictionSet:  # fmt: skip
     """The same from the evidence alone."""
     machines = [*(one.machine for one in known), *(one.machine for one in unusable)]
-    return Ground.of(offers, machines, catalog, library).predicted(known, unusable, targets)
+    return PredictionSpace.of(offers, machines, catalog, library).predicted(known, unusable, targets)
 
 
 def counts(machine: MachineRef, offers: Catalog) -> bool:
@@ -134,7 +138,11 @@ def shape_of(machine: MachineRef) -> Shape:
 
 
 def _conditioned(
-    space: Space, place: Mapping[Key, int], known: Sequence[Known], unusable: Sequence[Unusable], target: str
+    space: Space,
+    place: Mapping[Key, int],
+    known: Sequence[Observation],
+    unusable: Sequence[RejectedSample],
+    target: str,
 ) -> Posterior | None:
     """The posterior of one target; None where nothing was measured. Only the latency has lower bounds."""
     values = [one for one in known if one.values.get(target, 0.0) > 0]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fogspec.base import digest
-from fogspec.base.errors import Differs, WrongFile
+from fogspec.base.errors import InvalidInput, OutOfDate
 from fogspec.base.files import write_bytes
 from fogspec.base.layout import Layout
 from fogspec.model.tables import LATENCY_COLUMNS, found, read_latencies, read_machines
@@ -21,15 +21,15 @@ from fogspec.spec.lockfile import Pins
 EPOCH = (1980, 1, 1, 0, 0, 0)  # archives of the same data have the same bytes
 
 
-def read_library(path: Path) -> Library:
-    """Machines and latencies; the digest is over both files' bytes. Raises WrongFile and Problems."""
+def read_priors(path: Path) -> Library:
+    """Machines and latencies; the digest is over both files' bytes. Raises InvalidInput and DiagnosticError."""
     folder = _opened(path)
     machines, latencies = found(folder, "machines.csv"), found(folder, "latencies.csv")
     table = read_machines(machines)
     measured = read_latencies(latencies, table)
     workloads = tuple(sorted(measured.latency_s))
     if not workloads:
-        raise WrongFile(f"{path}: no workload was measured on any machine")
+        raise InvalidInput(f"{path}: no workload was measured on any machine")
     return Library(
         names=table.names,
         machines=table.machines,
@@ -40,24 +40,24 @@ def read_library(path: Path) -> Library:
     )
 
 
-def locked_library(layout: Layout, pins: Pins | None) -> Library | None:
-    """The machine library that the lock names, None where it names none; raises Differs when it is another one by now."""
+def locked_priors(layout: Layout, pins: Pins | None) -> Library | None:
+    """The machine library that the lock names, None where it names none; raises OutOfDate when it is another one by now."""
     if pins is None or pins.priors is None:
         return None
     path = layout.root / pins.priors.origin
-    library = read_library(path)
+    library = read_priors(path)
     if library.digest != pins.priors.digest:
-        raise Differs(
+        raise OutOfDate(
             f"{layout.name}: the machine library {path} is not the one that {layout.lock} pins",
             f"fogspec lock {layout.spec} --priors {path}",
         )
     return library
 
 
-def write_library(path: Path, machines: Sequence[dict[str, Any]], latencies: Sequence[dict[str, Any]]) -> None:
-    """The rows of both files as a zip archive, the same bytes for the same rows; raises WrongFile for none."""
+def write_priors(path: Path, machines: Sequence[dict[str, Any]], latencies: Sequence[dict[str, Any]]) -> None:
+    """The rows of both files as a zip archive, the same bytes for the same rows; raises InvalidInput for none."""
     if not machines or not latencies:
-        raise WrongFile("there is nothing to put into a library: no machine was measured")
+        raise InvalidInput("there is nothing to put into a library: no machine was measured")
     files = {"machines.csv": _csv(machines, list(machines[0])), "latencies.csv": _csv(latencies, LATENCY_COLUMNS)}
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
@@ -68,7 +68,7 @@ def write_library(path: Path, machines: Sequence[dict[str, Any]], latencies: Seq
 
 def rows_of(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of both files of a folder in the suite layout, checked."""
-    read_library(path)
+    read_priors(path)
     folder = _opened(path)
     return _plain(found(folder, "machines.csv")), _plain(found(folder, "latencies.csv"))
 
@@ -80,7 +80,7 @@ def _opened(path: Path) -> Any:
     try:
         return zipfile.Path(path)
     except (zipfile.BadZipFile, OSError) as wrong:
-        raise WrongFile(f"{path}: not a library: {wrong}", "fogspec priors build --out FILE.zip") from None
+        raise InvalidInput(f"{path}: not a library: {wrong}", "fogspec priors build --out FILE.zip") from None
 
 
 def _plain(path: Any) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from fogspec.base.errors import CloudFailed, WrongFile
+from fogspec.base.errors import CloudError, InvalidInput
 
 INSTALL = "python -m pip install sparecores-data"
 CLOUDS = ("aws", "azure", "gcp")
@@ -41,20 +41,20 @@ Row = dict[str, Any]
 
 
 def database() -> Path:
-    """Where `sparecores-data` keeps its database, fetched by it if need be; raises WrongFile or CloudFailed."""
+    """Where `sparecores-data` keeps its database, fetched by it if need be; raises InvalidInput or CloudError."""
     try:
         package = importlib.import_module("sc_data")
     except ModuleNotFoundError:
-        raise WrongFile("sparecores-data is not installed here", INSTALL) from None
+        raise InvalidInput("sparecores-data is not installed here", INSTALL) from None
     except Exception as failed:
-        raise CloudFailed(f"sparecores-data could not fetch its data: {failed}") from None
+        raise CloudError(f"sparecores-data could not fetch its data: {failed}") from None
     return Path(package.db.path)
 
 
 def read(path: Path) -> tuple[list[Row], list[Row]]:
-    """Rows of machines.csv and of latencies.csv; raises WrongFile for a database with other tables."""
+    """Rows of machines.csv and of latencies.csv; raises InvalidInput for a database with other tables."""
     if not path.is_file():
-        raise WrongFile(f"{path}: no such file")
+        raise InvalidInput(f"{path}: no such file")
     try:
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as connection:
             connection.row_factory = sqlite3.Row
@@ -62,7 +62,7 @@ def read(path: Path) -> tuple[list[Row], list[Row]]:
             names = {(row["cloud"], row["server_id"]): row["api_reference"] for row in servers}
             return [_machine(row) for row in servers], list(_latencies(connection, names))
     except sqlite3.Error as wrong:
-        raise WrongFile(f"{path}: not a database of sparecores-data: {wrong}") from None
+        raise InvalidInput(f"{path}: not a database of sparecores-data: {wrong}") from None
 
 
 def _machine(row: sqlite3.Row) -> Row:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from fogspec.base.diagnostics import Diagnostic, Place, Problems
-from fogspec.base.errors import WrongFile
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
+from fogspec.base.errors import InvalidInput
 from fogspec.base.regular import check_file
 from fogspec.numerics.features import Floats, Machines, codes
 
@@ -66,7 +66,7 @@ def read_machines(path: Path) -> Table:
 
 
 def read_latencies(path: Path, table: Table) -> Measured:
-    """Latencies per workload; raises `Problems` for latencies that are not positive and finite or unknown machines."""
+    """Latencies per workload; raises `DiagnosticError` for latencies that are not positive and finite or unknown machines."""
     suites: dict[str, str] = {}
     latency: dict[str, Floats] = {}
     for line, row in rows(path, LATENCY_COLUMNS):
@@ -84,17 +84,17 @@ def read_latencies(path: Path, table: Table) -> Measured:
 
 
 def found(folder: Path, name: str) -> Path:
-    """The file of a suite, plain or gzipped; raises WrongFile."""
+    """The file of a suite, plain or gzipped; raises InvalidInput."""
     for candidate in (folder / name, folder / f"{name}.gz"):
         if candidate.is_file():
             return candidate
-    raise WrongFile(
+    raise InvalidInput(
         f"{folder}: no {name} or {name}.gz", "a suite is a folder of machines.csv, latencies.csv, problems.jsonl"
     )
 
 
 def opened(path: Any) -> Any:
-    """A file of a suite as text, plain or gzipped; raises WrongFile for anything but a file."""
+    """A file of a suite as text, plain or gzipped; raises InvalidInput for anything but a file."""
     if isinstance(path, Path):
         check_file(path)
     raw = path.open("rb")
@@ -116,7 +116,7 @@ def rows(path: Path, required: tuple[str, ...]) -> Iterator[tuple[int, dict[str,
                     raise problem(path, reader.line_num, f"a row has {len(reader.fieldnames or ())} fields")
                 yield reader.line_num, row
     except (OSError, UnicodeDecodeError, EOFError, csv.Error) as wrong:
-        raise WrongFile(f"{path}: cannot be read: {getattr(wrong, 'strerror', None) or wrong}") from None
+        raise InvalidInput(f"{path}: cannot be read: {getattr(wrong, 'strerror', None) or wrong}") from None
 
 
 def number(path: Path, line: int, row: dict[str, str], name: str, *, required: bool = False) -> float:
@@ -133,6 +133,6 @@ def number(path: Path, line: int, row: dict[str, str], name: str, *, required: b
     return value
 
 
-def problem(path: Path, line: int, message: str) -> Problems:
+def problem(path: Path, line: int, message: str) -> DiagnosticError:
     """What is wrong with a line of a suite or sweep."""
-    return Problems([Diagnostic("FS402", message, Place(str(path), line, 1))])
+    return DiagnosticError([Diagnostic("FS402", message, Span(str(path), line, 1))])

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base import units
-from fogspec.base.errors import NothingMeets, WrongFile
-from fogspec.catalog.filters import Admissible, before_empty, gpu_type, matches_gpu, matches_infra, merge_zones
+from fogspec.base.errors import Infeasible, InvalidInput
+from fogspec.catalog.filters import Filtered, before_empty, gpu_type, matches_gpu, matches_infra, merge_zones
 from fogspec.catalog.machine import Gpu, Offer
 from fogspec.catalog.table import Catalog, Floats, ranks
 from fogspec.numerics.design import Cell, Grid, edge_grid
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Pick:
+class DesignPoint:
     """A machine to measure, and why."""
 
     offer: Offer
@@ -33,18 +33,18 @@ class Pick:
     def id(self) -> str:
         """Names the sample everywhere; it depends on the machine alone, so that a wider plan keeps it."""
         offer = self.offer
-        return identity(offer.infra, offer.instance, offer.gpu, offer.spot)
+        return sample_id(offer.infra, offer.instance, offer.gpu, offer.spot)
 
 
 @dataclass(frozen=True, slots=True)
-class Picks:
+class Design:
     """The machines, and what people should know of how they were found."""
 
-    picks: tuple[Pick, ...]
+    picks: tuple[DesignPoint, ...]
     notes: tuple[str, ...]
 
 
-def identity(infra: str, instance: str, gpu: Gpu | None, spot: bool, nth: int = 1) -> str:
+def sample_id(infra: str, instance: str, gpu: Gpu | None, spot: bool, nth: int = 1) -> str:
     """The id of a machine's sample, or of the `nth` one of the same machine."""
     words = [infra, instance]
     if gpu and infra.startswith("gcp/"):
@@ -56,16 +56,16 @@ def identity(infra: str, instance: str, gpu: Gpu | None, spot: bool, nth: int = 
     return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
 
 
-def nth_sample(sample_id: str) -> int:
+def replicate(sample_id: str) -> int:
     """Which sample of its machine this is: 1 for the first."""
     found = re.search(r"-repeat-([0-9]+)$", sample_id)
     return int(found[1]) if found else 1
 
 
-def pick(spec: Spec, catalog: Catalog, admissible: Admissible, library: "Library | None" = None) -> Picks:
+def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "Library | None" = None) -> Design:
     """The sampler's machines, an adaptive one's with what the library knows of them.
 
-    Raises NothingMeets when there are none, WrongFile for an unknown instance type.
+    Raises Infeasible when there are none, InvalidInput for an unknown instance type.
     """
     named = spec.benchmark.machines
     found = (
@@ -76,7 +76,7 @@ def pick(spec: Spec, catalog: Catalog, admissible: Admissible, library: "Library
     if not found.picks:
         instead = before_empty(catalog, spec.hardware, spec.infra)
         hints = [admissible.funnel.line(), *_unknown_places(spec.infra, catalog), *([instead] if instead else [])]
-        raise NothingMeets("no machine on offer is admissible", *hints)
+        raise Infeasible("no machine on offer is admissible", *hints)
     return _distinct(found)
 
 
@@ -86,31 +86,31 @@ def cheapest_first(offers: Catalog) -> NDArray[np.intp]:
     return np.lexsort((offers.spot, *(ranks(name) for name in names), offers.price_usd_per_hour))
 
 
-def usd_at_most(spec: Spec, price_usd_per_hour: Floats) -> Floats:
+def max_cost_usd(spec: Spec, price_usd_per_hour: Floats) -> Floats:
     """What one sample of each machine may cost: set-up and measuring, for as long as the spec allows."""
     return price_usd_per_hour * (spec.benchmark.setup + spec.benchmark.stop.after) / 3600
 
 
-def _adaptive(spec: Spec, admissible: Admissible, library: "Library | None") -> Picks:
+def _adaptive(spec: Spec, admissible: Filtered, library: "Library | None") -> Design:
     """The first wave; the next ones are asked for when it is measured (`fogspec.choice.next_samples`)."""
     from fogspec.numerics.acquisition import Policy
-    from fogspec.plan.initial_batch import first_wave
+    from fogspec.plan.initial_batch import initial_batch
 
     offers, budget = admissible.offers, spec.benchmark.budget
     if not len(offers):
-        return Picks((), ())
-    usd = usd_at_most(spec, offers.price_usd_per_hour)
-    asked = first_wave(offers, usd, math.inf if budget is None else max(budget, float(usd.min())), library)
-    picks = tuple(Pick(offers.offer(row), why) for row, why in zip(asked.rows, asked.reasons, strict=True))
+        return Design((), ())
+    usd = max_cost_usd(spec, offers.price_usd_per_hour)
+    asked = initial_batch(offers, usd, math.inf if budget is None else max(budget, float(usd.min())), library)
+    picks = tuple(DesignPoint(offers.offer(row), why) for row, why in zip(asked.rows, asked.reasons, strict=True))
     at_once = "one by one" if spec.benchmark.wave == 1 else f"{spec.benchmark.wave} at once"
     wall = None if budget is None else units.format_money(budget)
     most = f"{Policy().most} samples: there is no budget" if wall is None else f"the budget of {wall}"
     later = f"the first wave; then the model is asked for the next machines, {at_once}, never beyond {most}"
-    return Picks(picks, (later,))
+    return Design(picks, (later,))
 
 
-def _grid(spec: Spec, admissible: Admissible) -> Picks:
-    picks: list[Pick] = []
+def _grid(spec: Spec, admissible: Filtered) -> Design:
+    picks: list[DesignPoint] = []
     notes: list[str] = []
     offers = admissible.offers
     for entry in spec.infra:
@@ -121,9 +121,11 @@ def _grid(spec: Spec, admissible: Admissible) -> Picks:
                 notes.append(f"{entry}, GPU {gpu}: no admissible machine, nothing is sampled")
                 continue
             grid = edge_grid(group.vcpus, group.memory_gib, cheapest_first(group))
-            picks += [Pick(group.offer(cell.row), _reason(cell, gpu)) for cell in grid.cells if cell.same_as is None]
+            picks += [
+                DesignPoint(group.offer(cell.row), _reason(cell, gpu)) for cell in grid.cells if cell.same_as is None
+            ]
             notes += [f"{entry}, GPU {gpu}: {text}" for text in _grid_notes(grid, group)]
-    return Picks(tuple(picks), tuple(notes))
+    return Design(tuple(picks), tuple(notes))
 
 
 def _reason(cell: Cell, gpu: str) -> str:
@@ -146,23 +148,23 @@ def _grid_notes(grid: Grid, group: Catalog) -> Iterator[str]:
             yield f"{what}: {group.instance[cell.row]} is burstable, its latency depends on CPU credits left"
 
 
-def _listed(spec: Spec, catalog: Catalog, admissible: Admissible) -> Picks:
-    picks: list[Pick] = []
+def _listed(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
+    picks: list[DesignPoint] = []
     notes: list[str] = []
     admitted = set(admissible.offers.instance.tolist())
     for name in spec.benchmark.machines:
         if shape := local_shape(name):
             cpus, memory_gib = shape
             instance = name.removeprefix("local/")
-            picks.append(Pick(Offer("local", instance, cpus, memory_gib, 0.0), "listed in benchmark.machines"))
+            picks.append(DesignPoint(Offer("local", instance, cpus, memory_gib, 0.0), "listed in benchmark.machines"))
             continue
         picks += _found(name, spec, catalog)
         if name not in admitted:
             notes.append(f"{name} is listed in benchmark.machines, and is no candidate: hardware does not admit it")
-    return Picks(tuple(picks), tuple(notes))
+    return Design(tuple(picks), tuple(notes))
 
 
-def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Pick]:
+def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[DesignPoint]:
     """The cheapest offer of a listed instance type in each infra that has it, whatever its shape.
 
     Where one host may carry several accelerators, those that `hardware.gpus` names come first.
@@ -174,11 +176,11 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Pick]:
         close = difflib.get_close_matches(name, sorted(set(catalog.instance.tolist())), n=3)
         where = f" in {', '.join(spec.infra)}" if len(rows) else ""
         hints = [f"did you mean {', '.join(close)}?"] if close and not len(rows) else []
-        raise WrongFile(f"spec.benchmark.machines: the catalog has no instance type {name!r}{where}", *hints)
+        raise InvalidInput(f"spec.benchmark.machines: the catalog has no instance type {name!r}{where}", *hints)
     for place in filter(len, places):
         named = (place.take(matches_gpu(place, gpu)) for gpu in spec.hardware.gpus)
         best = next(filter(len, named), place)
-        yield Pick(best.offer(int(cheapest_first(best)[0])), "listed in benchmark.machines")
+        yield DesignPoint(best.offer(int(cheapest_first(best)[0])), "listed in benchmark.machines")
 
 
 def _unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
@@ -196,12 +198,12 @@ def _unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
         yield f"the catalog has no machine in {entry}{hint}"
 
 
-def _distinct(found: Picks) -> Picks:
+def _distinct(found: Design) -> Design:
     """Overlapping entries of `infra` find the same machine twice: it is measured once."""
-    first: dict[str, Pick] = {}
+    first: dict[str, DesignPoint] = {}
     notes = list(found.notes)
     for one in found.picks:
         if one.id in first:
             notes.append(f"{one.offer.infra} {one.offer.instance} is found twice, sampled once")
         first.setdefault(one.id, one)
-    return Picks(tuple(first.values()), tuple(notes))
+    return Design(tuple(first.values()), tuple(notes))

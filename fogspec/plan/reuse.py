@@ -24,7 +24,9 @@ from fogspec.spec import fingerprints
 from fogspec.spec.schema import Application, Hardware
 
 
-def kept(application: Application, plan: Plan, catalog: Catalog, pins: Mapping[str, str] = NO_PINS) -> Plan | None:
+def reuse_plan(
+    application: Application, plan: Plan, catalog: Catalog, pins: Mapping[str, str] = NO_PINS
+) -> Plan | None:
     """The plan's own samples at this catalog's prices, or None where they do not serve the spec.
 
     They serve when they are measured in the same way and the box that they were picked for holds the spec's box.
@@ -39,7 +41,7 @@ def kept(application: Application, plan: Plan, catalog: Catalog, pins: Mapping[s
         and body.pins == dict(pins)
         and (body.sampler, body.steps, body.after, body.warmup, body.setup)
         == (benchmark.sampler, stop.steps, stop.after, benchmark.warmup, benchmark.setup)
-        and holds(body.hardware, body.infra, spec.hardware, spec.infra)
+        and contains(body.hardware, body.infra, spec.hardware, spec.infra)
     )
     if not same:
         return None
@@ -50,7 +52,7 @@ def kept(application: Application, plan: Plan, catalog: Catalog, pins: Mapping[s
     return Plan(metadata=plan.metadata, spec=_with(application, body, catalog, samples))
 
 
-def recorded(
+def plan_from_campaign(
     application: Application, path: str, catalog: Catalog, sampling: Sampling, pins: Mapping[str, str] = NO_PINS
 ) -> Plan:
     """The plan of an adaptive campaign: the machines that were asked for so far, at this catalog's prices.
@@ -67,15 +69,15 @@ def recorded(
         f"sampling ended: {sampling.ended}" if sampling.ended else "the next machines are asked for by fogspec bench"
     )
     plan = assemble(application, path, catalog.about, "adaptive", samples, notes, pins)
-    if not still_serves(application, sampling):
+    if not covers(application, sampling):
         return plan
     box = {"hardware": sampling.hardware, "infra": sampling.infra}
     return plan.model_copy(update={"spec": plan.spec.model_copy(update=box)})
 
 
-def still_serves(application: Application, sampling: Sampling) -> bool:
+def covers(application: Application, sampling: Sampling) -> bool:
     """Whether the box that machines were asked for among holds the spec's box."""
-    return holds(sampling.hardware, sampling.infra, application.spec.hardware, application.spec.infra)
+    return contains(sampling.hardware, sampling.infra, application.spec.hardware, application.spec.infra)
 
 
 def price_rises(samples: Sequence[Sample], catalog: Catalog) -> list[str]:
@@ -126,7 +128,7 @@ def price_now(machine: MachineRef, catalog: Catalog) -> float | None:
     return float(offers.price_usd_per_hour[fits].max()) if fits.any() else None
 
 
-def holds(outer: Hardware, outer_infra: Sequence[str], inner: Hardware, inner_infra: Sequence[str]) -> bool:
+def contains(outer: Hardware, outer_infra: Sequence[str], inner: Hardware, inner_infra: Sequence[str]) -> bool:
     """Whether every machine of the inner search box is in the outer one, as far as their words tell."""
     allow = outer.machines.allow
     return (

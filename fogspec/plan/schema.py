@@ -10,7 +10,7 @@ from pydantic import Field, PlainSerializer
 
 from fogspec.base import digest
 from fogspec.base.quantities import Duration, Memory, Money, Price, Strict
-from fogspec.catalog.filters import Admissible, admit
+from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.machine import Gpu, Offer
 from fogspec.catalog.table import About, Catalog
 from fogspec.plan import design
@@ -67,7 +67,7 @@ class Sample(Strict):
     task: TaskRef | None = None
 
 
-class Alternative(Strict):
+class Substitute(Strict):
     """A machine that is measured where the sample `instead_of` cannot be had; those named first are tried first."""
 
     instead_of: str
@@ -95,7 +95,7 @@ class ApplicationRef(Strict):
     reads: dict[str, str] = Field({})
 
 
-class Wave(Strict):
+class Batch(Strict):
     """Machines that were asked for at once, and why."""
 
     reason: str
@@ -113,7 +113,7 @@ class Sampling(Strict):
     hardware: Hardware
     infra: list[str]
     limits: str
-    waves: list[Wave]
+    waves: list[Batch]
     ended: str | None = None
     for_money: bool = False
 
@@ -148,7 +148,7 @@ class PlanBody(Strict):
     budget: Money | None
     estimate: Estimate
     samples: list[Sample]
-    alternatives: list[Alternative] = Field([])
+    alternatives: list[Substitute] = Field([])
     notes: list[str]
 
 
@@ -176,19 +176,19 @@ def make_plan(
     path: str,
     catalog: Catalog,
     pins: Mapping[str, str] = NO_PINS,
-    admissible: Admissible | None = None,
+    admissible: Filtered | None = None,
     library: "Library | None" = None,
 ) -> Plan:
     """The sampling plan of a spec at `path` (as written into the plan), without its tasks.
 
     Pure: it depends on the values of the spec and the content of the catalog, not on the order of either. Raises
-    NothingMeets when no machine on offer is admissible, WrongFile for a listed machine that is not on offer. The
+    Infeasible when no machine on offer is admissible, InvalidInput for a listed machine that is not on offer. The
     budget is compared where money would be spent.
     """
     spec = application.spec
     if admissible is None:
-        admissible = admit(catalog, spec.hardware, spec.infra)
-    found = design.pick(spec, catalog, admissible, library)
+        admissible = filter_offers(catalog, spec.hardware, spec.infra)
+    found = design.design(spec, catalog, admissible, library)
     samples = [Sample(id=pick.id, machine=machine_ref(pick.offer), reason=pick.reason) for pick in found.picks]
     sampler: Literal["grid", "adaptive", "list"] = "list" if spec.benchmark.machines else spec.benchmark.sampler
     return assemble(application, path, catalog.about, sampler, samples, found.notes, pins)
@@ -231,7 +231,7 @@ def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
 def sample_on(machine: MachineRef, reason: str, nth: int = 1) -> Sample:
     """The `nth` sample that measures this machine; its id depends on the machine and on `nth` alone."""
     gpu = Gpu(machine.gpu.name, machine.gpu.count) if machine.gpu else None
-    name = design.identity(machine.infra, machine.instance, gpu, machine.spot, nth)
+    name = design.sample_id(machine.infra, machine.instance, gpu, machine.spot, nth)
     return Sample(id=name, machine=machine, reason=reason)
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fogspec.catalog.table import Catalog, Floats
-from fogspec.plan.design import cheapest_first, nth_sample
-from fogspec.plan.schema import Alternative, MachineRef, Sample, machine_ref, sample_on
+from fogspec.plan.design import cheapest_first, replicate
+from fogspec.plan.schema import MachineRef, Sample, Substitute, machine_ref, sample_on
 from fogspec.spec.schema import Spec
 
 PLACES = 2
@@ -15,7 +15,7 @@ NEIGHBOURS = 2
 DOUBLINGS = 2.0  # a machine that differs more in vCPUs and memory together is no neighbour
 
 
-def alternatives(spec: Spec, samples: Sequence[Sample], offers: Catalog) -> list[Alternative]:
+def substitutes(spec: Spec, samples: Sequence[Sample], offers: Catalog) -> list[Substitute]:
     """For each sample, machines to take its place, those to be tried first in front; `offers` are the admissible ones.
 
     The same instance type elsewhere, cheapest first; then the machines nearest in vCPUs and memory with the same
@@ -28,14 +28,14 @@ def alternatives(spec: Spec, samples: Sequence[Sample], offers: Catalog) -> list
     shapes = np.log2(offers.vcpus), np.log2(offers.memory_gib)
     for sample in samples:
         machine = sample.machine
-        if machine.infra == "local" or nth_sample(sample.id) > 1:
+        if machine.infra == "local" or replicate(sample.id) > 1:
             continue
         apart = np.abs(shapes[0] - np.log2(machine.cpus)) + np.abs(shapes[1] - np.log2(machine.memory))
         near = _Near.of(offers, machine, apart)
         elsewhere = list(near.elsewhere())[:PLACES]
         neighbours = () if spec.benchmark.machines else near.neighbours()
         others = [*elsewhere, *(one for one in neighbours if one.id not in planned)][: len(elsewhere) + NEIGHBOURS]
-        found += [Alternative(instead_of=sample.id, machine=one.machine, reason=one.reason) for one in others]
+        found += [Substitute(instead_of=sample.id, machine=one.machine, reason=one.reason) for one in others]
     return found
 
 

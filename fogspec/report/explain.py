@@ -6,10 +6,10 @@ from typing import Any
 from fogspec.base import units
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import entry_of, limit_text, rounded
-from fogspec.choice.next_samples import Next, most_worth, probability_better
-from fogspec.choice.sensitivity import LEVEL, Binding, Influence, bindings, influences, parts, weak_spots
-from fogspec.choice.shortlist import stand_outs
-from fogspec.compile.compiler import Compiled, money
+from fogspec.choice.next_samples import NextSample, best_next_sample, probability_better
+from fogspec.choice.sensitivity import LEVEL, Influence, Slack, influences, parts, slacks, widest_intervals
+from fogspec.choice.shortlist import shortlist
+from fogspec.compile.compiler import Artifacts, money
 from fogspec.model.fit import Model
 from fogspec.plan.schema import lifetime_s
 from fogspec.report.summary import entry_words, no_words
@@ -21,12 +21,12 @@ SAMPLES_SAID = 3
 class Analysis:
     """What is worked out for an explanation beside the choice: the samples' influence, and one more sample's worth."""
 
-    bindings: list[Binding]
+    bindings: list[Slack]
     influences: list[Influence]
-    next: Next | None
+    next: NextSample | None
 
     @classmethod
-    def of(cls, compiled: Compiled) -> "Analysis":
+    def of(cls, compiled: Artifacts) -> "Analysis":
         """Refits without each sample in turn."""
         assert compiled.chosen is not None
         chosen, offers = compiled.chosen, compiled.admissible.offers
@@ -34,13 +34,13 @@ class Analysis:
         usd = offers.price_usd_per_hour * lifetime_s(body.after, body.setup) / 3600
         failed = [one.machine for one in chosen.models.spec.unusable]
         return cls(
-            bindings(chosen.choice),
+            slacks(chosen.choice),
             influences(app, chosen.models, chosen.predicted.ground, chosen.choice),
-            most_worth(app, chosen.predicted, failed, usd) if len(offers) else None,
+            best_next_sample(app, chosen.predicted, failed, usd) if len(offers) else None,
         )
 
 
-def explain(compiled: Compiled) -> str:
+def explain(compiled: Artifacts) -> str:
     """The explanation of a measured application, infeasible ones included; of an unmeasured one, its plan."""
     if compiled.chosen is None:
         return _unmeasured(compiled)
@@ -68,7 +68,7 @@ def explain(compiled: Compiled) -> str:
     return "\n".join(lines)
 
 
-def facts(compiled: Compiled) -> dict[str, Any]:
+def facts(compiled: Artifacts) -> dict[str, Any]:
     """The same for programs."""
     found: dict[str, Any] = {"name": compiled.layout.name, "stale": compiled.stale, "funnel": _funnel_facts(compiled)}
     if compiled.chosen is None:
@@ -88,7 +88,7 @@ def facts(compiled: Compiled) -> dict[str, Any]:
         "limits": [_binding_facts(b) for b in worked.bindings],
         "samples": [asdict(one) for one in worked.influences],
         "weak": [
-            {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in weak_spots(choice)
+            {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in widest_intervals(choice)
         ],
         "next_sample": None if worked.next is None else {
             "infra": choice.offers.offer(worked.next.row).infra, "instance": str(choice.offers.instance[worked.next.row]),
@@ -99,7 +99,7 @@ def facts(compiled: Compiled) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _binding_facts(b: Binding) -> dict[str, Any]:
+def _binding_facts(b: Slack) -> dict[str, Any]:
     return {
         "limit": b.limit, "bound": limit_text(b.limit, b.bound), "value": limit_text(b.limit, b.value),
         "needs": limit_text(b.limit, b.needs), "rules_out_alone": b.rules_out_alone, "changes_to": b.changes_to,
@@ -140,18 +140,18 @@ def _infeasible(choice: Choice) -> list[str]:
     ]
 
 
-def _funnel(compiled: Compiled) -> str:
+def _funnel(compiled: Artifacts) -> str:
     assert compiled.chosen is not None
     body = compiled.chosen.menu.spec
     return f"{compiled.admissible.funnel.line()} -> {body.predicted:,} predicted -> {body.meet:,} meet all limits"
 
 
-def _funnel_facts(compiled: Compiled) -> list[dict[str, Any]]:
+def _funnel_facts(compiled: Artifacts) -> list[dict[str, Any]]:
     funnel = compiled.admissible.funnel
     return [{"filter": f.name, "removed": f.removed, "left": f.left} for f in funnel.filters]
 
 
-def _binding_words(binding: Binding) -> str:
+def _binding_words(binding: Slack) -> str:
     name = binding.limit
     room = (1 - binding.value / binding.bound) if binding.bound else 0.0
     words = f"{name}: {limit_text(name, binding.value)} of at most {limit_text(name, binding.bound)}, {room:.0%} room"
@@ -164,14 +164,14 @@ def _binding_words(binding: Binding) -> str:
     return words
 
 
-def _model(compiled: Compiled, found: Analysis) -> list[str]:
+def _model(compiled: Artifacts, found: Analysis) -> list[str]:
     assert compiled.chosen is not None
     choice, body = compiled.chosen.choice, compiled.chosen.models.spec
     lines = []
     if not body.measured_on_local:
         beside = f" and machine library {body.predictor.priors}" if body.predictor.priors else ""
         lines.append(f"  surrogate on {len(body.known)} samples{beside}{_foretold(found.influences)}")
-    for one in weak_spots(choice):
+    for one in widest_intervals(choice):
         interval = choice.latency.interval(one.row, LEVEL) or (0.0, 0.0)
         low, high = (units.format_duration(rounded(end)) for end in interval)
         lines.append(f"  weak: {choice.offers.instance[one.row]} [{low}, {high}], a factor of {one.ratio:.2f}")
@@ -195,7 +195,7 @@ def _influence_words(one: Influence) -> str:
     return f"{one.id}: {change}; predictions move by {one.moves:.1%} (median)"
 
 
-def _next_words(choice: Choice, found: Next | None, local: bool) -> str:
+def _next_words(choice: Choice, found: NextSample | None, local: bool) -> str:
     if local:
         return "any machine of the catalog: shapes of one host do not tell how fast its machines are"
     if found is None:
@@ -226,13 +226,13 @@ def _model_words(model: Model) -> str:
     return f"{model.target}{beside} = {model.formula}, {values}; c = vCPUs, m = GiB; {model.n} samples: {error}{r2}"
 
 
-def _others(compiled: Compiled) -> list[str]:
+def _others(compiled: Artifacts) -> list[str]:
     assert compiled.chosen is not None
     chosen = compiled.chosen
     if chosen.manifest is None:
         nearest = chosen.choice.nearest
         return [] if nearest is None else [f"  nearest   {entry_words(entry_of(chosen.choice, nearest))}"]
-    rows = stand_outs(chosen.choice)
+    rows = shortlist(chosen.choice)
     return [
         f"  {a.role:<9} {a.instance} in {a.infra}, {units.format_price(a.price)}: {units.format_duration(a.latency)}, "
         f"{units.format_cost(a.cost)}; {a.why_not}{_rival(compiled, rows[a.role])}"
@@ -240,7 +240,7 @@ def _others(compiled: Compiled) -> list[str]:
     ]
 
 
-def _rival(compiled: Compiled, row: int) -> str:
+def _rival(compiled: Artifacts, row: int) -> str:
     """On which part of the objective a machine that meets the limits lost, and how probably it is better after all."""
     assert compiled.chosen is not None
     choice, app = compiled.chosen.choice, compiled.application
@@ -252,7 +252,7 @@ def _rival(compiled: Compiled, row: int) -> str:
     return f" ({words})" + ("" if better is None else f"; better after all with probability {better:.2f}")
 
 
-def _unmeasured(compiled: Compiled) -> str:
+def _unmeasured(compiled: Artifacts) -> str:
     lines = [
         f"{compiled.layout.name}: {compiled.stale or 'not measured yet'}",
         f"funnel    {compiled.admissible.funnel.line()}",

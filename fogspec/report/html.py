@@ -14,7 +14,7 @@ from fogspec import __version__
 from fogspec.base import units
 from fogspec.base.templates import render, shipped
 from fogspec.choice.choose import HOURS_PER_MONTH
-from fogspec.compile.compiler import Compiled
+from fogspec.compile.compiler import Artifacts
 from fogspec.report.explain import explain
 from fogspec.report.page_data import menu_data
 from fogspec.report.page_tables import curve_rows, measured_table, planned_table, residual_rows
@@ -26,7 +26,7 @@ SECTIONS = {
 }  # fmt: skip
 
 
-def page(compiled: Compiled, spec_text: str, command: str, menu_command: str) -> bytes:
+def page(compiled: Artifacts, spec_text: str, command: str, menu_command: str) -> bytes:
     """The page; `command` makes it again, `menu_command` is what the sliders' answers can be compared with."""
     chosen, results = compiled.chosen, compiled.results
     data = None
@@ -50,7 +50,7 @@ def page(compiled: Compiled, spec_text: str, command: str, menu_command: str) ->
     ).encode()  # fmt: skip
 
 
-def _lead(compiled: Compiled) -> str:
+def _lead(compiled: Artifacts) -> str:
     if compiled.chosen is None:
         return f"{compiled.stale or 'not measured yet'}: there is no menu"
     body = compiled.chosen.menu.spec
@@ -59,7 +59,7 @@ def _lead(compiled: Compiled) -> str:
     return f"Chosen: {entry_words(body.balanced)}; {body.objective}"
 
 
-def _x_words(compiled: Compiled) -> str:
+def _x_words(compiled: Artifacts) -> str:
     spec = compiled.application.spec
     return spec.objective.metric or f"{spec.constraints.statistic} latency"
 
@@ -85,12 +85,12 @@ def _json(data: Mapping[str, Any]) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def _image(compiled: Compiled, path: Any) -> str:
+def _image(compiled: Artifacts, path: Any) -> str:
     content = compiled.files.get(path)
     return "" if content is None else "data:image/svg+xml;base64," + base64.b64encode(content).decode()
 
 
-def _funnel(compiled: Compiled) -> list[tuple[str, str, str]]:
+def _funnel(compiled: Artifacts) -> list[tuple[str, str, str]]:
     funnel = compiled.admissible.funnel
     rows = [("on offer", "", f"{funnel.offered:,}")]
     rows += [(one.name, f"{one.removed:,}", f"{one.left:,}") for one in funnel.filters]
@@ -101,7 +101,7 @@ def _funnel(compiled: Compiled) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _models(compiled: Compiled) -> dict[str, Any] | None:
+def _models(compiled: Artifacts) -> dict[str, Any] | None:
     if compiled.chosen is None:
         return None
     models = compiled.chosen.models
@@ -114,7 +114,7 @@ def _models(compiled: Compiled) -> dict[str, Any] | None:
     return {"words": words, "curves": curve_rows(models), "residuals": residual_rows(compiled)}
 
 
-def _costs(compiled: Compiled) -> list[tuple[str, str]]:
+def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
     body, results = compiled.plan.spec, compiled.results
     rows = [
         ("measuring, at most", units.format_money(body.estimate.measuring)),
@@ -131,7 +131,7 @@ def _costs(compiled: Compiled) -> list[tuple[str, str]]:
     return rows
 
 
-def _provenance(compiled: Compiled) -> dict[str, Any]:
+def _provenance(compiled: Artifacts) -> dict[str, Any]:
     if compiled.chosen is not None and compiled.chosen.manifest is not None:
         return compiled.chosen.manifest.model_dump(mode="json")["provenance"]  # type: ignore[no-any-return]
     found = compiled.plan.model_dump(mode="json")["spec"]

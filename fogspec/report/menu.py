@@ -5,18 +5,18 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.base import units
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import Layout
-from fogspec.catalog.filters import admit
+from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.table import Catalog
 from fogspec.charts.drawing import menu_chart
 from fogspec.charts.terminal import plot
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import Entry, Menu, make_menu
-from fogspec.compile.decision import decide, warnings_of
+from fogspec.compile.decision import decide, warnings_for
 from fogspec.model.fit import fit, targets
 from fogspec.model.predict import predict
-from fogspec.model.priors import locked_library
+from fogspec.model.priors import locked_priors
 from fogspec.numerics.priors import Library
 from fogspec.report.summary import entry_words, no_words
 from fogspec.results.io import read_results
@@ -28,7 +28,7 @@ NO_LIMIT = "none"
 
 
 @dataclass(frozen=True, slots=True)
-class Served:
+class MenuView:
     """A menu, and the choice that it says."""
 
     application: Application
@@ -42,7 +42,7 @@ class Served:
         return "\n".join(plot(menu_chart(self.application, self.choice, []), width, color))
 
 
-def menu_of(
+def menu_view(
     application: Application,
     path: str | Path,
     catalog: Catalog,
@@ -50,20 +50,20 @@ def menu_of(
     latency: str | None,
     cost: str | None,
     library: Library | None = None,
-) -> Served:
-    """The menu of a measured application under other limits; raises Differs when it was not measured, UnitError."""
+) -> MenuView:
+    """The menu of a measured application under other limits; raises OutOfDate when it was not measured, UnitError."""
     layout = Layout.of(path, application.metadata.name)
     results = read_results(layout)
     if results is None or results.spec.application != fingerprints.measured_digest(application):
         what = "was not measured yet" if results is None else "has changed since it was measured"
-        raise Differs(f"{layout.name} {what}: there is no menu", f"fogspec bench {layout.spec}")
+        raise OutOfDate(f"{layout.name} {what}: there is no menu", f"fogspec bench {layout.spec}")
     application = changed(application, alpha, latency, cost)
-    library = library or locked_library(layout, read_pins(layout))
+    library = library or locked_priors(layout, read_pins(layout))
     models = fit(application, results, library.digest if library else None)
-    offers = admit(catalog, application.spec.hardware, application.spec.infra).offers
+    offers = filter_offers(catalog, application.spec.hardware, application.spec.infra).offers
     choice, _ = decide(application, models, predict(models, offers, targets(application), catalog, library))
-    menu = make_menu(application, choice, warnings_of(application, models, choice))
-    return Served(application, choice, menu)
+    menu = make_menu(application, choice, warnings_for(application, models, choice))
+    return MenuView(application, choice, menu)
 
 
 def changed(application: Application, alpha: float | None, latency: str | None, cost: str | None) -> Application:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Floats
-from fogspec.choice.choose import Choice, floors, latency_needed
+from fogspec.choice.choose import Choice, levels, required_latency
 from fogspec.choice.menu import LEVEL
 from fogspec.numerics import select
 from fogspec.spec.schema import Application
@@ -31,7 +31,7 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
     `faint` are points of offers that are not there, for the picture.
     """
     spec, costs = application.spec, Costs.of(application.spec, choice.offers.price_usd_per_hour, choice.offers.spot)
-    needed, needs = _needed(choice), choice.needs(floors(choice.confidence)[-1])
+    needed, needs = _needed(choice), choice.needs(levels(choice.confidence)[-1])
     types = cheapest_of_types(choice, costs)
     rows = types if len(types) <= MOST else undominated(choice, costs, needed, types)
     offers = choice.offers
@@ -43,7 +43,7 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
         "name": application.metadata.name, "alpha": spec.objective.alpha, "statistic": spec.constraints.statistic,
         "metric": metric, "unit": (spec.metrics[metric].unit or "") if metric else "s", "level": LEVEL,
         "limits": {"latency": spec.constraints.latency, "cost": spec.constraints.cost},
-        "network": spec.constraints.network, "confidence": choice.confidence, "floors": list(floors(choice.confidence)),
+        "network": spec.constraints.network, "confidence": choice.confidence, "floors": list(levels(choice.confidence)),
         "probabilities": choice.latency.posterior is not None, "adaptive": spec.benchmark.sampler == "adaptive",
         "tie": select.TIE, "relaxed": spec.objective.method == "relaxed",
         "scale": {
@@ -79,7 +79,7 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
 def _needed(choice: Choice) -> list[Floats]:
     if choice.latency.posterior is None:
         return []
-    return [latency_needed(choice.latency, choice.metrics, choice.bounds, one) for one in floors(choice.confidence)]
+    return [required_latency(choice.latency, choice.metrics, choice.bounds, one) for one in levels(choice.confidence)]
 
 
 def cheapest_of_types(choice: Choice, costs: Costs) -> Rows:
@@ -109,7 +109,7 @@ def undominated(choice: Choice, costs: Costs, needed: list[Floats], rows: Rows) 
     measured = choice.latency.measured[rows]
     columns = [choice.x, choice.latency.value, choice.cost_usd_per_request, costs.usd_per_s,
                choice.offers.price_usd_per_hour, *needed, choice.latency_needs, *choice.values.values(),
-               *choice.needs(floors(choice.confidence)[-1]).values()]  # fmt: skip
+               *choice.needs(levels(choice.confidence)[-1]).values()]  # fmt: skip
     table = np.column_stack([column[rows] for column in columns])
     names = choice.offers.instance[rows].tolist()
     order = sorted(range(len(rows)), key=lambda i: (*table[i, [2, 1]].tolist(), names[i], int(rows[i])))

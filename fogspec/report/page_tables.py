@@ -8,8 +8,8 @@ import numpy as np
 
 from fogspec.base import units
 from fogspec.choice.menu import LEVEL, rounded
-from fogspec.compile.compiler import Compiled
-from fogspec.model.fit import Known, Models
+from fogspec.compile.compiler import Artifacts
+from fogspec.model.fit import Models, Observation
 from fogspec.model.predict import shape_of
 from fogspec.numerics import curves
 from fogspec.plan.schema import MachineRef, Plan
@@ -81,7 +81,7 @@ def curve_rows(models: Models) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
-def residual_rows(compiled: Compiled) -> Sequence[tuple[str, ...]]:
+def residual_rows(compiled: Artifacts) -> Sequence[tuple[str, ...]]:
     """For each sample what its curve says, and what the surrogate predicts from all the others."""
     assert compiled.chosen is not None
     models = compiled.chosen.models
@@ -100,7 +100,7 @@ def residual_rows(compiled: Compiled) -> Sequence[tuple[str, ...]]:
     return rows
 
 
-def _without(compiled: Compiled, one: Known) -> tuple[str, str, str]:
+def _without(compiled: Artifacts, one: Observation) -> tuple[str, str, str]:
     """What all other samples say of a sample's machine: prediction, interval, and how far off it is."""
     assert compiled.chosen is not None
     ground, body = compiled.chosen.predicted.ground, compiled.chosen.models.spec

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base import units
-from fogspec.compile.compiler import Compiled, money
+from fogspec.compile.compiler import Artifacts, money
 
 if TYPE_CHECKING:
     from fogspec.choice.menu import Entry, Menu
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 NOTES = 3
 
 
-def summary(compiled: Compiled) -> str:
+def summary(compiled: Artifacts) -> str:
     """The compiled application in a few lines."""
     layout, body = compiled.layout, compiled.plan.spec
     catalog = body.catalog
@@ -48,7 +48,7 @@ def _row(name: str, what: str, words: str) -> str:
     return f"  {name:<9} {what}: {words}" if what else f"  {name:<9} {words}"
 
 
-def _plan_words(compiled: Compiled) -> str:
+def _plan_words(compiled: Artifacts) -> str:
     body = compiled.plan.spec
     estimate = body.estimate
     count = f"{len(body.samples)} samples"
@@ -64,7 +64,7 @@ def _plan_words(compiled: Compiled) -> str:
     )
 
 
-def _unmeasured(compiled: Compiled) -> list[str]:
+def _unmeasured(compiled: Artifacts) -> list[str]:
     layout = compiled.layout
     local = all(sample.machine.infra == "local" for sample in compiled.plan.spec.samples)
     runner = " --runner local" if local else ""
@@ -113,7 +113,7 @@ def no_words(menu: "Menu") -> list[str]:
     return lines
 
 
-def facts(compiled: Compiled) -> dict[str, Any]:
+def facts(compiled: Artifacts) -> dict[str, Any]:
     """The same for programs."""
     layout, body = compiled.layout, compiled.plan.spec
     chosen = compiled.chosen

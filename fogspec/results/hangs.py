@@ -10,7 +10,7 @@ PAUSES = 3.0
 LEAST_S = 1.0  # a busy machine and the agent's own looks make pauses too
 
 
-def hanging(
+def detect_hang(
     requests: Sequence[Request], waited_s: float | None, timeout_s: float | None, valid: float
 ) -> tuple[str | None, bool]:
     """What a record says of it, None where nothing hangs, and whether it is tolerable: at most the share of the time that

@@ -14,8 +14,8 @@ Reason = Literal[
 ]
 StoppedBy = Literal["steps", "time", "precision", "exit", "size", "startup", "signal"]
 # Nothing that a second try could change came of these, or nobody had the chance to try.
-UNFINISHED = {"quota", "capacity", "interrupted", "budget"}
-NOT_TO_BE_HAD = {"quota", "capacity"}
+RETRYABLE = {"quota", "capacity", "interrupted", "budget"}
+UNAVAILABLE = {"quota", "capacity"}
 
 
 class LatencySummary(Strict):
@@ -101,47 +101,47 @@ class Results(Strict):
     integrity: str
 
 
-def sealed(metadata: PlanMetadata, body: ResultsBody) -> Results:
+def with_checksum(metadata: PlanMetadata, body: ResultsBody) -> Results:
     """The results with their seal."""
-    return Results(metadata=metadata, spec=body, integrity=_seal(metadata, body))
+    return Results(metadata=metadata, spec=body, integrity=_checksum(metadata, body))
 
 
-def intact(results: Results) -> bool:
+def checksum_ok(results: Results) -> bool:
     """Whether the seal is that of the content."""
-    return results.integrity == _seal(results.metadata, results.spec)
+    return results.integrity == _checksum(results.metadata, results.spec)
 
 
-def finished(record: Measured) -> bool:
+def is_final(record: Measured) -> bool:
     """Whether a sample need not be measured again: measured, or failed for a reason of its own."""
-    return record.state != "failed" or record.reason not in UNFINISHED
+    return record.state != "failed" or record.reason not in RETRYABLE
 
 
-def done(results: Results | None) -> frozenset[str]:
+def completed(results: Results | None) -> frozenset[str]:
     """The ids of samples that need not be measured again: finished, or another machine took their place.
 
     An adaptive campaign goes elsewhere when a machine is not to be had, and does not come back once it has.
     """
     if results is None:
         return frozenset()
-    given_up = _given_up(results.spec)
-    ended = [one for one in results.spec.samples if finished(one) or one.id in given_up]
+    given_up = _is_abandoned(results.spec)
+    ended = [one for one in results.spec.samples if is_final(one) or one.id in given_up]
     return frozenset(name for one in ended for name in (one.id, one.instead_of) if name is not None)
 
 
-def _given_up(body: ResultsBody) -> set[str]:
+def _is_abandoned(body: ResultsBody) -> set[str]:
     """Samples that were not to be had, of waves after which another was asked for, or none, if any was measured."""
     sampling = body.sampling
     if sampling is None or not any(one.state == "ok" for one in body.samples):
         return set()
     before = sampling.waves if sampling.ended is not None else sampling.waves[:-1]
     asked = {sample.id for wave in before for sample in wave.samples}
-    return {one.id for one in body.samples if one.reason in NOT_TO_BE_HAD and (one.instead_of or one.id) in asked}
+    return {one.id for one in body.samples if one.reason in UNAVAILABLE and (one.instead_of or one.id) in asked}
 
 
 LATER = ("instead_of", "stopped_by", "setup", "measuring", "service", "lost", "unmatched")
 
 
-def _seal(metadata: PlanMetadata, body: ResultsBody) -> str:
+def _checksum(metadata: PlanMetadata, body: ResultsBody) -> str:
     """What a field that came later says when it says nothing is left out: older files keep their seal."""
     content = body.model_dump(mode="json")
     for part, names in (

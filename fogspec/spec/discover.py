@@ -4,20 +4,22 @@ import glob
 import os
 from collections.abc import Sequence
 
-from fogspec.base.errors import WrongFile
+from fogspec.base.errors import InvalidInput
 from fogspec.base.regular import read_file
-from fogspec.spec.loader import examine
+from fogspec.spec.loader import check_file
 
 
 def find_specs(arguments: Sequence[str] = ()) -> list[str]:
     """The files named, those in folders (`*.yaml`, `*.yml`, at any depth), and those that patterns match, each once.
 
     A bare word that is no file is the name of an application in specs/. Without arguments those in specs/. In a folder,
-    hidden files, files without a word of fogspec, and files that fogspec wrote are left out. Raises WrongFile when an
+    hidden files, files without a word of fogspec, and files that fogspec wrote are left out. Raises InvalidInput when an
     argument leads to nothing.
     """
     if not arguments and not os.path.isdir("specs"):
-        raise WrongFile("there is no folder specs here", "name files, folders or patterns, or begin with: fogspec init")
+        raise InvalidInput(
+            "there is no folder specs here", "name files, folders or patterns, or begin with: fogspec init"
+        )
     found: dict[str, None] = {}
     for argument in arguments or ("specs",):
         if os.path.isdir(argument):
@@ -29,7 +31,7 @@ def find_specs(arguments: Sequence[str] = ()) -> list[str]:
         else:
             here, nothing = [spec_of(argument) or argument], ""
         if not here:
-            raise WrongFile(f"{argument} {nothing}", "name a file, a folder or a pattern, such as specs/*.yaml")
+            raise InvalidInput(f"{argument} {nothing}", "name a file, a folder or a pattern, such as specs/*.yaml")
         found |= dict.fromkeys(os.path.normpath(path) for path in here)
     return list(found)
 
@@ -45,7 +47,7 @@ def spec_of(name: str) -> str | None:
         return None
     guess = os.path.join("specs", f"{name}.yaml")
     for path in sorted(_specs_in("specs"), key=lambda path: path != guess):
-        if any(one.application.metadata.name == name for one in examine([path])[0]):
+        if any(one.application.metadata.name == name for one in check_file([path])[0]):
             return path
     return guess if os.path.exists(guess) else None  # wrong in a way that hides its name: whoever loads it says how
 

@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from fogspec.base.diagnostics import Diagnostic, Place
+from fogspec.base.diagnostics import Diagnostic, Span
 from fogspec.base.regular import read_file
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import Node
@@ -15,7 +15,7 @@ MISSING = ("FS302", "FS501", "FS503", "FS512", "FS522")
 
 
 @dataclass
-class Texts:
+class SourceMap:
     """The lines of every file that was read, so that a diagnostic can show them."""
 
     lines: dict[str, list[str]] = field(default_factory=dict)
@@ -31,7 +31,7 @@ class Texts:
             found, key=lambda one: (_rank(files, one.place.path), one.place.line, one.place.column, one.severity)
         )
 
-    def line(self, place: Place) -> str | None:
+    def line(self, place: Span) -> str | None:
         """The line that a place is on, where its file was read."""
         lines = self.lines.get(place.path, [])
         return lines[place.line - 1] if 0 < place.line <= len(lines) else None
@@ -50,32 +50,32 @@ class Texts:
         if one.code not in MISSING or not lines or not lines[-1]:
             return one
         last = self.last_line(one.place.path)
-        place = Place(one.place.path, last, 1, len(lines[last - 1]))
+        place = Span(one.place.path, last, 1, len(lines[last - 1]))
         return dataclasses.replace(
             one, place=place, fix=f"{one.fix}; the file ends here without a line feed: was it cut?"
         )
 
 
 def documents_of(
-    path: str | os.PathLike[str], texts: Texts, wrong: list[Diagnostic], most_bytes: int = reader.MOST_BYTES
+    path: str | os.PathLike[str], texts: SourceMap, wrong: list[Diagnostic], most_bytes: int = reader.MOST_BYTES
 ) -> tuple[list[Node], bool]:
     """The documents of a file, and whether the file could be read to its end."""
     name = os.fspath(path)
     if name in texts.lines:
-        wrong.append(Diagnostic("FS101", "the file must be named only once", Place(name, 1, 1)))
+        wrong.append(Diagnostic("FS101", "the file must be named only once", Span(name, 1, 1)))
         return [], False
     texts.lines[name] = []
     try:
         content = read_file(path, most_bytes + 1)
     except OSError as problem:
         message = f"the file cannot be read: {(problem.strerror or str(problem)).lower()}"
-        wrong.append(Diagnostic("FS101", message, Place(name, 1, 1)))
+        wrong.append(Diagnostic("FS101", message, Span(name, 1, 1)))
         return [], False
     return documents_in(content, name, texts, wrong, most_bytes)
 
 
 def documents_in(
-    content: bytes, name: str, texts: Texts, wrong: list[Diagnostic], most_bytes: int = reader.MOST_BYTES
+    content: bytes, name: str, texts: SourceMap, wrong: list[Diagnostic], most_bytes: int = reader.MOST_BYTES
 ) -> tuple[list[Node], bool]:
     """The documents of a file's bytes, and whether they could be read to their end."""
     text, problems = reader.decode(content, name, most_bytes)

@@ -5,7 +5,7 @@ from typing import Any, Literal, get_args, get_origin
 from fogspec.base.diagnostics import Diagnostic
 from fogspec.base.quantities import Strict
 from fogspec.base.units import UnitError
-from fogspec.base.yaml.positions import Node, Path, dotted, find, place_of
+from fogspec.base.yaml.positions import Node, Path, dotted, find, span_of
 from fogspec.spec.introspect import annotation_at, part
 from fogspec.spec.suggest import closest
 
@@ -19,7 +19,7 @@ KINDS = {"string_type": "a text", "int_type": "a whole number", "int_from_float"
 def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
     """The diagnostic for one of pydantic's errors at `path`, in the document under `node`."""
     kind, context = error["type"], error.get("ctx", {})
-    name, place = dotted(path) or "the document", place_of(node, path)
+    name, place = dotted(path) or "the document", span_of(node, path)
     found = find(node, path)
     if kind == "missing":
         return Diagnostic("FS302", f"{name} is missing", place, f"add '{path[-1]}: …'")

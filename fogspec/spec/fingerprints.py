@@ -55,7 +55,7 @@ def measured_fields(application: Application) -> dict[str, str]:
     return {name: digest.of_value(value)[7:19] for name, value in measured_part(application).items()}
 
 
-def other_pins(measured: Mapping[str, str] | None, now: Mapping[str, str]) -> list[str]:
+def changed_pins(measured: Mapping[str, str] | None, now: Mapping[str, str]) -> list[str]:
     """What was pinned when it was measured, and is pinned to something else now: what was not pinned is not known."""
     return sorted(name for name, one in (measured or {}).items() if now.get(name, one) != one)
 

@@ -7,7 +7,7 @@ from fogspec.spec.schema import Node, Spec
 
 
 @dataclass(frozen=True, slots=True)
-class Exposed:
+class AllowedNames:
     """Full ROS 2 names, sorted. `names` are remapping targets, of which a spec does not say what they are."""
 
     topics: tuple[str, ...]
@@ -16,7 +16,7 @@ class Exposed:
     names: tuple[str, ...]
 
 
-def exposed(spec: Spec) -> Exposed:
+def exposed(spec: Spec) -> AllowedNames:
     """What the spec's probe, metrics, connectivity and the remappings of its cloud nodes name.
 
     A name that is relative to a node's own (`~`) or has a substitution in it is left out: rules refuse those that
@@ -25,24 +25,24 @@ def exposed(spec: Spec) -> Exposed:
     probe, listed = spec.probe, spec.connectivity
     topics = [probe.request, probe.response, *(metric.topic for metric in spec.metrics.values()), *listed.topics]
     services, actions = [probe.service, *listed.services], [probe.action, *listed.actions]
-    known = Exposed(_full(topics), _full(services), _full(actions), ())
+    known = AllowedNames(_full(topics), _full(services), _full(actions), ())
     said = {*known.topics, *known.services, *known.actions}
     names = {target for node in spec.cloud for target in _targets(node)}
-    return Exposed(known.topics, known.services, known.actions, tuple(sorted(names - said)))
+    return AllowedNames(known.topics, known.services, known.actions, tuple(sorted(names - said)))
 
 
 def _targets(node: Node) -> Iterator[str]:
     for new in node.remappings.values():
-        name = resolved(new, node.namespace or "", node.name)
+        name = resolve(new, node.namespace or "", node.name)
         if name is not None:
             yield name
 
 
 def _full(names: Sequence[str | None]) -> tuple[str, ...]:
-    return tuple(sorted({full for name in names if name and (full := resolved(name)) is not None}))
+    return tuple(sorted({full for name in names if name and (full := resolve(name)) is not None}))
 
 
-def resolved(name: str, namespace: str = "", node: str | None = None) -> str | None:
+def resolve(name: str, namespace: str = "", node: str | None = None) -> str | None:
     """The full name that ROS 2 makes of a name in a node's words; None where only running the node would tell."""
     space = "/" + namespace.strip("/") if namespace.strip("/") else ""
     if name.startswith("~"):

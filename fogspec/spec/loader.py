@@ -8,15 +8,15 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from fogspec.base.diagnostics import Diagnostic, Place, Problems
-from fogspec.base.errors import WrongFile
-from fogspec.base.yaml.positions import Node, key_place, place_of, places, plain
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
+from fogspec.base.errors import InvalidInput
+from fogspec.base.yaml.positions import Node, key_span, places, plain, span_of
 from fogspec.base.yaml.positions import Path as Steps
 from fogspec.spec import rules
-from fogspec.spec.documents import Texts, documents_in, documents_of
+from fogspec.spec.documents import SourceMap, documents_in, documents_of
 from fogspec.spec.overlays import merge
 from fogspec.spec.schema import Application
-from fogspec.spec.validate import Checked, check
+from fogspec.spec.validate import Validation, validate
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -35,11 +35,11 @@ class LoadedSpec:
     path: str
     document: int
     node: Node
-    texts: Texts
+    texts: SourceMap
     warnings: tuple[Diagnostic, ...]
 
     @property
-    def places(self) -> dict[Steps, Place]:
+    def places(self) -> dict[Steps, Span]:
         """What to underline for every path in the document."""
         return places(self.node)
 
@@ -47,52 +47,55 @@ class LoadedSpec:
         self, code: str, path: Steps, message: str, fix: str | None = None, *, at_key: bool = False
     ) -> Diagnostic:
         """A mistake at a path of this document, found later than when it was read."""
-        place = (key_place(self.node, path) if at_key else None) or place_of(self.node, path)
+        place = (key_span(self.node, path) if at_key else None) or span_of(self.node, path)
         return self.texts.shown([Diagnostic(code, message, place, fix)])[0]
 
 
 def load(paths: Sequence[str | os.PathLike[str]], overlays: Sequence[str | os.PathLike[str]] = ()) -> list[LoadedSpec]:
     """All applications of the files, each merged with the overlays.
 
-    Raises Problems with every mistake in any of the files.
+    Raises DiagnosticError with every mistake in any of the files.
     """
-    found, wrong = examine(paths, overlays)
+    found, wrong = check_file(paths, overlays)
     if any(one.severity == "error" for one in wrong):
-        raise Problems(wrong)
+        raise DiagnosticError(wrong)
     return found
 
 
-def examine(
+def check_file(
     paths: Sequence[str | os.PathLike[str]], overlays: Sequence[str | os.PathLike[str]] = ()
 ) -> tuple[list[LoadedSpec], list[Diagnostic]]:
     """The applications that are right, and every mistake and warning about those that are not."""
-    texts, wrong = Texts(), list[Diagnostic]()
+    texts, wrong = SourceMap(), list[Diagnostic]()
     layers = [documents_of(path, texts, wrong)[0] for path in overlays]
     files = [(os.fspath(path), *documents_of(path, texts, wrong)) for path in paths]
-    return _examined(files, layers, texts, wrong)
+    return _checked(files, layers, texts, wrong)
 
 
-def examine_text(content: bytes, path: str) -> tuple[list[LoadedSpec], list[Diagnostic]]:
+def check_text(content: bytes, path: str) -> tuple[list[LoadedSpec], list[Diagnostic]]:
     """The same of a file's content that is not, or not yet, at `path`."""
-    texts, wrong = Texts(), list[Diagnostic]()
-    return _examined([(path, *documents_in(content, path, texts, wrong))], [], texts, wrong)
+    texts, wrong = SourceMap(), list[Diagnostic]()
+    return _checked([(path, *documents_in(content, path, texts, wrong))], [], texts, wrong)
 
 
-def _examined(
-    files: Sequence[tuple[str, list[Node], bool]], layers: Sequence[list[Node]], texts: Texts, wrong: list[Diagnostic]
+def _checked(
+    files: Sequence[tuple[str, list[Node], bool]],
+    layers: Sequence[list[Node]],
+    texts: SourceMap,
+    wrong: list[Diagnostic],
 ) -> tuple[list[LoadedSpec], list[Diagnostic]]:
-    found: list[tuple[str, int, Node, Checked[Application]]] = []
+    found: list[tuple[str, int, Node, Validation[Application]]] = []
     refused = {one.place for one in wrong}
     for path, nodes, clean in files:
         if not nodes and clean:
-            wrong.append(Diagnostic("FS114", "the file must have a document", Place(path, texts.last_line(path), 1)))
+            wrong.append(Diagnostic("FS114", "the file must have a document", Span(path, texts.last_line(path), 1)))
         for index, node in enumerate(nodes):
             merged = merge(node, layers)
-            checked = check(Application, merged)
-            said = [one for one in (*checked.wrong, *rules.judge(checked)) if one.place not in refused]
+            checked = validate(Application, merged)
+            said = [one for one in (*checked.wrong, *rules.run_rules(checked)) if one.place not in refused]
             wrong.extend(texts.at_the_cut(said) if index == len(nodes) - 1 else said)
             found.append((path, index, merged, checked))
-    wrong.extend(rules.judge_together([(node, checked) for _, _, node, checked in found]))
+    wrong.extend(rules.run_rules_together([(node, checked) for _, _, node, checked in found]))
     shown = texts.shown(wrong)
     warnings = [one for one in shown if one.severity == "warning"]
     loaded = [
@@ -106,43 +109,43 @@ def _examined(
 def read_document(path: str | os.PathLike[str], model: type[M]) -> M:
     """One of fogspec's own files, such as a plan or results.
 
-    Raises Problems when it was edited or cut short, WrongFile when it is not there.
+    Raises DiagnosticError when it was edited or cut short, InvalidInput when it is not there.
     """
-    name, texts, wrong = os.fspath(path), Texts(), list[Diagnostic]()
+    name, texts, wrong = os.fspath(path), SourceMap(), list[Diagnostic]()
     if not os.path.lexists(path):
-        raise WrongFile(f"{name}: there is no such file")
+        raise InvalidInput(f"{name}: there is no such file")
     nodes, clean = documents_of(path, texts, wrong, MOST_BYTES_OF_OUR_OWN)
     if clean and len(nodes) != 1:
-        wrong.append(Diagnostic("FS701", "the file must have one document", Place(name, 1, 1)))
-    checked = check(model, nodes[0], strict=False) if clean and len(nodes) == 1 else None
+        wrong.append(Diagnostic("FS701", "the file must have one document", Span(name, 1, 1)))
+    checked = validate(model, nodes[0], strict=False) if clean and len(nodes) == 1 else None
     wrong.extend(checked.wrong if checked else [])
     if checked is None or checked.value is None:
-        raise Problems(texts.shown(_remade(one, texts) for one in wrong))
+        raise DiagnosticError(texts.shown(_recompiled(one, texts) for one in wrong))
     return checked.value
 
 
-def read_nodes(path: str | os.PathLike[str], content: bytes | None = None) -> tuple[list[Node], Texts]:
-    """The documents of a file as trees, right or wrong; raises Problems when it is no YAML.
+def read_nodes(path: str | os.PathLike[str], content: bytes | None = None) -> tuple[list[Node], SourceMap]:
+    """The documents of a file as trees, right or wrong; raises DiagnosticError when it is no YAML.
 
     `content` is what the file will be, where that is not what it is.
     """
-    texts, wrong = Texts(), list[Diagnostic]()
+    texts, wrong = SourceMap(), list[Diagnostic]()
     if content is None:
         nodes, clean = documents_of(path, texts, wrong)
     else:
         nodes, clean = documents_in(content, os.fspath(path), texts, wrong)
     if not clean:
-        raise Problems(texts.shown(wrong))
+        raise DiagnosticError(texts.shown(wrong))
     return nodes, texts
 
 
 def read_plain(path: str | os.PathLike[str], content: bytes | None = None) -> Any:
-    """The first document of a file in plain values, None where there is none; raises Problems when it is no YAML."""
+    """The first document of a file in plain values, None where there is none; raises DiagnosticError when it is no YAML."""
     nodes, _ = read_nodes(path, content)
     return plain(nodes[0]) if nodes else None
 
 
-def _remade(one: Diagnostic, texts: Texts) -> Diagnostic:
+def _recompiled(one: Diagnostic, texts: SourceMap) -> Diagnostic:
     """The diagnostic of a generated file: it is mended by making the file again, not by hand."""
     first = next(iter(texts.lines.get(one.place.path, [])), "")
     command = first.partition("Make it again: ")[2].strip()

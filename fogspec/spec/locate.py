@@ -4,19 +4,19 @@ import os
 import re
 from collections.abc import Sequence
 
-from fogspec.base.diagnostics import Place
+from fogspec.base.diagnostics import Span
 from fogspec.base.yaml.positions import dotted
 from fogspec.spec.loader import read_nodes
 
 
-def where_set(spec: str | os.PathLike[str], fields: Sequence[str]) -> dict[str, list[tuple[Place, str]]]:
+def locate(spec: str | os.PathLike[str], fields: Sequence[str]) -> dict[str, list[tuple[Span, str]]]:
     """For each field that the file sets: the places, with the source lines.
 
-    The file need not be right; raises Problems when it cannot be read as YAML.
+    The file need not be right; raises DiagnosticError when it cannot be read as YAML.
     """
     from fogspec.base.yaml.positions import places
 
-    found: dict[str, list[tuple[Place, str]]] = {}
+    found: dict[str, list[tuple[Span, str]]] = {}
     nodes, texts = read_nodes(spec)
     patterns = {field: _pattern(field) for field in fields}
     for node in nodes:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from fogspec.base import digest
-from fogspec.base.errors import WrongFile
+from fogspec.base.errors import InvalidInput
 from fogspec.base.files import yaml_text
 from fogspec.base.layout import Layout
 from fogspec.spec.loader import read_document
@@ -19,7 +19,7 @@ ANYWHERE = {"__pycache__", ".git", ".pytest_cache"}
 
 
 def read_lock(path: Path) -> Lock | None:
-    """The lock, None where there is none; raises Problems for one that is damaged."""
+    """The lock, None where there is none; raises DiagnosticError for one that is damaged."""
     return read_document(path, Lock) if os.path.lexists(path) else None
 
 
@@ -54,11 +54,11 @@ def _digests(words: Iterable[str], layout: Layout) -> dict[str, str]:
 
 
 def check_files(application: Application, layout: Layout, measured: bool) -> None:
-    """Raises WrongFile where something that the spec names is missing: each machine would be paid to find that out."""
+    """Raises InvalidInput where something that the spec names is missing: each machine would be paid to find that out."""
     folder = layout.spec.parent
     absent = [(field, name) for field, name in files_needed(application, measured) if not (folder / name).exists()]
     if absent:
-        raise WrongFile(
+        raise InvalidInput(
             f"{layout.spec}: {absent[0][0]} names {absent[0][1]}, which is not there",
             *(f"{field} names {name}, which is not there either" for field, name in absent[1:]),
             f"paths are relative to the spec's folder: {folder}",
@@ -96,7 +96,7 @@ def _entry(path: Path) -> list[str]:
     return ["executable" if os.access(path, os.X_OK) else "file", content.hexdigest()]
 
 
-def drift(application: Application, layout: Layout, pins: Pins | None) -> list[str]:
+def lock_drift(application: Application, layout: Layout, pins: Pins | None) -> list[str]:
     """Which files and folders beside the spec are not what the lock says, by name."""
     if pins is None:
         return []

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.files import write_bytes
-from fogspec.base.yaml.positions import Node, find, key_place, place_of
+from fogspec.base.yaml.positions import Node, find, key_span, span_of
 from fogspec.spec.loader import read_nodes
 from fogspec.spec.schema import API_VERSION
 
@@ -38,12 +38,12 @@ class Migrated:
 
 
 def migrate(path: str, steps: Sequence[Step] = STEPS, newest: str = API_VERSION) -> Migrated:
-    """The file brought to `newest`; raises Problems for a version that no step leads on from."""
+    """The file brought to `newest`; raises DiagnosticError for a version that no step leads on from."""
     nodes, texts = read_nodes(path)
     before = text = "\n".join(texts.lines[path])
     versions: dict[str, None] = {}
     while True:
-        edits: list[tuple[Place, str]] = []
+        edits: list[tuple[Span, str]] = []
         wrong: list[Diagnostic] = []
         for node in nodes:
             version = _version(node)
@@ -53,11 +53,11 @@ def migrate(path: str, steps: Sequence[Step] = STEPS, newest: str = API_VERSION)
             step = next((one for one in steps if one.old == version), None)
             if step is None:
                 message = f"no step leads from {version or 'no apiVersion'} to {newest}"
-                wrong.append(Diagnostic("FS307", message, place_of(node, ("apiVersion",)), f"write '{newest}'"))
+                wrong.append(Diagnostic("FS307", message, span_of(node, ("apiVersion",)), f"write '{newest}'"))
             else:
                 edits += _edits(node, step)
         if wrong:
-            raise Problems(texts.shown(wrong))
+            raise DiagnosticError(texts.shown(wrong))
         if not edits:
             return Migrated(path, text, tuple(versions), text != before)
         text = edited(text, edits)
@@ -74,16 +74,16 @@ def write(migrated: Migrated) -> None:
     write_bytes(Path(migrated.path), migrated.text.encode())
 
 
-def _edits(node: Node, step: Step) -> list[tuple[Place, str]]:
-    edits = [(place_of(node, ("apiVersion",)), step.new)]
+def _edits(node: Node, step: Step) -> list[tuple[Span, str]]:
+    edits = [(span_of(node, ("apiVersion",)), step.new)]
     for dotted, name in step.renamed.items():
-        place = key_place(node, tuple(dotted.split(".")))
+        place = key_span(node, tuple(dotted.split(".")))
         if place is not None:
             edits.append((place, name))
     return edits
 
 
-def edited(text: str, edits: Sequence[tuple[Place, str]]) -> str:
+def edited(text: str, edits: Sequence[tuple[Span, str]]) -> str:
     """The text with each place replaced, from the end to the start, so that places stay true."""
     lines = text.split("\n")
     for place, words in sorted(edits, key=lambda edit: (edit[0].line, edit[0].column), reverse=True):

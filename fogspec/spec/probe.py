@@ -1,6 +1,6 @@
 """The seam of the probes: what `probe:` says, and which on-machine half does it.
 
-Every half is a module of `fogspec/probe`, run on the measured machine as `fogspec_machine`, and writes the same records
+Every half is a module of `fogspec/agent`, run on the measured machine as `fogspec_machine`, and writes the same records
 (`fogspec.agent.records`), so that one reader reads them all (`fogspec.bench.record`). None publishes
 anything, serves anything, or otherwise changes the graph that it watches, save for subscriptions.
 """
@@ -16,7 +16,7 @@ PACKAGE = "fogspec_machine"
 
 
 @dataclass(frozen=True, slots=True)
-class Halves:
+class ProbeParts:
     """What runs on the machine for a probe.
 
     `beside`: processes that listen. `inside`: words in front of a measured node's command. `afterwards`: what reads the
@@ -53,7 +53,7 @@ def name_of(probe: Probe) -> str:
     return name if probe.callback else absolute(name)
 
 
-def halves(spec: Spec) -> Halves:
+def probe_parts(spec: Spec) -> ProbeParts:
     """What runs on the machine for the spec's probe and metrics."""
     probe, kind = spec.probe, kind_of(spec.probe)
     metrics = tuple(
@@ -63,13 +63,13 @@ def halves(spec: Spec) -> Halves:
         for word in ("--metric", f"{name}={absolute(metric.topic)}:{metric.field}")
     )
     if kind == "bag":
-        return Halves(afterwards=module("bag", "--bag", str(probe.bag), *_topics(probe), *_limits(probe), *metrics))
+        return ProbeParts(afterwards=module("bag", "--bag", str(probe.bag), *_topics(probe), *_limits(probe), *metrics))
     watched = _topics(probe) if kind == "topics" else _named(probe, kind)
     if via(probe) == "preload":
         listener = module("topics", *metrics)
-        return Halves(beside=(listener,) if metrics else (), inside=(*module("preload", *watched), "--"))
+        return ProbeParts(beside=(listener,) if metrics else (), inside=(*module("preload", *watched), "--"))
     words = (*watched, *(_limits(probe) if kind == "topics" else ()), *metrics)
-    return Halves(beside=(module("topics", *words),) if words else ())
+    return ProbeParts(beside=(module("topics", *words),) if words else ())
 
 
 def optional(inside: tuple[str, ...], argv: list[str]) -> list[str]:

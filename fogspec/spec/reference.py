@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from fogspec.base.diagnostics import Place
+from fogspec.base.diagnostics import Span
 from fogspec.base.yaml.flow import flow
 from fogspec.spec.codebook import CODES
 from fogspec.spec.codes import Code
@@ -26,7 +26,7 @@ def code_text(name: str) -> str:
     return "\n\n".join(parts)
 
 
-def field_text(page: FieldPage, places: Sequence[tuple[Place, str]] = ()) -> str:
+def field_text(page: FieldPage, places: Sequence[tuple[Span, str]] = ()) -> str:
     """The page of a field, for the terminal, with the places that set it."""
     rows = [
         ("meaning", page.meaning), ("type", page.type), ("range", page.limits), ("unit", page.unit), ("default", page.default),
@@ -36,7 +36,7 @@ def field_text(page: FieldPage, places: Sequence[tuple[Place, str]] = ()) -> str
     return "\n".join([page.path, *(f"  {name:<8} {text}" for name, text in rows if text)])
 
 
-def field_data(page: FieldPage, places: Sequence[tuple[Place, str]] = ()) -> dict[str, Any]:
+def field_data(page: FieldPage, places: Sequence[tuple[Span, str]] = ()) -> dict[str, Any]:
     """The page of a field as JSON has it."""
     set_at = [{"path": place.path, "line": place.line, "column": place.column} for place, _ in places]
     return {**dataclasses.asdict(page), "set_at": set_at}

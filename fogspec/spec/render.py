@@ -5,7 +5,7 @@ from typing import Any
 from pydantic import BaseModel
 
 
-def written(document: BaseModel) -> dict[str, Any]:
+def render_document(document: BaseModel) -> dict[str, Any]:
     """The document's values; reading them gives the same document."""
     data: dict[str, Any] = document.model_dump(mode="json", by_alias=True)
     found = _set(document, data)

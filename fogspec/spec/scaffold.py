@@ -5,7 +5,7 @@ from typing import Any
 
 from fogspec.base.yaml.flow import block, flow
 from fogspec.spec.field_docs import FieldPage, pages
-from fogspec.spec.launch_import.found import Found
+from fogspec.spec.launch_import.found import LaunchImport
 from fogspec.spec.rules.benchmark import PLACEHOLDER_TOPICS
 from fogspec.spec.schema import API_VERSION, Application
 
@@ -13,7 +13,7 @@ HINTED = ("metrics", "secrets")
 COLUMN = 48
 
 
-def first_data(name: str, found: Found | None = None) -> dict[str, Any]:
+def first_data(name: str, found: LaunchImport | None = None) -> dict[str, Any]:
     """The values of a first spec, taken from a launch file where there is one."""
     cloud: list[dict[str, Any]] = [{"package": "my_package", "executable": "my_node"}]
     robot: list[dict[str, Any]] = [{"package": "my_package", "executable": "my_client"}]
@@ -39,7 +39,7 @@ def first_data(name: str, found: Found | None = None) -> dict[str, Any]:
     return {"apiVersion": API_VERSION, "kind": "Application", "metadata": {"name": name}, "spec": spec}
 
 
-def _over(spec: dict[str, Any], found: Found) -> None:
+def _over(spec: dict[str, Any], found: LaunchImport) -> None:
     """What the launch file says takes the place of what a first spec proposes."""
     if found.constraints:
         spec["constraints"] = found.constraints

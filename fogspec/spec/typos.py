@@ -7,7 +7,7 @@ import difflib
 from dataclasses import dataclass, field
 from typing import Any
 
-from fogspec.base.diagnostics import Diagnostic, Place
+from fogspec.base.diagnostics import Diagnostic, Span
 from fogspec.base.yaml.positions import Node, Path, dotted, find
 from fogspec.spec.introspect import annotation_at, fields_of, home_of, part
 from fogspec.spec.suggest import closest
@@ -16,7 +16,7 @@ CLOSE = 0.8
 
 
 @dataclass
-class Mended:
+class Repaired:
     """The document as it was meant, what was wrong, the paths that stay unknown, and those that mended keys belong to."""
 
     node: Node
@@ -25,22 +25,22 @@ class Mended:
     meant: set[Path] = field(default_factory=set)
 
 
-def mend(model: Any, node: Node) -> Mended:
+def repair(model: Any, node: Node) -> Repaired:
     """The document without `x-` keys of the language's mappings, and with every known key in its place."""
-    mender = _Mender(model)
-    found = Mended(mender.walk(model, node, ()), mender.wrong, mender.broken)
+    mender = _Repairer(model)
+    found = Repaired(mender.walk(model, node, ()), mender.wrong, mender.broken)
     for home, key_place, child in mender.moved:
         _graft(found.node, home, key_place, mender.walk(annotation_at(model, home), child, home))
         found.meant |= {home[:length] for length in range(1, len(home) + 1)}
     return found
 
 
-class _Mender:
+class _Repairer:
     def __init__(self, model: Any) -> None:
         self.model = model
         self.wrong: list[Diagnostic] = []
         self.broken: set[Path] = set()
-        self.moved: list[tuple[Path, Place, Node]] = []
+        self.moved: list[tuple[Path, Span, Node]] = []
 
     def walk(self, annotation: Any, node: Node, path: Path) -> Node:
         if isinstance(node.value, list):
@@ -51,7 +51,7 @@ class _Mender:
         fields = fields_of(annotation)
         return self._known(fields, node, path) if fields else self._free(part(annotation)[1], node, path)
 
-    def _like(self, node: Node, value: Any, keys: dict[str, Place] | None = None) -> Node:
+    def _like(self, node: Node, value: Any, keys: dict[str, Span] | None = None) -> Node:
         return Node(value, node.place, keys or {}, size=node.size)
 
     def _item(self, items: Any, child: Node, path: Path) -> Node:
@@ -72,8 +72,8 @@ class _Mender:
     def _known(self, fields: dict[str, Any], node: Node, path: Path) -> Node:
         """A mapping of the language."""
         values: dict[str, Node] = {}
-        keys: dict[str, Place] = {}
-        empty: dict[str, Place] = {}
+        keys: dict[str, Span] = {}
+        empty: dict[str, Span] = {}
         above = ""
         present = set(node.value) if isinstance(node.value, dict) else set()
         for key, child in node.value.items() if isinstance(node.value, dict) else ():
@@ -99,8 +99,8 @@ class _Mender:
         return self._like(node, values, keys)
 
     def _indent(
-        self, above: str, key: str, place: Place, path: Path, values: dict[str, Node], keys: dict[str, Place],
-        empty: dict[str, Place], child: Node,
+        self, above: str, key: str, place: Span, path: Path, values: dict[str, Node], keys: dict[str, Span],
+        empty: dict[str, Span], child: Node,
     ) -> None:  # fmt: skip
         """A key that stands at the level of the key that it belongs to."""
         at = (*path, above, key)
@@ -113,7 +113,7 @@ class _Mender:
             adopted.keys[key] = place
 
     def _renamed(
-        self, key: str, place: Place, path: Path, fields: dict[str, Any], present: set[str], child: Node
+        self, key: str, place: Span, path: Path, fields: dict[str, Any], present: set[str], child: Node
     ) -> str | None:
         """The field that a key was meant to be, if it is one of this mapping's; says what is wrong."""
         name = closest(key, [one for one in fields if one not in present])
@@ -132,12 +132,12 @@ class _Mender:
         self.wrong.append(Diagnostic("FS301", f"{dotted((*path, key))} is not a field of the language", place, fix))
         return name
 
-    def _empty(self, place: Place, path: Path, fix: str = "remove the key, or give it a value") -> None:
+    def _empty(self, place: Span, path: Path, fix: str = "remove the key, or give it a value") -> None:
         self.wrong.append(Diagnostic("FS115", f"{dotted(path)} has no value", place, fix))
         self.broken.add(path)
 
 
-def _graft(root: Node, home: Path, key_place: Place, child: Node) -> None:
+def _graft(root: Node, home: Path, key_place: Span, child: Node) -> None:
     """Put a value where it belongs, unless something stands there or the way there is closed."""
     node = root
     for step in home[:-1]:

@@ -12,13 +12,13 @@ from pydantic import BaseModel, ValidationError
 from fogspec.base.diagnostics import Diagnostic
 from fogspec.base.yaml.positions import Node, Path, plain
 from fogspec.spec.field_errors import diagnose
-from fogspec.spec.typos import mend
+from fogspec.spec.typos import repair
 
 M = TypeVar("M", bound=BaseModel)
 
 
 @dataclass
-class Checked(Generic[M]):
+class Validation(Generic[M]):
     """The document as far as it is right: `value` is None as soon as anything is wrong, `broken` says where.
 
     `node` is the document as it was meant, with misspelt keys mended, and `data` its values.
@@ -31,9 +31,9 @@ class Checked(Generic[M]):
     broken: set[Path]
 
 
-def check(model: type[M], node: Node, strict: bool = True) -> Checked[M]:
+def validate(model: type[M], node: Node, strict: bool = True) -> Validation[M]:
     """The typed document, or every field that is wrong."""
-    mended = mend(model, node)
+    mended = repair(model, node)
     wrong, broken = mended.wrong, mended.broken
     data, value = plain(mended.node), None
     try:
@@ -45,4 +45,4 @@ def check(model: type[M], node: Node, strict: bool = True) -> Checked[M]:
             if path not in broken and not echo:
                 wrong.append(diagnose(model, mended.node, path, error))
             broken.add(path)
-    return Checked(None if wrong else value, mended.node, data, wrong, broken)
+    return Validation(None if wrong else value, mended.node, data, wrong, broken)

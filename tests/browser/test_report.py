@@ -16,14 +16,14 @@ from fogspec.backends import registry
 from fogspec.base.files import write_yaml
 from fogspec.base.layout import Layout
 from fogspec.catalog.cost import Costs
-from fogspec.choice.choose import floors, latency_needed
-from fogspec.compile.compiler import Compiled, compile_application
+from fogspec.choice.choose import levels, required_latency
+from fogspec.compile.compiler import Artifacts, compile_application
 from fogspec.compile.decision import decide
 from fogspec.plan.schema import PlanMetadata
 from fogspec.report import page_data
 from fogspec.report.html import page
 from fogspec.report.menu import changed
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import LoadedSpec, load
 from fogspec.spec.schema import Application
@@ -58,11 +58,11 @@ def written_catalog(path: Path, offers) -> None:
         )
 
 
-def compiled(one: LoadedSpec, catalog: str | None = None) -> Compiled:
+def compiled(one: LoadedSpec, catalog: str | None = None) -> Artifacts:
     return compile_application(one.application, one.path, registry.catalog(catalog, ("aws",)))
 
 
-def written(one: LoadedSpec, to: Path, catalog: str | None = None, made: Compiled | None = None) -> Path:
+def written(one: LoadedSpec, to: Path, catalog: str | None = None, made: Artifacts | None = None) -> Path:
     menu = f"fogspec menu {shlex.quote(one.path)} --name {one.application.metadata.name}"
     to.write_bytes(page(made or compiled(one, catalog), Path(one.path).read_text(), "fogspec report", menu))
     return to
@@ -91,7 +91,7 @@ def move(view, alpha: str, latency: str | None, cost: str | None) -> tuple[dict[
     return tuple(view.evaluate(MOVE, [alpha, {"latency": latency, "cost": cost}]))
 
 
-def same_as_menu(browser, one: LoadedSpec, made: Compiled, to: Path, limits, alphas) -> set[str]:
+def same_as_menu(browser, one: LoadedSpec, made: Artifacts, to: Path, limits, alphas) -> set[str]:
     """Compare the page with the choice behind `fogspec menu` over a grid; the machines that were chosen on it."""
     view = browser.open(written(one, to, made=made))
     names, chosen = made.chosen.choice.offers.instance, set()
@@ -164,13 +164,13 @@ def test_every_rule_of_the_choice_is_in_the_page(browser, checkout, tmp_path, mo
     assert same_as_menu(browser, one, made, tmp_path / "report.html", narrow_limits(one, made), ("0.4", "1"))
 
 
-def narrow_limits(one: LoadedSpec, made: Compiled) -> tuple[list[str | None], list[str | None]]:
+def narrow_limits(one: LoadedSpec, made: Artifacts) -> tuple[list[str | None], list[str | None]]:
     """Limits on latency and cost that some machine just meets and just misses with each of the asked probabilities."""
     choice, spec = made.chosen.choice, one.application.spec
     costs = Costs.of(spec, choice.offers.price_usd_per_hour, choice.offers.spot)
     found: tuple[list[str | None], list[str | None]] = [None], [None]
-    for floor in floors(choice.confidence):
-        needed = latency_needed(choice.latency, choice.metrics, choice.bounds, floor)
+    for floor in levels(choice.confidence):
+        needed = required_latency(choice.latency, choice.metrics, choice.bounds, floor)
         for column, texts, more in (
             (needed, found[0], spec.constraints.network),
             (costs.per_request(needed), found[1], 0.0),
@@ -195,7 +195,7 @@ def measured_here(one: LoadedSpec) -> None:
     )
     metadata = PlanMetadata(name=one.application.metadata.name)
     path = Layout.of(one.path, metadata.name).results
-    write_yaml(path, sealed(metadata, body).model_dump(mode="json"), "a test")
+    write_yaml(path, with_checksum(metadata, body).model_dump(mode="json"), "a test")
 
 
 def test_a_metric_in_place_of_latency_and_no_probabilities(browser, checkout, tmp_path):

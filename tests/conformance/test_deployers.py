@@ -13,7 +13,7 @@ import pytest
 
 import fogspec.agent
 from fogspec.backends.local.deployer import LocalDeployer
-from fogspec.backends.protocol import CannotStart, Deployer, Launch, Live, LostContact
+from fogspec.backends.protocol import Deployer, DeploymentStatus, Launch, LaunchRefused, Unreachable
 from fogspec.backends.skypilot.deployer import SkyPilotDeployer
 from fogspec.backends.skypilot.errors import CloudProblem
 from fogspec.plan.schema import GpuShape, MachineRef
@@ -54,7 +54,7 @@ class Bed:
                 "resources": {"labels": {"fogspec-application": "demo"}}}  # fmt: skip
         return Launch(name, machine, task, self.folder, self.folder / ".fogspec" / "demo" / "deployed" / name)
 
-    def until(self, launch: Launch, state: str, deployer: Deployer | None = None) -> Live:
+    def until(self, launch: Launch, state: str, deployer: Deployer | None = None) -> DeploymentStatus:
         end = time.monotonic() + 30
         while (live := (deployer or self.deployer).look(launch)).state != state:
             assert time.monotonic() < end, live
@@ -136,7 +136,7 @@ def test_a_machine_that_cannot_be_had(bed: Bed) -> None:
         bed.cloud.launch = lambda **_: {"request": launch.name}  # type: ignore[method-assign]
         bed.cloud.refused[launch.name] = CloudProblem("capacity", "InsufficientInstanceCapacity", again=True)
         bed.deployer.start(launch)
-    with pytest.raises(CannotStart) as no:
+    with pytest.raises(LaunchRefused) as no:
         (bed.deployer.start if bed.cloud is None else bed.deployer.look)(launch)
     assert no.value.reason == "capacity"
     bed.deployer.end(launch)
@@ -147,7 +147,7 @@ def test_a_missing_secret(bed: Bed) -> None:
     needs = Launch(
         launch.name, launch.machine, {**launch.task, "secrets": {"NOT_THERE": None}}, launch.root, launch.folder
     )
-    with pytest.raises(CannotStart, match="NOT_THERE"):
+    with pytest.raises(LaunchRefused, match="NOT_THERE"):
         bed.deployer.start(needs)
     bed.deployer.end(needs)
 
@@ -186,14 +186,14 @@ def test_requests_are_seen(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_silence_is_not_an_end(tmp_path: Path) -> None:
-    cloud = Cloud(tmp_path / "cloud", fails=lambda _op, _words: LostContact("the network is down"))
+    cloud = Cloud(tmp_path / "cloud", fails=lambda _op, _words: Unreachable("the network is down"))
     deployer = SkyPilotDeployer(SimulatedClient(cloud))  # type: ignore[arg-type]
     launch = Launch("fogspec-demo-00000000-000000", None, {}, tmp_path, tmp_path)
-    with pytest.raises(LostContact):
+    with pytest.raises(Unreachable):
         deployer.look(launch)
-    with pytest.raises(LostContact):
+    with pytest.raises(Unreachable):
         deployer.end(launch)
-    with pytest.raises(LostContact):
+    with pytest.raises(Unreachable):
         deployer.names("demo", tmp_path)
 
 

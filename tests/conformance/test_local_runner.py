@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends.local import runner
+from fogspec.backends.local import runner as local
 from fogspec.backends.local.runner import MARK, LocalRunner, _marked
-from fogspec.backends.protocol import CannotStart, Job, Progress
+from fogspec.backends.protocol import Job, LaunchRefused, Progress
 from fogspec.plan.schema import MachineRef, Sample
 
 RUN = 'exec python3 "$FOGSPEC_AGENT" --out "$FOGSPEC_OUT" --after 20 --startup 20 --warmup 1 --steps {steps} --process {argv}'
@@ -78,7 +78,7 @@ def test_ending_early_leaves_what_was_measured_and_no_process(tmp_path, runner):
 
 
 def test_background_grandchildren_that_ignore_signals_are_ended(tmp_path, runner, monkeypatch):
-    monkeypatch.setattr(runner, "GRACE_S", 1.0)
+    monkeypatch.setattr(local, "GRACE_S", 1.0)
     stubborn = """
 import os, signal, time, fogspec_probe
 if os.fork() == 0:
@@ -162,7 +162,7 @@ def test_a_run_script_that_fails_says_what_it_said(tmp_path, runner):
 )
 def test_what_this_host_cannot_do_is_said_and_leaves_nothing(tmp_path, runner, wrong):
     asked = job(tmp_path, **wrong)
-    with pytest.raises(CannotStart) as no:
+    with pytest.raises(LaunchRefused) as no:
         runner.start(asked)
     assert no.value.reason in ("capacity", "setup")
     assert not no.value.again

@@ -13,7 +13,7 @@ import pytest
 import fogspec.agent
 from fogspec.backends import registry
 from fogspec.backends.local.runner import LocalRunner
-from fogspec.backends.protocol import CannotStart, FindsStrays, Job, Progress, Runner
+from fogspec.backends.protocol import Job, LaunchRefused, ListsMachines, Progress, Runner
 from fogspec.backends.replay import ReplayRunner
 from fogspec.backends.skypilot.errors import CloudProblem
 from fogspec.backends.skypilot.runner import SkyPilotRunner
@@ -174,7 +174,7 @@ def test_what_was_never_started_is_lost_and_may_be_ended(bed):
 def test_a_machine_that_cannot_be_had_is_said(bed):
     try:
         bed.runner.start(bed.too_big)
-    except CannotStart as no:
+    except LaunchRefused as no:
         said = no.reason, no.again
         lost = True
     else:
@@ -201,7 +201,7 @@ def test_machines_are_found_by_their_names_until_they_are_gone(bed):
     while not bed.runner.look(job).measured_on:
         time.sleep(0.02)
     other, folder = bed.anew(), job.folder.parent
-    if not isinstance(other, FindsStrays):
+    if not isinstance(other, ListsMachines):
         assert other.costs == "recorded", "only recordings have no machines"
         return
     assert list(other.strays(job.name[:-1], folder)) == [job.name]
@@ -227,7 +227,7 @@ def test_how_far_a_sample_is_elsewhere_is_known_while_it_runs(tmp_path):
 
 
 def test_local_has_no_accelerators(tmp_path):
-    with pytest.raises(CannotStart, match="no accelerators: T4"):
+    with pytest.raises(LaunchRefused, match="no accelerators: T4"):
         LocalRunner().start(job_on(tmp_path, "gpu", machine("x", gpu=GpuShape(name="T4", count=1))))
 
 
@@ -235,13 +235,13 @@ def test_local_does_not_start_without_the_secrets_of_its_task(tmp_path, monkeypa
     monkeypatch.delenv("MAP_PASSWORD", raising=False)
     job = job_on(tmp_path, "secret", machine("1cpu-1gib"))
     job = Job(job.name, job.sample, {**job.task, "secrets": {"MAP_PASSWORD": None}}, job.root, job.folder, 30.0)
-    with pytest.raises(CannotStart, match="MAP_PASSWORD"):
+    with pytest.raises(LaunchRefused, match="MAP_PASSWORD"):
         LocalRunner().start(job)
 
 
 def test_replay_does_not_mix_up_two_places(tmp_path):
     bed = replay(tmp_path)
-    with pytest.raises(CannotStart, match=r"no recording of aws/eu-central-1/c6i\.large"):
+    with pytest.raises(LaunchRefused, match=r"no recording of aws/eu-central-1/c6i\.large"):
         bed.runner.start(job_on(tmp_path, "elsewhere", machine("c6i.large", "aws/eu-central-1")))
 
 

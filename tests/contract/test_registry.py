@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.backends import registry as backends
-from fogspec.base.errors import CloudFailed, WrongFile
+from fogspec.base.errors import CloudError, InvalidInput
 from tests.support.running import CATALOG, Shell, shell, spec  # noqa: F401
 
 USER, PASSWORD = "reader", "not-a-real-secret"
@@ -159,7 +159,7 @@ def test_a_credential_helper_is_asked(private: str, shell: Shell, monkeypatch: p
 
 def test_a_damaged_docker_configuration_is_named(private: str, shell: Shell) -> None:
     shell.write("../docker/config.json", "{")
-    with pytest.raises(WrongFile, match=r"config\.json"):
+    with pytest.raises(InvalidInput, match=r"config\.json"):
         backends.registry().digest(f"{private}/robots/planner:v1")
 
 
@@ -198,7 +198,7 @@ def test_a_token_server_is_asked_first_and_a_digest_is_checked(lies: bool, shell
     try:
         name = f"127.0.0.1:{server.server_address[1]}/a/b:v1"
         if lies:
-            with pytest.raises(CloudFailed, match="says sha256:0000"):
+            with pytest.raises(CloudError, match="says sha256:0000"):
                 backends.registry().digest(name)
         else:
             assert backends.registry().digest(name) == f"sha256:{hashlib.sha256(b'{}').hexdigest()}"

@@ -38,12 +38,12 @@ def test_the_calls_and_exceptions_are_there(python: str) -> None:
 
 
 SCRIPT = """
-from fogspec.backends.skypilot import calls
+from fogspec.backends.skypilot import api
 for op, words in [("end", {"name": "production"}), ("launch", {"task": {"run": "true"}, "name": "x", "root": "/"}),
                   ("jobs", {"name": "x"}), ("autostop", {"name": "x", "idle_minutes": 1}), ("find", {"name": "fogspe"}),
                   ("clusters", {"prefix": ""}), ("log", {"name": "x", "job": 1, "path": "/dev/null", "limit": 1})]:
     try:
-        calls.OPERATIONS[op](**words)
+        api.OPERATIONS[op](**words)
     except ValueError as refused:
         assert "not ours" in str(refused), (op, refused)
     else:
@@ -60,7 +60,7 @@ def test_what_is_not_ours_is_refused_before_skypilot_is_asked() -> None:
 HANDED = """
 import os, sky
 from pathlib import Path
-from fogspec.backends.skypilot import calls, handover
+from fogspec.backends.skypilot import api, secrets_file
 from fogspec.backends.skypilot.errors import CloudProblem
 
 def launched(task, cluster_name):
@@ -68,7 +68,7 @@ def launched(task, cluster_name):
     assert "hunter2" not in str(given), given
     assert given["secrets"] == {"SKYPILOT_DOCKER_USERNAME": "me", "SKYPILOT_DOCKER_PASSWORD": "you",
                                 "SKYPILOT_DOCKER_SERVER": "x.example"}, given
-    path = Path(given["file_mounts"][handover.THERE])
+    path = Path(given["file_mounts"][secrets_file.THERE])
     assert (path.stat().st_mode & 0o777, path.read_text()) == (0o600, "export API_KEY='hunter2 '\\"'\\"'$x'\\n")
     return "a request"
 
@@ -76,21 +76,21 @@ sky.launch = launched
 docker = ["SKYPILOT_DOCKER_USERNAME", "SKYPILOT_DOCKER_PASSWORD", "SKYPILOT_DOCKER_SERVER"]
 os.environ |= {"API_KEY": "hunter2 '$x", **dict(zip(docker, ["me", "you", "x.example"]))}
 task = {"run": "true", "secrets": dict.fromkeys(["API_KEY", *docker])}
-assert calls.launch(task, "fogspec-a", "/") == {"request": "a request"}
-assert handover.place("fogspec-a").exists(), "a local API server reads it later"
-calls.sky.api_status = lambda *_, **__: []
-calls._job_of = lambda name: 1
-calls.launched("a request", "fogspec-a")
-assert not handover.place("fogspec-a").exists()
+assert api.launch(task, "fogspec-a", "/") == {"request": "a request"}
+assert secrets_file.place("fogspec-a").exists(), "a local API server reads it later"
+api.sky.api_status = lambda *_, **__: []
+api._job_of = lambda name: 1
+api.launched("a request", "fogspec-a")
+assert not secrets_file.place("fogspec-a").exists()
 def refused(task, cluster_name):
     raise ValueError("no such thing")
 sky.launch = refused
 try:
-    calls.launch(task, "fogspec-a", "/")
+    api.launch(task, "fogspec-a", "/")
 except ValueError:
-    assert not handover.place("fogspec-a").exists()
+    assert not secrets_file.place("fogspec-a").exists()
 try:
-    calls.launch({"run": "true", "secrets": {"NOT_THERE": None}}, "fogspec-a", "/")
+    api.launch({"run": "true", "secrets": {"NOT_THERE": None}}, "fogspec-a", "/")
 except CloudProblem as problem:
     assert "NOT_THERE" in problem.detail
 """
@@ -105,17 +105,17 @@ def test_secrets_are_in_no_task_that_skypilot_gets_but_in_a_file_of_their_own(tm
 
 ENDED = """
 from types import SimpleNamespace
-from fogspec.backends.skypilot import calls
+from fogspec.backends.skypilot import api
 
 log, machines = [], []
 def launch(status):
     return SimpleNamespace(request_id="r", cluster_name="fogspec-a", name="sky.launch", created_at=1, status=status)
 def asked(ids=None, all_status=True, **_):
-    return [one for one in launches if all_status or one.status in calls.UNFINISHED]
+    return [one for one in launches if all_status or one.status in api.UNFINISHED]
 def down(name):
     log.append("down")
     if not machines:
-        raise calls.exceptions.ClusterDoesNotExist("it is not there")
+        raise api.exceptions.ClusterDoesNotExist("it is not there")
     machines.clear()
 def cancel(ids, silent):
     log.append("cancel")
@@ -123,18 +123,18 @@ def cancel(ids, silent):
 def arrives(seconds):
     log.append(f"{seconds:g} s")
     launches.append(launch("PENDING"))
-calls.sky.api_status, calls.sky.down, calls.sky.api_cancel, calls.sky.get = asked, down, cancel, lambda value: value
-calls.clusters, calls.await_gone, calls.time = lambda **_: machines, lambda name: None, SimpleNamespace(sleep=arrives)
+api.sky.api_status, api.sky.down, api.sky.api_cancel, api.sky.get = asked, down, cancel, lambda value: value
+api.clusters, api.await_gone, api.time = lambda **_: machines, lambda name: None, SimpleNamespace(sleep=arrives)
 
 launches = []
-calls.end("fogspec-a")
+api.end("fogspec-a")
 assert log == ["down", "5 s", "cancel", "down"], ("a launch that arrives late is broken off", log)
 log.clear()
-calls.end("fogspec-a")
+api.end("fogspec-a")
 assert log == ["down"], ("its launch is known: no other comes", log)
 log.clear()
 launches, machines = [], ["fogspec-a"]
-calls.end("fogspec-a")
+api.end("fogspec-a")
 assert log == ["down"], ("the machine was there", log)
 """
 

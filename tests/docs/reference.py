@@ -66,7 +66,7 @@ def _verb(command: click.Command, context: click.Context, level: int) -> list[st
 
 
 def _exit_codes() -> dict[int, str]:
-    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and kind is not errors.Outcome]
+    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and kind is not errors.FogspecError]
     return OTHER_ENDS | {kind.exit_code: " ".join((kind.__doc__ or "").split()) for kind in kinds}
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from fogspec.spec.loader import examine
+from fogspec.spec.loader import check_file
 from tests.docs.blocks import ROOT, Block, blocks, pages
 
 REPLACED = (
@@ -51,7 +51,7 @@ def test_a_part_of_a_spec_is_right_within_a_spec(block: Block, tmp_path: Path) -
     whole = merged(base, shown if "spec" in shown else {"spec": shown})
     path = tmp_path / "shown.yaml"
     YAML().dump(whole, path)
-    wrong = [one for one in examine([path])[1] if one.severity == "error" and not missing_file(one.message)]
+    wrong = [one for one in check_file([path])[1] if one.severity == "error" and not missing_file(one.message)]
     assert not wrong, [f"{one.code}: {one.message}" for one in wrong]
 
 

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 import pytest
 
 from fogspec.backends.local.runner import LocalRunner
-from fogspec.base.errors import Differs
+from fogspec.base.errors import OutOfDate
 from fogspec.bench.prepare import prepare
 from fogspec.bench.run import bench
 from fogspec.spec.loader import load
@@ -195,7 +195,7 @@ def test_what_another_bench_measured_meanwhile_is_not_lost(tmp_path):
     prepared = prepare(application, scene.spec, [])
     assert scene.bench("--only", FIRST).returncode == 0
     before = scene.results.read_bytes()
-    with pytest.raises(Differs, match="has changed since this bench began"):
+    with pytest.raises(OutOfDate, match="has changed since this bench began"):
         bench(prepared, LocalRunner(), lambda _campaign: nullcontext(lambda _event: None))
     assert scene.results.read_bytes() == before
 

@@ -5,7 +5,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from fogspec.backends.replay import ReplayRunner
-from fogspec.base.errors import WrongFile
+from fogspec.base.errors import InvalidInput
 from tests.support.running import CATALOG, Ended, Shell, project, shell  # noqa: F401
 
 SWEEP = "instance_type,latency_s\na.small,2\na.large,0.8\nb.small,2\nb.large,0.8\nb.huge,0.3\na.huge,0.3\n"
@@ -18,7 +18,7 @@ def paid(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Shell:
     monkeypatch.setattr(ReplayRunner, "costs", "real")
 
     def none(*_: object) -> None:
-        raise WrongFile("no SkyPilot here")
+        raise InvalidInput("no SkyPilot here")
 
     monkeypatch.setattr("fogspec.cli.options.load_catalog", _Shop(none))
     project(shell)

@@ -13,7 +13,7 @@ import pytest
 
 from fogspec.base import digest
 from fogspec.base.files import write_yaml
-from fogspec.results.schema import Results, Timings, sealed
+from fogspec.results.schema import Results, Timings, with_checksum
 from fogspec.spec.loader import read_document
 from tests.support.running import CATALOG, Shell, measure, project, shell  # noqa: F401
 
@@ -96,7 +96,7 @@ def with_timings(shell: Shell, latencies_s: list[float]) -> Path:
     update = {"requests": len(latencies_s), "latency": latency,
               "timings": Timings(path=f"demo/timings/{raw.name}", digest=digest.of_bytes(raw.read_bytes()))}  # fmt: skip
     body = results.spec.model_copy(update={"samples": [first.model_copy(update=update), *others]})
-    write_yaml(path, sealed(results.metadata, body).model_dump(mode="json", exclude_none=True), "a test")
+    write_yaml(path, with_checksum(results.metadata, body).model_dump(mode="json", exclude_none=True), "a test")
     shell("compile", "specs/demo.yaml", *AT)
     return raw
 
@@ -117,7 +117,7 @@ def test_a_record_that_does_not_follow_from_its_timings(done: Shell) -> None:
     first, *others = results.spec.samples
     better = first.model_copy(update={"latency": first.latency.model_copy(update={"mean": 1.0})})
     body = results.spec.model_copy(update={"samples": [better, *others]})
-    write_yaml(path, sealed(results.metadata, body).model_dump(mode="json", exclude_none=True), "a test")
+    write_yaml(path, with_checksum(results.metadata, body).model_dump(mode="json", exclude_none=True), "a test")
     done("compile", "specs/demo.yaml", *AT)
     (line,) = broken(done)["timings"]
     assert "latency" in line
@@ -140,7 +140,7 @@ def test_raw_timings_that_are_none(done: Shell, content: bytes | None, path: str
     first, *others = results.spec.samples
     timings = Timings(path=path or f"demo/timings/{raw.name}", digest=digest.of_bytes(raw.read_bytes()))
     body = results.spec.model_copy(update={"samples": [first.model_copy(update={"timings": timings}), *others]})
-    write_yaml(file, sealed(results.metadata, body).model_dump(mode="json", exclude_none=True), "a test")
+    write_yaml(file, with_checksum(results.metadata, body).model_dump(mode="json", exclude_none=True), "a test")
     done("compile", "specs/demo.yaml", *AT)
     assert says in broken(done)["timings"][0]
     said = done("verify", MANIFEST, *AT, code=3).err
@@ -247,9 +247,9 @@ def test_the_statement_is_in_toto_and_the_same_each_time(done: Shell) -> None:
 
 def test_a_pinned_image_is_a_material(done: Shell) -> None:
     from fogspec.audit.attest import materials
-    from fogspec.compile.bundle import open_manifest
+    from fogspec.compile.bundle import open_bundle
 
-    opened = open_manifest(done.folder / MANIFEST)
+    opened = open_bundle(done.folder / MANIFEST)
     image = "ghcr.io/team/robot@sha256:" + "ab" * 32
     spec = opened.manifest.spec.model_copy(update={"image": image})
     pinned = dataclasses.replace(opened, manifest=opened.manifest.model_copy(update={"spec": spec}))

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from fogspec.backends import registry
-from fogspec.backends.protocol import LostContact
+from fogspec.backends.protocol import Unreachable
 from fogspec.backends.skypilot.deployer import SkyPilotDeployer
 from fogspec.backends.skypilot.errors import CloudProblem
 from tests.support.fake_sky import Cloud, SimulatedClient
@@ -96,7 +96,7 @@ def test_a_price_that_rose_at_the_launch_is_refused(shell: Shell, cloud: Cloud) 
 
 def test_no_contact_while_it_serves(shell: Shell, cloud: Cloud) -> None:
     shell("apply", MANIFEST, *AT, "--yes")
-    cloud.fails = lambda _op, _words: LostContact("the network is down")
+    cloud.fails = lambda _op, _words: Unreachable("the network is down")
     assert status(shell)["health"] == "Unknown"
     shell("status", *AT, "--exit-code", code=3)
     assert "nobody can say how it is" in shell("apply", MANIFEST, *AT, "--yes", code=6).err
@@ -108,7 +108,7 @@ def test_no_contact_while_it_serves(shell: Shell, cloud: Cloud) -> None:
 
 
 def test_an_api_server_that_dies_while_it_is_asked(shell: Shell, cloud: Cloud) -> None:
-    left = iter([None, None, LostContact("API server died"), LostContact("API server died")])
+    left = iter([None, None, Unreachable("API server died"), Unreachable("API server died")])
     cloud.fails = lambda op, _words: next(left, None) if op in ("find", "launched", "jobs") else None
     shell("apply", MANIFEST, *AT, "--yes")
     assert len(cloud.machines) == 1, "asked for once"

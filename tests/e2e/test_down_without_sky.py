@@ -2,10 +2,10 @@
 
 import pytest
 
-from fogspec.base.errors import CloudFailed
+from fogspec.base.errors import CloudError
 from fogspec.base.layout import Layout
 from fogspec.deploy.down import down
-from fogspec.deploy.state import SystemTimes
+from fogspec.deploy.state import SystemWallClock
 
 
 class Host:
@@ -25,9 +25,9 @@ def test_what_can_be_ended_is_ended_and_what_cannot_be_asked_is_said(tmp_path):
     host = Host()
 
     def elsewhere():
-        raise CloudFailed("SkyPilot is not installed here", "pip install it")
+        raise CloudError("SkyPilot is not installed here", "pip install it")
 
-    with pytest.raises(CloudFailed) as failed:
-        down(Layout(tmp_path, tmp_path / "specs/arm.yaml", "arm"), [elsewhere, lambda: host], SystemTimes(), print)
+    with pytest.raises(CloudError) as failed:
+        down(Layout(tmp_path, tmp_path / "specs/arm.yaml", "arm"), [elsewhere, lambda: host], SystemWallClock(), print)
     assert host.left == []
     assert "SkyPilot is not installed here; pip install it" in failed.value.hints

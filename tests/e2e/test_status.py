@@ -77,13 +77,13 @@ def test_another_metric_that_was_measured_makes_models_stale(shell: Shell) -> No
     measure(shell)
     path = "results/demo.yaml"
     from fogspec.base.files import write_yaml
-    from fogspec.results.schema import Results, sealed
+    from fogspec.results.schema import Results, with_checksum
     from fogspec.spec.loader import read_document
 
     results = read_document(shell.folder / path, Results)
     samples = [one.model_copy(update={"metrics": {"length": 1.0 + i, "width": 9.0 - i}})
                for i, one in enumerate(results.spec.samples)]  # fmt: skip
-    results = sealed(results.metadata, results.spec.model_copy(update={"samples": samples}))
+    results = with_checksum(results.metadata, results.spec.model_copy(update={"samples": samples}))
     write_yaml(shell.folder / path, results.model_dump(mode="json", exclude_none=True), "a test")
     shell("compile", "specs/demo.yaml", *AT)
     assert states(shell)[0] == FRESH

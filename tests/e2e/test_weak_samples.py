@@ -9,7 +9,7 @@ import pytest
 
 from fogspec.base.files import write_yaml
 from fogspec.plan.schema import GpuShape, MachineRef, PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load
 from tests.support.running import Shell, project, shell  # noqa: F401
@@ -34,7 +34,7 @@ def write(shell: Shell, records: Sequence[Measured]) -> None:
     body = ResultsBody(
         application=fingerprints.measured_digest(application), runner="local", spent=0.0, samples=list(records)
     )
-    results = sealed(PlanMetadata(name="demo"), body)
+    results = with_checksum(PlanMetadata(name="demo"), body)
     write_yaml(shell.folder / "results/demo.yaml", results.model_dump(mode="json", exclude_none=True), "test")
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from fogspec.evaluation.running import Campaign, by_kind, run
 from fogspec.evaluation.suites import read_suite
-from fogspec.model.priors import read_library
+from fogspec.model.priors import read_priors
 
 # kind, sampler, with priors, every so many problems, ok5 at least, bench at most, violation5 at most
 BARS = [
@@ -17,7 +17,7 @@ BARS = [
 
 @pytest.fixture(scope="module")
 def data(shared_data):
-    return read_suite(shared_data / "dev"), read_library(shared_data / "priors")
+    return read_suite(shared_data / "dev"), read_priors(shared_data / "priors")
 
 
 @pytest.mark.parametrize(("kind", "sampler", "priors", "every", "ok5", "bench", "violation5"), BARS)

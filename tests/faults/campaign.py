@@ -11,7 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from fogspec.results.schema import finished
+from fogspec.results.schema import is_final
 from tests.faults.controllers import bench, place
 from tests.faults.simulation import World
 
@@ -40,7 +40,7 @@ def judge(world: World, budget: float | None, tally: Tally) -> None:
         record = records.get(machines[0].sample)
         mean_s = record.latency.mean if record is not None and record.latency is not None else 0.0
         same = math.isclose(mean_s, machines[0].started + 1)
-        tally["finished samples lost"] += not (same and finished(record))
+        tally["finished samples lost"] += not (same and is_final(record))
     tally["other misdeeds"] += len(world.misdeeds)
 
 
@@ -65,7 +65,7 @@ def run_one(seed: int, tally: Tally, kills: set[int] | None = None, faults: bool
     tally["kills"] += sum(step <= world.steps for step in kills)
     tally["machines started"] += len(world.machines)
     tally["machines in another's place"] += sum("-" in machine.sample for machine in world.machines.values())
-    tally["samples finished"] += sum(map(finished, world.disk["samples"].values()))
+    tally["samples finished"] += sum(map(is_final, world.disk["samples"].values()))
     return world
 
 

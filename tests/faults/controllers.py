@@ -3,12 +3,12 @@
 import os
 from collections.abc import Callable
 
-from fogspec.backends.naming import prefix_of
+from fogspec.backends.naming import sample_prefix
 from fogspec.bench.campaign import Campaign
-from fogspec.bench.orphans import adopt_strays
-from fogspec.bench.types import Order
+from fogspec.bench.orphans import adopt_orphans
+from fogspec.bench.types import CampaignConfig
 from fogspec.plan.schema import MachineRef, Sample
-from fogspec.results.schema import finished
+from fogspec.results.schema import is_final
 from tests.faults.simulation import (
     AFTER_S,
     RULES,
@@ -52,7 +52,7 @@ def place(sample: str) -> str:
 
 def measured(world: World) -> set[str]:
     """The ids of samples that were measured, or in whose place another machine was."""
-    done = [one for one in world.disk["samples"].values() if finished(one)]
+    done = [one for one in world.disk["samples"].values() if is_final(one)]
     return {name for one in done for name in (one.id, one.instead_of) if name}
 
 
@@ -80,10 +80,10 @@ def bench(world: World, budget_usd: float | None, count: int, check: Callable[[W
 def campaign_of(world: World, controller: int, budget: float | None, check: Callable[[World], None]) -> Campaign:
     """A controller's campaign in this world."""
     journal = MortalJournal(world.folder / "journal.jsonl", world, controller)
-    order = Order(
+    order = CampaignConfig(
         application="a", rules=RULES, budget_usd=budget, deadline_s=SETUP_S + AFTER_S,
         lifetime_s=SETUP_S + AFTER_S + SLACK_S, task=lambda _sample: {}, root=world.folder,
-        attempts=world.folder / "attempts", prefix=prefix_of("a"), token=f"{controller}x{os.urandom(2).hex()}",
+        attempts=world.folder / "attempts", prefix=sample_prefix("a"), token=f"{controller}x{os.urandom(2).hex()}",
         instead=lambda name: [one for one in others(name) if one.id not in measured(world)],
     )  # fmt: skip
     return Campaign(
@@ -99,7 +99,7 @@ def one_bench(
     campaign = campaign_of(world, controller, budget, check)
     try:
         campaign.journal.begin("simulated", "a", "p", world.disk["spent"])
-        adopt_strays(campaign, wanted, resume=True)
+        adopt_orphans(campaign, wanted, resume=True)
         running = campaign.recover()
         campaign.run([s for s in wanted if s.id not in running | measured(world)])
         if campaign.left:

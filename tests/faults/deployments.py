@@ -24,7 +24,7 @@ from datetime import timedelta
 from pathlib import Path
 
 from fogspec.backends.local.deployer import LocalDeployer
-from fogspec.backends.protocol import Launch, LostContact
+from fogspec.backends.protocol import Launch, Unreachable
 from fogspec.base import files
 from fogspec.deploy import state
 from tests.support.deployed import MANIFEST, Deployed
@@ -32,9 +32,10 @@ from tests.support.forking import forked
 
 # What is done in order, and after or before which a process may die.
 STEPS: tuple[tuple[object, str], ...] = (
-    (files.os, "replace"), (state.LiveFile, "_write"), (state.LiveFile, "keep_manifest"), (state.LiveFile, "gone"),
-    (state.LiveFile, "clear"), (LocalDeployer, "start"), (LocalDeployer, "look"), (LocalDeployer, "end"),
-)  # fmt: skip
+    (files.os, "replace"),
+    *((state.DeploymentState, name) for name in ("_write", "keep_manifest", "gone", "clear")),
+    *((LocalDeployer, name) for name in ("start", "look", "end")),
+)
 Fault = Callable[[], None]
 
 
@@ -114,8 +115,8 @@ def jumped(days: int) -> Fault:
     """The date is another one, every time it is asked for."""
 
     def put() -> None:
-        true, count = state.SystemTimes.date, itertools.count(1)
-        state.SystemTimes.date = lambda self: true(self) + timedelta(days=days * next(count))  # type: ignore[method-assign]
+        true, count = state.SystemWallClock.date, itertools.count(1)
+        state.SystemWallClock.date = lambda self: true(self) + timedelta(days=days * next(count))  # type: ignore[method-assign]
 
     return put
 
@@ -129,7 +130,7 @@ def cut(looks: int, ends: int) -> Fault:
 
             def call(self: LocalDeployer, launch: Launch, left=left, step=step, count=count) -> object:  # type: ignore[no-untyped-def]
                 if next(left) <= count:
-                    raise LostContact("the network is down")
+                    raise Unreachable("the network is down")
                 return step(self, launch)
 
             setattr(LocalDeployer, name, call)

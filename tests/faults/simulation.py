@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fogspec.backends.protocol import CannotStart, Job, LostContact, Progress
+from fogspec.backends.protocol import Job, LaunchRefused, Progress, Unreachable
 from fogspec.bench.journal import Journal
 from fogspec.bench.record import Rules
-from fogspec.results.schema import Measured, finished
+from fogspec.results.schema import Measured, is_final
 
 SETUP_S, AFTER_S, SLACK_S = 120.0, 300.0, 120.0
 RULES = Rules(warmup=1, valid=0.9, statistic="mean")
@@ -122,7 +122,7 @@ class FaultyRunner:
             world.misdeeds.append(f"{job.name} was started twice")
         if world.happens(0.15):
             reason = world.chance.choice(["capacity", "capacity", "quota"])
-            raise CannotStart(reason, "no such machine left", again=world.happens(0.4))
+            raise LaunchRefused(reason, "no such machine left", again=world.happens(0.4))
         fate = world.chance.choices(
             ["finishes", "hangs", "never ready", "crashes", "vanishes", "partial", "no room"], [64, 6, 6, 6, 6, 6, 6]
         )[0]
@@ -136,7 +136,7 @@ class FaultyRunner:
         )  # fmt: skip
         world.step(self.controller, "after launch")
         if world.happens(0.05):
-            raise LostContact("the answer to the launch was lost")
+            raise Unreachable("the answer to the launch was lost")
 
     def look(self, job: Job) -> Progress:
         world = self.world
@@ -146,7 +146,7 @@ class FaultyRunner:
         if machine is not None and machine.fetched:
             return self._finished(machine, timings)
         if world.happens(0.1):
-            raise LostContact("no route to host")
+            raise Unreachable("no route to host")
         if machine is None or not machine.up(world.now) or (machine.fate == "vanishes" and world.now >= machine.done):
             return Progress(running=False, lost=True, detail="the machine is not there")
         if machine.fate == "no room" and world.now >= machine.ready:
@@ -173,13 +173,13 @@ class FaultyRunner:
         world = self.world
         world.step(self.controller, "before end")
         if world.happens(0.1):
-            raise LostContact("no route to host")
+            raise Unreachable("no route to host")
         machine = world.machines.get(job.name)
         if machine is not None and machine.ended is None:
             machine.ended = min(world.now, machine.started + machine.lifetime)
         world.step(self.controller, "after end")
         if world.happens(0.05):
-            raise LostContact("ended, but nobody said so")
+            raise Unreachable("ended, but nobody said so")
 
 
 def write_timings(path: Path, machine: Machine) -> None:
@@ -211,7 +211,7 @@ class SimulatedLedger:
         if world.happens(0.005):
             raise OSError(28, "No space left on device")
         before = world.disk["samples"].get(record.id)
-        if before is not None and finished(before) and before != record:
+        if before is not None and is_final(before) and before != record:
             world.misdeeds.append(f"{record.id} was measured again")
         world.disk = {"spent": spent_usd, "samples": {**world.disk["samples"], record.id: record}}
         world.step(self.controller, "after results")

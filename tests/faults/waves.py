@@ -13,7 +13,7 @@ from typing import Any
 from unittest import mock
 
 from fogspec.backends.replay import ReplayRunner
-from fogspec.bench import run
+from fogspec.bench import run as benching
 from fogspec.bench.journal import Journal
 from fogspec.bench.prepare import prepare
 from fogspec.bench.progress import Lines
@@ -88,9 +88,9 @@ def run(folder: Path) -> None:
     clock = FastClock()
     found, source = replayable(str(folder / "sweep.csv"), 60.0)
     runner = ReplayRunner(found, source, clock.now_s)
-    with mock.patch.object(run, "SystemClock", return_value=clock):
-        run.bench(prepare(one.application, one.path, []), runner, lambda _: Lines(lambda _: None),
-                       run.Terms(catalog=catalog))  # fmt: skip
+    with mock.patch.object(benching, "SystemClock", return_value=clock):
+        benching.bench(prepare(one.application, one.path, []), runner, lambda _: Lines(lambda _: None),
+                       benching.BenchOptions(catalog=catalog))  # fmt: skip
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.base.diagnostics import Diagnostic
-from fogspec.spec.loader import examine_text
+from fogspec.spec.loader import check_text
 from tests.mutation.mutants import Mutant, mutants
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,7 +32,7 @@ class Survey:
         kind = mutant.kind
         self.total[kind] += 1
         try:
-            found, diagnostics = examine_text(mutant.content, "spec.yaml")
+            found, diagnostics = check_text(mutant.content, "spec.yaml")
         except Exception as bug:
             self.bad.append((mutant, f"{type(bug).__name__}: {bug}"))
             return

@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fogspec.catalog.table import Catalog
-from fogspec.choice import choose
+from fogspec.choice import choose as choice
 from fogspec.model.fit import Models, fit
 from fogspec.model.predict import predict
 from fogspec.plan.schema import MachineRef, PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec.schema import Application
 from tests.bench_choice import application, offers
 
@@ -25,7 +25,7 @@ def measured(scale: float = 1.0, hurt: float = 0.0) -> Models:
         for c in (2.0, 16.0, 128.0) for m in (2 * c, 4 * c, 8 * c)
     ]  # fmt: skip
     body = ResultsBody(application="", plan=None, runner="x", spent=0.0, samples=records)
-    return fit(application(), sealed(PlanMetadata(name="made-up"), body))
+    return fit(application(), with_checksum(PlanMetadata(name="made-up"), body))
 
 
 MODELS = measured()
@@ -46,8 +46,8 @@ def among(seed: int, count: int = 60) -> Catalog:
     return offers(count, seed)
 
 
-def choose(app: Application, models: Models, catalog: Catalog) -> choose.Choice:
-    return choose.choose(app, predict(models, catalog, ["latency"]))
+def choose(app: Application, models: Models, catalog: Catalog) -> choice.Choice:
+    return choice.choose(app, predict(models, catalog, ["latency"]))
 
 
 seeds = st.integers(0, 200)

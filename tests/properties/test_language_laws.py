@@ -13,8 +13,8 @@ from fogspec.base.units import Range
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.flow import block, flow
 from fogspec.base.yaml.positions import plain
-from fogspec.spec.loader import examine_text
-from fogspec.spec.render import written
+from fogspec.spec.loader import check_text
+from fogspec.spec.render import render_document
 from fogspec.spec.schema import (
     Application,
     Benchmark,
@@ -29,7 +29,7 @@ from fogspec.spec.schema import (
     Spec,
     Stop,
 )
-from fogspec.spec.validate import check
+from fogspec.spec.validate import validate
 
 ROOT = Path(__file__).resolve().parents[2]
 SCHEMA = jsonschema.Draft202012Validator(json.loads((ROOT / "schemas" / "Application.json").read_text("utf-8")))
@@ -87,11 +87,11 @@ def applications(draw: st.DrawFn) -> Application:
 @given(applications())
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_a_spec_that_is_written_and_read_is_the_same_spec(application: Application) -> None:
-    text = "\n".join(line for line, _ in block(written(application))) + "\n"
-    loaded, wrong = examine_text(text.encode(), "spec.yaml")
+    text = "\n".join(line for line, _ in block(render_document(application))) + "\n"
+    loaded, wrong = check_text(text.encode(), "spec.yaml")
     assert [one for one in wrong if one.severity == "error"] == []
     assert loaded[0].application == application
-    again = "\n".join(line for line, _ in block(written(loaded[0].application))) + "\n"
+    again = "\n".join(line for line, _ in block(render_document(loaded[0].application))) + "\n"
     assert again == text
 
 
@@ -137,7 +137,7 @@ def test_types_and_schema_accept_the_same_documents(data: st.DataObject) -> None
     target[last] = data.draw(ODD)
     node, wrong = reader.documents(f"{flow(document)}\n", "x.yaml")
     assert wrong == []
-    by_types = check(Application, node[0]).wrong
+    by_types = validate(Application, node[0]).wrong
     by_schema = list(SCHEMA.iter_errors(document))
     if target[last] != "$1/0 requests":
         assert bool(by_types) == bool(by_schema), (by_types, by_schema)

@@ -6,7 +6,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.base.errors import NothingMeets
+from fogspec.base.errors import Infeasible
 from fogspec.plan.schema import Plan, make_plan
 from tests.support.catalogs import application, table
 
@@ -44,7 +44,7 @@ def applications(draw: st.DrawFn) -> Any:
 def planned(application: Any, rows: list[str]) -> Plan | None:
     try:
         return make_plan(application, "specs/demo.yaml", table(*rows))
-    except NothingMeets:
+    except Infeasible:
         return None
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.bench.journal import Journal
-from fogspec.results.schema import Results, finished
+from fogspec.results.schema import Results, is_final
 from fogspec.spec.loader import read_document
 from tests.slurm import breaking
 from tests.slurm.site import Site
@@ -158,7 +158,7 @@ def judge(site: Site, name: str, budget_usd: float = 10.0, spare: str | None = N
     tally["measured twice"] += sum(count > 1 for count in counts.values())
     for one in results.samples:
         tally[f"samples {one.state if one.reason is None else one.reason}"] += 1
-        tally["samples unfinished"] += not finished(one)
+        tally["samples unfinished"] += not is_final(one)
     return tally
 
 

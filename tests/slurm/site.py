@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 
 from fogspec.base.files import write_yaml
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, sealed
+from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load, read_document
 from tests.tools.slurm import daemons, engine, login
@@ -198,5 +198,5 @@ def recorded(site: Site, name: str) -> None:
         application=fingerprints.measured_digest(application), plan=None, pins=None, reads=plan.spec.application.reads,
         runner="skypilot", source="a test", spent=0.001, samples=records,
     )  # fmt: skip
-    results = sealed(plan.metadata, body)
+    results = with_checksum(plan.metadata, body)
     write_yaml(site.project / "results" / f"{name}.yaml", results.model_dump(mode="json", exclude_none=True), "a test")

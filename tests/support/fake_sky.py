@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.backends.local import processes
-from fogspec.backends.protocol import LostContact
+from fogspec.backends.protocol import Unreachable
 from fogspec.backends.skypilot.client import Call
-from fogspec.backends.skypilot.errors import CloudProblem, classified
+from fogspec.backends.skypilot.errors import CloudProblem, classify
 
 
 @dataclass
@@ -148,14 +148,14 @@ class SimulatedClient:
 
     def _answer(self, call: Call, op: str, words: Mapping[str, Any]) -> Call:
         problem = self.cloud.fails(op, words)
-        if isinstance(problem, LostContact):
+        if isinstance(problem, Unreachable):
             problem = CloudProblem("setup", str(problem), contact=True)
         try:
             if problem is not None:
                 raise problem
             call.tell({"value": getattr(self.cloud, op)(**words)})
         except Exception as raised:
-            call.tell({"problem": classified(raised).told()})
+            call.tell({"problem": classify(raised).told()})
         return call
 
     def ask(self, op: str, timeout_s: float, **words: Any) -> Any:

@@ -10,7 +10,7 @@ from fogspec.base import digest
 from fogspec.base.files import write_yaml
 from fogspec.cli import main
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, sealed
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load, read_document
 
@@ -113,7 +113,7 @@ def measure(shell: Shell, only: int | None = None) -> None:
         )
         for one in body.samples[:only]
     ]  # fmt: skip
-    results = sealed(plan.metadata, ResultsBody(
+    results = with_checksum(plan.metadata, ResultsBody(
         application=fingerprints.measured_digest(load([str(shell.folder / "specs/demo.yaml")])[0].application),
         plan=digest.of_bytes((shell.folder / "compiled/demo/plan.yaml").read_bytes()), pins=body.pins or None,
         reads=body.application.reads, runner="local", spent=round(sum(one.spent for one in records), 6), samples=records,

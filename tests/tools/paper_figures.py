@@ -14,7 +14,7 @@ import numpy as np
 from fogspec.backends import registry
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
-from fogspec.catalog.filters import admit
+from fogspec.catalog.filters import filter_offers
 from fogspec.charts import drawing, menu_svg, model_svg
 from fogspec.charts.axes import axis, money, seconds
 from fogspec.charts.drawing_models import latency_chart
@@ -62,7 +62,7 @@ def cases() -> Iterator[Case]:
             assert results is not None
             clouds = tuple({entry.split("/")[0] for entry in application.spec.infra})
             catalog = registry.catalog(None, clouds)
-            offers = admit(catalog, application.spec.hardware, application.spec.infra).offers
+            offers = filter_offers(catalog, application.spec.hardware, application.spec.infra).offers
             models = fit(application, results)
             predicted = predict(models, offers, targets(application), catalog)
             free = application.spec.model_copy(update={"constraints": Constraints()})

@@ -13,7 +13,7 @@ from pathlib import Path
 from fogspec.base.files import write_yaml
 from fogspec.base.layout import Layout
 from fogspec.plan.schema import GpuShape, MachineRef, PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, sealed
+from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load
 
@@ -53,7 +53,7 @@ def restated(name: str, application_digest: str, rows: list[dict[str, str]]) -> 
         application=application_digest, plan=None, runner="recorded", source=SOURCE,
         spent=round(sum(s.spent for s in samples), 6), samples=samples,
     )  # fmt: skip
-    return sealed(PlanMetadata(name=name), body)
+    return with_checksum(PlanMetadata(name=name), body)
 
 
 def _record(row: dict[str, str]) -> Measured:

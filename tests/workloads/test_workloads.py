@@ -16,7 +16,7 @@ PLANNER, LIDAR = (ROOT / "specs" / "workloads" / name for name in ("planner.py",
 def begin(tmp_path: Path, program: Path, *words: str) -> subprocess.Popen:
     environment = {
         **os.environ,
-        "PYTHONPATH": str(ROOT / "fogspec" / "probe"),
+        "PYTHONPATH": str(ROOT / "fogspec" / "agent"),
         "FOGSPEC_TIMINGS": str(tmp_path / "timings"),
     }
     return subprocess.Popen([sys.executable, str(program), *words], env=environment, stdout=subprocess.PIPE,

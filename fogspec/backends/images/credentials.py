@@ -10,7 +10,7 @@ import subprocess
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fogspec.base.errors import WrongFile
+from fogspec.base.errors import InvalidInput
 
 DOCKER_HUB_KEYS = ("https://index.docker.io/v1/", "index.docker.io", "docker.io", "registry-1.docker.io")
 HELPER_PATIENCE_S = 30.0
@@ -27,7 +27,7 @@ class Credentials(NamedTuple):
 
 
 def credentials(registry: str) -> Credentials | None:
-    """What docker knows for a registry, None for an anonymous user; raises WrongFile for a damaged configuration."""
+    """What docker knows for a registry, None for an anonymous user; raises InvalidInput for a damaged configuration."""
     path = Path(os.environ.get("DOCKER_CONFIG") or Path.home() / ".docker") / "config.json"
     if not path.is_file():
         return None
@@ -41,7 +41,7 @@ def credentials(registry: str) -> Credentials | None:
             if key in config.get("auths", {}) and (found := _from_entry(config["auths"][key])):
                 return found
     except (OSError, ValueError, AttributeError, TypeError) as problem:
-        raise WrongFile(f"{path}: docker's configuration cannot be read: {type(problem).__name__}") from None
+        raise InvalidInput(f"{path}: docker's configuration cannot be read: {type(problem).__name__}") from None
     return None
 
 

@@ -17,7 +17,7 @@ from email.message import Message
 from http.client import HTTPException, HTTPMessage
 
 from fogspec.backends.images.credentials import Credentials, credentials
-from fogspec.base.errors import CloudFailed, WrongFile
+from fogspec.base.errors import CloudError, InvalidInput
 from fogspec.spec.lockfile import DIGEST, DOCKER_HUB, Image, image_of
 
 ACCEPT = ", ".join((
@@ -35,20 +35,20 @@ class Registry:
     def digest(self, name: str) -> str:
         """`sha256:...` of the manifest, for several platforms where there are several, that a tag names now.
 
-        Raises WrongFile for a name that is none or that the registry does not know or does not show,
-        CloudFailed when the registry cannot be asked.
+        Raises InvalidInput for a name that is none or that the registry does not know or does not show,
+        CloudError when the registry cannot be asked.
         """
         try:
             image = image_of(name)
         except ValueError as wrong:
-            raise WrongFile(str(wrong)) from None
+            raise InvalidInput(str(wrong)) from None
         try:
             return _digest(name, image)
         except urllib.error.HTTPError as refused:
             raise _refused(name, image, refused) from None
         except (OSError, HTTPException, ValueError) as problem:
             reason = getattr(problem, "reason", None) or problem
-            raise CloudFailed(f"{name}: the registry {image.registry} cannot be asked: {reason}") from None
+            raise CloudError(f"{name}: the registry {image.registry} cannot be asked: {reason}") from None
 
 
 def _digest(name: str, image: Image) -> str:
@@ -63,7 +63,7 @@ def _digest(name: str, image: Image) -> str:
     found = f"sha256:{hashlib.sha256(body).hexdigest()}"
     told = said.get("Docker-Content-Digest", found)
     if not DIGEST.fullmatch(told) or told != found:
-        raise CloudFailed(f"{name}: the registry says {told}, and what it sent has {found}")
+        raise CloudError(f"{name}: the registry says {told}, and what it sent has {found}")
     return found
 
 
@@ -130,10 +130,10 @@ def _get(url: str, headers: Mapping[str, str], form: bytes | None = None) -> tup
         return answer.headers, body
 
 
-def _refused(name: str, image: Image, refused: urllib.error.HTTPError) -> WrongFile | CloudFailed:
+def _refused(name: str, image: Image, refused: urllib.error.HTTPError) -> InvalidInput | CloudError:
     if refused.code == 404:
-        return WrongFile(f"{name}: the registry {image.registry} has no such image")
+        return InvalidInput(f"{name}: the registry {image.registry} has no such image")
     if refused.code in (401, 403):
-        return WrongFile(f"{name}: the registry {image.registry} does not show it", f"docker login {image.registry}")
+        return InvalidInput(f"{name}: the registry {image.registry} does not show it", f"docker login {image.registry}")
     wait = " for now: too many requests" if refused.code == 429 else ""
-    return CloudFailed(f"{name}: the registry {image.registry} refuses{wait} (HTTP {refused.code})")
+    return CloudError(f"{name}: the registry {image.registry} refuses{wait} (HTTP {refused.code})")

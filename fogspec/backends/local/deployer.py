@@ -15,7 +15,7 @@ from fogspec.backends import agent_state
 from fogspec.backends.local import limits, processes
 from fogspec.backends.local.runner import MARK as SAMPLE
 from fogspec.backends.local.runner import WITHHELD
-from fogspec.backends.protocol import CannotStart, Launch, Live, LostContact
+from fogspec.backends.protocol import DeploymentStatus, Launch, LaunchRefused, Unreachable
 
 MARK = "FOGSPEC_DEPLOYMENT"
 # Where scripts find what is mounted elsewhere: the reviewed files, in place.
@@ -34,17 +34,17 @@ class LocalDeployer:
     poll_s = 0.1
 
     def start(self, launch: Launch) -> None:
-        """Start the run script; raises CannotStart when this host is too small, or a secret is not in the environment."""
+        """Start the run script; raises LaunchRefused when this host is too small, or a secret is not in the environment."""
         machine, (cpus, memory_gib) = launch.machine, limits.host_capacity()
         if machine is None:
-            raise CannotStart("setup", "what shape it needs is not known")
+            raise LaunchRefused("setup", "what shape it needs is not known")
         if machine.gpu is not None:
-            raise CannotStart(
+            raise LaunchRefused(
                 "capacity", f"this host has no accelerators known to fogspec: {machine.gpu.name} is not here"
             )
         if machine.cpus > cpus or machine.memory > memory_gib:
             here = f"this host has {cpus} CPUs and {memory_gib:.1f} GiB"
-            raise CannotStart("capacity", f"needs {machine.cpus:g} CPUs and {machine.memory:g} GiB; {here}")
+            raise LaunchRefused("capacity", f"needs {machine.cpus:g} CPUs and {machine.memory:g} GiB; {here}")
         environment = _environment(launch)
         try:
             (launch.folder / "out").mkdir(parents=True, exist_ok=True)
@@ -59,24 +59,26 @@ class LocalDeployer:
             if started.group is not None:
                 (launch.folder / "group").write_text(str(started.group), encoding="utf-8")
         except OSError as problem:
-            raise CannotStart("setup", f"cannot be started: {problem}") from problem
+            raise LaunchRefused("setup", f"cannot be started: {problem}") from problem
 
-    def look(self, launch: Launch) -> Live:
+    def look(self, launch: Launch) -> DeploymentStatus:
         """What its keeper says while it has processes."""
         out = launch.folder / "out"
         timings = b"".join(_read(out / name) for name in ("timings.1.jsonl", "timings.jsonl"))
         log = _read(launch.folder / "run.log")
-        said = agent_state.with_words(agent_state.live(_read(out / "state.json"), timings, "127.0.0.1"), log)
+        said = agent_state.with_words(
+            agent_state.deployment_status(_read(out / "state.json"), timings, "127.0.0.1"), log
+        )
         if processes.found(MARK, launch.name):
             return said
-        return Live("ended" if said.state == "ended" else "gone", said.detail or _words(log))
+        return DeploymentStatus("ended" if said.state == "ended" else "gone", said.detail or _words(log))
 
     def end(self, launch: Launch) -> None:
         """TERM, which the keeper passes on; then KILL for all that bears the name, whether deployed or measured."""
         groups = {_group(pid) for pid in processes.found(MARK, launch.name)} | {_read(launch.folder / "group").decode()}
         for mark in (MARK, SAMPLE):
             if left := processes.end(mark, launch.name, GRACE_S):
-                raise LostContact(f"processes {', '.join(map(str, left))} do not end")
+                raise Unreachable(f"processes {', '.join(map(str, left))} do not end")
         for group in filter(None, groups):
             with contextlib.suppress(OSError):
                 os.rmdir(group)
@@ -96,7 +98,7 @@ class LocalDeployer:
 def _environment(launch: Launch) -> dict[str, str]:
     secrets = _mapping(launch.task.get("secrets"))
     if missing := [name for name in secrets if name not in os.environ]:
-        raise CannotStart("setup", f"the environment does not have {', '.join(sorted(missing))}")
+        raise LaunchRefused("setup", f"the environment does not have {', '.join(sorted(missing))}")
     kept = {k: v for k, v in os.environ.items() if k in secrets or not WITHHELD.search(k.upper())}
     given = {key: str(value) for key, value in _mapping(launch.task.get("envs")).items()}
     # The agent that was reviewed runs, not the one that is installed.

@@ -34,7 +34,7 @@ os.execvp(sys.argv[4], sys.argv[4:])
 
 
 @dataclass(slots=True)
-class Confined:
+class LimitedProcess:
     """A confined process tree that was started here."""
 
     process: "subprocess.Popen[bytes]"
@@ -77,7 +77,7 @@ class Confined:
 def start(
     argv: Sequence[str], *, cpus: int, memory_gib: float, cwd: Path, env: Mapping[str, str], stdout_path: Path,
     stderr_path: Path,
-) -> Confined:  # fmt: skip
+) -> LimitedProcess:  # fmt: skip
     """Start `argv` on `cpus` CPUs with `memory_gib` of memory; raises OSError when it cannot be started.
 
     Raises ValueError when this host has fewer CPUs.
@@ -96,7 +96,7 @@ def start(
         if group:
             group.rmdir()
         raise
-    return Confined(process, chosen, "cgroup" if group else "rlimit", group)
+    return LimitedProcess(process, chosen, "cgroup" if group else "rlimit", group)
 
 
 def pick_cpus(count: int) -> tuple[int, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fogspec.backends.local import limits, processes
-from fogspec.backends.protocol import CannotStart, Job, LostContact, Progress
+from fogspec.backends.protocol import Job, LaunchRefused, Progress, Unreachable
 from fogspec.backends.sample_outcome import read
 
 MARK = "FOGSPEC_SAMPLE"
@@ -31,7 +31,7 @@ class LocalRunner:
     def __init__(self) -> None:
         cpus, memory_gib = limits.host_capacity()
         self._capacity = (cpus, memory_gib)
-        self._own: dict[str, limits.Confined] = {}
+        self._own: dict[str, limits.LimitedProcess] = {}
         self.source = (
             f"measured on one host ({_processor()}, {cpus} CPUs, {memory_gib:.0f} GiB), each sample confined to its CPUs by "
             f"affinity and to its memory by {limits.memory_by()}: clock, turbo, caches and neighbours are that host's, "
@@ -39,13 +39,13 @@ class LocalRunner:
         )
 
     def start(self, job: Job) -> None:
-        """Start the job in a new folder; raises CannotStart when this host is too small for it."""
+        """Start the job in a new folder; raises LaunchRefused when this host is too small for it."""
         machine, (cpus, memory_gib) = job.sample.machine, self._capacity
         if machine.gpu is not None:
-            raise CannotStart("capacity", f"the local runner has no accelerators: {machine.gpu.name} is not here")
+            raise LaunchRefused("capacity", f"the local runner has no accelerators: {machine.gpu.name} is not here")
         if machine.cpus > cpus or machine.memory > memory_gib:
             here = f"this host has {cpus} CPUs and {memory_gib:.1f} GiB"
-            raise CannotStart("capacity", f"needs {machine.cpus:g} CPUs and {machine.memory:g} GiB; {here}")
+            raise LaunchRefused("capacity", f"needs {machine.cpus:g} CPUs and {machine.memory:g} GiB; {here}")
         environment = _environment(job)
         try:
             (job.folder / "out").mkdir(parents=True)
@@ -57,7 +57,7 @@ class LocalRunner:
                 cwd=job.root / str(job.task.get("workdir") or "."), env=environment, stdout_path=log, stderr_path=log,
             )  # fmt: skip
         except OSError as problem:
-            raise CannotStart("setup", f"cannot be started: {problem}") from problem
+            raise LaunchRefused("setup", f"cannot be started: {problem}") from problem
 
     def look(self, job: Job) -> Progress:
         """What its folder and its processes say; `lost` when it ended without saying how."""
@@ -92,7 +92,7 @@ class LocalRunner:
         if own is not None:
             own.end(grace_s=GRACE_S)
         if left := processes.end(MARK, job.name, GRACE_S):
-            raise LostContact(f"processes {', '.join(map(str, left))} do not end")
+            raise Unreachable(f"processes {', '.join(map(str, left))} do not end")
 
     def strays(self, prefix: str, folder: Path) -> list[str]:
         """Samples of this application that still run here, whoever started them."""
@@ -114,7 +114,7 @@ def _strays(prefix: str, folder: Path) -> list[str]:
 def _environment(job: Job) -> dict[str, str]:
     secrets = _mapping(job.task.get("secrets"))
     if missing := [name for name in secrets if name not in os.environ]:
-        raise CannotStart("setup", f"the environment does not have {', '.join(sorted(missing))}")
+        raise LaunchRefused("setup", f"the environment does not have {', '.join(sorted(missing))}")
     kept = {k: v for k, v in os.environ.items() if k in secrets or not WITHHELD.search(k.upper())}
     given = {key: str(value) for key, value in _mapping(job.task.get("envs")).items()}
     return {**processes.equipped({**kept, **given}, job.folder / "out"), MARK: job.name}
@@ -129,7 +129,7 @@ def _marked(name: str) -> list[int]:
     return processes.marked(MARK, name)
 
 
-def _ended_early(own: limits.Confined | None, folder: Path) -> str:
+def _ended_early(own: limits.LimitedProcess | None, folder: Path) -> str:
     lines = (folder / "run.log").read_text(encoding="utf-8", errors="replace")[-4096:].splitlines()
     said = next(("".join(c for c in line if c.isprintable()) for line in reversed(lines) if line.strip()), "")
     code = own.poll() if own is not None else None

@@ -11,9 +11,9 @@ import threading
 import time
 from typing import IO, Any
 
-from fogspec.backends.protocol import LostContact
-from fogspec.backends.skypilot.errors import CloudProblem, heard, plain
-from fogspec.base.errors import CloudFailed
+from fogspec.backends.protocol import Unreachable
+from fogspec.backends.skypilot.errors import CloudProblem, from_dict, plain
+from fogspec.base.errors import CloudError
 
 WORKER = "fogspec.backends.skypilot.worker"
 START_S = 240.0
@@ -38,12 +38,12 @@ class Call:
         return self._answered.wait(timeout_s)
 
     def value(self) -> Any:
-        """The answer; raises CloudProblem for one that is a no, LostContact where nothing is known."""
+        """The answer; raises CloudProblem for one that is a no, Unreachable where nothing is known."""
         if "problem" not in self._told:
             return self._told.get("value")
-        problem = heard(self._told["problem"])
+        problem = from_dict(self._told["problem"])
         if problem.contact:
-            raise LostContact(problem.detail)
+            raise Unreachable(problem.detail)
         raise problem
 
     def tell(self, told: dict[str, Any]) -> None:
@@ -55,14 +55,14 @@ class Call:
 class Client:
     """SkyPilot as a worker process, started when first asked and again when it ended.
 
-    Its own sessions end with it; machines and API server do not. Raises CloudFailed where SkyPilot is not installed.
+    Its own sessions end with it; machines and API server do not. Raises CloudError where SkyPilot is not installed.
     """
 
     def __init__(self) -> None:
         try:
             self.version = importlib.metadata.version("skypilot")
         except importlib.metadata.PackageNotFoundError:
-            raise CloudFailed("SkyPilot is not installed here", "pip install 'fogspec[sky]'") from None
+            raise CloudError("SkyPilot is not installed here", "pip install 'fogspec[sky]'") from None
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._calls: dict[int, tuple[subprocess.Popen[str], Call]] = {}
@@ -75,11 +75,11 @@ class Client:
         self.close()
 
     def ready(self, timeout_s: float = START_S) -> str:
-        """Wait until SkyPilot answers, and return its version; raises CloudFailed when it does not."""
+        """Wait until SkyPilot answers, and return its version; raises CloudError when it does not."""
         try:
             return str(self.ask("hello", timeout_s)["version"])
-        except (CloudProblem, LostContact) as problem:
-            raise CloudFailed(f"SkyPilot does not answer: {problem}", "what it says itself: sky api status") from None
+        except (CloudProblem, Unreachable) as problem:
+            raise CloudError(f"SkyPilot does not answer: {problem}", "what it says itself: sky api status") from None
 
     def begin(self, op: str, **words: Any) -> Call:
         """Ask; see `fogspec.backends.skypilot.api` for what can be asked."""
@@ -97,10 +97,10 @@ class Client:
         return call
 
     def ask(self, op: str, timeout_s: float, **words: Any) -> Any:
-        """Ask and wait; raises LostContact when there is no answer in time, else as `Call.value` does."""
+        """Ask and wait; raises Unreachable when there is no answer in time, else as `Call.value` does."""
         call = self.begin(op, **words)
         if not call.wait(timeout_s):
-            raise LostContact(f"SkyPilot has not answered within {timeout_s:g} s: {op}")
+            raise Unreachable(f"SkyPilot has not answered within {timeout_s:g} s: {op}")
         return call.value()
 
     def close(self) -> None:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.backends import agent_state
-from fogspec.backends.naming import is_of
-from fogspec.backends.protocol import CannotStart, Launch, Live, LostContact
+from fogspec.backends.naming import is_machine_of
+from fogspec.backends.protocol import DeploymentStatus, Launch, LaunchRefused, Unreachable
 from fogspec.backends.skypilot import secrets_file
 from fogspec.backends.skypilot.client import Call, Client
 from fogspec.backends.skypilot.errors import FORGOTTEN, CloudProblem
-from fogspec.base.errors import CloudFailed
+from fogspec.base.errors import CloudError
 
 LABEL = "fogspec-application"
 ASK_S = 240.0  # the first question may have to start an API server
@@ -41,63 +41,65 @@ class SkyPilotDeployer:
             secrets_file.check(launch.task)
             self._ask("launch", task=launch.task, name=launch.name, root=str(launch.root.absolute()))
         except CloudProblem as problem:
-            raise CannotStart(problem.reason, problem.detail, again=problem.again) from None
-        except CloudFailed as failed:
-            raise CannotStart("setup", failed.message) from None
+            raise LaunchRefused(problem.reason, problem.detail, again=problem.again) from None
+        except CloudError as failed:
+            raise LaunchRefused("setup", failed.message) from None
 
-    def look(self, launch: Launch) -> Live:
+    def look(self, launch: Launch) -> DeploymentStatus:
         """From the launch to the job, and what the job's log says last."""
         job = self._jobs.get(launch.name)
         if job is None:
             found = self._launched(launch.name)
-            if isinstance(found, Live):
+            if isinstance(found, DeploymentStatus):
                 return found
             job = self._jobs[launch.name] = found
         try:
             status, said = self._heard(launch.name, job)
         except CloudProblem as problem:
             if problem.gone:
-                return Live("gone", problem.detail)
-            raise LostContact(problem.detail) from None
+                return DeploymentStatus("gone", problem.detail)
+            raise Unreachable(problem.detail) from None
         if status is None:
-            return Live("ended", "its machine knows no such job")
+            return DeploymentStatus("ended", "its machine knows no such job")
         if status not in (*OVER, "RUNNING"):
-            return Live("starting", f"the job is {status.lower()}")
+            return DeploymentStatus("starting", f"the job is {status.lower()}")
         if status in OVER:
-            return Live("ended", said.detail if said is not None and said.detail else f"the job ended as {status}")
-        return said or Live("starting", "the nodes have not said anything yet")
+            return DeploymentStatus(
+                "ended", said.detail if said is not None and said.detail else f"the job ended as {status}"
+            )
+        return said or DeploymentStatus("starting", "the nodes have not said anything yet")
 
     def end(self, launch: Launch) -> None:
-        """Take its machine down; raises LostContact until its cloud says that it is gone."""
+        """Take its machine down; raises Unreachable until its cloud says that it is gone."""
         try:
             self._client.ask("end", DOWN_S, name=launch.name)
-        except (CloudProblem, CloudFailed) as problem:
-            raise LostContact(str(problem)) from None
+        except (CloudProblem, CloudError) as problem:
+            raise Unreachable(str(problem)) from None
         self._jobs.pop(launch.name, None)
 
     def names(self, application: str, state: Path) -> Sequence[str]:
         """Machines that bear the application's label, or whose launch goes on under its name."""
         try:
             labels = {one["name"]: (one.get("labels") or {}).get(LABEL) for one in self._ask("clusters")}
-            known = [name for name, label in labels.items() if label == application or is_of(name, application)]
-            return sorted({*known, *(name for name in self._ask("waiting") if is_of(name, application))})
-        except (CloudProblem, CloudFailed) as problem:
-            raise LostContact(str(problem)) from None
+            known = [name for name, label in labels.items() if label == application or is_machine_of(name, application)]
+            return sorted({*known, *(name for name in self._ask("waiting") if is_machine_of(name, application))})
+        except (CloudProblem, CloudError) as problem:
+            raise Unreachable(str(problem)) from None
 
-    def _launched(self, name: str) -> int | Live:
-        """The job's number once the machine is up; raises CannotStart when it could not be had."""
+    def _launched(self, name: str) -> int | DeploymentStatus:
+        """The job's number once the machine is up; raises LaunchRefused when it could not be had."""
         try:
             found = self._ask("find", name=name)
             if found is None:
-                return Live("gone", FORGOTTEN)
+                return DeploymentStatus("gone", FORGOTTEN)
             value = found if "job" in found else self._ask("launched", request=found["request"], name=name)
         except CloudProblem as problem:
             if problem.gone:
-                return Live("gone", problem.detail)
-            raise CannotStart(problem.reason, problem.detail, again=problem.again) from None
-        return Live("starting", "its machine is being started") if value is None else int(value["job"])
+                return DeploymentStatus("gone", problem.detail)
+            raise LaunchRefused(problem.reason, problem.detail, again=problem.again) from None
+        return DeploymentStatus("starting", "its machine is being started") if value is None else int(value["job"])
 
-    def _heard(self, name: str, job: int) -> tuple[str | None, Live | None]:
+    def _heard(self, name: str, job: int) -> tuple[str | None, DeploymentStatus | None]:
         """The job's state and what its log says last; all that it takes is asked at once, for each answer takes seconds."""
         with tempfile.TemporaryDirectory(prefix="fogspec-") as folder:
             log = self._log(name, job, TAIL_LINES, Path(folder))
@@ -119,14 +121,14 @@ class SkyPilotDeployer:
 
     def _read(self, log: Call, folder: Path) -> bytes:
         """The lines that were asked for; none where they cannot be had just now."""
-        with contextlib.suppress(LostContact):
+        with contextlib.suppress(Unreachable):
             self._answer(log)
         path = folder / "tail.log"
         return path.read_bytes() if path.is_file() else b""
 
     def _answer(self, call: Call) -> Any:
         if not call.wait(ASK_S):
-            raise LostContact(f"SkyPilot has not answered within {ASK_S:g} s")
+            raise Unreachable(f"SkyPilot has not answered within {ASK_S:g} s")
         return call.value()
 
     def _ask(self, op: str, **words: Any) -> Any:

@@ -65,14 +65,14 @@ class CloudProblem(Exception):
                 "contact": self.contact}  # fmt: skip
 
 
-def heard(told: Mapping[str, Any]) -> CloudProblem:
+def from_dict(told: Mapping[str, Any]) -> CloudProblem:
     """The problem from what `told` gave."""
     reason: Reason = told["reason"] if told.get("reason") in get_args(Reason) else "setup"
     flags = {name: bool(told.get(name)) for name in ("again", "gone", "contact")}
     return CloudProblem(reason, str(told.get("detail", "")), **flags)
 
 
-def classified(problem: BaseException) -> CloudProblem:
+def classify(problem: BaseException) -> CloudProblem:
     """What an exception of SkyPilot, or of the network below it, means."""
     if isinstance(problem, CloudProblem):
         return problem

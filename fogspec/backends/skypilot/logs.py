@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from fogspec.backends.protocol import SoFar
+from fogspec.backends.protocol import Partial
 from fogspec.backends.skypilot.errors import plain
 
 LOG_LIMIT = 256 * 2**20
@@ -57,15 +57,15 @@ def unpack(log: Path, folder: Path) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class LogTail:
     """What a growing log said in its first `read_to` bytes: whether set-up is over, and how far the sample is."""
 
     read_to: int = 0
     ready: bool = False
-    so_far: SoFar | None = None
+    so_far: Partial | None = None
 
 
-def heard(log: Path, before: Heard) -> Heard:
+def read_log(log: Path, before: LogTail) -> LogTail:
     """What it says now, whole lines only."""
     with contextlib.suppress(OSError), open(log, "rb") as file:
         file.seek(before.read_to)
@@ -74,15 +74,15 @@ def heard(log: Path, before: Heard) -> Heard:
         whole = new.rfind(b"\n") + 1 or (len(new) if len(new) == READ_BYTES else 0)
         told = SO_FAR.findall(new[:whole])
         so_far = _so_far(*told[-1]) if told else before.so_far
-        return Heard(before.read_to + whole, before.ready or MEASURES in new[:whole], so_far)
+        return LogTail(before.read_to + whole, before.ready or MEASURES in new[:whole], so_far)
     return before
 
 
-def _so_far(requests: bytes, mean: bytes) -> SoFar | None:
+def _so_far(requests: bytes, mean: bytes) -> Partial | None:
     with contextlib.suppress(ValueError):
         mean_s = float(mean) if mean else None
         if mean_s is None or 0 <= mean_s < math.inf:
-            return SoFar(int(requests), mean_s)
+            return Partial(int(requests), mean_s)
     return None
 
 
@@ -100,7 +100,7 @@ def last_words(log: Path) -> str:
     return lines[-1][:300] if lines else ""
 
 
-def starved(log: Path) -> bool:
+def out_of_memory(log: Path) -> bool:
     """Whether the log ends with a process that was ended for want of memory."""
     return any(OOM.search(line) for line in _tail(log))
 

@@ -12,11 +12,11 @@ from typing import Any, Literal
 
 from fogspec.backends import job_outcome
 from fogspec.backends.job_outcome import LOG, load, save, where
-from fogspec.backends.protocol import CannotStart, Job, LostContact, Progress
+from fogspec.backends.protocol import Job, LaunchRefused, Progress, Unreachable
 from fogspec.backends.skypilot import logs, secrets_file
 from fogspec.backends.skypilot.client import Call, Client
 from fogspec.backends.skypilot.errors import FORGOTTEN, CloudProblem
-from fogspec.backends.skypilot.logs import Heard
+from fogspec.backends.skypilot.logs import LogTail
 
 AT_ONCE = 8
 LAUNCH_POLL_S = 2.0
@@ -42,7 +42,7 @@ class Watch:
     due_s: float = 0.0
     job: int | None = None
     record: Mapping[str, Any] | None = None
-    heard: Heard = field(default_factory=Heard)
+    heard: LogTail = field(default_factory=LogTail)
     own: bool = False
     reads: int = 0
 
@@ -66,7 +66,7 @@ class SkyPilotRunner:
         try:
             secrets_file.check(job.task)
         except CloudProblem as problem:
-            raise CannotStart(problem.reason, problem.detail) from None
+            raise LaunchRefused(problem.reason, problem.detail) from None
         job.folder.mkdir(parents=True)
         save(job.folder / "launch.json", {"name": job.name, "at_s": time.time()})
         call = self._client.begin("launch", task=job.task, name=job.name, root=str(job.root.absolute()))
@@ -81,7 +81,7 @@ class SkyPilotRunner:
         if watch is None:
             return Progress(running=False, lost=True, measured_on=where(job), detail="its launch was never asked for")
         if watch.stage == "follow":
-            watch.heard = logs.heard(job.folder / LOG, watch.heard)
+            watch.heard = logs.read_log(job.folder / LOG, watch.heard)
             watch.progress = replace(watch.progress, ready=watch.heard.ready, so_far=watch.heard.so_far)
         if watch.call is None:
             if time.monotonic() >= watch.due_s:
@@ -94,7 +94,7 @@ class SkyPilotRunner:
             if watch.stage == "launch":
                 self._client.close()  # it must not be asked for later on
                 watch.stage = "find"
-            raise LostContact(f"SkyPilot has not answered within {HANGS_S:g} s: {watch.stage}")
+            raise Unreachable(f"SkyPilot has not answered within {HANGS_S:g} s: {watch.stage}")
         if not watch.progress.running:
             watch.progress = replace(watch.progress, so_far=None)
             del self._watched[job.name]
@@ -102,29 +102,29 @@ class SkyPilotRunner:
         return watch.progress
 
     def end(self, job: Job) -> None:
-        """Take its machine down; raises LostContact until the cloud says that it is gone."""
+        """Take its machine down; raises Unreachable until the cloud says that it is gone."""
         call = self._ending.get(job.name)
         if call is None:
             self._await_launch(job)
             call = self._ending[job.name] = self._client.begin("end", name=job.name)
             call.wait(1.0)
         if not call.done and time.monotonic() - call.asked_s < HANGS_S:
-            raise LostContact("its machine is being taken down")
+            raise Unreachable("its machine is being taken down")
         del self._ending[job.name]
         if not call.done:
-            raise LostContact(f"SkyPilot has not taken it down within {HANGS_S:g} s")
+            raise Unreachable(f"SkyPilot has not taken it down within {HANGS_S:g} s")
         try:
             call.value()
         except CloudProblem as problem:
-            raise LostContact(problem.detail) from None
+            raise Unreachable(problem.detail) from None
         self._watched.pop(job.name, None)
 
     def _await_launch(self, job: Job) -> None:
-        """Raise LostContact while its launch is on its way from here."""
+        """Raise Unreachable while its launch is on its way from here."""
         watch = self._watched.get(job.name)
         if watch is not None and watch.stage == "launch" and watch.call is not None and not watch.call.wait(1.0):
             if time.monotonic() - watch.call.asked_s < HANGS_S:
-                raise LostContact("its launch is on its way to SkyPilot")
+                raise Unreachable("its launch is on its way to SkyPilot")
             self._client.close()
 
     def strays(self, prefix: str, folder: Path) -> Sequence[str]:
@@ -133,7 +133,7 @@ class SkyPilotRunner:
             known = [one["name"] for one in self._client.ask("clusters", STRAYS_S, prefix=prefix)]
             return sorted({*known, *self._client.ask("waiting", STRAYS_S, prefix=prefix)})
         except CloudProblem as problem:
-            raise LostContact(problem.detail) from None
+            raise Unreachable(problem.detail) from None
 
     def _found(self, job: Job) -> Watch | None:
         """A job that another process started."""
@@ -159,7 +159,7 @@ class SkyPilotRunner:
         """Go on with an answer."""
         try:
             value = call.value()
-        except LostContact:
+        except Unreachable:
             # A log that breaks off says nothing of the job: that is asked for next.
             watch.stage = "jobs" if watch.stage == "follow" else watch.stage
             watch.stage = "find" if watch.stage == "launch" else watch.stage
@@ -169,7 +169,7 @@ class SkyPilotRunner:
             watch.progress = _refused(watch, problem)
             watch.stage, watch.due_s = "jobs" if watch.job is not None else watch.stage, time.monotonic() + JOB_POLL_S
             if watch.progress.running:
-                raise LostContact(problem.detail) from None
+                raise Unreachable(problem.detail) from None
             return
         getattr(self, f"_after_{watch.stage}")(job, watch, value)
 

@@ -46,13 +46,13 @@ def hear(questions: "queue.SimpleQueue[str]") -> None:
 
 def answer(answers: TextIO, lock: threading.Lock, number: int, operation: Any, words: dict[str, Any]) -> None:
     """Work on one question."""
-    from fogspec.backends.skypilot.errors import classified
+    from fogspec.backends.skypilot.errors import classify
 
     try:
         told = {"id": number, "value": operation(**words)}
     except (Exception, SystemExit) as problem:  # SkyPilot ends processes where others raise
         traceback.print_exc()
-        told = {"id": number, "problem": classified(problem).told()}
+        told = {"id": number, "problem": classify(problem).told()}
     say(answers, lock, told)
 
 

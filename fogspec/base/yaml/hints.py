@@ -23,7 +23,7 @@ MISPLACED = ("mapping values are not allowed", "expected <block end>", "could no
 
 
 @dataclass(frozen=True, slots=True)
-class Blamed:
+class SyntaxHint:
     """The place (from 0), what must hold there, and how to mend it."""
 
     line: int
@@ -34,29 +34,31 @@ class Blamed:
     code: str = "FS104"
 
 
-def blame(lines: Sequence[str], wrong: Any) -> Blamed:
+def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
     """What the parser's error (ruamel.yaml's MarkedYAMLError) most likely comes from."""
     problem, context = str(wrong.problem or wrong.context or ""), str(wrong.context or "")
     mark = wrong.problem_mark or wrong.context_mark
     if mark is None:
-        return Blamed(0, 0, 1, f"the text must be YAML: {problem}", None)
+        return SyntaxHint(0, 0, 1, f"the text must be YAML: {problem}", None)
     stop = min(mark.line, len(lines) - 1)
     lead = lines[stop][: len(lines[stop]) - len(lines[stop].lstrip())]
     if "\t" in lead:
         column = lead.index("\t")
-        return Blamed(stop, column, 1, "indentation must be spaces, not tabs", "replace the tab with spaces", "FS105")
+        return SyntaxHint(
+            stop, column, 1, "indentation must be spaces, not tabs", "replace the tab with spaces", "FS105"
+        )
     inside = "quoted" in context or "flow" in context
     if not inside and any(known in problem for known in MISPLACED):
         found = None if "simple key" in context else misplaced(lines, stop)
         if found is not None:
             line, message, fix = found
             column = _indent(lines[line])
-            return Blamed(line, column, max(1, len(lines[line].rstrip()) - column), message, fix)
+            return SyntaxHint(line, column, max(1, len(lines[line].rstrip()) - column), message, fix)
     if wrong.context_mark and (inside or "simple key" in context):
         mark = wrong.context_mark
     said = next(((said, mend) for pattern, said, mend in SYNTAX if pattern.search(problem)), None)
     message, fix_or_none = said or (f"the text must be YAML: {problem}", None)
-    return Blamed(min(mark.line, len(lines) - 1), mark.column, 1, message, fix_or_none)
+    return SyntaxHint(min(mark.line, len(lines) - 1), mark.column, 1, message, fix_or_none)
 
 
 def misplaced(lines: Sequence[str], stop: int) -> tuple[int, str, str] | None:

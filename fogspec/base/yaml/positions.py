@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from fogspec.base.diagnostics import Place
+from fogspec.base.diagnostics import Span
 
 Path = tuple[str | int, ...]
 Scalar = str | int | float | bool | None
@@ -18,8 +18,8 @@ class Node:
     """
 
     value: "Scalar | dict[str, Node] | list[Node]"
-    place: Place
-    keys: dict[str, Place] = field(default_factory=dict)
+    place: Span
+    keys: dict[str, Span] = field(default_factory=dict)
     text: str = ""
     quoted: bool = False
     empty: bool = False
@@ -56,28 +56,28 @@ def find(node: Node, path: Path) -> Node | None:
     return node
 
 
-def key_place(node: Node, path: Path) -> Place | None:
+def key_span(node: Node, path: Path) -> Span | None:
     """Where the key that ends the path is written; None for an item of a list or a path that is not there."""
     parent = find(node, path[:-1]) if path else None
     return parent.keys.get(str(path[-1])) if parent else None
 
 
-def place_of(node: Node, path: Path) -> Place:
+def span_of(node: Node, path: Path) -> Span:
     """What to underline for a path: the value where it is a scalar, its key where it is a block of lines.
 
     For a path that is not there, the nearest thing around it that is.
     """
     found = find(node, path)
     if found is None:
-        return place_of(node, path[:-1])
+        return span_of(node, path[:-1])
     if path and (isinstance(found.value, (dict, list)) or found.empty):
-        return key_place(node, path) or found.place
+        return key_span(node, path) or found.place
     return found.place
 
 
-def places(node: Node) -> dict[Path, Place]:
+def places(node: Node) -> dict[Path, Span]:
     """What to underline for every path in the document."""
-    found: dict[Path, Place] = {(): node.place}
+    found: dict[Path, Span] = {(): node.place}
 
     def walk(parent: Node, path: Path) -> None:
         for step, child in parent.children():

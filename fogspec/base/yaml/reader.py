@@ -8,8 +8,8 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from fogspec.base.diagnostics import Diagnostic, Place
-from fogspec.base.yaml.hints import blame
+from fogspec.base.diagnostics import Diagnostic, Span
+from fogspec.base.yaml.hints import syntax_hint
 from fogspec.base.yaml.positions import Node
 from fogspec.base.yaml.scalars import HIDDEN, Refusal, resolve
 
@@ -27,12 +27,12 @@ def decode(content: bytes, path: str, most_bytes: int = MOST_BYTES) -> tuple[str
     """The text of a file in UTF-8, or why it is none; line ends become LF."""
     if len(content) > most_bytes:
         fix = "keep data in files of their own"
-        return "", [Diagnostic("FS112", f"a file may have at most {most_bytes >> 20} MiB", Place(path, 1, 1), fix)]
+        return "", [Diagnostic("FS112", f"a file may have at most {most_bytes >> 20} MiB", Span(path, 1, 1), fix)]
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as wrong:
         before = content[: wrong.start].decode("utf-8", "replace")
-        place = Place(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
+        place = Span(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
         fix = "save the file as UTF-8"
         if content[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in content[:64]:
             return "", [Diagnostic("FS102", "the file must be in UTF-8, this looks like UTF-16", place, fix)]
@@ -43,7 +43,7 @@ def decode(content: bytes, path: str, most_bytes: int = MOST_BYTES) -> tuple[str
     if not found:
         return text, []
     before, character = text[: found.start()], ord(found[0])
-    place = Place(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
+    place = Span(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
     return text, [Diagnostic("FS103", f"the control character U+{character:04X} is not text", place, "remove it")]
 
 
@@ -87,23 +87,23 @@ class _Composer:
             self._syntax(wrong)
             raise _Stop from None
         except (YAMLError, ValueError, IndexError, AssertionError, RecursionError) as wrong:
-            self._refuse("FS104", f"the text must be YAML: {wrong}".splitlines()[0], Place(self.path, 1, 1))
+            self._refuse("FS104", f"the text must be YAML: {wrong}".splitlines()[0], Span(self.path, 1, 1))
             raise _Stop from None
 
     def _syntax(self, wrong: Any) -> None:
-        found = blame(self.text.split("\n"), wrong)
+        found = syntax_hint(self.text.split("\n"), wrong)
         self._refuse(
-            found.code, found.message, Place(self.path, found.line + 1, found.column + 1, found.width), found.fix
+            found.code, found.message, Span(self.path, found.line + 1, found.column + 1, found.width), found.fix
         )
 
-    def _refuse(self, code: str, message: str, place: Place, fix: str | None = None) -> None:
+    def _refuse(self, code: str, message: str, place: Span, fix: str | None = None) -> None:
         self.wrong.append(Diagnostic(code, message, place, fix))
 
-    def _place(self, event: Any) -> Place:
+    def _place(self, event: Any) -> Span:
         start, end = event.start_mark, event.end_mark
         end_of_line = self.text.find("\n", start.index)
         width = (end.index if end.line == start.line else end_of_line) - start.index
-        return Place(self.path, start.line + 1, start.column + 1, max(1, width))
+        return Span(self.path, start.line + 1, start.column + 1, max(1, width))
 
     def _node(self, event: Any, depth: int) -> Node:
         from ruamel.yaml.events import AliasEvent, MappingStartEvent, ScalarEvent
@@ -128,13 +128,13 @@ class _Composer:
             self.anchors[event.anchor] = node
         return node
 
-    def _count(self, nodes: int, place: Place) -> None:
+    def _count(self, nodes: int, place: Span) -> None:
         self.nodes += nodes
         if self.nodes > MOST_NODES:
             self._refuse("FS107", f"a file may have at most {MOST_NODES} values, aliases counted each time", place)
             raise _Stop
 
-    def _alias(self, event: Any, place: Place) -> Node:
+    def _alias(self, event: Any, place: Span) -> Node:
         node = self.anchors.get(event.anchor)
         if node is None:
             self._refuse("FS107", f"the anchor &{event.anchor} must be complete before *{event.anchor}", place)
@@ -142,7 +142,7 @@ class _Composer:
         self._count(node.size, place)
         return node
 
-    def _scalar(self, event: Any, place: Place) -> Node:
+    def _scalar(self, event: Any, place: Span) -> Node:
         if found := UNUSABLE.search(event.value):
             self._refuse(
                 "FS103", f"the character U+{ord(found[0]):04X} is not text", place, "remove its escape sequence"
@@ -156,7 +156,7 @@ class _Composer:
             value = event.value
         return Node(value, place, text=event.value, empty=event.value == "")
 
-    def _mapping(self, place: Place, depth: int) -> Node:
+    def _mapping(self, place: Span, depth: int) -> Node:
         from ruamel.yaml.events import MappingEndEvent
 
         values: dict[str, Node] = {}
@@ -190,7 +190,7 @@ class _Composer:
             return None
         return key.text
 
-    def _sequence(self, place: Place, depth: int) -> Node:
+    def _sequence(self, place: Span, depth: int) -> Node:
         from ruamel.yaml.events import SequenceEndEvent
 
         items: list[Node] = []

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fogspec.catalog.table import About, Catalog, texts
+from fogspec.catalog.table import About, Catalog, strings
 
 KEPT = 24  # files; the least recently used beyond that are removed
 READERS = ("cache.py", "gcp.py", "names.py", "parse.py", "rows.py")
@@ -60,7 +60,7 @@ def _load(file: Path) -> Catalog | None:
         return None
     with contextlib.suppress(OSError):
         os.utime(file)
-    words = {name: texts(known)[code] for name, known, code in zip(TEXTS, about.pop("words"), codes, strict=True)}
+    words = {name: strings(known)[code] for name, known, code in zip(TEXTS, about.pop("words"), codes, strict=True)}
     columns = words | dict(zip(NUMBERS, numbers, strict=True)) | dict(zip(FLAGS, flags, strict=True))
     return Catalog(about=About(**about | {"notes": tuple(about["notes"])}), **columns)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from fogspec.base.errors import WrongFile
+from fogspec.base.errors import InvalidInput
 from fogspec.base.file_kinds import not_a_file
 from fogspec.catalog.sources.cache import cached
 from fogspec.catalog.sources.parse import read
@@ -32,7 +32,7 @@ class CsvFile:
         self.path, self.clouds = path, clouds
 
     def load(self) -> Catalog:
-        """The catalog; raises Problems for a wrong table, WrongFile for one that cannot be read."""
+        """The catalog; raises DiagnosticError for a wrong table, InvalidInput for one that cannot be read."""
         return table(self.path, self._cloud(), About(source=Path(self.path).name, revision="", date="", digest=""))
 
     def _cloud(self) -> str | None:
@@ -43,7 +43,7 @@ class CsvFile:
 
 
 def table(path: str | Path, cloud: str | None, about: About, shown: str | None = None) -> Catalog:
-    """The table in a file, which is called `shown` where something is wrong with it; raises Problems or WrongFile."""
+    """The table in a file, which is called `shown` where something is wrong with it; raises DiagnosticError or InvalidInput."""
     raw, name = _bytes(path), shown or str(path)
     nobody = About("", "", "", "")
     catalog = cached(raw, name, cloud, lambda: read(_unpacked(raw, path), name, cloud, nobody))
@@ -54,14 +54,14 @@ def table(path: str | Path, cloud: str | None, about: About, shown: str | None =
 def _bytes(path: str | Path) -> bytes:
     try:
         if (what := not_a_file(os.stat(path).st_mode)) is not None:
-            raise WrongFile(f"{path}: the catalog cannot be read: {what}")
+            raise InvalidInput(f"{path}: the catalog cannot be read: {what}")
         return Path(path).read_bytes()
     except OSError as problem:
-        raise WrongFile(f"{path}: the catalog cannot be read: {problem.strerror}") from None
+        raise InvalidInput(f"{path}: the catalog cannot be read: {problem.strerror}") from None
 
 
 def _unpacked(raw: bytes, path: str | Path) -> bytes:
     try:
         return gzip.decompress(raw) if str(path).endswith(".gz") else raw
     except (OSError, EOFError, zlib.error):
-        raise WrongFile(f"{path}: the catalog cannot be read: it is no whole gzip file") from None
+        raise InvalidInput(f"{path}: the catalog cannot be read: it is no whole gzip file") from None

@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 
-from fogspec.catalog.table import Catalog, Floats, texts
+from fogspec.catalog.table import Catalog, Floats, strings
 
 Card = tuple[str, float]  # accelerator and count
 
@@ -64,7 +64,7 @@ def joined(catalog: Catalog, spot: Floats) -> tuple[Catalog, Floats]:
     rows = np.array(alone + hosts, dtype=np.intp)
     machines, spots = catalog.take(rows), spot[rows].copy()
     _add_cards(machines, spots, catalog, spot, len(alone), np.array(cards, dtype=np.intp))
-    return replace(machines, gpu=texts(machines.gpu.tolist())), spots
+    return replace(machines, gpu=strings(machines.gpu.tolist())), spots
 
 
 def _place(catalog: Catalog, row: int) -> tuple[str, str, str]:

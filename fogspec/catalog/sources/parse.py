@@ -13,12 +13,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.digest import of_bytes
 from fogspec.catalog.sources import gcp
 from fogspec.catalog.sources.names import arch_of, family_of
 from fogspec.catalog.sources.rows import Rows, parse
-from fogspec.catalog.table import About, Catalog, Floats, Texts, texts
+from fogspec.catalog.table import About, Catalog, Floats, Strings, strings
 
 REQUIRED = ("InstanceType", "vCPUs", "MemoryGiB", "Price", "Region")
 GPU_MIB = re.compile(r"SizeInMiB\D+(\d+)")
@@ -28,7 +28,7 @@ TRUE = ("1", "1.0", "true", "True")
 def read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog:
     """The offers of one CSV file; `cloud` is the cloud of rows where there is no column `Cloud`.
 
-    Raises Problems for a file that is no such table, with every wrong field. Rows without a price, a price of 0 or
+    Raises DiagnosticError for a file that is no such table, with every wrong field. Rows without a price, a price of 0 or
     no shape are no candidates: they are counted in `about.notes`, with the line of the first one, as are repeated
     rows, of which the highest price counts.
     """
@@ -45,7 +45,7 @@ def _read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog
     rows = parse(content, path, REQUIRED)
     if cloud is None and "Cloud" not in rows.columns:
         message = "which cloud these machines belong to must be said: a column Cloud is missing"
-        raise Problems([Diagnostic("FS401", message, Place(path, 1, 1))])
+        raise DiagnosticError([Diagnostic("FS401", message, Span(path, 1, 1))])
     machines, spot = _machines(rows, cloud or "", about), rows.numbers("SpotPrice")
     rows.check()
     _explain(rows, machines, spot)
@@ -79,18 +79,18 @@ def _machines(rows: Rows, cloud: str, about: About) -> Catalog:
         gpu_memory_gib=_gpu_memory_gib(rows),
         price_usd_per_hour=rows.numbers("Price"),
         spot=np.zeros(rows.size, dtype=np.bool_),
-        arch=texts(map(arch_of, clouds, instances, rows.column("Arch"))),
-        family=texts(map(family_of, clouds, instances, rows.column("Family"))),
+        arch=strings(map(arch_of, clouds, instances, rows.column("Arch"))),
+        family=strings(map(family_of, clouds, instances, rows.column("Family"))),
         physical_cores=rows.numbers("PhysicalCores"),
         clock_ghz=rows.numbers("ClockGHz"),
         burstable=np.fromiter(map(TRUE.__contains__, rows.column("Burstable")), np.bool_, rows.size),
     )
 
 
-def _clouds(rows: Rows, cloud: str) -> Texts:
+def _clouds(rows: Rows, cloud: str) -> Strings:
     column = rows.column("Cloud")
     known = {text: text.strip().lower() or cloud for text in set(column)}
-    return texts(map(known.__getitem__, column))
+    return strings(map(known.__getitem__, column))
 
 
 def _gpu_memory_gib(rows: Rows) -> Floats:

@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from fogspec.base.diagnostics import Diagnostic, Place, Problems
-from fogspec.catalog.table import Floats, Texts
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
+from fogspec.catalog.table import Floats, Strings
 
 AT_MOST = 20  # mistakes told of one column, and of one file
 UNKNOWN = ("", "nan")
@@ -59,7 +59,7 @@ class Rows:
             self.problem(row, name, f"{name} must be a number that is not negative, not {texts[row]!r}")
         return np.fromiter(map(known.__getitem__, texts), np.float64, len(texts))
 
-    def shared(self, name: str) -> Texts:
+    def shared(self, name: str) -> Strings:
         """The texts of a column, equal ones being one object."""
         if name not in self.columns:
             return np.full(self.size, "", dtype=np.object_)
@@ -71,7 +71,7 @@ class Rows:
         line = self.lines[row]
         text = self.source[line - 1]
         start, end = _field(text, list(self.columns).index(name))
-        place = Place(self.path, line, start + 1, max(1, end - start))
+        place = Span(self.path, line, start + 1, max(1, end - start))
         self.problems.append(Diagnostic("FS401", message, place, source_line=text))
 
     def note(self, rows: Sequence[int], what: str, names: Sequence[str]) -> None:
@@ -84,11 +84,11 @@ class Rows:
     def check(self) -> None:
         """Raise Problems for the mistakes so far, the first `AT_MOST` of them."""
         if self.problems:
-            raise Problems(sorted(self.problems, key=lambda one: (one.place.line, one.place.column))[:AT_MOST])
+            raise DiagnosticError(sorted(self.problems, key=lambda one: (one.place.line, one.place.column))[:AT_MOST])
 
 
 def parse(content: bytes, path: str, required: Sequence[str]) -> Rows:
-    """The rows of a CSV file in UTF-8 with a header; raises Problems."""
+    """The rows of a CSV file in UTF-8 with a header; raises DiagnosticError."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as wrong:
@@ -151,5 +151,5 @@ def _number(text: str) -> float:
         return math.nan
 
 
-def _problems(path: str, line: int, message: str, column: int = 1) -> Problems:
-    return Problems([Diagnostic("FS401", message, Place(path, line, column))])
+def _problems(path: str, line: int, message: str, column: int = 1) -> DiagnosticError:
+    return DiagnosticError([Diagnostic("FS401", message, Span(path, line, column))])

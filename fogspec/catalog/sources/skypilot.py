@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fogspec.base import digest
-from fogspec.base.errors import WrongFile
+from fogspec.base.errors import InvalidInput
 from fogspec.catalog.sources.csv import table
 from fogspec.catalog.table import About, Catalog, concatenated
 
@@ -28,14 +28,14 @@ class Folder:
         self.folder, self.clouds = Path(path), clouds
 
     def load(self) -> Catalog:
-        """The tables of the named clouds, one after the other; raises Problems or WrongFile."""
+        """The tables of the named clouds, one after the other; raises DiagnosticError or InvalidInput."""
         tables = {cloud: self._table(cloud) for cloud in sorted({*self.clouds})}
         if missing := [cloud for cloud, path in tables.items() if path is None and cloud not in OWNED]:
             where = f"{self.folder}: the catalog has no table of {', '.join(missing)}"
-            raise WrongFile(where, *map(self._advice, missing))
+            raise InvalidInput(where, *map(self._advice, missing))
         found = {cloud: path for cloud, path in tables.items() if path is not None}
         if not found:
-            raise WrongFile(f"{self.folder}: the catalog has no table of {', '.join(tables)}")
+            raise InvalidInput(f"{self.folder}: the catalog has no table of {', '.join(tables)}")
         parts = [table(path, cloud, About("", "", "", ""), f"{cloud}/{path.name}") for cloud, path in found.items()]
         digests = {cloud: part.about.digest for cloud, part in zip(found, parts, strict=True)}
         notes = tuple(note for part in parts for note in part.about.notes)

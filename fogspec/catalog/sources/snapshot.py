@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from fogspec.base.errors import WrongFile
+from fogspec.base.errors import InvalidInput
 from fogspec.catalog.sources.csv import table
 from fogspec.catalog.table import About, Catalog
 
@@ -24,7 +24,7 @@ class Snapshot:
         about = About(known["source"], known["revision"], known["date"], digest="", notes=tuple(known["notes"]))
         catalog = table(TABLE, None, about, shown=TABLE.name)
         if catalog.about.digest != known["digest"]:
-            raise WrongFile(
+            raise InvalidInput(
                 f"{TABLE.name} is not the bundled catalog that {ABOUT.name} describes: install fogspec again"
             )
         return catalog

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
 from fogspec.backends.protocol import LinkEnd
-from fogspec.spec.graph_names import Exposed, exposed
+from fogspec.spec.graph_names import AllowedNames, exposed
 from fogspec.spec.schema import Application
 
 LOCAL = "tcp/127.0.0.1:7447"  # where rmw_zenoh_cpp's nodes look for their router
@@ -84,7 +84,7 @@ def router(application: Application, side: Literal["cloud", "robot"], port: int)
     }  # fmt: skip
 
 
-def access(name: str, peer: str, passing: Exposed) -> dict[str, Any]:
+def access(name: str, peer: str, passing: AllowedNames) -> dict[str, Any]:
     """Default deny; nodes of this end, on loopback, may say everything, the other end only what is named."""
     everything = {
         "id": "everything", "permission": "allow", "messages": [*DATA, *CALLS, *GRAPH],
@@ -108,7 +108,7 @@ def access(name: str, peer: str, passing: Exposed) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _rules(passing: Exposed) -> Iterator[tuple[str, list[str], list[str]]]:
+def _rules(passing: AllowedNames) -> Iterator[tuple[str, list[str], list[str]]]:
     """Topics, services, and names of which nobody said what they are."""
     topics = [*passing.topics, *(f"{one}/_action/{part}" for one in passing.actions for part in TOPICS_OF_ACTIONS)]
     calls = [*passing.services, *(f"{one}/_action/{part}" for one in passing.actions for part in SERVICES_OF_ACTIONS)]

@@ -2,26 +2,26 @@
 
 import os
 
-from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.regular import read_file
 from fogspec.base.yaml import reader
-from fogspec.spec.launch_import.found import Found
+from fogspec.spec.launch_import.found import LaunchImport
 
 
-def read_launch(path: str | os.PathLike[str]) -> Found:
+def read_launch(path: str | os.PathLike[str]) -> LaunchImport:
     """What a Python, XML or YAML launch file starts.
 
-    Raises Problems when the file cannot be read at all; what is beyond reading stands in `notes`.
+    Raises DiagnosticError when the file cannot be read at all; what is beyond reading stands in `notes`.
     """
     name = os.fspath(path)
     try:
         content = read_file(path)
     except OSError as problem:
         message = f"the launch file cannot be read: {(problem.strerror or '').lower()}"
-        raise Problems([Diagnostic("FS801", message, Place(name, 1, 1))]) from None
+        raise DiagnosticError([Diagnostic("FS801", message, Span(name, 1, 1))]) from None
     text, wrong = reader.decode(content, name)
     if wrong:
-        raise Problems(wrong)
+        raise DiagnosticError(wrong)
     if name.endswith(".py"):
         from fogspec.spec.launch_import.python import read_python
 

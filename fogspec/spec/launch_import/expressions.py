@@ -4,7 +4,7 @@ import ast
 from collections import Counter
 from typing import Any
 
-from fogspec.spec.launch_import.found import Found
+from fogspec.spec.launch_import.found import LaunchImport
 
 DEEPEST = 50
 
@@ -20,7 +20,7 @@ class Unknown(Exception):
 class Expressions:
     """The names of a file that are bound once, and the defaults of its launch arguments."""
 
-    def __init__(self, tree: ast.AST, found: Found) -> None:
+    def __init__(self, tree: ast.AST, found: LaunchImport) -> None:
         self.found = found
         self.depth = 0
         self.names: dict[str, ast.expr] = {}
@@ -110,7 +110,7 @@ def keyword_of(call: ast.Call, name: str) -> ast.expr | None:
     return next((one.value for one in call.keywords if one.arg == name), None)
 
 
-def place_of(node: ast.expr, found: Found) -> tuple[int, int, int]:
+def place_of(node: ast.expr, found: LaunchImport) -> tuple[int, int, int]:
     """Line, column and width of an expression's first line, in characters; Python counts columns in bytes."""
     line = found.lines[node.lineno - 1] if node.lineno <= len(found.lines) else ""
     start = len(line.encode()[: node.col_offset].decode("utf-8", "ignore"))

@@ -5,7 +5,7 @@ import shlex
 from dataclasses import dataclass, field
 from typing import Any
 
-from fogspec.base.diagnostics import Diagnostic, Place
+from fogspec.base.diagnostics import Diagnostic, Span
 from fogspec.base.units import format_duration
 from fogspec.base.yaml.scalars import Refusal, resolve
 
@@ -24,7 +24,7 @@ NODE_WORDS = (
 
 
 @dataclass
-class Found:
+class LaunchImport:
     """Nodes as the spec writes them, whatever else a spec can take over, and warnings about the rest."""
 
     path: str
@@ -43,7 +43,7 @@ class Found:
         source = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
         if column == 1:
             column = len(source) - len(source.lstrip()) + 1
-        place = Place(self.path, line, column, width or max(1, len(source.rstrip()) - column + 1))
+        place = Span(self.path, line, column, width or max(1, len(source.rstrip()) - column + 1))
         self.notes.append(Diagnostic("FS802", message, place, severity="warning", source_line=source))
 
 
@@ -69,7 +69,9 @@ def words(text: str) -> list[str]:
         return text.split()
 
 
-def take_constraint(found: Found, key: str, value: Any, line: int, column: int = 1, width: int | None = None) -> None:
+def take_constraint(
+    found: LaunchImport, key: str, value: Any, line: int, column: int = 1, width: int | None = None
+) -> None:
     """One entry of the paper's `constraint={...}`; numbers without units are taken only where no reader could differ."""
     name = re.sub(r"[^a-z]", "", key.lower())
     if not isinstance(value, (int, float, str)) or isinstance(value, bool):
@@ -95,7 +97,7 @@ def take_constraint(found: Found, key: str, value: Any, line: int, column: int =
         found.note(line, f"constraint {key} is not known to fogspec", column, width)
 
 
-def _bound(found: Found, field_name: str, end: str, value: Any) -> None:
+def _bound(found: LaunchImport, field_name: str, end: str, value: Any) -> None:
     unit = "" if field_name == "cpus" or isinstance(value, str) else "GiB"
     low, _, high = str(found.hardware.get(field_name, "..")).partition("..")
     written = f"{value}{unit}"

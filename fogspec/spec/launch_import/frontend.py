@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from fogspec.spec.launch_import.found import Found, tidy_node, typed, words
+from fogspec.spec.launch_import.found import LaunchImport, tidy_node, typed, words
 
 VARIABLE = re.compile(r"\$\((?:var|arg)\s+([\w./-]+)\s*\)")
 SUBSTITUTION = re.compile(r"\$\(")
@@ -21,13 +21,13 @@ class Action:
     inside: list["Action"]
 
 
-def take_actions(found: Found, actions: list[Action]) -> None:
+def take_actions(found: LaunchImport, actions: list[Action]) -> None:
     """Take over what starts; everything goes to the robot, because these files cannot say otherwise."""
     defaults: dict[str, str] = {}
     _take(found, actions, defaults)
 
 
-def _take(found: Found, actions: list[Action], defaults: dict[str, str]) -> None:
+def _take(found: LaunchImport, actions: list[Action], defaults: dict[str, str]) -> None:
     for action in actions:
         if action.tag in ("arg", "let"):
             value = action.attributes.get("default", action.attributes.get("value"))
@@ -46,7 +46,7 @@ def _take(found: Found, actions: list[Action], defaults: dict[str, str]) -> None
             found.note(action.line, f"{action.tag} is not taken over")
 
 
-def _node(found: Found, action: Action, defaults: dict[str, str]) -> None:
+def _node(found: LaunchImport, action: Action, defaults: dict[str, str]) -> None:
     def text(of: Action, name: str) -> str | None:
         return _text(found, of, name, defaults)
 
@@ -71,7 +71,9 @@ def _node(found: Found, action: Action, defaults: dict[str, str]) -> None:
         found.note(action.line, "a node without a readable package and executable is left out")
 
 
-def _parameters(found: Found, params: list[Action], defaults: dict[str, str], raw: dict[str, Any]) -> dict[str, Any]:
+def _parameters(
+    found: LaunchImport, params: list[Action], defaults: dict[str, str], raw: dict[str, Any]
+) -> dict[str, Any]:
     parameters: dict[str, Any] = {}
     for one in params:
         if "from" in one.attributes:
@@ -88,7 +90,7 @@ def _parameters(found: Found, params: list[Action], defaults: dict[str, str], ra
     return parameters
 
 
-def _text(found: Found, action: Action, name: str, defaults: dict[str, str]) -> str | None:
+def _text(found: LaunchImport, action: Action, name: str, defaults: dict[str, str]) -> str | None:
     """An attribute with launch arguments' defaults put in; None where only launching would tell."""
     value = action.attributes.get(name)
     if value is None:

@@ -3,9 +3,9 @@
 import ast
 from typing import Any
 
-from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.spec.launch_import.expressions import Expressions, Unknown, keyword_of, name_of, place_of
-from fogspec.spec.launch_import.found import Found, take_constraint, tidy_node, words
+from fogspec.spec.launch_import.found import LaunchImport, take_constraint, tidy_node, words
 
 NODES = {"Node", "LifecycleNode", "CloudNode"}
 CLOUD = {"SkyLaunchDescription"}
@@ -22,21 +22,21 @@ NOT_READ = {
 UNUSED = {"workdir", "mode", "ami", "num_replicas", "manifest"}
 
 
-def read_python(text: str, path: str) -> Found:
-    """What the file starts; raises Problems when it is no Python."""
+def read_python(text: str, path: str) -> LaunchImport:
+    """What the file starts; raises DiagnosticError when it is no Python."""
     try:
         tree = ast.parse(text, path)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as wrong:
         line, column = getattr(wrong, "lineno", None) or 1, getattr(wrong, "offset", None) or 1
         message = "the launch file must be Python"
-        raise Problems([Diagnostic("FS801", message, Place(path, line, column))]) from None
-    found = Found(path, text.split("\n"))
+        raise DiagnosticError([Diagnostic("FS801", message, Span(path, line, column))]) from None
+    found = LaunchImport(path, text.split("\n"))
     _Reader(found, tree).read()
     return found
 
 
 class _Reader:
-    def __init__(self, found: Found, tree: ast.AST) -> None:
+    def __init__(self, found: LaunchImport, tree: ast.AST) -> None:
         self.found = found
         self.told = Expressions(tree, found)
         self.taken: set[ast.Call] = set()

@@ -3,8 +3,8 @@
 import xml.parsers.expat
 from dataclasses import dataclass, field
 
-from fogspec.base.diagnostics import Diagnostic, Place, Problems
-from fogspec.spec.launch_import.found import Found
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
+from fogspec.spec.launch_import.found import LaunchImport
 from fogspec.spec.launch_import.frontend import Action, take_actions
 
 
@@ -16,17 +16,17 @@ class _Element:
     children: list["_Element"] = field(default_factory=list)
 
 
-def read_xml(text: str, path: str) -> Found:
-    """What the file starts; raises Problems when it is no launch file in XML."""
+def read_xml(text: str, path: str) -> LaunchImport:
+    """What the file starts; raises DiagnosticError when it is no launch file in XML."""
     try:
         root = _parsed(text)
     except xml.parsers.expat.ExpatError as wrong:
         message = f"the launch file must be XML: {xml.parsers.expat.ErrorString(wrong.code)}"
-        raise Problems([Diagnostic("FS801", message, Place(path, wrong.lineno, wrong.offset + 1))]) from None
+        raise DiagnosticError([Diagnostic("FS801", message, Span(path, wrong.lineno, wrong.offset + 1))]) from None
     if root is None or root.tag != "launch":
         message = "the launch file must have one element <launch> and no DOCTYPE"
-        raise Problems([Diagnostic("FS801", message, Place(path, 1, 1))])
-    found = Found(path, text.split("\n"))
+        raise DiagnosticError([Diagnostic("FS801", message, Span(path, 1, 1))])
+    found = LaunchImport(path, text.split("\n"))
     take_actions(found, [_action(child) for child in root.children])
     return found
 

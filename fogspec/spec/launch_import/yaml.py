@@ -2,24 +2,24 @@
 
 from typing import Any
 
-from fogspec.base.diagnostics import Diagnostic, Place, Problems
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import Node
-from fogspec.spec.launch_import.found import Found
+from fogspec.spec.launch_import.found import LaunchImport
 from fogspec.spec.launch_import.frontend import Action, take_actions
 
 
-def read_yaml(text: str, path: str) -> Found:
-    """What the file starts; raises Problems when it is no launch file in YAML."""
+def read_yaml(text: str, path: str) -> LaunchImport:
+    """What the file starts; raises DiagnosticError when it is no launch file in YAML."""
     nodes, wrong = reader.documents(text, path)
     if wrong:
-        raise Problems(wrong)
+        raise DiagnosticError(wrong)
     top = nodes[0].value if len(nodes) == 1 else None
     actions = top.get("launch") if isinstance(top, dict) else None
     if actions is None or not isinstance(actions.value, list):
         message = "the launch file must have a list under 'launch:'"
-        raise Problems([Diagnostic("FS801", message, Place(path, 1, 1))])
-    found = Found(path, text.split("\n"))
+        raise DiagnosticError([Diagnostic("FS801", message, Span(path, 1, 1))])
+    found = LaunchImport(path, text.split("\n"))
     take_actions(found, _actions(actions))
     return found
 

@@ -10,10 +10,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from fogspec.base.diagnostics import Diagnostic
-from fogspec.base.yaml.positions import Node, Path, find, key_place, place_of
+from fogspec.base.yaml.positions import Node, Path, find, key_span, span_of
 from fogspec.spec.rules import benchmark, link, machines, nodes
 from fogspec.spec.schema import Application
-from fogspec.spec.validate import Checked
+from fogspec.spec.validate import Validation
 
 RULES = (
     *nodes.RULES,
@@ -33,7 +33,7 @@ STAND_INS: dict[Path, Any] = {
 }
 
 
-def judge(checked: Checked[Application]) -> Iterator[Diagnostic]:
+def run_rules(checked: Validation[Application]) -> Iterator[Diagnostic]:
     """What is wrong with one document beyond its single fields."""
     application, node = checked.value or _lenient(checked), checked.node
     if application is None:
@@ -41,11 +41,11 @@ def judge(checked: Checked[Application]) -> Iterator[Diagnostic]:
     for rule in RULES:
         for one in rule(application):
             if not any(_touches(path, checked.broken) for path in (one.path, *one.about)):
-                place = (key_place(node, one.path) if one.at_key else None) or place_of(node, one.path)
+                place = (key_span(node, one.path) if one.at_key else None) or span_of(node, one.path)
                 yield Diagnostic(one.code, one.message, place, one.fix, one.severity)
 
 
-def judge_together(documents: Sequence[tuple[Node, Checked[Application]]]) -> Iterator[Diagnostic]:
+def run_rules_together(documents: Sequence[tuple[Node, Validation[Application]]]) -> Iterator[Diagnostic]:
     """What is wrong with documents beside one another."""
     path = ("metadata", "name")
     first: dict[str, Node] = {}
@@ -65,7 +65,7 @@ def _touches(path: Path, broken: set[Path]) -> bool:
     return any(path[: len(one)] == one or one[: len(path)] == path for one in broken)
 
 
-def _lenient(checked: Checked[Application]) -> Application | None:
+def _lenient(checked: Validation[Application]) -> Application | None:
     """The application without its broken fields; None when too little is left of it."""
     data = checked.data
     if not isinstance(data, dict) or not isinstance(data.get("spec"), dict):

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from fogspec.base.yaml.positions import Path, dotted
-from fogspec.spec.graph_names import exposed, resolved
+from fogspec.spec.graph_names import exposed, resolve
 from fogspec.spec.rules.finding import Finding
 from fogspec.spec.schema import Application
 
@@ -75,7 +75,7 @@ def names_that_pass(application: Application) -> Iterator[Finding]:
     ]
     named += [(("spec", "probe", kind), getattr(probe, kind)) for kind in ("request", "response", "service", "action")]
     for path, name in named:
-        if name is not None and resolved(name) is None:
+        if name is not None and resolve(name) is None:
             yield Finding("FS543", path, f"{dotted(path)} must be a whole name to pass the link", "write it like /plan")
     passing = exposed(application.spec)
     if joined.link != "none" and not (passing.topics or passing.services or passing.actions or passing.names):

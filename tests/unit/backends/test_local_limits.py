@@ -12,7 +12,7 @@ from fogspec.backends.local import limits
 ALL = sorted(os.sched_getaffinity(0))
 
 
-def run(tmp_path: Path, script: str, cpus: int = 1, memory_gib: float = 1.0) -> tuple[limits.Confined, Path]:
+def run(tmp_path: Path, script: str, cpus: int = 1, memory_gib: float = 1.0) -> tuple[limits.LimitedProcess, Path]:
     log = tmp_path / "log"
     words = [sys.executable, "-c", script]
     started = limits.start(words, cpus=cpus, memory_gib=memory_gib, cwd=tmp_path, env=dict(os.environ),
@@ -20,7 +20,7 @@ def run(tmp_path: Path, script: str, cpus: int = 1, memory_gib: float = 1.0) -> 
     return started, log
 
 
-def ended(started: limits.Confined) -> int:
+def ended(started: limits.LimitedProcess) -> int:
     code = started.process.wait(30)
     started.end(grace_s=0)
     return code

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends.protocol import LostContact
+from fogspec.backends.protocol import Unreachable
 from fogspec.backends.skypilot import client as module
 from fogspec.backends.skypilot.client import Client
-from fogspec.base.errors import CloudFailed
+from fogspec.base.errors import CloudError
 
 WORKERS = {
     "echoes": "import sys, json\nfor line in sys.stdin:\n    q = json.loads(line)\n"
@@ -40,7 +40,7 @@ def test_many_questions_at_once_get_their_own_answers(worker: Client) -> None:
 @pytest.mark.parametrize("worker", ["dies"], indirect=True)
 def test_a_worker_that_dies_is_said_and_replaced(worker: Client) -> None:
     for _ in range(2):
-        with pytest.raises(LostContact, match="out of luck"):
+        with pytest.raises(Unreachable, match="out of luck"):
             worker.ask("any", 20)
 
 
@@ -49,7 +49,7 @@ def test_a_silent_worker_holds_nobody_up(worker: Client) -> None:
     begun = time.monotonic()
     call = worker.begin("any")
     assert not call.done
-    with pytest.raises(LostContact, match=r"within 0\.2 s: any"):
+    with pytest.raises(Unreachable, match=r"within 0\.2 s: any"):
         worker.ask("any", 0.2)
     worker.close()
     assert time.monotonic() - begun < 5
@@ -57,7 +57,7 @@ def test_a_silent_worker_holds_nobody_up(worker: Client) -> None:
 
 @pytest.mark.parametrize("worker", ["has_no_sky"], indirect=True)
 def test_what_is_missing_is_said_with_the_command(worker: Client) -> None:
-    with pytest.raises(CloudFailed, match=r"pip install 'fogspec\[sky\]'"):
+    with pytest.raises(CloudError, match=r"pip install 'fogspec\[sky\]'"):
         worker.ready(20)
 
 
@@ -75,5 +75,5 @@ def test_without_skypilot_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch)
         raise module.importlib.metadata.PackageNotFoundError
 
     monkeypatch.setattr(module.importlib.metadata, "version", absent)
-    with pytest.raises(CloudFailed, match="not installed"):
+    with pytest.raises(CloudError, match="not installed"):
         Client()

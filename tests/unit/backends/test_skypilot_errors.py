@@ -2,7 +2,7 @@
 
 import pytest
 
-from fogspec.backends.skypilot.errors import CloudProblem, classified, heard
+from fogspec.backends.skypilot.errors import CloudProblem, classify, from_dict
 
 
 def raised(kind: str, text: str, history: tuple[str, ...] = ()) -> Exception:
@@ -41,21 +41,21 @@ ALL_FAILED = "Failed to provision all possible launchable resources. Relax the t
     ],
 )  # fmt: skip
 def test_reasons(problem: Exception, reason: str, again: bool) -> None:
-    found = classified(problem)
+    found = classify(problem)
     assert (found.reason, found.again, found.gone, found.contact) == (reason, again, False, False)
     assert found.detail
 
 
 def test_a_machine_that_is_not_there_and_silence_are_no_reasons() -> None:
-    assert classified(raised("ClusterDoesNotExist", "Cluster 'fogspec-x' does not exist.")).gone
-    assert classified(raised("ApiServerConnectionError", "Could not connect to SkyPilot API server")).contact
-    assert classified(ConnectionError("refused")).contact
+    assert classify(raised("ClusterDoesNotExist", "Cluster 'fogspec-x' does not exist.")).gone
+    assert classify(raised("ApiServerConnectionError", "Could not connect to SkyPilot API server")).contact
+    assert classify(ConnectionError("refused")).contact
 
 
 def test_the_cause_speaks_too_and_details_are_short_and_plain() -> None:
     problem = raised("ResourcesUnavailableError", f"\x1b[31m{ALL_FAILED}\x1b[0m\n" + "x" * 2000)
     problem.__cause__ = Exception("VcpuLimitExceeded")
-    found = classified(problem)
+    found = classify(problem)
     assert found.reason == "quota"
     assert len(found.detail) <= 500
     assert "\x1b" not in found.detail
@@ -63,10 +63,10 @@ def test_the_cause_speaks_too_and_details_are_short_and_plain() -> None:
 
 def test_a_problem_survives_the_pipe() -> None:
     problem = CloudProblem("image", "no such image", again=True, gone=True)
-    assert heard(problem.told()).told() == problem.told()
-    assert heard({"reason": "rm -rf", "detail": 3}).told()["reason"] == "setup"
+    assert from_dict(problem.told()).told() == problem.told()
+    assert from_dict({"reason": "rm -rf", "detail": 3}).told()["reason"] == "setup"
 
 
 def test_what_a_failing_api_server_was_doing_is_not_told() -> None:
     said = "Failed to get request 1: 500   + Exception Group Traceback (most recent call last):\n  | File x\n  | ValueError"
-    assert classified(RuntimeError(said)).detail == "Failed to get request 1: 500"
+    assert classify(RuntimeError(said)).detail == "Failed to get request 1: 500"

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.backends.protocol import SoFar
+from fogspec.backends.protocol import Partial
 from fogspec.backends.skypilot import logs
-from fogspec.backends.skypilot.logs import Heard
+from fogspec.backends.skypilot.logs import LogTail
 
 PREFIX = b"\x1b[36m(my-task, pid=123)\x1b[0m "
 TIMING = b'{"name": "work", "start_s": 1.0, "latency_s": 0.2, "ok": true}\n'
@@ -77,28 +77,28 @@ def test_any_damage_is_survived(tmp_path_factory, seed: int) -> None:
 
 def test_where_set_up_ends_is_found_once_though_it_is_written_in_pieces(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
-    assert logs.heard(log, Heard()) == Heard()
+    assert logs.read_log(log, LogTail()) == LogTail()
     log.write_bytes(b"installing\n" * 50 + PREFIX + b"=== fogspec mea")
-    heard = logs.heard(log, Heard())
+    heard = logs.read_log(log, LogTail())
     assert not heard.ready
     with open(log, "ab") as file:
         file.write(b"sures ===\n")
-    assert logs.heard(log, heard).ready
+    assert logs.read_log(log, heard).ready
 
 
 @pytest.mark.parametrize(
     ("line", "so_far"),
-    [("40 requests, mean 0.22 s", SoFar(40, 0.22)), ("2 requests", SoFar(2, None)),
+    [("40 requests, mean 0.22 s", Partial(40, 0.22)), ("2 requests", Partial(2, None)),
      ("2 requests, mean 9e999 s", None), ("2 requests, mean e+- s", None), ("many requests", None)],
 )  # fmt: skip
-def test_how_far_it_is_is_the_last_thing_it_said(tmp_path: Path, line: str, so_far: SoFar | None) -> None:
+def test_how_far_it_is_is_the_last_thing_it_said(tmp_path: Path, line: str, so_far: Partial | None) -> None:
     log = tmp_path / "run.log"
     log.write_bytes(b"=== fogspec measures ===\n" + PREFIX + f"=== fogspec so far: {line} ===\n".encode())
-    heard = logs.heard(log, Heard())
+    heard = logs.read_log(log, LogTail())
     assert (heard.ready, heard.so_far) == (True, so_far)
     with open(log, "ab") as file:
         file.write(b"=== fogspec so far: 41 requ")
-    assert logs.heard(log, heard) == heard
+    assert logs.read_log(log, heard) == heard
 
 
 def test_last_words_are_the_jobs_own_without_colours(tmp_path: Path) -> None:
@@ -111,6 +111,6 @@ def test_last_words_are_the_jobs_own_without_colours(tmp_path: Path) -> None:
 def test_a_job_ended_for_want_of_memory_is_told_from_others(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     log.write_bytes(b"slurmstepd: error: Detected 1 oom_kill event in StepId=7.3.\n")
-    assert logs.starved(log)
+    assert logs.out_of_memory(log)
     log.write_bytes(b"Segmentation fault\n")
-    assert not logs.starved(log)
+    assert not logs.out_of_memory(log)

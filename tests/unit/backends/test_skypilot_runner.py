@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from fogspec.backends.protocol import CannotStart, Job, LostContact, Progress
+from fogspec.backends.protocol import Job, LaunchRefused, Progress, Unreachable
 from fogspec.backends.skypilot import runner as module
 from fogspec.backends.skypilot.errors import CloudProblem
 from fogspec.backends.skypilot.runner import SkyPilotRunner
@@ -37,7 +37,7 @@ def patient(runner: SkyPilotRunner, job: Job, patience_s: float = 20.0) -> tuple
         try:
             if not (progress := runner.look(job)).running:
                 return progress, silent
-        except LostContact:
+        except Unreachable:
             silent += 1
         assert time.monotonic() < end
         time.sleep(0.02)
@@ -59,7 +59,7 @@ def once(op: str, problem: Exception, times: int = 1):
 @pytest.mark.parametrize("op", ["launched", "log", "jobs"])
 def test_silence_in_the_middle_is_survived(bed, op):
     cloud, job = cloud_of(bed), bed.job("a")
-    cloud.fails = once(op, LostContact("the network is down"), 3)
+    cloud.fails = once(op, Unreachable("the network is down"), 3)
     bed.runner.start(job)
     progress, silent = patient(bed.runner, job)
     assert (progress.reason, progress.lost) == (None, False)
@@ -78,7 +78,7 @@ def test_a_launch_whose_answer_is_lost_is_found_by_its_name(bed):
 
 def test_a_launch_that_never_arrived_is_lost_and_measured_again(bed):
     job = bed.job("a")
-    cloud_of(bed).fails = once("launch", LostContact("no server"))
+    cloud_of(bed).fails = once("launch", Unreachable("no server"))
     bed.runner.start(job)
     progress, _ = patient(bed.runner, job)
     assert (progress.lost, progress.reason) == (True, None)
@@ -161,7 +161,7 @@ def test_an_end_that_takes_long_is_asked_about_again_and_a_failed_one_is_tried_a
     bed.runner.start(job)
     cloud.fails = once("end", CloudProblem("setup", "still there", again=True), 2)
     for _ in range(2):
-        with pytest.raises(LostContact, match="still there"):
+        with pytest.raises(Unreachable, match="still there"):
             bed.runner.end(job)
     bed.runner.end(job)
     assert cloud.machines == {}
@@ -171,7 +171,7 @@ def test_it_does_not_start_without_the_secrets_of_its_task(bed, monkeypatch):
     monkeypatch.delenv("MAP_PASSWORD", raising=False)
     job = bed.job("a")
     job.task["secrets"] = {"MAP_PASSWORD": None}
-    with pytest.raises(CannotStart, match="MAP_PASSWORD"):
+    with pytest.raises(LaunchRefused, match="MAP_PASSWORD"):
         bed.runner.start(job)
     assert cloud_of(bed).machines == {}
 

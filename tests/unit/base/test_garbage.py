@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import Differs
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import OutOfDate
 from fogspec.base.files import yaml_text
 from fogspec.base.layout import Layout
 from fogspec.bench.journal import Journal
 from fogspec.deploy.schema import Machine
-from fogspec.deploy.state import LiveFile, SystemTimes
+from fogspec.deploy.state import DeploymentState, SystemWallClock
 from fogspec.plan.schema import MachineRef
 from fogspec.spec.loader import read_plain
 from tests.unit.bench.test_journal import whole
@@ -45,14 +45,14 @@ def answer(read: Callable[[], Any]) -> Any:
     """What is read, or why it is not; anything else that is raised is a bug."""
     try:
         return read()
-    except (Problems, Differs) as refused:
+    except (DiagnosticError, OutOfDate) as refused:
         return refused
 
 
 @pytest.fixture
-def live(tmp_path: Path) -> LiveFile:
+def live(tmp_path: Path) -> DeploymentState:
     """What one machine leaves on disk."""
-    file = LiveFile(Layout(tmp_path, tmp_path / "specs/tiny.yaml", "tiny"), SystemTimes(), [])
+    file = DeploymentState(Layout(tmp_path, tmp_path / "specs/tiny.yaml", "tiny"), SystemWallClock(), [])
     machine = MachineRef.model_construct(
         infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, spot=False, price=0.02
     )
@@ -64,7 +64,7 @@ def live(tmp_path: Path) -> LiveFile:
     return file
 
 
-def test_a_live_state_with_any_value_changed_is_read_or_refused(live: LiveFile) -> None:
+def test_a_live_state_with_any_value_changed_is_read_or_refused(live: DeploymentState) -> None:
     path, layout = live.layout.live, live.layout
     whole = read_plain(path)
     read = refused = 0
@@ -73,8 +73,8 @@ def test_a_live_state_with_any_value_changed_is_read_or_refused(live: LiveFile) 
             path.write_text(yaml_text(other, "a test"), encoding="utf-8", errors="surrogatepass")
         except (TypeError, ValueError):
             continue
-        found = answer(lambda: LiveFile.read(layout, live.times))
-        if isinstance(found, Problems):
+        found = answer(lambda: DeploymentState.read(layout, live.times))
+        if isinstance(found, DiagnosticError):
             refused += 1
             assert {one.place.path for one in found.diagnostics} == {str(path)}, where
             assert "fogspec down tiny" in str(found.diagnostics[0].fix)
@@ -90,10 +90,10 @@ def test_a_live_state_with_any_value_changed_is_read_or_refused(live: LiveFile) 
 @pytest.mark.parametrize(
     "content", [b"", b"\0" * 99, b"\xff\xfe\x00", b"[" * 20000, b"null\n", b"kind: LiveState\n---\n"]
 )
-def test_a_live_state_that_is_none_is_said(live: LiveFile, content: bytes) -> None:
+def test_a_live_state_that_is_none_is_said(live: DeploymentState, content: bytes) -> None:
     live.layout.live.write_bytes(content)
-    with pytest.raises(Problems):
-        LiveFile.read(live.layout, live.times)
+    with pytest.raises(DiagnosticError):
+        DeploymentState.read(live.layout, live.times)
 
 
 def test_a_journal_with_any_value_changed_is_read_or_refused_and_left(tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_a_journal_with_any_value_changed_is_read_or_refused_and_left(tmp_path: 
             content = b"".join([*lines[:number], json.dumps(other).encode() + b"\n", *lines[number + 1 :]])
             path.write_bytes(content)
             found = answer(lambda: Journal(path))
-            if isinstance(found, Differs):
+            if isinstance(found, OutOfDate):
                 assert found.message.startswith(f"{path}:"), where
             else:
                 book = found.book

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from fogspec.backends.protocol import Job, Progress
 from fogspec.bench.attempt import END_PATIENCE_S, SILENCE_S, Attempt
-from fogspec.bench.journal import Started
+from fogspec.bench.journal import LaunchRecord
 from fogspec.plan.schema import MachineRef, Sample
 
 MACHINE = MachineRef(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory="4GiB", price="$3.6/h")
@@ -13,7 +13,7 @@ DEADLINE_S = 300.0
 
 
 def made(same_boot: bool = True) -> Attempt:
-    started = Started("a", "sky", "sha256:app", SAMPLE, 3.6, 600.0, 100.0, "boot")
+    started = LaunchRecord("a", "sky", "sha256:app", SAMPLE, 3.6, 600.0, 100.0, "boot")
     return Attempt(started, Job("a", SAMPLE, {}, Path(), Path(), 600.0), since_s=100.0, same_boot=same_boot)
 
 

@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from fogspec.base.errors import Differs
-from fogspec.bench.journal import Journal, Started
+from fogspec.base.errors import OutOfDate
+from fogspec.bench.journal import Journal, LaunchRecord
 from fogspec.plan.schema import MachineRef, Sample
 from fogspec.results.schema import Measured
 
@@ -16,8 +16,8 @@ RECORD = Measured(id="one", machine=MACHINE, measured_on="aws/c6i.large", state=
                   duration="100s", spent="$0.1")  # fmt: skip
 
 
-def started(name: str) -> Started:
-    return Started(name, "local", "sha256:app", SAMPLE, 3.6, 600.0, 12.5, "boot")
+def started(name: str) -> LaunchRecord:
+    return LaunchRecord(name, "local", "sha256:app", SAMPLE, 3.6, 600.0, 12.5, "boot")
 
 
 def whole(path) -> Journal:
@@ -63,7 +63,7 @@ def test_a_cut_anywhere_is_a_state_to_go_on_from(tmp_path):
     for size in range(0, len(content), 7):
         path.write_bytes(content[:size])
         journal = Journal(path)
-        journal.append(do="start", **{**{key: getattr(started("z"), key) for key in Started.__slots__},
+        journal.append(do="start", **{**{key: getattr(started("z"), key) for key in LaunchRecord.__slots__},
                                       "sample": SAMPLE.model_dump(mode="json")})  # fmt: skip
         journal.close()
         lines = path.read_bytes().splitlines()
@@ -78,7 +78,7 @@ def test_damage_is_said_with_its_line(tmp_path, damage):
     lines = path.read_bytes().splitlines(keepends=True)
     content = b"".join([*lines[:2], damage + b"\n", *lines[2:]])
     path.write_bytes(content)
-    with pytest.raises(Differs, match=r"journal\.jsonl:3: this line"):
+    with pytest.raises(OutOfDate, match=r"journal\.jsonl:3: this line"):
         Journal(path)
     assert path.read_bytes() == content
 

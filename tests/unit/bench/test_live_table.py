@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from fogspec.backends.protocol import Progress, SoFar
+from fogspec.backends.protocol import Partial, Progress
 from fogspec.bench.live_table import COLUMNS, LiveTable
 from fogspec.bench.types import Event
 from fogspec.plan.schema import MachineRef, Sample
@@ -38,7 +38,7 @@ def test_it_shows_what_happens(tmp_path: Path):
     row = drawn(table)[0]
     assert row == ["a", "aws/r1/a.large", "measures", "3 of 200", "500ms", "40 s", "at most 60 s"]
     assert "of $2.50, committed at most $0.2000" in str(table.table().caption)
-    far = Progress(running=True, so_far=SoFar(12, 0.25))
+    far = Progress(running=True, so_far=Partial(12, 0.25))
     table(Event(sample("b"), "measures", 0.0, 0.2, far, ends_s=100.0))
     assert drawn(table)[1][3:5] == ["12 of 200", "250ms"], "its timings come when it is over"
     record = Measured(

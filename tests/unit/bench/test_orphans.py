@@ -2,9 +2,9 @@
 
 import pytest
 
-from fogspec.backends.protocol import LostContact
-from fogspec.base.errors import CloudFailed, Refused
-from fogspec.bench.orphans import adopt_strays
+from fogspec.backends.protocol import Unreachable
+from fogspec.base.errors import CloudError, Refused
+from fogspec.bench.orphans import adopt_orphans
 from tests.faults.controllers import campaign_of, samples
 from tests.faults.simulation import FaultyRunner, World
 
@@ -18,7 +18,7 @@ def campaign(tmp_path):
 
 
 def lost(*_: object) -> list[str]:
-    raise LostContact("no route to host")
+    raise Unreachable("no route to host")
 
 
 def named(campaign, sample: str) -> str:
@@ -30,7 +30,7 @@ def test_the_dearest_machine_that_a_name_may_mean_is_charged_for_all_of_its_life
     names = [named(campaign, "s1"), f"{campaign.order.prefix}unknown-1", "somebody-elses"]
     monkeypatch.setattr(FaultyRunner, "strays", lambda *_: names)
     campaign.journal.begin("simulated", "a", "p", 0.0)
-    adopt_strays(campaign, wanted, resume=True)
+    adopt_orphans(campaign, wanted, resume=True)
     opened = campaign.journal.book.open
     assert list(opened) == names[:2]
     assert [one.price_usd_per_hour for one in opened.values()] == [0.2, 0.3]
@@ -48,7 +48,7 @@ def test_they_are_left_alone_unless_that_is_asked_for(campaign, monkeypatch, ben
     for _ in range(benches):
         campaign.journal.begin("simulated", "a", "p", 0.0)
     with pytest.raises(Refused, match="another bench"):
-        adopt_strays(campaign, samples(3), resume=False)
+        adopt_orphans(campaign, samples(3), resume=False)
     assert campaign.journal.book.open == {}
 
 
@@ -56,11 +56,11 @@ def test_a_bench_that_starts_nothing_believes_its_journal(campaign, monkeypatch)
     monkeypatch.setattr(FaultyRunner, "strays", lost)
     for _ in range(2):
         campaign.journal.begin("simulated", "a", "p", 0.0)
-    adopt_strays(campaign, samples(3), resume=False, starts=False)
+    adopt_orphans(campaign, samples(3), resume=False, starts=False)
 
 
 def test_who_cannot_be_asked_stops_the_bench_before_it_spends(campaign, monkeypatch):
     monkeypatch.setattr(FaultyRunner, "strays", lost)
     campaign.journal.begin("simulated", "a", "p", 0.0)
-    with pytest.raises(CloudFailed, match="no route to host"):
-        adopt_strays(campaign, samples(3), resume=True)
+    with pytest.raises(CloudError, match="no route to host"):
+        adopt_orphans(campaign, samples(3), resume=True)

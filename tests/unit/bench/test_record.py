@@ -40,7 +40,7 @@ def record(folder, *records, rules=RULES, progress=None, end=""):
     ended = Progress(
         running=False, timings=path, reason=progress.reason, detail=progress.detail, waited_s=progress.waited_s
     )
-    return recording.measured(SAMPLE, ended, rules, 2.0, 0.0)
+    return recording.make_record(SAMPLE, ended, rules, 2.0, 0.0)
 
 
 def test_warm_up_counts_neither_in_latency_nor_in_metrics(tmp_path):
@@ -150,8 +150,8 @@ def test_a_reason_cannot_draw_on_the_terminal(tmp_path):
 
 def test_the_same_timings_are_packed_to_the_same_bytes(tmp_path):
     path = written(tmp_path, line(), line())
-    packed = recording.packed(path)
-    assert packed == recording.packed(path)
+    packed = recording.compress(path)
+    assert packed == recording.compress(path)
     assert gzip.decompress(packed) == path.read_bytes()
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from fogspec.backends.protocol import CannotStart, Job
+from fogspec.backends.protocol import Job, LaunchRefused
 from fogspec.backends.replay import ReplayRunner
 from fogspec.numerics.repeats import after_one_more
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import fit
-from fogspec.plan.design import nth_sample
+from fogspec.plan.design import replicate
 from fogspec.plan.schema import MachineRef, next_on, sample_on
 from fogspec.results.io import Recording
 from fogspec.results.schema import LatencySummary, Measured
@@ -40,7 +40,7 @@ def test_each_sample_of_a_machine_has_an_id_of_its_own():
     taken: list[str] = []
     for nth in (1, 2, 3):
         sample = next_on(MACHINE, "why", taken)
-        assert nth_sample(sample.id) == nth
+        assert replicate(sample.id) == nth
         assert sample == sample_on(MACHINE, "why", nth)
         taken.append(sample.id)
     assert taken == ["aws-us-east-1-c6i-large", "aws-us-east-1-c6i-large-repeat-2", "aws-us-east-1-c6i-large-repeat-3"]
@@ -56,5 +56,5 @@ def test_a_replay_has_as_many_samples_as_were_recorded(tmp_path):
         runner.start(job)
         played.append(runner.look(job).recorded.latency.mean)
     assert played == [1.0, 2.0]
-    with pytest.raises(CannotStart, match="no further recording"):
+    with pytest.raises(LaunchRefused, match="no further recording"):
         runner.start(Job("job3", sample_on(MACHINE, "why", 3), {}, tmp_path, tmp_path / "3", 60.0))

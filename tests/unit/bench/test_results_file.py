@@ -6,13 +6,13 @@ import pytest
 
 from fogspec.agent.secrecy import Secrets
 from fogspec.base import digest
-from fogspec.base.errors import Refused, WrongFile
+from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.bench.results_file import ResultsFile, set_aside
 from fogspec.bench.run import check_same_runner
 from fogspec.plan.schema import MachineRef
 from fogspec.results.io import read_results, recordings
-from fogspec.results.schema import LatencySummary, Measured, intact
+from fogspec.results.schema import LatencySummary, Measured, checksum_ok
 
 MACHINE = MachineRef(infra="local", instance="1cpu-1gib", cpus=1, memory="1GiB", spot=False, price="$0/h")
 
@@ -36,7 +36,7 @@ def test_after_every_record_the_file_is_whole_and_says_the_same_numbers(file):
     for count, name in enumerate(["a", "x", "b"], 1):
         file.put(record(name), 0.1 * count)
         read = read_results(file.layout)
-        assert intact(read)
+        assert checksum_ok(read)
         assert {one.id for one in read.spec.samples} >= {name}
     assert [one.id for one in read.spec.samples] == ["b", "a", "x"]
     assert read == file.results()
@@ -66,7 +66,7 @@ def test_timings_are_kept_and_named(file, tmp_path):
 
 def test_a_results_folder_that_cannot_be_written_is_said(file):
     file.layout.results.parent.write_text("a file")
-    with pytest.raises(WrongFile, match=r"results/app\.yaml: cannot be written"):
+    with pytest.raises(InvalidInput, match=r"results/app\.yaml: cannot be written"):
         file.put(record("a"), 0.0)
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fogspec.base.units import Range
-from fogspec.catalog.filters import admit, gpu_type, matches_gpu, matches_infra, matches_names
+from fogspec.catalog.filters import filter_offers, gpu_type, matches_gpu, matches_infra, matches_names
 from fogspec.catalog.machine import Gpu
-from fogspec.catalog.table import About, Catalog, texts
+from fogspec.catalog.table import About, Catalog, strings
 from fogspec.spec.schema import Hardware, Machines
 from tests.support.catalogs import table
 
@@ -46,11 +46,11 @@ def names(catalog: Catalog) -> list[str]:
     ],
 )  # fmt: skip
 def test_what_is_admitted(hardware: Hardware, infra: list[str], left: list[str]) -> None:
-    assert names(admit(table(*OFFERS), hardware, infra).offers) == left
+    assert names(filter_offers(table(*OFFERS), hardware, infra).offers) == left
 
 
 def test_the_funnel_counts_what_each_filter_removed() -> None:
-    funnel = admit(table(*OFFERS), Hardware(cpus=Range(2, 2)), ["aws/us-east-1"]).funnel
+    funnel = filter_offers(table(*OFFERS), Hardware(cpus=Range(2, 2)), ["aws/us-east-1"]).funnel
     assert (funnel.offered, funnel.admitted) == (9, 2)
     assert {step.name: step.removed for step in funnel.filters if step.removed} == {
         "infra": 1, "hardware.spot": 2, "hardware.arch": 1, "hardware.gpus": 2, "zones of one region merged": 1,
@@ -61,20 +61,20 @@ def test_the_funnel_counts_what_each_filter_removed() -> None:
 
 def test_zones_merge_at_their_highest_price_unless_named() -> None:
     catalog, spot = table(*OFFERS), Hardware(spot=True, machines=Machines(allow=["c6i.*"]))
-    merged = admit(catalog, spot, ["aws/us-east-1"]).offers
+    merged = filter_offers(catalog, spot, ["aws/us-east-1"]).offers
     assert merged.price_usd_per_hour.tolist() == [0.085, 0.04]
     assert set(merged.zone) == {""}
-    named = admit(catalog, spot, ["aws/us-east-1/use1-az1"]).offers
+    named = filter_offers(catalog, spot, ["aws/us-east-1/use1-az1"]).offers
     assert named.price_usd_per_hour.tolist() == [0.085, 0.03]
     assert set(named.zone) == {"use1-az1"}
-    both = admit(catalog, spot, ["aws/us-east-1/use1-az1", "aws/us-east-1"]).offers
+    both = filter_offers(catalog, spot, ["aws/us-east-1/use1-az1", "aws/us-east-1"]).offers
     assert both.price_usd_per_hour.tolist() == [0.085, 0.04]
 
 
 def test_bounds_forgive_what_units_round() -> None:
     catalog = table("m.large,,,2,8,1,,r,")
     eight_gib_in_gb = 8.589934592 * (1e9 / 2**30)
-    assert len(admit(catalog, Hardware(memory=Range(eight_gib_in_gb, eight_gib_in_gb)), ["aws"]).offers) == 1
+    assert len(filter_offers(catalog, Hardware(memory=Range(eight_gib_in_gb, eight_gib_in_gb)), ["aws"]).offers) == 1
 
 
 def test_the_words_for_accelerators() -> None:
@@ -90,19 +90,19 @@ def test_fifty_thousand_offers_take_a_few_tens_of_ms() -> None:
     n = 50_000
     rng = np.random.default_rng(7)
     vcpus = rng.choice([2.0, 4, 8, 16, 32, 64, 96], n)
-    words = texts([""] * n)
+    words = strings([""] * n)
     catalog = Catalog(
-        about=About("test", "", "", ""), cloud=texts(["aws"] * n), zone=words, gpu=words, family=words,
-        region=texts(rng.choice(["us-east-1", "us-west-1", "eu-west-1"], n).tolist()),
-        instance=texts([f"c{i}.large" for i in range(n)]), vcpus=vcpus, memory_gib=vcpus * rng.choice([2.0, 4, 8], n),
+        about=About("test", "", "", ""), cloud=strings(["aws"] * n), zone=words, gpu=words, family=words,
+        region=strings(rng.choice(["us-east-1", "us-west-1", "eu-west-1"], n).tolist()),
+        instance=strings([f"c{i}.large" for i in range(n)]), vcpus=vcpus, memory_gib=vcpus * rng.choice([2.0, 4, 8], n),
         gpu_count=np.zeros(n), gpu_memory_gib=np.full(n, np.nan), price_usd_per_hour=rng.uniform(0.1, 9, n),
-        spot=np.zeros(n, dtype=np.bool_), arch=texts(["x86_64"] * n), physical_cores=vcpus / 2,
+        spot=np.zeros(n, dtype=np.bool_), arch=strings(["x86_64"] * n), physical_cores=vcpus / 2,
         clock_ghz=np.full(n, 3.0), burstable=np.zeros(n, dtype=np.bool_),
     )  # fmt: skip
     took_s = []
     for _ in range(3):
         start = time.perf_counter()
-        found = admit(catalog, Hardware(cpus=Range(2, 64), machines=Machines(deny=["c1.*"])), ["aws"])
+        found = filter_offers(catalog, Hardware(cpus=Range(2, 64), machines=Machines(deny=["c1.*"])), ["aws"])
         took_s.append(time.perf_counter() - start)
     assert found.funnel.admitted > 30_000
     assert min(took_s) < 0.25  # about 0.02 s on two quiet cores

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fogspec.catalog.instance_types import Shape, types_of, with_measured
+from fogspec.catalog.instance_types import Shape, instance_types, with_measured
 from fogspec.catalog.table import concatenated
 from tests.bench_choice import offers
 
@@ -12,7 +12,7 @@ def test_places_of_one_type_are_one_type_and_the_cheapest_stands_for_it():
     twice = few.take(np.repeat(np.arange(20), 2))
     twice.price_usd_per_hour[1::2] *= 0.5
     twice.region[1::2] = "elsewhere"
-    types = types_of(twice)
+    types = instance_types(twice)
     assert len(types) == len(set(few.instance))
     for row, one in enumerate(types.of):
         assert types.keys[one][1] == twice.instance[row]
@@ -22,7 +22,7 @@ def test_places_of_one_type_are_one_type_and_the_cheapest_stands_for_it():
 def test_the_order_of_offers_does_not_matter():
     few = offers(40)
     order = np.random.default_rng(1).permutation(40)
-    one, other = types_of(few), types_of(few.take(order))
+    one, other = instance_types(few), instance_types(few.take(order))
     assert one.keys == other.keys
     assert np.array_equal(one.of[order], other.of)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fogspec.backends import registry
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import WrongFile
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import InvalidInput
 from tests.support.catalogs import HEAD, table
 
 GOOD = "c6i.large,,,2,4,0.085,,us-east-1,"
@@ -36,7 +36,7 @@ def load(tmp_path: Path, content: bytes, name: str = "aws.csv") -> object:
     ],
 )
 def test_a_wrong_file_is_located(tmp_path: Path, content: bytes, line: int, column: int, says: str) -> None:
-    with pytest.raises(Problems) as caught:
+    with pytest.raises(DiagnosticError) as caught:
         load(tmp_path, content)
     [found] = caught.value.diagnostics
     assert (found.place.line, found.place.column) == (line, column)
@@ -46,7 +46,7 @@ def test_a_wrong_file_is_located(tmp_path: Path, content: bytes, line: int, colu
 
 def test_all_mistakes_are_told_at_once_in_order(tmp_path: Path) -> None:
     rows = ["a.large,,,x,4,0.1,,r,", "b.large,,,2,y,z,,r,"]
-    with pytest.raises(Problems) as caught:
+    with pytest.raises(DiagnosticError) as caught:
         load(tmp_path, "\n".join([HEAD, *rows]).encode())
     assert [(d.place.line, d.place.column) for d in caught.value.diagnostics] == [(2, 11), (3, 13), (3, 15)]
 
@@ -54,11 +54,11 @@ def test_all_mistakes_are_told_at_once_in_order(tmp_path: Path) -> None:
 def test_a_truncated_gzip_a_missing_file_and_a_folder_are_no_traceback(tmp_path: Path) -> None:
     whole = gzip.compress(f"{HEAD}\n{GOOD}\n".encode())
     for content in (whole[:-9], b"no gzip at all", whole[:20]):
-        with pytest.raises(WrongFile, match="no whole gzip"):
+        with pytest.raises(InvalidInput, match="no whole gzip"):
             load(tmp_path, content, "aws.csv.gz")
-    with pytest.raises(WrongFile, match="No such file"):
+    with pytest.raises(InvalidInput, match="No such file"):
         registry.catalog(str(tmp_path / "absent.csv"), ["aws"])
-    with pytest.raises(WrongFile, match="has no table of aws"):
+    with pytest.raises(InvalidInput, match="has no table of aws"):
         registry.catalog(str(tmp_path), ["aws"])
 
 
@@ -67,7 +67,7 @@ def test_the_cloud_is_in_the_table_or_in_the_names_or_must_be_said(tmp_path: Pat
     assert load(tmp_path, content, "azure.csv").cloud[0] == "azure"  # type: ignore[attr-defined]
     (tmp_path / "gcp").mkdir()
     assert load(tmp_path / "gcp", content, "vms.csv").cloud[0] == "gcp"  # type: ignore[attr-defined]
-    with pytest.raises(Problems, match="column Cloud is missing"):
+    with pytest.raises(DiagnosticError, match="column Cloud is missing"):
         load(tmp_path, content, "offers.csv")
     assert registry.catalog(str(tmp_path / "offers.csv"), ["lambda"]).cloud[0] == "lambda"
 

@@ -68,18 +68,18 @@ def test_it_is_small_and_loads_fast() -> None:
 
 
 def test_loading_imports_no_scipy() -> None:
-    code = "import sys; from fogspec import wiring; wiring.catalog(None, []); sys.exit('scipy' in sys.modules)"
+    code = "import sys; from fogspec.backends import registry; registry.catalog(None, []); sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_an_edited_snapshot_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from fogspec.base.errors import WrongFile
+    from fogspec.base.errors import InvalidInput
     from fogspec.catalog.sources import snapshot as module
 
     edited = gzip.decompress(TABLE.read_bytes()).replace(b",0.085,", b",0.001,", 1)
     (tmp_path / "snapshot.csv.gz").write_bytes(gzip.compress(edited, mtime=0))
     monkeypatch.setattr(module, "TABLE", tmp_path / "snapshot.csv.gz")
-    with pytest.raises(WrongFile, match=r"not the bundled catalog"):
+    with pytest.raises(InvalidInput, match=r"not the bundled catalog"):
         Snapshot("", []).load()
 
 
@@ -92,7 +92,7 @@ def test_the_packages_still_give_exactly_this_snapshot() -> None:
 
 
 def test_without_the_packages_the_one_command_is_said() -> None:
-    code = "import sys; sys.modules['moto'] = None; from fogspec.catalog.sources import build_snapshot as b; b.main()"
+    code = "import sys; sys.modules['moto'] = None; from tools import build_snapshot as b; b.main()"
     made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert made.returncode == 1
     assert "pip install 'fogspec[snapshot]'" in made.stderr

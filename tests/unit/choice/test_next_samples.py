@@ -6,9 +6,9 @@ import pytest
 from fogspec.backends import registry
 from fogspec.catalog.table import Catalog
 from fogspec.choice.choose import choose
-from fogspec.choice.next_samples import most_worth, next_samples
-from fogspec.model.fit import evidence
-from fogspec.model.predict import from_evidence
+from fogspec.choice.next_samples import best_next_sample, next_samples
+from fogspec.model.fit import partition
+from fogspec.model.predict import predict_from
 from fogspec.numerics.acquisition import Policy
 from fogspec.plan.schema import machine_ref
 from fogspec.results.schema import LatencySummary, Measured
@@ -63,8 +63,8 @@ def test_a_campaign_ends_with_the_best_machine_measured(family, alpha):
     names = [one.machine.instance for one in records]
     assert len(names) < 12
     assert max(map(names.count, names)) <= Policy().each
-    known, unusable = evidence(records, "mean")
-    choice = choose(app, from_evidence(known, unusable, family, ["latency"]))
+    known, unusable = partition(records, "mean")
+    choice = choose(app, predict_from(known, unusable, family, ["latency"]))
     assert choice.chosen is not None
     assert choice.latency.measured[choice.chosen]
     truth = 0.2 + 8 / family.vcpus + 0.004 * family.vcpus
@@ -93,7 +93,7 @@ def test_a_machine_that_was_suspiciously_fast_is_measured_again(family):
     assert "measured again" in asked.reasons[0]
     honest = record(family, lucky).model_copy(update={"id": "again"})
     before, after = (
-        choose(app, from_evidence(*evidence(some, "mean"), family, ["latency"]))
+        choose(app, predict_from(*partition(some, "mean"), family, ["latency"]))
         for some in (records, [*records, honest])
     )
     assert after.latency.value[after.chosen] > before.latency.value[before.chosen]
@@ -126,8 +126,8 @@ def test_one_more_sample_has_a_worth_and_a_price(family):
     usd = family.price_usd_per_hour * 0.2
     app = adaptive(latency=2.0)
     records = [record(family, row) for row in np.argsort(family.price_usd_per_hour)[:2]]
-    known, unusable = evidence(records, "mean")
-    found = most_worth(app, from_evidence(known, unusable, family, ["latency"]), [], usd)
+    known, unusable = partition(records, "mean")
+    found = best_next_sample(app, predict_from(known, unusable, family, ["latency"]), [], usd)
     assert found is not None
     assert found.gain > 0
     assert found.usd == pytest.approx(usd[found.row])
@@ -146,7 +146,7 @@ def test_a_metric_in_place_of_the_latency(family):
         records += [
             record(family, row, metrics={"path_length": 10 + 20 / float(family.vcpus[row])}) for row in asked.rows
         ]
-    known, unusable = evidence(records, "mean")
-    choice = choose(app, from_evidence(known, unusable, family, ["latency", "path_length"]))
+    known, unusable = partition(records, "mean")
+    choice = choose(app, predict_from(known, unusable, family, ["latency", "path_length"]))
     assert choice.chosen is not None
     assert 20 / family.vcpus[choice.chosen] <= 20 / family.vcpus.max() + 0.03 * 10

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fogspec.choice.choose import choose
-from fogspec.choice.sensitivity import bindings, influences, parts, weak_spots
+from fogspec.choice.sensitivity import influences, parts, slacks, widest_intervals
 from fogspec.model.fit import targets
-from fogspec.model.predict import Predicted, predict
+from fogspec.model.predict import PredictionSet, predict
 from fogspec.spec.schema import Application
 from tests.bench_choice import application, measured, offers
 
@@ -20,14 +20,14 @@ def limited(latency: float | None = 3.0, cost: float | None = None) -> Applicati
     return app.model_copy(update={"spec": app.spec.model_copy(update={"constraints": constraints})})
 
 
-def predicted() -> Predicted:
+def predicted() -> PredictionSet:
     return predict(MODELS, FEW, ["latency"])
 
 
 @pytest.mark.parametrize("latency", [1.3, 2.0, 4.0])
 def test_the_choice_changes_where_the_limit_is_said_to(latency):
     app = limited(latency, 1e-3)
-    [first, second] = bindings(choose(app, predicted()))
+    [first, second] = slacks(choose(app, predicted()))
     assert (first.limit, second.limit) == ("latency", "cost")
     chosen = choose(app, predicted())
     if first.changes_at is not None:
@@ -57,7 +57,7 @@ def test_leaving_a_sample_out_is_the_choice_without_it():
 
 def test_weak_spots_have_the_widest_intervals_of_what_may_be_chosen():
     choice = choose(limited(None), predicted())
-    found = weak_spots(choice)
+    found = widest_intervals(choice)
     assert len({str(FEW.instance[one.row]) for one in found}) == len(found) == 3
     low, high = np.array([choice.latency.interval(row, 0.9) for row in range(len(FEW))]).T
     assert found[0].ratio == pytest.approx(np.max(high / low), rel=1e-4)

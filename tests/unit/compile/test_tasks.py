@@ -120,7 +120,7 @@ def test_hostile_words_reach_the_process_unchanged(tmp_path):
     assert not (tmp_path / "owned").exists()
 
 
-AGENT_FILE = Path(__file__).resolve().parents[3] / "fogspec" / "probe" / "agent.py"
+AGENT_FILE = Path(__file__).resolve().parents[3] / "fogspec" / "agent" / "agent.py"
 DEPLOYED = {"ready": ["true"], "listeners": [["sleep", "1"]], "link": None}
 
 

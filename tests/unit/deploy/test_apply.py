@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends.protocol import CannotStart, Launch, Live, LostContact
-from fogspec.base.errors import CloudFailed, Refused, WrongFile
+from fogspec.backends.protocol import DeploymentStatus, Launch, LaunchRefused, Unreachable
+from fogspec.base.errors import CloudError, InvalidInput, Refused
 from fogspec.base.layout import Layout
-from fogspec.deploy.apply import Apply
+from fogspec.deploy.apply import Rollout
 from fogspec.deploy.candidates import Candidate
 from fogspec.deploy.preflight import allowed
 from fogspec.deploy.schema import Machine
-from fogspec.deploy.state import LiveFile
+from fogspec.deploy.state import DeploymentState
 from fogspec.plan.schema import MachineRef
 
 FIRST, SECOND = "sha256:" + "1" * 64, "sha256:" + "2" * 64
@@ -54,12 +54,12 @@ class Told:
         self.up[launch.name] = launch.machine.instance
         self.log.append(f"start {launch.machine.instance}")
 
-    def look(self, launch: Launch) -> Live:
+    def look(self, launch: Launch) -> DeploymentStatus:
         answers = self.says[self.up.get(launch.name, "nothing")]
         answer = answers.pop(0) if len(answers) > 1 else answers[0]
         if isinstance(answer, Exception):
             raise answer
-        return answer if isinstance(answer, Live) else Live(str(answer), address="192.0.2.1")  # type: ignore[arg-type]
+        return answer if isinstance(answer, DeploymentStatus) else DeploymentStatus(str(answer), address="192.0.2.1")  # type: ignore[arg-type]
 
     def end(self, launch: Launch) -> None:
         self.log.append(f"end {self.up.pop(launch.name, 'nothing')}")
@@ -82,16 +82,16 @@ class World:
         digest: str,
         *machines: str,
         runs: str = "same",
-        linked: Callable[[Machine, Live], str | None] | None = None,
-    ) -> Apply:
+        linked: Callable[[Machine, DeploymentStatus], str | None] | None = None,
+    ) -> Rollout:
         candidates = [
             Candidate(
                 n, MachineRef(infra="aws/r1", instance=name, cpus=2, memory=4.0, price=0.1), {}, f"{runs} {name}", 0.1
             )
             for n, name in enumerate(machines)
         ]
-        live = LiveFile.read(Layout.of(self.folder / "specs" / "demo.yaml", "demo"), self.times)
-        work = Apply(
+        live = DeploymentState.read(Layout.of(self.folder / "specs" / "demo.yaml", "demo"), self.times)
+        work = Rollout(
             live, b"the manifest", digest, candidates, None, {}, 600.0, lambda _infra: self.deployer, self.said.append
         )
         if linked is not None:
@@ -114,7 +114,7 @@ def test_the_first_machine_that_answers(world: World) -> None:
 
 @pytest.mark.parametrize("reason", ["capacity", "quota"])
 def test_want_of_capacity_known_late_goes_on_to_the_next(world: World, reason: str) -> None:
-    world.deployer.says["a"] = ["starting", CannotStart(reason, "sold out")]  # type: ignore[arg-type]
+    world.deployer.says["a"] = ["starting", LaunchRefused(reason, "sold out")]  # type: ignore[arg-type]
     served = world.apply(FIRST, "a", "b").run()
     assert (served.machine.instance, served.fallback) == ("b", 1)
     assert world.deployer.log == ["start a", "end a", "start b"]
@@ -122,10 +122,10 @@ def test_want_of_capacity_known_late_goes_on_to_the_next(world: World, reason: s
 
 
 def test_what_another_machine_would_not_mend(world: World) -> None:
-    world.deployer.says["a"] = [CannotStart("image", "manifest unknown")]
-    with pytest.raises(CloudFailed, match="manifest unknown"):
+    world.deployer.says["a"] = [LaunchRefused("image", "manifest unknown")]
+    with pytest.raises(CloudError, match="manifest unknown"):
         world.apply(FIRST, "a", "b").run()
-    world.deployer.says["a"] = [CannotStart("budget", "it costs $0.2 an hour now")]
+    world.deployer.says["a"] = [LaunchRefused("budget", "it costs $0.2 an hour now")]
     with pytest.raises(Refused, match="it costs"):
         world.apply(FIRST, "a", "b").run()
     assert world.deployer.up == {}
@@ -133,8 +133,8 @@ def test_what_another_machine_would_not_mend(world: World) -> None:
 
 def test_nothing_can_be_had(world: World) -> None:
     for name in "ab":
-        world.deployer.says[name] = [CannotStart("capacity", "sold out")]
-    with pytest.raises(CloudFailed) as failed:
+        world.deployer.says[name] = [LaunchRefused("capacity", "sold out")]
+    with pytest.raises(CloudError) as failed:
         world.apply(FIRST, "a", "b").run()
     assert "none of 2 machines" in failed.value.hints[0]
     assert world.deployer.up == {}
@@ -155,39 +155,39 @@ def test_the_same_machine_takes_the_new_manifest(world: World) -> None:
 
 
 def test_nodes_that_end_while_they_start(world: World) -> None:
-    world.deployer.says["a"] = ["starting", Live("ended", "planner ended with exit code 1")]
-    with pytest.raises(WrongFile, match="planner ended with exit code 1"):
+    world.deployer.says["a"] = ["starting", DeploymentStatus("ended", "planner ended with exit code 1")]
+    with pytest.raises(InvalidInput, match="planner ended with exit code 1"):
         world.apply(FIRST, "a").run()
     assert world.deployer.up == {}
 
 
 def test_a_machine_that_is_taken_away(world: World) -> None:
-    world.deployer.says["a"] = ["starting", Live("gone", "spot capacity was reclaimed")]
-    with pytest.raises(CloudFailed, match="spot capacity was reclaimed"):
+    world.deployer.says["a"] = ["starting", DeploymentStatus("gone", "spot capacity was reclaimed")]
+    with pytest.raises(CloudError, match="spot capacity was reclaimed"):
         world.apply(FIRST, "a").run()
     assert world.deployer.up == {}
 
 
 def test_patience_has_an_end(world: World) -> None:
-    world.deployer.says["a"] = [Live("starting", "the job is setting_up")]
-    with pytest.raises(CloudFailed, match=r"did not answer within 600 s: the job is setting_up"):
+    world.deployer.says["a"] = [DeploymentStatus("starting", "the job is setting_up")]
+    with pytest.raises(CloudError, match=r"did not answer within 600 s: the job is setting_up"):
         world.apply(FIRST, "a").run()
     assert world.times.now == pytest.approx(605)
     assert world.deployer.up == {}
 
 
 def test_silence_while_waiting_is_waited_out(world: World) -> None:
-    world.deployer.says["a"] = [LostContact("timeout"), LostContact("timeout"), "ready"]
+    world.deployer.says["a"] = [Unreachable("timeout"), Unreachable("timeout"), "ready"]
     assert world.apply(FIRST, "a").run().state == "serving"
     assert world.deployer.log == ["start a"]
 
 
 def test_silence_starts_nothing_new(world: World) -> None:
     world.apply(FIRST, "b").run()
-    world.deployer.says["b"] = [LostContact("timeout")]
-    with pytest.raises(CloudFailed, match="nobody can say how it is"):
+    world.deployer.says["b"] = [Unreachable("timeout")]
+    with pytest.raises(CloudError, match="nobody can say how it is"):
         world.apply(FIRST, "b").current()
-    with pytest.raises(CloudFailed, match="nobody can say how it is"):
+    with pytest.raises(CloudError, match="nobody can say how it is"):
         world.apply(SECOND, "b").kept()
     assert world.deployer.log == ["start b"]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.backends import registry
-from fogspec.backends.naming import is_of, name_of, prefix_of
+from fogspec.backends.naming import deployment_name, is_machine_of, sample_prefix
 from fogspec.base.errors import Refused
 from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_now, price_words
 from fogspec.plan.schema import GpuShape, MachineRef
@@ -89,9 +89,9 @@ def test_images_that_need_no_question() -> None:
 
 def test_names_belong_to_one_application() -> None:
     for application in ("demo", "demo-two", "a" * 63, "a" * 62 + "b"):
-        name = name_of(application, DIGEST, "0123ab")
+        name = deployment_name(application, DIGEST, "0123ab")
         assert len(name) <= 48
-        assert is_of(name, application)
+        assert is_machine_of(name, application)
         others = {"demo", "demo-two", "a" * 63, "a" * 62 + "b", "dem"} - {application}
-        assert not any(is_of(name, other) for other in others)
-        assert is_of(f"{prefix_of(application)}aws-r1-c-large-0a-1", application)
+        assert not any(is_machine_of(name, other) for other in others)
+        assert is_machine_of(f"{sample_prefix(application)}aws-r1-c-large-0a-1", application)

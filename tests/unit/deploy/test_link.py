@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.errors import Refused, WrongFile
+from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
 from fogspec.cli import main
 from fogspec.compile.launch_files import launch_files, link_of_machine, link_script
 from fogspec.compile.tasks import deploy_task, deployed_processes, ros_environment
-from fogspec.deploy import link
+from fogspec.deploy import link as link_files
 from fogspec.plan.schema import MachineRef
 from fogspec.spec.schema import Application
 from tests.unit.compile.test_tasks import application
@@ -49,32 +49,32 @@ def at(app: Application, side: str, *words: str, said: str = "") -> "subprocess.
 
 def test_keys_are_made_once_and_are_the_owners_alone(links):
     app = arm()
-    public = link.make_keys(app, LAYOUT)
+    public = link_files.make_keys(app, LAYOUT)
     private = links / "app" / "robot" / "private.key"
     before = private.read_bytes()
     assert stat.S_IMODE(private.stat().st_mode) == 0o600
     assert stat.S_IMODE(private.parent.stat().st_mode) == 0o700
-    assert link.make_keys(app, LAYOUT) == public
+    assert link_files.make_keys(app, LAYOUT) == public
     assert private.read_bytes() == before
-    assert link.environment(app, LAYOUT) == {"FOGSPEC_LINK_PEER": public}
+    assert link_files.environment(app, LAYOUT) == {"FOGSPEC_LINK_PEER": public}
     assert "PRIVATE" not in public
 
 
 def test_before_the_robot_has_a_key_nothing_is_launched():
     with pytest.raises(Refused) as refused:
-        link.environment(arm(), LAYOUT)
+        link_files.environment(arm(), LAYOUT)
     assert any("fogspec keys" in hint for hint in refused.value.hints)
-    assert link.environment(application(), LAYOUT) == {}
+    assert link_files.environment(application(), LAYOUT) == {}
 
 
 def test_public_halves_are_exchanged_and_forgotten(links):
     app = arm()
-    link.make_keys(app, LAYOUT)
+    link_files.make_keys(app, LAYOUT)
     cloud = at(app, "cloud", "keys").stdout
-    files = link.join(app, LAYOUT, "203.0.113.7", cloud)
+    files = link_files.join(app, LAYOUT, "203.0.113.7", cloud)
     assert {path.name: path.read_text().strip() for path in files} == {"peer": cloud.strip(), "address": "203.0.113.7"}
-    link.leave(app, LAYOUT)
-    link.leave(app, LAYOUT)
+    link_files.leave(app, LAYOUT)
+    link_files.leave(app, LAYOUT)
     assert sorted(path.name for path in (links / "app" / "robot").iterdir()) == ["private.key", "public", "public.pem"]
 
 
@@ -97,8 +97,8 @@ def test_what_is_no_public_half_of_the_other_end_is_refused():
         refused = at(app, "robot", "peer", said=said)
         assert refused.returncode == 1, said
         assert refused.stderr.startswith("link: ")
-    with pytest.raises(WrongFile, match=r"certificate of CN=robot\.app, not of CN=cloud\.app"):
-        link.join(app, LAYOUT, "203.0.113.7", robot)
+    with pytest.raises(InvalidInput, match=r"certificate of CN=robot\.app, not of CN=cloud\.app"):
+        link_files.join(app, LAYOUT, "203.0.113.7", robot)
 
 
 @pytest.mark.parametrize("link", ["zenoh", "wireguard"])
@@ -216,14 +216,14 @@ def machine(tmp_path: Path, **environment: str) -> "subprocess.CompletedProcess[
 
 
 def test_the_machine_makes_its_own_key_and_hands_out_its_public_half(tmp_path, links):
-    public = link.make_keys(arm(), LAYOUT)
+    public = link_files.make_keys(arm(), LAYOUT)
     run = machine(tmp_path, FOGSPEC_LINK_PEER=public)
     assert (run.returncode, run.stdout) == (0, "rmw_zenoh_cpp\n"), run.stderr
     mine = tmp_path / "home" / ".fogspec" / "links" / "app" / "cloud"
     assert (tmp_path / "out" / "link.pub").read_text() == (mine / "public").read_text()
     assert (mine / "peer").read_text().strip() == public
     assert (mine / "private.key").read_bytes() != (links / "app" / "robot" / "private.key").read_bytes()
-    link.join(arm(), LAYOUT, "203.0.113.7", (tmp_path / "out" / "link.pub").read_text())
+    link_files.join(arm(), LAYOUT, "203.0.113.7", (tmp_path / "out" / "link.pub").read_text())
 
 
 @pytest.mark.parametrize("peer", [{}, {"FOGSPEC_LINK_PEER": ""}, {"FOGSPEC_LINK_PEER": "AAAA"}])

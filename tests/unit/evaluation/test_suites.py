@@ -5,10 +5,10 @@ import json
 
 import pytest
 
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import WrongFile
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import InvalidInput
 from fogspec.evaluation.suites import read_suite
-from fogspec.model.priors import read_library
+from fogspec.model.priors import read_priors
 from tests.evaluation.making import write_suite
 
 
@@ -56,7 +56,7 @@ def test_says_what_is_wrong_and_where(suite, file, old, new, says):
     text = (suite / file).read_text()
     assert old in text
     (suite / file).write_text(text.replace(old, new, 1))
-    with pytest.raises(Problems, match=says) as wrong:
+    with pytest.raises(DiagnosticError, match=says) as wrong:
         read_suite(suite)
     (found,) = wrong.value.diagnostics
     assert found.place.line >= 1
@@ -64,23 +64,23 @@ def test_says_what_is_wrong_and_where(suite, file, old, new, says):
 
 def test_a_missing_file_is_named(suite):
     (suite / "latencies.csv").unlink()
-    with pytest.raises(WrongFile, match=r"no latencies\.csv"):
+    with pytest.raises(InvalidInput, match=r"no latencies\.csv"):
         read_suite(suite)
 
 
 def test_a_damaged_file_is_an_error_not_a_crash(suite):
     (suite / "latencies.csv").rename(suite / "latencies.csv.gz")
-    with pytest.raises(WrongFile, match="cannot be read"):
+    with pytest.raises(InvalidInput, match="cannot be read"):
         read_suite(suite)
 
 
 def test_problems_that_are_no_json_are_an_error(suite):
     (suite / "problems.jsonl").write_text(json.dumps([1]) + "\n")
-    with pytest.raises(Problems, match="not a problem"):
+    with pytest.raises(DiagnosticError, match="not a problem"):
         read_suite(suite)
 
 
 def test_a_library_says_the_same_from_a_folder_twice(suite):
-    assert read_library(suite).digest == read_library(suite).digest
-    with pytest.raises(WrongFile, match="not a library"):
-        read_library(suite / "machines.csv")
+    assert read_priors(suite).digest == read_priors(suite).digest
+    with pytest.raises(InvalidInput, match="not a library"):
+        read_priors(suite / "machines.csv")

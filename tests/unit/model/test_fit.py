@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fogspec.model import predict
+from fogspec.model import predict as predicting
 from fogspec.model.fit import fit
 from fogspec.plan.schema import GpuShape, MachineRef, PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, sealed
+from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
 from tests.bench_choice import application, offers
 
 
 def predict(models, catalog):
-    return predict.predict(models, catalog, ["latency"]).targets["latency"]
+    return predicting.predict(models, catalog, ["latency"]).targets["latency"]
 
 
 SHAPES = [(c, c * r) for c in (2.0, 16.0, 64.0) for r in (2.0, 4.0, 8.0)]
@@ -32,7 +32,7 @@ def record(cpus: float, memory: float, mean: float | None, **more) -> Measured:
 
 def results(*records: Measured) -> Results:
     body = ResultsBody(application="", plan=None, runner="x", spent=0.0, samples=list(records))
-    return sealed(PlanMetadata(name="made-up"), body)
+    return with_checksum(PlanMetadata(name="made-up"), body)
 
 
 @given(st.floats(0.01, 100), st.floats(0.1, 1000))

@@ -2,10 +2,10 @@
 
 import pytest
 
-from fogspec.base.errors import NothingMeets, WrongFile
-from fogspec.catalog.filters import admit
+from fogspec.base.errors import Infeasible, InvalidInput
+from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.table import Catalog
-from fogspec.plan.design import Picks, pick
+from fogspec.plan.design import Design, design
 from fogspec.spec.schema import Application
 from tests.support.catalogs import application, table
 
@@ -19,8 +19,8 @@ OFFERS = (
 )
 
 
-def picked(application: Application, catalog: Catalog) -> Picks:
-    return pick(application.spec, catalog, admit(catalog, application.spec.hardware, application.spec.infra))
+def picked(application: Application, catalog: Catalog) -> Design:
+    return design(application.spec, catalog, filter_offers(catalog, application.spec.hardware, application.spec.infra))
 
 
 def test_the_cheapest_machine_of_each_cell_is_taken_and_every_gap_is_said() -> None:
@@ -72,25 +72,25 @@ def test_a_list_is_taken_as_it_stands_and_says_what_is_no_candidate() -> None:
 
 
 def test_an_unknown_listed_machine_is_a_mistake_with_a_suggestion() -> None:
-    with pytest.raises(WrongFile, match=r"no instance type 'c6i\.larg'") as caught:
+    with pytest.raises(InvalidInput, match=r"no instance type 'c6i\.larg'") as caught:
         picked(application(machines=["c6i.larg"]), table(*OFFERS))
     assert caught.value.hints[0].startswith("did you mean c6i.large, ")
-    with pytest.raises(WrongFile, match=r"no instance type 'm6i\.large' in aws/us-west-1"):
+    with pytest.raises(InvalidInput, match=r"no instance type 'm6i\.large' in aws/us-west-1"):
         picked(application(infra=["aws/us-west-1"], machines=["m6i.large"]), table(*OFFERS))
 
 
 def test_no_machine_is_an_answer_that_says_which_filter_left_none() -> None:
-    with pytest.raises(NothingMeets) as caught:
+    with pytest.raises(Infeasible) as caught:
         picked(application({"cpus": "128.."}), table(*OFFERS))
     assert (
         caught.value.hints[0]
         == "7 offers -> 6 after infra -> 5 after hardware.spot -> 4 after hardware.gpus -> 0 after hardware.cpus"
     )
-    with pytest.raises(NothingMeets) as caught:
+    with pytest.raises(Infeasible) as caught:
         picked(application(infra=["aws/us-esat-1"]), table(*OFFERS))
     assert caught.value.hints[0] == "7 offers -> 0 after infra"
     assert caught.value.hints[1].startswith("the catalog has no machine in aws/us-esat-1; did you mean aws/us-")
-    with pytest.raises(NothingMeets) as caught:
+    with pytest.raises(Infeasible) as caught:
         picked(application(infra=["slurm/lab"]), table(*OFFERS))
     assert "no machine in slurm/lab; --catalog takes a list of its machines" in caught.value.hints[1]
 
@@ -100,6 +100,6 @@ def test_no_machine_is_an_answer_that_says_which_filter_left_none() -> None:
     [({"gpus": ["A100"]}, "for hardware.gpus: T4"), ({"cpus": 3}, "for hardware.cpus: "), ({"memory": "3GiB"}, " GiB")],
 )
 def test_where_no_machine_is_left_what_there_was_is_said(hardware: dict[str, object], said: str) -> None:
-    with pytest.raises(NothingMeets) as ended:
+    with pytest.raises(Infeasible) as ended:
         picked(application(hardware), table(*OFFERS))
     assert any("on offer there" in hint and said in hint for hint in ended.value.hints)

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fogspec.base.units import Range
-from fogspec.catalog.filters import admit
-from fogspec.plan.reuse import holds, kept
+from fogspec.catalog.filters import filter_offers
+from fogspec.plan.reuse import contains, reuse_plan
 from fogspec.plan.schema import make_plan
 from fogspec.spec.schema import Hardware, Machines
 from tests.support.catalogs import application, table
@@ -33,15 +33,15 @@ BOXES = st.tuples(
 
 @given(BOXES, BOXES)
 def test_a_box_that_holds_another_admits_all_that_it_admits(outer: tuple, inner: tuple) -> None:
-    if holds(*outer, *inner):
-        wide, narrow = (admit(CATALOG, *box).offers for box in (outer, inner))
+    if contains(*outer, *inner):
+        wide, narrow = (filter_offers(CATALOG, *box).offers for box in (outer, inner))
         names = lambda one: {(*key, bool(spot)) for *key, spot in zip(one.region, one.instance, one.gpu, one.spot)}  # noqa: E731, B905
         assert names(narrow) <= names(wide)
 
 
 @given(BOXES)
 def test_a_box_holds_itself(box: tuple) -> None:
-    assert holds(*box, *box)
+    assert contains(*box, *box)
 
 
 def test_a_kept_plan_has_the_same_samples_at_the_new_prices() -> None:
@@ -49,7 +49,7 @@ def test_a_kept_plan_has_the_same_samples_at_the_new_prices() -> None:
     plan = make_plan(app, "specs/demo.yaml", CATALOG)
     dearer = table(*(row.replace(",0.4,", ",0.5,") for row in dict.fromkeys(ROWS)))
     narrow = application({"cpus": "2..8"}, ["aws/r1"])
-    found = kept(narrow, plan, dearer)
+    found = reuse_plan(narrow, plan, dearer)
     assert found is not None
     assert [one.id for one in found.spec.samples] == [one.id for one in plan.spec.samples]
     assert {one.machine.instance: one.machine.price for one in found.spec.samples}["a.m"] == 0.5
@@ -66,5 +66,5 @@ def test_a_plan_that_measures_otherwise_or_too_little_is_not_kept() -> None:
         application({"cpus": "2..8"}, ["aws/r1"], stop={"after": "9min"}),
         application({"cpus": "2..8"}, ["aws/r1"], machines=["a.s"]),
     ):
-        assert kept(other, plan, CATALOG) is None
-    assert kept(application({"cpus": "2..8"}, ["aws/r1"]), plan, CATALOG, {"image": "sha256:1"}) is None
+        assert reuse_plan(other, plan, CATALOG) is None
+    assert reuse_plan(application({"cpus": "2..8"}, ["aws/r1"]), plan, CATALOG, {"image": "sha256:1"}) is None

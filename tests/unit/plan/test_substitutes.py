@@ -1,9 +1,9 @@
 """Where else a sample could be measured: the next place, then the nearest admissible machine."""
 
-from fogspec.catalog.filters import admit
+from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.table import Catalog
-from fogspec.plan.schema import Alternative, machine_ref, make_plan, sample_on
-from fogspec.plan.substitutes import alternatives
+from fogspec.plan.schema import Substitute, machine_ref, make_plan, sample_on
+from fogspec.plan.substitutes import substitutes
 from fogspec.spec.schema import Application
 from tests.support.catalogs import application, table
 
@@ -14,14 +14,14 @@ OFFERS = table(
 )  # fmt: skip
 
 
-def found(app: Application, offers: Catalog = OFFERS, instance: str = "a.large") -> list[Alternative]:
-    admissible = admit(offers, app.spec.hardware, app.spec.infra).offers
+def found(app: Application, offers: Catalog = OFFERS, instance: str = "a.large") -> list[Substitute]:
+    admissible = filter_offers(offers, app.spec.hardware, app.spec.infra).offers
     rows = [n for n in range(len(admissible)) if admissible.instance[n] == instance]
     cheapest = min(rows, key=lambda n: admissible.price_usd_per_hour[n])
-    return alternatives(app.spec, [sample_on(machine_ref(admissible.offer(cheapest)), "")], admissible)
+    return substitutes(app.spec, [sample_on(machine_ref(admissible.offer(cheapest)), "")], admissible)
 
 
-def places(alternatives: list[Alternative]) -> list[tuple[str, str]]:
+def places(alternatives: list[Substitute]) -> list[tuple[str, str]]:
     return [(one.machine.instance, one.machine.infra) for one in alternatives]
 
 
@@ -50,15 +50,15 @@ def test_machines_listed_by_name_have_no_neighbours():
 def test_shapes_of_this_host_have_nowhere_to_go():
     app = application(machines=["local/1cpu-1gib"])
     plan = make_plan(app, "specs/demo.yaml", OFFERS)
-    assert alternatives(app.spec, plan.spec.samples, OFFERS) == []
+    assert substitutes(app.spec, plan.spec.samples, OFFERS) == []
 
 
 def test_a_machine_may_stand_in_for_several_but_none_of_the_plan_for_another():
     app = application(infra=["aws/r1"])
-    offers = admit(OFFERS, app.spec.hardware, app.spec.infra).offers
+    offers = filter_offers(OFFERS, app.spec.hardware, app.spec.infra).offers
     planned = [sample_on(machine_ref(offers.offer(n)), "") for n in range(len(offers))
                if offers.instance[n] in ("a.large", "a.xlarge")]  # fmt: skip
-    found = alternatives(app.spec, planned, offers)
+    found = substitutes(app.spec, planned, offers)
     assert [(one.instead_of, one.machine.instance) for one in found] == [
         ("aws-r1-a-large", "b.large"),
         ("aws-r1-a-xlarge", "b.large"),

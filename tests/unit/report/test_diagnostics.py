@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from fogspec.base.diagnostics import Diagnostic, Place
+from fogspec.base.diagnostics import Diagnostic, Span
 from fogspec.report.diagnostics import annotation, as_text, bug_paragraph, show_diagnostics, summary
 
 ONE = Diagnostic(
-    "FS201", "spec.constraints.cost must say per what", Place("specs/broken.yaml", 15, 11, 5), "write '$0.002/request'",
+    "FS201", "spec.constraints.cost must say per what", Span("specs/broken.yaml", 15, 11, 5), "write '$0.002/request'",
     source_line="    cost: 0.002",
 )  # fmt: skip
 
@@ -38,7 +38,7 @@ def test_json_and_github_carry_the_same(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_github_annotations_cannot_be_broken_out_of() -> None:
-    odd = Diagnostic("FS104", "50%\nthen\r::error::x", Place("a,b:c.yaml", 1, 1))
+    odd = Diagnostic("FS104", "50%\nthen\r::error::x", Span("a,b:c.yaml", 1, 1))
     assert (
         annotation(odd)
         == "::error file=a%2Cb%3Ac.yaml,line=1,endLine=1,col=1,endColumn=1,title=FS104::50%25%0Athen%0D::error::x"
@@ -47,20 +47,20 @@ def test_github_annotations_cannot_be_broken_out_of() -> None:
 
 def test_nothing_reaches_the_terminal_that_it_would_obey() -> None:
     odd = Diagnostic(
-        "FS104", "bad \x1b[31mred", Place("\x1b]0;x\x07.yaml", 1, 3), "write \x9b", source_line="a: \x1b[2J\tb"
+        "FS104", "bad \x1b[31mred", Span("\x1b]0;x\x07.yaml", 1, 3), "write \x9b", source_line="a: \x1b[2J\tb"
     )
     assert not set("\x1b\x07\x9b\t") & set(as_text(odd))
 
 
 def test_carets_stand_under_what_is_meant_behind_wide_characters() -> None:
-    wide = Diagnostic("FS303", "x", Place("s.yaml", 1, 7, 2), source_line="日本: [no]")
+    wide = Diagnostic("FS303", "x", Span("s.yaml", 1, 7, 2), source_line="日本: [no]")
     line, caret = as_text(wide).split("\n")[-2:]
     assert line == "1 | 日本: [no]"
     assert caret == "  |         ^^"
 
 
 def test_long_lines_are_shown_around_the_place() -> None:
-    far = Diagnostic("FS303", "x", Place("s.yaml", 1, 5001, 4), source_line="a" * 5000 + "here" + "b" * 5000)
+    far = Diagnostic("FS303", "x", Span("s.yaml", 1, 5001, 4), source_line="a" * 5000 + "here" + "b" * 5000)
     line, caret = as_text(far).split("\n")[-2:]
     assert len(line) < 200
     assert line[caret.index("^") : caret.rindex("^") + 1] == "here"
@@ -91,7 +91,7 @@ def test_color_is_asked_for_and_never_alone_says_anything(
 
 
 def test_the_summary_counts() -> None:
-    warning = Diagnostic("FS532", "w", Place("b.yaml", 1, 1), severity="warning")
+    warning = Diagnostic("FS532", "w", Span("b.yaml", 1, 1), severity="warning")
     assert summary([ONE, ONE, warning]) == "2 errors, 1 warning in 2 files; `fogspec explain FS201` says more"
 
 
@@ -101,5 +101,5 @@ def test_a_bug_is_one_paragraph_without_paths() -> None:
     except AttributeError as bug:
         paragraph = bug_paragraph(bug)
     assert "\n" not in paragraph
-    assert "AttributeError at effects/reports/report.py:" in paragraph
+    assert "AttributeError at report/diagnostics.py:" in paragraph
     assert "/fogspec/" not in paragraph

@@ -7,7 +7,7 @@ import pytest
 
 from fogspec.base.files import yaml_text
 from fogspec.cli import main
-from fogspec.results.schema import Results, sealed
+from fogspec.results.schema import Results, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.launch_import import read_launch
 from fogspec.spec.loader import load, read_document
@@ -47,7 +47,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (loaded,) = load([spec])
     measured = read_document(results, Results)
     body = measured.spec.model_copy(update={"application": fingerprints.measured_digest(loaded.application)})
-    results.write_text(yaml_text(sealed(measured.metadata, body).model_dump(mode="json"), "fogspec bench"))
+    results.write_text(yaml_text(with_checksum(measured.metadata, body).model_dump(mode="json"), "fogspec bench"))
     compiled(spec)
     return folder
 

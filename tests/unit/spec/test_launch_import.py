@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.diagnostics import Problems
+from fogspec.base.diagnostics import DiagnosticError
 from fogspec.cli import main
 from fogspec.spec.launch_import import read_launch
 from fogspec.spec.loader import load
@@ -76,7 +76,7 @@ def test_a_python_file_is_not_run(tmp_path: Path) -> None:
 def test_what_is_no_launch_file_is_refused_at_its_place(tmp_path: Path, name: str, content: str) -> None:
     path = tmp_path / name
     path.write_text(content)
-    with pytest.raises(Problems) as problems:
+    with pytest.raises(DiagnosticError) as problems:
         read_launch(path)
     assert problems.value.diagnostics[0].code in ("FS801", "FS104", "FS103")
     assert problems.value.diagnostics[0].place.path == str(path)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.diagnostics import Problems
-from fogspec.base.errors import WrongFile
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import InvalidInput
 from fogspec.results.schema import Results
-from fogspec.spec.loader import examine, examine_text, load, read_document
+from fogspec.spec.loader import check_file, check_text, load, read_document
 
 ROOT = Path(__file__).resolve().parents[3]
 SPEC = """\
@@ -28,7 +28,7 @@ spec:
 
 def codes(content: str | bytes) -> list[str]:
     raw = content.encode() if isinstance(content, str) else content
-    return [one.code for one in examine_text(raw, "spec.yaml")[1]]
+    return [one.code for one in check_text(raw, "spec.yaml")[1]]
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def codes(content: str | bytes) -> list[str]:
     ],
 )  # fmt: skip
 def test_scalars_mean_what_yaml_1_2_says(text: str, value: object) -> None:
-    loaded, wrong = examine_text(SPEC.replace("VALUE", text).encode(), "spec.yaml")
+    loaded, wrong = check_text(SPEC.replace("VALUE", text).encode(), "spec.yaml")
     assert wrong == []
     found = loaded[0].application.spec.cloud[0].parameters["value"]
     assert found == value
@@ -62,7 +62,7 @@ def test_scalars_mean_what_yaml_1_2_says(text: str, value: object) -> None:
     ],
 )  # fmt: skip
 def test_scalars_that_readers_take_differently_are_refused(text: str, code: str, fix: str) -> None:
-    _, wrong = examine_text(SPEC.replace("VALUE", text).encode(), "spec.yaml")
+    _, wrong = check_text(SPEC.replace("VALUE", text).encode(), "spec.yaml")
     assert [(one.code, one.fix, one.place.line) for one in wrong] == [(code, fix, 5)]
 
 
@@ -82,7 +82,7 @@ def test_encodings() -> None:
 
 
 def test_a_forbidden_character_is_located_behind_wide_ones() -> None:
-    _, wrong = examine_text(SPEC.replace("VALUE", "'日本\u202e'").encode(), "spec.yaml")
+    _, wrong = check_text(SPEC.replace("VALUE", "'日本\u202e'").encode(), "spec.yaml")
     assert (wrong[0].place.line, wrong[0].place.column) == (5, SPEC.split("\n")[4].index("VALUE") + 4)
 
 
@@ -107,7 +107,7 @@ def test_hostile_files_end_soon(content: str, code: str) -> None:
 
 
 def test_an_alias_repeats_what_its_anchor_marked() -> None:
-    loaded, wrong = examine_text(
+    loaded, wrong = check_text(
         SPEC.replace("VALUE", "&v 5")
         .replace("  ros:", "  robot: [{ package: c, executable: d, parameters: { x: *v } }]\n  ros:")
         .encode(),
@@ -121,7 +121,7 @@ def test_keys_of_ones_own_are_ignored_but_not_among_parameters() -> None:
     spec = SPEC.replace("VALUE", "1, x-kept: 2").replace(
         "spec:\n", "x-team: { any: [thing] }\nspec:\n  x-note: 010\n", 1
     )
-    loaded, wrong = examine_text(spec.replace("010", "10").encode(), "spec.yaml")
+    loaded, wrong = check_text(spec.replace("010", "10").encode(), "spec.yaml")
     assert wrong == []
     assert loaded[0].application.spec.cloud[0].parameters == {"value": 1, "x-kept": 2}
 
@@ -135,13 +135,13 @@ def test_all_mistakes_come_at_once_sorted_by_line_fields_and_rules_alike(tmp_pat
     first, second = tmp_path / "b.yaml", tmp_path / "a.yaml"
     first.write_text(spec)
     second.write_text(SPEC.replace("VALUE", "1").replace("infra: [aws]", "infra: aws"))
-    _, wrong = examine([first, second])
+    _, wrong = check_file([first, second])
     said = [(Path(one.place.path).name, one.place.line, one.code) for one in wrong]
     assert said == [
         ("b.yaml", 7, "FS514"), ("b.yaml", 8, "FS301"), ("b.yaml", 8, "FS202"), ("b.yaml", 9, "FS206"),
         ("b.yaml", 9, "FS518"), ("a.yaml", 3, "FS510"), ("a.yaml", 8, "FS303"),
     ]  # fmt: skip
-    with pytest.raises(Problems) as problems:
+    with pytest.raises(DiagnosticError) as problems:
         load([first, second])
     assert [one.code for one in problems.value.diagnostics] == [code for *_, code in said]
 
@@ -164,7 +164,7 @@ def test_a_place_has_line_column_and_width(tmp_path: Path) -> None:
 def test_a_file_that_is_not_there_or_named_twice(tmp_path: Path) -> None:
     path = tmp_path / "spec.yaml"
     path.write_text(SPEC.replace("VALUE", "1"))
-    _, wrong = examine([path, path, tmp_path / "none.yaml", tmp_path])
+    _, wrong = check_file([path, path, tmp_path / "none.yaml", tmp_path])
     assert [one.code for one in wrong] == ["FS101", "FS101", "FS101"]
 
 
@@ -189,7 +189,7 @@ def test_our_own_files_that_were_edited_or_cut_short_say_how_to_make_them_again(
         RESULTS.replace("mean: ", "mean: -", 1),
     ):
         path.write_text(content, "utf-8")
-        with pytest.raises(Problems) as problems:
+        with pytest.raises(DiagnosticError) as problems:
             read_document(path, Results)
         assert all(one.fix == f"make it again: {command}" for one in problems.value.diagnostics)
         assert all(one.place.line >= 1 and one.source_line is not None for one in problems.value.diagnostics)
@@ -198,10 +198,10 @@ def test_our_own_files_that_were_edited_or_cut_short_say_how_to_make_them_again(
 def test_our_own_files_have_one_document(tmp_path: Path) -> None:
     path = tmp_path / "results.yaml"
     path.write_text(RESULTS + "---\n" + RESULTS, "utf-8")
-    with pytest.raises(Problems) as problems:
+    with pytest.raises(DiagnosticError) as problems:
         read_document(path, Results)
     assert [one.code for one in problems.value.diagnostics] == ["FS701"]
-    with pytest.raises(WrongFile):
+    with pytest.raises(InvalidInput):
         read_document(tmp_path / "none.yaml", Results)
 
 
@@ -228,7 +228,7 @@ def test_a_wrong_suite_is_located(tmp_path: Path) -> None:
     from fogspec.evaluation.suites import read_suite
 
     (tmp_path / "machines.csv").write_text("Cloud,InstanceType,vCPUs,MemoryGiB,Price\naws,a,2,4,0.1\naws,a,2,4,0.1\n")
-    with pytest.raises(Problems) as problems:
+    with pytest.raises(DiagnosticError) as problems:
         read_suite(tmp_path)
     (one,) = problems.value.diagnostics
     assert (one.code, one.place.path, one.place.line) == ("FS402", str(tmp_path / "machines.csv"), 2)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.base.layout import Layout
-from fogspec.spec.fingerprints import other_pins
+from fogspec.spec.fingerprints import changed_pins
 from fogspec.spec.lock_io import files_beside, tree_digest
 from fogspec.spec.lockfile import CatalogPin, ImagePin, Pins, image_of, pinned, pins_of_measurement
 from tests.unit.compile.test_tasks import application
@@ -54,8 +54,8 @@ def test_only_the_image_that_was_locked_is_pinned() -> None:
 
 
 def test_what_was_not_pinned_is_not_known_to_differ() -> None:
-    assert other_pins(None, {"a": "1"}) == []
-    assert other_pins({"a": "1", "b": "2", "c": "3"}, {"a": "1", "b": "9"}) == ["b"]
+    assert changed_pins(None, {"a": "1"}) == []
+    assert changed_pins({"a": "1", "b": "2", "c": "3"}, {"a": "1", "b": "9"}) == ["b"]
 
 
 @pytest.fixture

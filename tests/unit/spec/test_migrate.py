@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.diagnostics import Problems
+from fogspec.base.diagnostics import DiagnosticError
 from fogspec.cli import main
 from fogspec.spec.migrate import Step, migrate, write
 
@@ -45,7 +45,7 @@ def test_every_document_goes_step_by_step_and_everything_else_stays(tmp_path):
 def test_a_version_without_a_step_is_a_located_mistake(tmp_path):
     path = tmp_path / "spec.yaml"
     path.write_text(OLD.replace("example.dev/v2", "example.dev/v9"))
-    with pytest.raises(Problems) as no:
+    with pytest.raises(DiagnosticError) as no:
         migrate(str(path), STEPS, "example.dev/v3")
     [one] = no.value.diagnostics
     assert (one.code, one.place.line) == ("FS307", 10)

@@ -9,7 +9,7 @@ from fogspec.agent import agent
 from fogspec.base.templates import render
 from fogspec.compile.compiler import PROBE_FILES
 from fogspec.compile.tasks import deployed_processes, measured_processes, ros_environment
-from fogspec.spec.probe import Halves, halves, kind_of, player, via
+from fogspec.spec.probe import ProbeParts, kind_of, player, probe_parts, via
 from fogspec.spec.schema import Application, Spec
 
 TOPICS = {"request": "in", "response": "/out"}
@@ -29,37 +29,41 @@ def words(*argv: str) -> tuple[str, ...]:
 @pytest.mark.parametrize(
     ("probe", "expected"),
     [
-        ({"callback": "plan"}, Halves()),
+        ({"callback": "plan"}, ProbeParts()),
         (
             TOPICS,
-            Halves(beside=(words("fogspec_machine.topics", "--request", "/in", "--response", "/out", "--match", "stamp"),)),
+            ProbeParts(beside=(words("fogspec_machine.topics", "--request", "/in", "--response", "/out", "--match", "stamp"),)),
         ),
         (
             {**TOPICS, "match": "order", "via": "preload"},
-            Halves(inside=(
+            ProbeParts(inside=(
                 *words("fogspec_machine.preload", "--request", "/in", "--response", "/out", "--match", "order"), "--",
             )),
         ),
-        ({"service": "plan"}, Halves(inside=(*words("fogspec_machine.preload", "--service", "/plan"), "--"))),
-        ({"action": "/go"}, Halves(beside=(words("fogspec_machine.topics", "--action", "/go"),))),
-        ({"action": "/go", "via": "preload"}, Halves(inside=(*words("fogspec_machine.preload", "--action", "/go"), "--"))),
+        ({"service": "plan"}, ProbeParts(inside=(*words("fogspec_machine.preload", "--service", "/plan"), "--"))),
+        ({"action": "/go"}, ProbeParts(beside=(words("fogspec_machine.topics", "--action", "/go"),))),
+        ({"action": "/go", "via": "preload"}, ProbeParts(inside=(*words("fogspec_machine.preload", "--action", "/go"), "--"))),
         (
             {**TOPICS, "bag": "run", "success": "x == 1", "timeout": "2s"},
-            Halves(afterwards=words("fogspec_machine.bag", "--bag", "run", "--request", "/in", "--response", "/out", "--match",
-                                    "stamp", "--success", "x == 1", "--timeout", "2")),
+            ProbeParts(
+                afterwards=words(
+                    "fogspec_machine.bag", "--bag", "run", "--request", "/in", "--response", "/out",
+                    "--match", "stamp", "--success", "x == 1", "--timeout", "2",
+                )
+            ),
         ),
     ],
 )  # fmt: skip
-def test_each_probe_starts_its_half(probe: dict, expected: Halves) -> None:
-    assert halves(spec(probe)) == expected
+def test_each_probe_starts_its_half(probe: dict, expected: ProbeParts) -> None:
+    assert probe_parts(spec(probe)) == expected
 
 
 def test_metrics_are_heard_beside_every_probe() -> None:
     metrics = {"length": {"topic": "plan", "field": "cost.total"}, "own": {"callback": "own"}}
     heard = words("fogspec_machine.topics", "--metric", "length=/plan:cost.total")
     for probe in ({"callback": "plan"}, {"service": "/plan"}):
-        assert halves(spec(probe, metrics=metrics)).beside == (heard,)
-    assert halves(spec({"action": "/go"}, metrics=metrics)).beside[0][3:] == ("--action", "/go", *heard[3:])
+        assert probe_parts(spec(probe, metrics=metrics)).beside == (heard,)
+    assert probe_parts(spec({"action": "/go"}, metrics=metrics)).beside[0][3:] == ("--action", "/go", *heard[3:])
 
 
 def test_only_the_measured_nodes_have_the_library_in_their_process() -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fogspec.spec.loader import examine_text
+from fogspec.spec.loader import check_text
 
 BASE = """\
 apiVersion: fogspec.dev/v1alpha1
@@ -21,7 +21,7 @@ def said(
     cloud: str = "{ cmd: [plan] }", probe: str = "{ callback: plan }", benchmark: str = "{ budget: $1 }", more: str = ""
 ) -> list[tuple[str, str | None]]:
     content = BASE.format(cloud=cloud, probe=probe, benchmark=benchmark, more=more)
-    return [(one.code, one.fix) for one in examine_text(content.encode(), "spec.yaml")[1]]
+    return [(one.code, one.fix) for one in check_text(content.encode(), "spec.yaml")[1]]
 
 
 @pytest.mark.parametrize(
@@ -91,13 +91,13 @@ def test_rules(change: dict[str, str], codes: list[str]) -> None:
 )  # fmt: skip
 def test_infra_is_mended(entry: str, fix: str) -> None:
     content = BASE.format(cloud="{ cmd: [plan] }", probe="{ callback: p }", benchmark="{ budget: $1 }", more="")
-    _, wrong = examine_text(content.replace("infra: [aws]", f"infra: ['{entry}']").encode(), "spec.yaml")
+    _, wrong = check_text(content.replace("infra: [aws]", f"infra: ['{entry}']").encode(), "spec.yaml")
     assert [(one.code, one.fix) for one in wrong] == [("FS531", fix)]
 
 
 def test_a_gpu_unknown_to_fogspec_is_only_a_warning() -> None:
     content = BASE.format(cloud="{ cmd: [plan] }", probe="{ callback: p }", benchmark="{ budget: $1 }",
                           more="  hardware: { gpus: [Quantum9] }")  # fmt: skip
-    loaded, wrong = examine_text(content.encode(), "spec.yaml")
+    loaded, wrong = check_text(content.encode(), "spec.yaml")
     assert [(one.code, one.severity) for one in wrong] == [("FS532", "warning")]
     assert [one.code for one in loaded[0].warnings] == ["FS532"]

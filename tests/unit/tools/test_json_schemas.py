@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 
 from fogspec.base.yaml.positions import plain
-from fogspec.spec.documents import Texts, documents_of
+from fogspec.spec.documents import SourceMap, documents_of
 from tools.json_schemas import KINDS, generated, schema_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -33,7 +33,7 @@ def mistakes(document: Any) -> list[str]:
 
 
 def documents(path: Path) -> list[Any]:
-    return [plain(node) for node in documents_of(path, Texts(), [])[0]]
+    return [plain(node) for node in documents_of(path, SourceMap(), [])[0]]
 
 
 @pytest.mark.parametrize("path", SPECS, ids=lambda path: path.stem)
