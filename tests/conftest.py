@@ -1,4 +1,4 @@
-"""What all tests share: where shared data may be, and that CI skips nothing."""
+"""What all tests share: where more data may be, and that CI skips nothing."""
 
 import os
 import signal
@@ -18,6 +18,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parent.parent
+PUBLIC_SUITE = ROOT / "tests" / "data" / "suite"
+
+# Data that may not enter this repository. Tests run on what is in it, and on these too where they are.
 SHARED = Path(os.environ.get("FOGSPEC_SHARED", ROOT.parent / "shared"))
 
 # What has one cluster, browser or laid-out project for all its tests runs in one worker.
@@ -46,14 +49,3 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]):
         report.outcome = "failed"
         report.longrepr = f"skipped in CI, where nothing may be: {reason}"
     return report
-
-
-@pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """The folder of development data that is not part of this repository."""
-    data = SHARED / "data"
-    if not data.is_dir():
-        pytest.skip(
-            f"needs the development data, which is not in this repository: set FOGSPEC_SHARED (looked in {SHARED})"
-        )
-    return data

@@ -1,5 +1,7 @@
 """`fogspec report` and `fogspec menu`'s picture, through the command line on files."""
 
+import csv
+import gzip
 import json
 import os
 import re
@@ -9,8 +11,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from fogspec.plugins.catalogs.snapshot import TABLE
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.conftest import ROOT, SHARED
 
 
 @pytest.fixture
@@ -113,7 +116,30 @@ def test_menu_draws_in_plain_characters_and_takes_limits_away(checkout):
     assert max(len(line) for line in narrow.splitlines() if "|" in line) <= 50
 
 
-def test_the_page_of_every_offering_stays_small(checkout, shared_data):
+def all_offerings(folder):
+    """A catalog of 111,000 offers: the bundled one in three clouds, each region twice, and spot machines."""
+    with gzip.open(TABLE, "rt", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for cloud in ("aws", "azure", "gcp"):
+        (folder / cloud).mkdir(parents=True)
+        with open(folder / cloud / "vms.csv", "w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            for copy in ("", "-copy"):
+                for row in rows:
+                    changed = {"Region": row["Region"] + copy, "SpotPrice": 0.4 * float(row["Price"])}
+                    writer.writerow({**row, "Cloud": cloud, **changed})
+    return folder
+
+
+def skypilots_offerings(_folder):
+    return SHARED / "data" / "catalog" / "skypilot-v8"
+
+
+@pytest.mark.parametrize(
+    "catalog_of", [all_offerings, *([skypilots_offerings] if skypilots_offerings(None).is_dir() else [])]
+)
+def test_the_page_of_every_offering_stays_small(checkout, tmp_path_factory, catalog_of):
     spec = checkout / "specs" / "vslam.yaml"
     text = spec.read_text().replace("infra: [aws/us-east-1]", "infra: [aws, azure, gcp]")
     for old, new in (
@@ -123,7 +149,7 @@ def test_the_page_of_every_offering_stays_small(checkout, shared_data):
     ):  # fmt: skip
         text = re.sub(old, new, text)
     spec.write_text(text)
-    catalog = str(shared_data / "catalog" / "skypilot-v8")
+    catalog = str(catalog_of(tmp_path_factory.mktemp("offerings")))
     page = fogspec(checkout, "report", "vslam", "--catalog", catalog, "--to", "-").stdout
     said = re.search(r"([\d,]+) machine types in ([\d,]+) offers can be predicted", page)
     assert int(said[2].replace(",", "")) > 90_000

@@ -1,47 +1,101 @@
-"""The bars of choosing well from few samples, on part of the development set; `make evaluation` prints all of it."""
+"""The bars of choosing well from few samples, on the public suite, and on part of the development set where that is.
+
+A bar on the public suite is two standard errors of the share below what was measured when it was set (ok5 of 216 family,
+40 GPU and 32 catalog choices), or a fifth above it (bench). `make evaluation` prints all scores.
+"""
+
+from dataclasses import dataclass, replace
 
 import pytest
 
 from fogspec.evaluation.running import Campaign, by_kind, run
 from fogspec.evaluation.suites import read_suite
 from fogspec.model.priors import read_priors
+from tests.conftest import PUBLIC_SUITE, SHARED
 
-# kind, sampler, with priors, every so many problems, ok5 at least, bench at most, violation5 at most
-BARS = [
-    ("family", "adaptive", True, 6, 0.90, 0.22, 0.03),
-    ("family", "adaptive", False, 6, 0.88, 0.20, 0.03),
-    ("family", "grid", False, 8, 0.78, 0.54, 0.04),
-    ("gpu", "adaptive", True, 4, 0.90, 0.13, 0.0),
+# A problem's own suite is left out of the library, so the public suite is a library for itself.
+DATA = {"public": (PUBLIC_SUITE, PUBLIC_SUITE)}
+if (SHARED / "data" / "dev").is_dir():
+    DATA["development"] = (SHARED / "data" / "dev", SHARED / "data" / "priors")
+
+
+@dataclass(frozen=True)
+class Bar:
+    """On every so many problems of a kind: least ok5, most bench, most violation5, and where coverage90 must be."""
+
+    data: str
+    kind: str
+    sampler: str
+    priors: bool
+    every: int
+    ok5: float
+    bench: float
+    violation5: float
+    coverage90: tuple[float, float] = (0.8, 0.98)
+
+
+BARS = [  # public bars: in comments, what was measured
+    Bar("public", "family", "adaptive", True, 1, 0.84, 0.24, 0.02),  # 0.889, 0.198, 0, 0.92
+    Bar("public", "family", "adaptive", False, 1, 0.84, 0.23, 0.02),  # 0.884, 0.195, 0, 0.90
+    Bar("public", "family", "grid", False, 1, 0.72, 0.54, 0.02),  # 0.778, 0.528 (always), 0, 0.94
+    Bar("public", "gpu", "adaptive", False, 1, 0.92, 0.18, 0.02),  # 0.975, 0.148, 0, 0.96
+    # Here intervals are too wide, other programs by the same rule being more alike than real ones: no upper bar.
+    Bar("public", "catalog", "adaptive", True, 1, 0.90, 0.05, 0.02, (0.8, 1.0)),  # 0.969, 0.040, 0, 0.99
+    Bar("development", "family", "adaptive", True, 6, 0.90, 0.22, 0.03),
+    Bar("development", "family", "adaptive", False, 6, 0.88, 0.20, 0.03),
+    Bar("development", "family", "grid", False, 8, 0.78, 0.54, 0.04),
+    Bar("development", "gpu", "adaptive", True, 4, 0.90, 0.13, 0.0),
 ]
 
 
-@pytest.fixture(scope="module")
-def data(shared_data):
-    return read_suite(shared_data / "dev"), read_priors(shared_data / "priors")
+@pytest.fixture(scope="module", params=DATA)
+def data(request):
+    suite, library = DATA[request.param]
+    return read_suite(suite), read_priors(library)
 
 
-@pytest.mark.parametrize(("kind", "sampler", "priors", "every", "ok5", "bench", "violation5"), BARS)
-def test_part_of_the_development_set_is_chosen_well(data, kind, sampler, priors, every, ok5, bench, violation5):
+def scores(data, bar, campaign):
     suite, library = data
-    problems = [one for one in suite.problems if one.kind == kind][::every]
-    campaign = Campaign(sampler=sampler)
-    ended = [one for problem in problems for one in run(problem, suite.table, library if priors else None, campaign)]
+    problems = [one for one in suite.problems if one.kind == bar.kind][:: bar.every]
+    ended = [
+        one for problem in problems for one in run(problem, suite.table, library if bar.priors else None, campaign)
+    ]
     ((row,), _) = by_kind(ended)
-    assert row["ok5"] >= ok5
-    assert row["bench"] <= bench
-    assert row["violation5"] <= violation5
-    assert 0.8 <= row["coverage90"] <= 0.98
+    return row
+
+
+@pytest.mark.parametrize(
+    ("data", "bar"), [pytest.param(bar.data, bar, id=f"{bar.data}-{bar.kind}-{bar.sampler}-{bar.priors}")
+                      for bar in BARS if bar.data in DATA], indirect=["data"],
+)  # fmt: skip
+def test_machines_are_chosen_well_from_few_samples(data, bar):
+    row = scores(data, bar, Campaign(sampler=bar.sampler))
+    assert row["ok5"] >= bar.ok5
+    assert row["bench"] <= bar.bench
+    assert row["violation5"] <= bar.violation5
+    assert bar.coverage90[0] <= row["coverage90"] <= bar.coverage90[1]
+
+
+@pytest.mark.parametrize("data", ["public"], indirect=True)
+def test_the_public_bars_tell_methods_apart(data):
+    """The same grid read by the paper's method, and one read by ours where adaptive sampling is expected, are below."""
+    adaptive, _, grid = BARS[:3]
+    assert scores(data, grid, Campaign("grid", "paper"))["ok5"] < grid.ok5
+    assert scores(data, adaptive, Campaign("grid"))["ok5"] < adaptive.ok5
 
 
 def test_the_target_s_own_suite_is_left_out_of_the_library(data):
     suite, library = data
-    problem = next(one for one in suite.problems if one.kind == "family")
+    problem = next(one for one in suite.problems if one.kind == "family" and one.suite in library.suites)
     kept = [i for i, name in enumerate(library.suites) if name != problem.suite]
     without = type(library)(
         library.names, library.machines, tuple(library.workloads[i] for i in kept),
         tuple(library.suites[i] for i in kept), library.log_latency[kept],
     )  # fmt: skip
+    unrecognised = replace(library, suites=tuple(f"{name} of others" for name in library.suites))
     lines = [
-        [one.line() for one in run(problem, suite.table, one_library, Campaign())] for one_library in (library, without)
+        [one.line() for one in run(problem, suite.table, one_library, Campaign())]
+        for one_library in (library, without, unrecognised)
     ]
     assert lines[0] == lines[1]
+    assert lines[0] != lines[2]

@@ -16,10 +16,11 @@ from math import exp, log2, sqrt
 from pathlib import Path
 from typing import Any
 
-from fogspec import wiring
-from fogspec.catalog import Catalog
 from fogspec.effects.disk.layout import Layout
 from fogspec.effects.disk.measured import read_results
+
+from fogspec import wiring
+from fogspec.catalog import Catalog
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tests" / "data" / "suite"
