@@ -77,11 +77,12 @@ types: .venv/dev.stamp  ## strict types
 floors: .venv/dev.stamp  ## who may import whom
 	$(BIN)/lint-imports
 
-generated: .venv/dev.stamp  ## committed schemas, reference pages and compiled specs are what the code writes
+generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled specs and the public suite are what the code writes
 	$(BIN)/python -m tools.json_schemas --check
 	$(BIN)/python -m tests.docs.reference --check
 	$(FOGSPEC) compile specs/grasp-planning.yaml specs/vslam.yaml specs/motion-planning.yaml --check
 	$(BIN)/python -m tests.tools.paper_figures --check
+	$(BIN)/python -m tests.tools.public_suite --check
 
 # The language server that editors run; without npm its tests skip.
 tests/editor/node_modules/.stamp: tests/editor/package-lock.json
@@ -104,11 +105,12 @@ figures: .venv/dev.stamp  ## print every figure that README and docs quote
 figures-svg: .venv/dev.stamp  ## draw the pictures in docs/figures anew
 	$(BIN)/python -m tests.tools.paper_figures
 
-# The development data are not in this repository; the layout is that of `fogspec evaluate --suite`.
-FOGSPEC_SHARED ?= ../shared
-evaluation: .venv/dev.stamp  ## every sampler and method over the development set, with priors and without (half an hour)
-	$(FOGSPEC) evaluate --all --suite $(FOGSPEC_SHARED)/data/dev --priors $(FOGSPEC_SHARED)/data/priors
-	$(FOGSPEC) evaluate --all --suite $(FOGSPEC_SHARED)/data/dev
+# The public suite is its own library: a problem's own suite is left out of it. The development data are not in this repository.
+SUITE := $(if $(FOGSPEC_SHARED),$(FOGSPEC_SHARED)/data/dev,tests/data/suite)
+PRIORS := $(if $(FOGSPEC_SHARED),$(FOGSPEC_SHARED)/data/priors,tests/data/suite)
+evaluation: .venv/dev.stamp  ## every sampler and method, with priors and without (minutes; with FOGSPEC_SHARED set, half an hour)
+	$(FOGSPEC) evaluate --all --suite $(SUITE) --priors $(PRIORS)
+	$(FOGSPEC) evaluate --all --suite $(SUITE)
 
 docs: .venv/dev.stamp  ## the documentation site, in build/site; a broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
