@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from fogspec.plugins.catalogs.snapshot import TABLE
 
+from fogspec.catalog.sources.snapshot import TABLE
 from tests.conftest import ROOT, SHARED
 
 

@@ -16,11 +16,10 @@ from math import exp, log2, sqrt
 from pathlib import Path
 from typing import Any
 
-from fogspec.effects.disk.layout import Layout
-from fogspec.effects.disk.measured import read_results
-
-from fogspec import wiring
-from fogspec.catalog import Catalog
+from fogspec.backends import registry
+from fogspec.base.layout import Layout
+from fogspec.catalog.table import Catalog
+from fogspec.results.io import read_results
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tests" / "data" / "suite"
@@ -101,7 +100,7 @@ def latency_s(workload: Workload, machine: Row) -> float:
 
 def files() -> dict[Path, str]:
     """The text of every file, by its path."""
-    catalog = wiring.catalog(None, ["aws"])
+    catalog = registry.catalog(None, ["aws"])
     machines = [_machine(catalog, i) for i in range(len(catalog)) if _wanted(catalog, i)]
     measured = [(w.name, w.suite, m["InstanceType"], latency_s(w, m)) for w in WORKLOADS for m in machines]
     measured += [(name, name, *sample) for name in PAPER for sample in _published(name)]
