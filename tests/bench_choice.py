@@ -6,11 +6,12 @@ import time
 import numpy as np
 
 from fogspec.backends import registry
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import About, Catalog, strings
 from fogspec.choice.choose import choose
 from fogspec.model.fit import Models, fit
 from fogspec.model.predict import predict
-from fogspec.plan.schema import MachineRef, PlanMetadata
+from fogspec.plan.schema import PlanMetadata
 from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec.schema import Application
 
@@ -47,7 +48,7 @@ def measured(names: dict[str, tuple[float, float]] | None = None) -> Models:
     """Nine samples; `names` gives the instance types, vCPUs and GiB."""
     shapes = names or {f"s{c:g}-{m:g}": (c, m) for c in (2.0, 16.0, 128.0) for m in (2 * c, 4 * c, 8 * c)}
     records = [
-        Measured(id=name, machine=MachineRef(infra="aws/r", instance=name, cpus=c, memory=m, price=0.1),
+        Measured(id=name, machine=Machine(infra="aws/r", instance=name, cpus=c, memory=m, price=0.1),
                  measured_on="x", state="ok", requests=9, latency=LatencySummary(mean=1 + 8 / c), duration=9.0, spent=0.0)
         for name, (c, m) in shapes.items()
     ]  # fmt: skip

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
-from fogspec.plan.schema import MachineRef, Sample
+from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured, Reason
 from fogspec.spec.schema import Application
 
@@ -150,7 +151,7 @@ class Launch:
     """
 
     name: str
-    machine: MachineRef | None
+    machine: Machine | None
     task: Mapping[str, object]
     root: Path
     folder: Path

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, ValidationInfo, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationInfo, WithJsonSchema
 
 from fogspec.base import units
 from fogspec.base.units import Range
@@ -25,6 +25,10 @@ class Strict(BaseModel):
 
 
 BASE_UNITS = {"base_units": True}
+
+
+def _whole(value: float) -> int | float:
+    return int(value) if value == int(value) else value
 
 
 Parts = tuple[BeforeValidator, PlainSerializer, WithJsonSchema]
@@ -66,6 +70,7 @@ _USD = rf"(\$\s*{_N}|{_N}\s*(cents?|¢))"
 _COST = rf"{_USD}\s*/\s*({_N})?\s*requests?"
 _RATE = rf"{_N}\s*(Hz|(requests?)?\s*/\s*(s|min|h))"
 
+Count = Annotated[float, Field(allow_inf_nan=False), PlainSerializer(_whole, return_type=int | float)]
 Duration = Annotated[float, *_quantity(units.parse_duration_s, units.format_duration, _D, "1.5s")]
 Memory = Annotated[float, *_quantity(units.parse_memory_gib, units.format_memory, _M, "64GiB")]
 Money = Annotated[float, *_quantity(units.parse_money_usd, units.format_money, _USD, "$2.50")]

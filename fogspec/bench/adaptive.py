@@ -17,7 +17,7 @@ from fogspec.compile.compiler import plan_file, task_file, with_substitutes, wit
 from fogspec.numerics.priors import Library
 from fogspec.plan.initial_batch import NextBatch
 from fogspec.plan.reuse import covers, plan_from_campaign
-from fogspec.plan.schema import Batch, Plan, Sample, Sampling, machine_ref, next_on, sample_on
+from fogspec.plan.schema import Batch, Plan, Sample, Sampling, next_on, sample_on
 from fogspec.spec import fingerprints
 from fogspec.spec.lock_io import read_pins
 from fogspec.spec.lockfile import pinned, pins_of_measurement
@@ -104,10 +104,7 @@ class AdaptiveSampling:
         asked = self._asked(left_usd)
         offers = self.admissible.offers
         taken = {*self.ledger.samples, *(sample.id for wave in self._waves() for sample in wave.samples)}
-        samples = [
-            next_on(machine_ref(offers.offer(row)), why, taken)
-            for row, why in zip(asked.rows, asked.reasons, strict=True)
-        ]
+        samples = [next_on(offers.machine(row), why, taken) for row, why in zip(asked.rows, asked.reasons, strict=True)]
         waves = [*self._waves(), *([Batch(reason=asked.reason, samples=samples)] if samples else [])]
         for_money = not samples and math.isfinite(left_usd) and bool(self._asked(math.inf).rows)
         self._decide(waves, None if samples else asked.reason, for_money)

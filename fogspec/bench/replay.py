@@ -4,9 +4,9 @@ import math
 import statistics
 from pathlib import Path
 
+from fogspec.catalog.machine import Machine
 from fogspec.evaluation.sweeps import COLUMNS
 from fogspec.model.tables import number, rows
-from fogspec.plan.schema import MachineRef
 from fogspec.results.io import Recording, recordings
 from fogspec.results.schema import LatencySummary, Measured
 
@@ -32,7 +32,7 @@ def replayable(path: str, after_s: float) -> tuple[list[Recording], str]:
 
 def _record(infra: str, instance: str, latencies_s: list[float], after_s: float) -> Measured:
     """Repeats of one machine as one record: their mean; what they differ by, as if each had been one request."""
-    machine = MachineRef(infra=infra, instance=instance, cpus=0, memory=0.0, price=0.0)
+    machine = Machine(infra=infra, instance=instance, cpus=0, memory=0.0, price=0.0)
     mean = math.fsum(latencies_s) / len(latencies_s)
     latency = LatencySummary(mean=mean, sd=statistics.stdev(latencies_s) if len(latencies_s) > 1 else None)
     return Measured(

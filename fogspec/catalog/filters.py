@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.units import Range
-from fogspec.catalog.machine import Gpu
+from fogspec.catalog.machine import Gpu, Machine
 from fogspec.catalog.table import Catalog, Floats, Strings
 from fogspec.spec.schema import Hardware
 
@@ -89,7 +89,7 @@ def gpu_type(text: str) -> Gpu | None:
     if text.strip().lower() == "none":
         return None
     name, _, count = text.partition(":")
-    return Gpu(name.strip(), float(count) if count.strip() else 1.0)
+    return Gpu(name=name.strip(), count=float(count) if count.strip() else 1.0)
 
 
 def matches_gpu(catalog: Catalog, text: str) -> Mask:
@@ -143,6 +143,13 @@ def before_empty(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> 
 
 def _shortened(words: list[str]) -> str:
     return ", ".join(words if len(words) <= 16 else [*words[:8], "...", *words[-4:]])
+
+
+def price_now(machine: Machine, catalog: Catalog) -> float | None:
+    """Return the price in USD per hour, the highest among the zones of its region; None if it is not on offer."""
+    offers = catalog.take(_equal(catalog.instance, machine.instance))
+    same = matches_infra(offers, machine.infra) & (offers.spot == machine.spot) & offers.carries(machine)
+    return float(offers.price_usd_per_hour[same].max()) if same.any() else None
 
 
 def merge_zones(offers: Catalog, infra: Sequence[str]) -> Catalog:

@@ -6,27 +6,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Strings, ranks
 from fogspec.numerics.features import Machines, codes
-
-Key = tuple[str, str, str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """A machine that was measured: its cloud and instance type, and what is known of it without a catalog."""
-
-    cloud: str
-    instance: str
-    vcpus: float
-    memory_gib: float
-    gpu: str = ""
-    gpu_count: float = 0.0
-
-    @property
-    def key(self) -> Key:
-        """What makes it one type."""
-        return self.cloud, self.instance, self.gpu, self.gpu_count
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +18,7 @@ class InstanceTypes:
     Types are in the order of cloud, instance and accelerators, whatever the order of the offers.
     """
 
-    keys: tuple[Key, ...]
+    keys: tuple[TypeKey, ...]
     machines: Machines
     of: NDArray[np.intp]
     offer: NDArray[np.intp]
@@ -84,32 +66,31 @@ def machines_of(offers: Catalog) -> Machines:
     )  # fmt: skip
 
 
-def with_measured(offers: Catalog, measured: Sequence[Shape], catalog: Catalog | None = None) -> Catalog:
+def with_measured(offers: Catalog, measured: Sequence[Machine], catalog: Catalog | None = None) -> Catalog:
     """The offers, and after them a row for each measured machine that is not among them.
 
     What `catalog` says of it is taken from there; without it, family, architecture and the rest are unknown. Its price
     is of no account, for it cannot be chosen.
     """
     there = set(zip(offers.cloud, offers.instance, offers.gpu, offers.gpu_count, strict=True))
-    missing = {shape.key: shape for shape in measured if shape.key not in there}
+    missing = {machine.type_key: machine for machine in measured if machine.type_key not in there}
     if not missing:
         return offers
-    rows = [_row(shape, offers, catalog) for _, shape in sorted(missing.items())]
+    rows = [_row(machine, offers, catalog) for _, machine in sorted(missing.items())]
     columns = [f.name for f in fields(Catalog) if f.name != "about"]
     joined = {name: np.concatenate([getattr(one, name) for one in (offers, *rows)]) for name in columns}
     return Catalog(about=offers.about, **joined)
 
 
-def _row(shape: Shape, offers: Catalog, catalog: Catalog | None) -> Catalog:
+def _row(machine: Machine, offers: Catalog, catalog: Catalog | None) -> Catalog:
     if catalog is not None:
-        same = (catalog.instance == shape.instance) & (catalog.cloud == shape.cloud) & (catalog.gpu == shape.gpu)
-        found = np.flatnonzero(same & (catalog.gpu_count == shape.gpu_count))
-        if len(found):
+        same = (catalog.instance == machine.instance) & (catalog.cloud == machine.cloud_name) & catalog.carries(machine)
+        if len(found := np.flatnonzero(same)):
             return catalog.take(found[:1])
-    unknown = np.array([np.nan])
+    unknown, (gpu, gpu_count) = np.array([np.nan]), machine.accelerators
     return replace(
-        offers.take(np.array([0])), cloud=_text(shape.cloud), instance=_text(shape.instance), gpu=_text(shape.gpu),
-        gpu_count=np.array([shape.gpu_count]), vcpus=np.array([shape.vcpus]), memory_gib=np.array([shape.memory_gib]),
+        offers.take(np.array([0])), cloud=_text(machine.cloud_name), instance=_text(machine.instance), gpu=_text(gpu),
+        gpu_count=np.array([gpu_count]), vcpus=np.array([machine.cpus]), memory_gib=np.array([machine.memory]),
         region=_text(""), zone=_text(""), arch=_text(""), family=_text(""), gpu_memory_gib=unknown,
         physical_cores=unknown, clock_ghz=unknown, burstable=np.array([False]), spot=np.array([False]),
     )  # fmt: skip

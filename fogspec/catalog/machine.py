@@ -1,26 +1,69 @@
-"""The words for a machine that can be rented: its shape, where it is, and what it costs."""
+"""A machine that can be rented, or a shape of this host: the one type that every file and every stage uses."""
 
-from dataclasses import dataclass
+from fogspec.base.quantities import Count, Memory, Price, Strict
+
+TypeKey = tuple[str, str, str, float]  # cloud, instance type, name and count of accelerators
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Gpu:
-    """Accelerators of one machine: SkyPilot's name, such as T4, and how many."""
+class Gpu(Strict):
+    """Accelerators of a machine: name and count."""
 
     name: str
-    count: float = 1
+    count: Count = 1
+
+    @property
+    def key(self) -> str:
+        """`T4:1`, as SkyPilot and the files name accelerators."""
+        return f"{self.name}:{self.count:g}"
+
+    @property
+    def label(self) -> str:
+        """`1 T4`, for people."""
+        return f"{self.count:g} {self.name}"
 
 
-@dataclass(frozen=True, slots=True)
-class Offer:
-    """One machine on offer: an instance type in one place at one price; spot is an offer of its own."""
+class Machine(Strict):
+    """A machine by its infra and instance type, with the shape and price that the catalog gave for it.
+
+    A shape of this host has infra `local`, instance `<n>cpu-<m>gib` and price 0.
+    """
 
     infra: str
     instance: str
-    vcpus: float
-    memory_gib: float
-    price_usd_per_hour: float
+    cpus: Count
+    memory: Memory
     gpu: Gpu | None = None
-    arch: str = "x86_64"
-    family: str = ""
     spot: bool = False
+    price: Price
+
+    @property
+    def cloud_name(self) -> str:
+        """The first part of its infra."""
+        return self.infra.partition("/")[0]
+
+    @property
+    def accelerators(self) -> tuple[str, float]:
+        """Name and count as the columns of a catalog have them: `("", 0.0)` without any."""
+        return (self.gpu.name, self.gpu.count) if self.gpu else ("", 0.0)
+
+    @property
+    def gpu_key(self) -> str | None:
+        """`T4:1`; None without accelerators."""
+        return self.gpu.key if self.gpu else None
+
+    @property
+    def type_key(self) -> TypeKey:
+        """What makes it one instance type, wherever and however it is rented."""
+        return self.cloud_name, self.instance, *self.accelerators
+
+
+class ListedMachine(Machine):
+    """A machine in a file that people review: accelerators and kind of price are always written."""
+
+    gpu: Gpu | None
+    spot: bool
+
+    @property
+    def machine(self) -> Machine:
+        """The machine alone, without what its file adds."""
+        return Machine(**{name: getattr(self, name) for name in Machine.model_fields})

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.catalog.machine import Gpu, Offer
+from fogspec.catalog.machine import Gpu, Machine
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.object_]  # of str: one pointer a row, equal texts shared, so that 500,000 rows fit in memory
@@ -102,15 +102,27 @@ class Catalog:
         price = np.maximum.reduceat(self.price_usd_per_hour, first)
         return replace(self.take(first), price_usd_per_hour=price)
 
-    def offer(self, row: int) -> Offer:
-        """One row as an `Offer`; its infra is cloud/region, with the zone where the table has one."""
-        infra = "/".join(part for part in (self.cloud[row], self.region[row], self.zone[row]) if part)
-        gpu = Gpu(str(self.gpu[row]), float(self.gpu_count[row])) if self.gpu[row] else None
-        return Offer(
-            infra=infra, instance=str(self.instance[row]), vcpus=float(self.vcpus[row]),
-            memory_gib=float(self.memory_gib[row]), price_usd_per_hour=float(self.price_usd_per_hour[row]),
-            gpu=gpu, arch=str(self.arch[row]), family=str(self.family[row]), spot=bool(self.spot[row]),
-        )  # fmt: skip
+    def machine(self, row: int) -> Machine:
+        """The machine of one row."""
+        gpu = Gpu(name=str(self.gpu[row]), count=float(self.gpu_count[row])) if self.gpu[row] else None
+        return Machine(
+            infra=self.infra(row),
+            instance=str(self.instance[row]),
+            cpus=float(self.vcpus[row]),
+            memory=float(self.memory_gib[row]),
+            gpu=gpu,
+            spot=bool(self.spot[row]),
+            price=float(self.price_usd_per_hour[row]),
+        )
+
+    def infra(self, row: int) -> str:
+        """Where one row's machine is: `cloud/region`, with the zone where the table has one."""
+        return "/".join(part for part in (self.cloud[row], self.region[row], self.zone[row]) if part)
+
+    def carries(self, machine: Machine) -> NDArray[np.bool_]:
+        """Which rows have exactly the accelerators of this machine."""
+        name, count = machine.accelerators
+        return np.asarray((self.gpu == name) & (self.gpu_count == count), dtype=np.bool_)
 
 
 def strings(values: Iterable[str]) -> Strings:

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Machine:
+class PlottedMachine:
     """A machine that is drawn by itself; `y` is the latency in seconds, or the metric that takes its place.
 
     `role` is what it stands out for, `words` what it is, for the list of those that do.
@@ -53,7 +53,7 @@ class Chart:
     title: str
     subtitle: str
     y_label: str
-    machines: Sequence[Machine]
+    machines: Sequence[PlottedMachine]
     crowd: Crowd
     y_is: Literal["duration", "number"] = "duration"
     y_limit: float | None = None
@@ -68,7 +68,7 @@ class Chart:
 class View:
     """One of the two views: machines by the cost of a request, or by the price of an hour.
 
-    `x` and `front` are the names of `Machine`'s fields; `forbidden` are (a, b, c): not allowed is where
+    `x` and `front` are the names of `PlottedMachine`'s fields; `forbidden` are (a, b, c): not allowed is where
     a·log10 x + b·log10 y > c.
     """
 

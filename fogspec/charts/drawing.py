@@ -10,7 +10,7 @@ from fogspec.base import units
 from fogspec.base.layout import Layout
 from fogspec.charts import menu_svg, model_svg
 from fogspec.charts.axes import money, number, requests_unit, seconds
-from fogspec.charts.chart import Chart, Crowd, Machine
+from fogspec.charts.chart import Chart, Crowd, PlottedMachine
 from fogspec.charts.drawing_models import interval_of, latency_chart
 from fogspec.choice.choose import Choice, latency_limit_s
 from fogspec.choice.menu import LEVEL, floored, limit_text, thinned, weights
@@ -77,7 +77,7 @@ def _subtitle(application: Application, choice: Choice) -> str:
     return f"{weights(application)}{billing}; limits: {limits or 'none'}{surely}"
 
 
-def _machines(choice: Choice, metric: str | None) -> list[Machine]:
+def _machines(choice: Choice, metric: str | None) -> list[PlottedMachine]:
     """Those that stand out, the measured ones, and the fronts."""
     roles = {row: role for role, row in reversed(named(choice).items())}
     fronts = set(thinned(choice.front)), set(thinned(choice.hourly_front))
@@ -95,7 +95,7 @@ def _machines(choice: Choice, metric: str | None) -> list[Machine]:
         shown = row in roles or row in measured
         low, high = (interval_of(predictions, row) if shown else None) or (None, None)
         name = str(choice.offers.instance[row]) + (" spot" if choice.offers.spot[row] else "")
-        found.append(Machine(
+        found.append(PlottedMachine(
             name, float(choice.x[row]), float(choice.cost_usd_per_request[row]),
             float(choice.offers.price_usd_per_hour[row]), low, high, measured=bool(predictions.measured[row]),
             on_front=row in fronts[0], on_hourly_front=row in fronts[1], role=roles.get(row, ""),
@@ -115,16 +115,16 @@ def _measured_types(choice: Choice) -> set[int]:
 
 
 def _described(choice: Choice, row: int, name: str, metric: str | None, factor: float, unit: str) -> str:
-    offer = choice.offers.offer(row)
-    gpu = f" {offer.gpu.count:g} {offer.gpu.name}" if offer.gpu else ""
-    shape = f", {offer.vcpus:g} vCPU {units.format_number(offer.memory_gib)} GiB{gpu}"
+    machine = choice.offers.machine(row)
+    gpu = f" {machine.gpu.label}" if machine.gpu else ""
+    shape = f", {machine.cpus:g} vCPU {units.format_number(machine.memory)} GiB{gpu}"
     value = f"{metric} {number(float(choice.x[row]))}" if metric else seconds(float(choice.x[row]))
     per = "request" if factor == 1 else unit.removeprefix("a ")
-    rest = f"{value}, {money(float(choice.cost_usd_per_request[row]) * factor)} per {per}, {money(offer.price_usd_per_hour)}/h"
+    rest = f"{value}, {money(float(choice.cost_usd_per_request[row]) * factor)} per {per}, {money(machine.price)}/h"
     within = all(choice.values[limit][row] <= bound for limit, bound in choice.bounds.items())
     if within and not choice.feasible[row] and (probability := choice.probability(row)) is not None:
         rest += f"; met with probability {floored(probability):g}"
-    ways = (f"{name}{shape}, {offer.infra}: {rest}", f"{name}, {offer.infra}: {rest}", f"{name}: {rest}")
+    ways = (f"{name}{shape}, {machine.infra}: {rest}", f"{name}, {machine.infra}: {rest}", f"{name}: {rest}")
     return next((words for words in ways if len(words) <= WORDS), ways[-1])
 
 

@@ -5,6 +5,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Floats
 from fogspec.charts.model_svg import LatencyChart, Level, Panel, Sample
 from fogspec.choice.choose import Choice
@@ -12,7 +13,6 @@ from fogspec.choice.menu import LEVEL
 from fogspec.model.fit import Models, Observation
 from fogspec.model.predict import Predictions
 from fogspec.numerics import curves
-from fogspec.plan.schema import MachineRef
 from fogspec.spec.schema import Application
 
 CURVE_POINTS = 60
@@ -92,5 +92,5 @@ def _sample(one: Observation) -> Sample:
     )  # fmt: skip
 
 
-def _gpu_of(machine: MachineRef) -> tuple[str, float] | None:
+def _gpu_of(machine: Machine) -> tuple[str, float] | None:
     return None if machine.gpu is None else (machine.gpu.name, float(machine.gpu.count))

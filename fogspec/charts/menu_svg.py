@@ -9,7 +9,7 @@ import numpy as np
 
 from fogspec.base.templates import render
 from fogspec.charts.axes import CHARACTER, money
-from fogspec.charts.chart import Chart, Crowd, Floats, Machine, View, per_hour, per_request, y_axis, y_words
+from fogspec.charts.chart import Chart, Crowd, Floats, PlottedMachine, View, per_hour, per_request, y_axis, y_words
 from fogspec.charts.frame import Dot, Frame, frame, place_labels
 
 WIDTH, LEFT, RIGHT = 760, 84, 18
@@ -68,12 +68,12 @@ def _levels(found: Frame, front: Sequence[tuple[float, float]]) -> list[tuple[fl
     return [(x, y - 1, end, y + 1) for (x, y), (end, _) in pairwise([*corners, (found.x.end, 0.0)])]
 
 
-def _rank(machine: Machine, view: View) -> int:
+def _rank(machine: PlottedMachine, view: View) -> int:
     """The later, the nearer to the eye."""
     return 3 if machine.role == "chosen" else 2 if machine.role else 1 if getattr(machine, view.front) else 0
 
 
-def _dot(found: Frame, machine: Machine, view: View, words: Callable[[float], str]) -> Dot:
+def _dot(found: Frame, machine: PlottedMachine, view: View, words: Callable[[float], str]) -> Dot:
     front = getattr(machine, view.front)
     kind = (
         "chosen" if machine.role == "chosen" else "measured" if machine.measured else "front" if front else "predicted"

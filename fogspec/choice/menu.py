@@ -7,26 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base import units
-from fogspec.base.quantities import Cost, Duration, Memory, Price, Strict
+from fogspec.base.quantities import Cost, Duration, Strict
+from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import HOURS_PER_MONTH, Choice
 from fogspec.numerics.select import Miss
-from fogspec.plan.schema import Count, GpuShape, PlanMetadata, machine_ref
+from fogspec.plan.schema import PlanMetadata
 from fogspec.spec.schema import Application, Billing, Statistic
 
 LEVEL = 0.9
 SHOWN = 40
 
 
-class Entry(Strict):
+class Entry(ListedMachine):
     """A machine on the menu: what it is, what is expected of it, and whether it meets every limit."""
 
-    infra: str
-    instance: str
-    cpus: Count
-    memory: Memory
-    gpu: GpuShape | None
-    spot: bool
-    price: Price
     latency: Duration
     interval: tuple[Duration, Duration] | None
     metrics: dict[str, float]
@@ -114,10 +108,10 @@ def thinned(rows: NDArray[np.intp]) -> list[int]:
 
 def entry_of(choice: Choice, row: int) -> Entry:
     """One offer as it stands on the menu."""
-    machine = machine_ref(choice.offers.offer(row))
+    machine = choice.offers.machine(row)
     interval = choice.latency.interval(row, LEVEL)
     return Entry(
-        **{name: getattr(machine, name) for name in ("infra", "instance", "cpus", "memory", "gpu", "spot", "price")},
+        **dict(machine),
         latency=rounded(float(choice.latency.value[row])),
         interval=None if interval is None else (rounded(interval[0]), rounded(interval[1])),
         metrics={name: rounded(float(p.value[row])) for name, p in choice.metrics.items()},
@@ -157,7 +151,7 @@ def _probability(choice: Choice, row: int) -> float | None:
 
 def _missed(choice: Choice, miss: Miss) -> Limit:
 
-    offer = choice.offers.offer(miss.row)
+    offer = choice.offers.machine(miss.row)
     return Limit(
         limit=miss.limit, bound=limit_text(miss.limit, miss.bound), nearest_value=limit_text(miss.limit, miss.value),
         factor=rounded(miss.factor), infra=offer.infra, instance=offer.instance, alone=miss.alone,

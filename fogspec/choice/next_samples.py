@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.catalog.cost import Costs
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.choice.choose import Choice, choose, latency_budget
 from fogspec.model.fit import partition, targets
-from fogspec.model.predict import PredictionSet, predict_from, shape_of
+from fogspec.model.predict import PredictionSet, predict_from
 from fogspec.numerics.acquisition import Policy, gains, next_wave
 from fogspec.numerics.priors import Library
 from fogspec.numerics.select import weighed
 from fogspec.numerics.surrogate import Posterior
 from fogspec.plan.initial_batch import NextBatch, SampleCosts, initial_batch, next_batch
-from fogspec.plan.schema import MachineRef
 from fogspec.results.schema import Measured
 from fogspec.spec.schema import Application
 
@@ -56,7 +56,7 @@ class NextSample:
 
 
 def best_next_sample(
-    application: Application, predicted: PredictionSet, failed: Collection[MachineRef], usd_per_sample: Floats
+    application: Application, predicted: PredictionSet, failed: Collection[Machine], usd_per_sample: Floats
 ) -> NextSample | None:
     """What one more sample would be worth, whether or not it is worth its money; None when nothing is left to try."""
     state = _State.of(application, predicted, failed, usd_per_sample, ())
@@ -94,14 +94,14 @@ class _State:
 
     @classmethod
     def of(
-        cls, application: Application, predicted: PredictionSet, failed: Collection[MachineRef], usd_per_sample: Floats,
+        cls, application: Application, predicted: PredictionSet, failed: Collection[Machine], usd_per_sample: Floats,
         excluded: Collection[tuple[str, str]],
     ) -> "_State":  # fmt: skip
         """Types of machines that failed, that are excluded, that are unfit, or that are no offers are barred."""
         types, offered = predicted.types, len(usd_per_sample)
         beyond = np.full(len(types.of) - offered, float(usd_per_sample.mean()))
         bill = SampleCosts.of(types, np.concatenate([usd_per_sample, beyond]))
-        useless = {shape_of(one).key for one in failed}
+        useless = {one.type_key for one in failed}
         barred = np.array([key in useless or key[:2] in excluded for key in types.keys]) | (bill.row >= offered)
         barred[types.of[:offered][predicted.targets["latency"].unfit]] = True
         return cls(application, predicted, bill, barred)

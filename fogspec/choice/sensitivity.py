@@ -7,7 +7,7 @@ import numpy as np
 
 from fogspec.choice.choose import Choice, choose
 from fogspec.model.fit import Models, Observation, targets
-from fogspec.model.predict import PredictionSet, PredictionSpace, shape_of
+from fogspec.model.predict import PredictionSet, PredictionSpace
 from fogspec.spec.schema import Application
 
 LEVEL = 0.9
@@ -102,7 +102,7 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
     missed, covered = float("nan"), False
     posterior = without.latency.posterior
     if posterior is not None and predicted.ground is not None:
-        at, value = predicted.ground.place[shape_of(left_out.machine).key], left_out.values["latency"]
+        at, value = predicted.ground.place[left_out.machine.type_key], left_out.values["latency"]
         missed = abs(float(np.exp(posterior.mean[at])) / value - 1)
         low, high = (float(posterior.quantile(p)[at]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
         covered = low <= value <= high

@@ -17,7 +17,7 @@ from fogspec.choice.shortlist import fallback_rows
 from fogspec.compile.launch_files import launch_files, link_of_machine, robot_launch
 from fogspec.compile.links import link_of
 from fogspec.compile.tasks import deploy_task, deployed_processes, listener, ros_environment
-from fogspec.plan.schema import TaskRef, machine_ref
+from fogspec.plan.schema import TaskRef
 from fogspec.spec.schema import Application
 
 
@@ -71,7 +71,7 @@ def _task(application: Application, layout: Layout, choice: Choice, row: int) ->
     parts = [] if ros["distro"] is None else [render("setup_ros2.sh.j2", **ros)]
     parts += [render("setup_link.sh.j2", **link)] if link else []
     task = deploy_task(
-        application, machine_ref(choice.offers.offer(row)), workdir=layout.relative(layout.spec.parent),
+        application, choice.offers.machine(row), workdir=layout.relative(layout.spec.parent),
         agent=layout.relative(layout.agent), setup="\n".join(parts) or None, run=run,
         launch=layout.relative(layout.cloud) if spec.ros else None, link=layout.relative(layout.link) if link else None,
     )  # fmt: skip

@@ -9,43 +9,30 @@ from pydantic import field_serializer
 from fogspec import __version__
 from fogspec.base import units
 from fogspec.base.quantities import Cost, Duration, Memory, Price, Strict
+from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice, latency_limit_s
 from fogspec.choice.menu import LEVEL, Entry, entry_of, rounded, scale_texts, weights
 from fogspec.choice.relaxed import Relaxed
 from fogspec.choice.shortlist import shortlist
 from fogspec.model.fit import Model, Models
-from fogspec.plan.schema import ApplicationRef, CatalogRef, Count, GpuShape, PlanMetadata, TaskRef
+from fogspec.plan.schema import ApplicationRef, CatalogRef, PlanMetadata, TaskRef
 from fogspec.spec.schema import Application, Billing, Connectivity, Node, Statistic
 
 
-class Fallback(Strict):
+class Fallback(ListedMachine):
     """A machine that also meets the limits, with its own reviewed task."""
 
-    infra: str
-    instance: str
-    cpus: Count
-    memory: Memory
-    gpu: GpuShape | None
-    spot: bool
-    price: Price
     latency: Duration
     cost: Cost
     task: TaskRef
 
 
-class Pinned(Strict):
+class Pinned(ListedMachine):
     """What will run: one machine, its image, its nodes, and the reviewed task that starts them.
 
     `files` are sent along; `fallbacks` may take the machine's place, in this order, when it cannot be had.
     """
 
-    infra: str
-    instance: str
-    cpus: Count
-    memory: Memory
-    gpu: GpuShape | None
-    spot: bool
-    price: Price
     image: str | None
     image_pinned: bool | None
     cloud: list[Node]
@@ -295,8 +282,7 @@ def _pinned(application: Application, entry: Entry, sources: Sources, choice: Ch
     spec = application.spec
     image = spec.ros.image if spec.ros else None
     return Pinned(
-        infra=entry.infra, instance=entry.instance, cpus=entry.cpus, memory=entry.memory, gpu=entry.gpu,
-        spot=entry.spot, price=entry.price, image=image,
+        **dict(entry.machine), image=image,
         image_pinned=None if image is None else "@sha256:" in image,
         cloud=spec.cloud, robot=spec.robot, connectivity=spec.connectivity,
         task=sources.task, robot_launch=sources.robot_launch,
@@ -307,10 +293,7 @@ def _pinned(application: Application, entry: Entry, sources: Sources, choice: Ch
 
 
 def _fallback(entry: Entry, task: TaskRef) -> Fallback:
-    return Fallback(
-        infra=entry.infra, instance=entry.instance, cpus=entry.cpus, memory=entry.memory, gpu=entry.gpu,
-        spot=entry.spot, price=entry.price, latency=entry.latency, cost=entry.cost, task=task,
-    )  # fmt: skip
+    return Fallback(**dict(entry.machine), latency=entry.latency, cost=entry.cost, task=task)
 
 
 def _expected(application: Application, choice: Choice, entry: Entry) -> Expected:
@@ -387,8 +370,7 @@ def _model_ref(models: Models, entry: Entry, file: FileRef) -> ModelRef:
 
 def model_for(models: Models, entry: Entry) -> Model | None:
     """The latency curve of the entry's GPU type; None where no such machine was measured."""
-    key = None if entry.gpu is None else f"{entry.gpu.name}:{entry.gpu.count:g}"
-    return next((m for m in models.spec.models if m.gpu == key and m.target == "latency"), None)
+    return next((m for m in models.spec.models if m.gpu == entry.gpu_key and m.target == "latency"), None)
 
 
 def _maybe(value: float | None) -> float | None:

@@ -9,8 +9,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from fogspec.base import digest
+from fogspec.catalog.machine import Machine
 from fogspec.compile.links import link_of, port_of
-from fogspec.plan.schema import MachineRef, Sample
+from fogspec.plan.schema import Sample
 from fogspec.spec.probe import optional, player, probe_parts
 from fogspec.spec.schema import Application, Node, Spec
 
@@ -57,7 +58,7 @@ def sample_task(
 
 
 def deploy_task(
-    application: Application, machine: MachineRef, *, workdir: str, agent: str, setup: str | None, run: str,
+    application: Application, machine: Machine, *, workdir: str, agent: str, setup: str | None, run: str,
     launch: str | None = None, link: str | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """The task that runs the cloud nodes on the chosen machine, until they end or nobody uses it.
@@ -80,7 +81,7 @@ def deploy_task(
 
 
 def _task(
-    application: Application, machine: MachineRef, autostop: Mapping[str, Any], labels: Mapping[str, str],
+    application: Application, machine: Machine, autostop: Mapping[str, Any], labels: Mapping[str, str],
     workdir: str, agent: str, setup: str | None, run: str,
 ) -> dict[str, Any]:  # fmt: skip
     spec = application.spec
@@ -99,9 +100,7 @@ def _task(
     return task
 
 
-def _resources(
-    spec: Spec, machine: MachineRef, autostop: Mapping[str, Any], labels: Mapping[str, str]
-) -> dict[str, Any]:
+def _resources(spec: Spec, machine: Machine, autostop: Mapping[str, Any], labels: Mapping[str, str]) -> dict[str, Any]:
     cloud = machine.infra.partition("/")[0]
     resources: dict[str, Any] = {} if cloud == "local" else {"infra": machine.infra}
     if cloud == "local" or cloud in SHAPED:
@@ -112,7 +111,7 @@ def _resources(
         # SkyPilot looks at it only when it chooses the machine itself: runners compare the price of a pinned one.
         resources["max_hourly_cost"] = math.ceil(round(machine.price * 1e4, 6)) / 1e4
     if machine.gpu is not None:
-        resources["accelerators"] = f"{machine.gpu.name}:{machine.gpu.count:g}"
+        resources["accelerators"] = machine.gpu.key
     bare = cloud in BARE
     if machine.spot and not bare:
         resources["use_spot"] = True
@@ -121,7 +120,7 @@ def _resources(
     return {**resources, "autostop": dict(autostop), "labels": dict(labels)}
 
 
-def left_out(spec: Spec, machine: MachineRef) -> list[str]:
+def left_out(spec: Spec, machine: Machine) -> list[str]:
     """What a task for this machine leaves out of the spec, because SkyPilot cannot have it there."""
     cloud = machine.infra.partition("/")[0]
     if cloud not in BARE:

@@ -13,7 +13,7 @@ from fogspec.backends.naming import deployment_name, is_deployment_of
 from fogspec.backends.protocol import Deployer, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
 from fogspec.deploy.candidates import Candidate
-from fogspec.deploy.schema import Machine, date_of
+from fogspec.deploy.schema import DeployedMachine, date_of
 from fogspec.deploy.state import DeploymentState
 
 NO_CAPACITY = ("capacity", "quota")
@@ -42,9 +42,9 @@ class Rollout:
     deployer_of: Callable[[str], Deployer]
     tell: Callable[[str], None] = lambda _text: None
     stopping: Callable[[], bool] = lambda: False
-    linked: Callable[[Machine, DeploymentStatus], str | None] = lambda _machine, _live: None
+    linked: Callable[[DeployedMachine, DeploymentStatus], str | None] = lambda _machine, _live: None
 
-    def current(self) -> Machine | None:
+    def current(self) -> DeployedMachine | None:
         """The machine that serves this manifest already; None where there is none, or its nodes have ended.
 
         None also where files beside the spec have changed since. Raises CloudError where nobody can say: another one
@@ -56,11 +56,11 @@ class Rollout:
                 return machine
         return None
 
-    def _runs(self, machine: Machine) -> str:
+    def _runs(self, machine: DeployedMachine) -> str:
         """What the machine would be given now; where it is not offered any more, what it was given."""
         return next((one.runs for one in self.candidates if one.number == machine.fallback), machine.runs)
 
-    def kept(self) -> Machine | None:
+    def kept(self) -> DeployedMachine | None:
         """The machine that serves an older manifest and is given the same by this one: it goes on under the new manifest.
 
         None where there is none. Raises CloudError where nobody can say.
@@ -76,7 +76,7 @@ class Rollout:
                 return machine
         return None
 
-    def _lives(self, machine: Machine) -> bool:
+    def _lives(self, machine: DeployedMachine) -> bool:
         """Whether its nodes run; raises CloudError where nobody can say."""
         try:
             live = self.deployer_of(machine.machine.infra).look(self.live.launch(machine))
@@ -106,7 +106,7 @@ class Rollout:
             end(self.live, machine, self.deployer_of(machine.machine.infra), self.tell)
         return bool(others)
 
-    def unfinished(self) -> Machine | None:
+    def unfinished(self) -> DeployedMachine | None:
         """A machine that an earlier apply of this manifest started and did not see through, if it is still there."""
         for machine in self.live.machines:
             if machine.state == "starting" and machine.manifest == self.digest and machine.runs == self._runs(machine):
@@ -116,7 +116,7 @@ class Rollout:
                 self._end(machine)
         return None
 
-    def run(self) -> Machine:
+    def run(self) -> DeployedMachine:
         """Start the machine, or the next one where it cannot be had; wait until it answers; end the old one.
 
         Raises CloudError when none could be had or the nodes do not answer in time, Refused for a price that rose,
@@ -133,7 +133,7 @@ class Rollout:
                 return served
         raise CloudError("the manifest names no machine that may be started")
 
-    def _tried(self, one: Candidate, begun: Machine | None) -> Machine | None:
+    def _tried(self, one: Candidate, begun: DeployedMachine | None) -> DeployedMachine | None:
         """The machine once it answers, or None where the next is to be tried.
 
         One that goes away before it answers, or whose launch is forgotten, is started once more: verified gone before.
@@ -157,10 +157,10 @@ class Rollout:
                 again = False
                 self.tell(f"{why}; it is started once more")
 
-    def _journaled(self, one: Candidate) -> Machine:
+    def _journaled(self, one: Candidate) -> DeployedMachine:
         """The machine's record, on disk before anything is started."""
         times, deployer = self.live.times, self.deployer_of(one.machine.infra)
-        machine = Machine(
+        machine = DeployedMachine(
             name=deployment_name(self.live.layout.name, self.digest, secrets.token_hex(3)),
             deployer=deployer.name, state="starting", manifest=self.digest,
             machine=one.machine.model_copy(update={"price": one.price_usd_per_hour}), runs=one.runs, fallback=one.number,
@@ -170,7 +170,7 @@ class Rollout:
         self.live.put(machine)
         return machine
 
-    def _started(self, machine: Machine, one: Candidate) -> Machine:
+    def _started(self, machine: DeployedMachine, one: Candidate) -> DeployedMachine:
         """Start it, unless an earlier apply did."""
         if (self.live.folder(machine.name) / "manifest.yaml").exists():
             return machine
@@ -201,7 +201,7 @@ class Rollout:
             hints = ("spec.deployment.fallbacks lets other machines take its place", "safe to run again")
         raise CloudError(f"{what}: {no.detail}", *hints)
 
-    def _wait(self, machine: Machine) -> Machine:
+    def _wait(self, machine: DeployedMachine) -> DeployedMachine:
         """The machine once its nodes and its end of the link answer, else none is left of it.
 
         Raises _Gone for one that went away, which may not be verified yet.
@@ -233,17 +233,17 @@ class Rollout:
                 )
             self.live.times.sleep(self.deployer_of(machine.machine.infra).poll_s)
 
-    def _end(self, machine: Machine) -> None:
+    def _end(self, machine: DeployedMachine) -> None:
         end(self.live, machine, self.deployer_of(machine.machine.infra), self.tell)
 
-    def _look(self, machine: Machine) -> DeploymentStatus:
+    def _look(self, machine: DeployedMachine) -> DeploymentStatus:
         try:
             return self.deployer_of(machine.machine.infra).look(self.live.launch(machine))
         except Unreachable as lost:
             return DeploymentStatus("starting", f"no contact just now: {lost}")
 
 
-def end(live: DeploymentState, machine: Machine, deployer: Deployer, tell: Callable[[str], None]) -> None:
+def end(live: DeploymentState, machine: DeployedMachine, deployer: Deployer, tell: Callable[[str], None]) -> None:
     """End a machine and forget it once it is verified gone; raises CloudError when that cannot be verified.
 
     A disk that is full keeps no machine alive: what cannot be written now is written by whoever ends it again.

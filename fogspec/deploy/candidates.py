@@ -4,16 +4,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from fogspec.base import units
 from fogspec.base.errors import Refused
-from fogspec.catalog.filters import matches_infra
-from fogspec.catalog.table import Catalog
+from fogspec.catalog.machine import Machine
 from fogspec.choice.choose import HOURS_PER_MONTH
 from fogspec.compile.tasks import BARE
 from fogspec.deploy.schema import HOURS_PER_DAY
-from fogspec.plan.schema import MachineRef
 from fogspec.spec.lockfile import image_of, is_pinned
 
 
@@ -26,7 +22,7 @@ class Candidate:
     """
 
     number: int
-    machine: MachineRef
+    machine: Machine
     task: Mapping[str, Any]
     runs: str
     approved_usd_per_hour: float
@@ -36,15 +32,6 @@ class Candidate:
     def price_usd_per_hour(self) -> float:
         """What it will cost."""
         return self.approved_usd_per_hour if self.now_usd_per_hour is None else self.now_usd_per_hour
-
-
-def price_now(machine: MachineRef, catalog: Catalog) -> float | None:
-    """The machine's price in this catalog, the highest among the zones of its region; None where it is not on offer."""
-    offers = catalog.take(np.asarray(catalog.instance == machine.instance, dtype=np.bool_))
-    name, count = (machine.gpu.name, machine.gpu.count) if machine.gpu else ("", 0.0)
-    fits = matches_infra(offers, machine.infra) & (offers.spot == machine.spot)
-    fits &= np.asarray((offers.gpu == name) & (offers.gpu_count == count), dtype=np.bool_)
-    return float(offers.price_usd_per_hour[fits].max()) if fits.any() else None
 
 
 def check_price(one: Candidate, limit_usd_per_hour: float | None, most_usd_per_hour: float | None, source: str) -> None:

@@ -18,8 +18,8 @@ import numpy as np
 from fogspec.base import units
 from fogspec.bench import record
 from fogspec.catalog.cost import Costs
+from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Expected
-from fogspec.plan.schema import MachineRef
 from fogspec.results.schema import LatencySummary
 from fogspec.results.statistics import NEEDED, QUANTILES, summary, weights
 from fogspec.spec.schema import Application
@@ -47,7 +47,7 @@ class Observed:
     breaks: tuple[str, ...]
 
 
-def observe(timings: bytes, application: Application, expected: Expected, machine: MachineRef) -> Observed:
+def observe(timings: bytes, application: Application, expected: Expected, machine: Machine) -> Observed:
     """Compare the latest requests with what was expected of this machine."""
     rules = replace(record.Rules.of(application), warmup=0)
     with tempfile.NamedTemporaryFile(suffix=".jsonl") as file:
@@ -98,7 +98,7 @@ def interval_s(latencies_s: Sequence[float], statistic: str) -> tuple[float, flo
     return None if low < 0 or high >= n else (ordered[low], ordered[high])
 
 
-def _cost(application: Application, machine: MachineRef, latency_s: float) -> float:
+def _cost(application: Application, machine: Machine, latency_s: float) -> float:
     """USD per request, as the choice reckons it: with data transfer, and the interruptions of a spot machine."""
     costs = Costs.of(application.spec, np.array([machine.price]), np.array([machine.spot]))
     return float(costs.per_request(np.array([latency_s]))[0])

@@ -18,7 +18,7 @@ from fogspec.compile.compiler import money
 from fogspec.compile.manifest import Manifest
 from fogspec.deploy.drift import Observed, observe
 from fogspec.deploy.redacted import redacting
-from fogspec.deploy.schema import Machine
+from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, WallClock
 from fogspec.spec.loader import read_document, read_plain
 from fogspec.spec.lock_io import files_deployed
@@ -36,8 +36,8 @@ class HealthReport:
     health: Health
     reasons: tuple[str, ...]
     changes: tuple[Change, ...]
-    machines: tuple[Machine, ...]
-    serving: Machine | None
+    machines: tuple[DeployedMachine, ...]
+    serving: DeployedMachine | None
     live: DeploymentStatus | None
     observed: Observed | None
     manifest: Manifest | None
@@ -81,7 +81,9 @@ def health_report(
     )  # fmt: skip
 
 
-def manifest_changes(layout: Layout, live: DeploymentState, machine: Machine, application: Application) -> list[Change]:
+def manifest_changes(
+    layout: Layout, live: DeploymentState, machine: DeployedMachine, application: Application
+) -> list[Change]:
     """What differs between the manifest on disk, with the files beside the spec, and what a machine was started for."""
     files = _files_changed(application, layout, machine)
     if _committed(layout) == machine.manifest:
@@ -99,7 +101,7 @@ def _committed(layout: Layout) -> str | None:
     return digest.of_bytes(layout.manifest.read_bytes()) if layout.manifest.is_file() else None
 
 
-def _files_changed(application: Application, layout: Layout, machine: Machine) -> list[Change]:
+def _files_changed(application: Application, layout: Layout, machine: DeployedMachine) -> list[Change]:
     """Files and folders beside the spec that are not what the machine was given."""
     now = files_deployed(application, layout)
     names = sorted(name for name in now.keys() | machine.files.keys() if now.get(name) != machine.files.get(name))
@@ -113,7 +115,9 @@ def running_changes(layout: Layout, times: WallClock, application: Application) 
     return None if serving is None else manifest_changes(layout, live, serving, application)
 
 
-def _look(live: DeploymentState, machine: Machine, deployer_of: Callable[[str], Deployer]) -> DeploymentStatus | None:
+def _look(
+    live: DeploymentState, machine: DeployedMachine, deployer_of: Callable[[str], Deployer]
+) -> DeploymentStatus | None:
     try:
         return deployer_of(machine.machine.infra).look(live.launch(machine))
     except LaunchRefused as no:
@@ -122,7 +126,7 @@ def _look(live: DeploymentState, machine: Machine, deployer_of: Callable[[str], 
         return None
 
 
-def _manifest(live: DeploymentState, machine: Machine) -> Manifest | None:
+def _manifest(live: DeploymentState, machine: DeployedMachine) -> Manifest | None:
     """The manifest that the machine was started for."""
     try:
         return read_document(live.folder(machine.name) / "manifest.yaml", Manifest)
@@ -131,7 +135,7 @@ def _manifest(live: DeploymentState, machine: Machine) -> Manifest | None:
 
 
 def _health(
-    machine: Machine, live: DeploymentStatus | None, observed: Observed | None, manifest: Manifest | None
+    machine: DeployedMachine, live: DeploymentStatus | None, observed: Observed | None, manifest: Manifest | None
 ) -> tuple[Health, list[str]]:
     if live is None:
         return "Unknown", ["nobody can say just now how it is"]

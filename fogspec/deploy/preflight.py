@@ -10,11 +10,14 @@ from fogspec.audit.verify import remedy, verify
 from fogspec.base import digest, units
 from fogspec.base.errors import OutOfDate
 from fogspec.base.regular import read_file
+from fogspec.catalog.filters import price_now
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
 from fogspec.compile.bundle import ManifestBundle
+from fogspec.compile.manifest import Fallback, Pinned
 from fogspec.deploy import link
-from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_now, price_words
-from fogspec.plan.schema import MachineRef, TaskRef
+from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
+from fogspec.plan.schema import TaskRef
 from fogspec.spec.lock_io import check_files, files_deployed
 
 
@@ -52,22 +55,14 @@ def launch_plan(
     """
     check_files(opened.loaded.application, opened.layout, measured=False)
     spec, limit = opened.manifest.spec, opened.loaded.application.spec.constraints.price
-    chosen = MachineRef(
-        infra=spec.infra, instance=spec.instance, cpus=spec.cpus, memory=spec.memory, gpu=spec.gpu, spot=spec.spot,
-        price=spec.price,
-    )  # fmt: skip
     peer = link.environment(opened.loaded.application, opened.layout)
-    named = [(chosen, spec.task)]
-    named += [
-        (chosen.model_copy(update={"infra": one.infra, "instance": one.instance, "cpus": one.cpus, "memory": one.memory,
-                                   "gpu": one.gpu, "spot": one.spot, "price": one.price}), one.task)
-        for one in spec.fallbacks
-    ]  # fmt: skip
+    reviewed: list[Pinned | Fallback] = [spec, *spec.fallbacks]
     found: list[Candidate] = []
     image, files = None, files_deployed(opened.loaded.application, opened.layout)
-    for number, (machine, reference) in enumerate(named):
-        reviewed = read_task(opened.layout.compiled, reference)
-        task, exactly = exact({**reviewed, **_peer(reviewed, peer)}, machine.infra, spec.image, resolve, ask)
+    for number, listed in enumerate(reviewed):
+        machine = listed.machine
+        content = read_task(opened.layout.compiled, listed.task)
+        task, exactly = exact({**content, **_peer(content, peer)}, machine.infra, spec.image, resolve, ask)
         image = exactly if number == 0 else image
         task = allowed(task, most_usd_per_hour)
         runs = runs_digest(task, machine, opened, files)
@@ -92,7 +87,7 @@ def _peer(task: Mapping[str, Any], peer: Mapping[str, str]) -> dict[str, Any]:
     return {"envs": {**task.get("envs", {}), **peer}} if peer else {}
 
 
-def runs_digest(task: Mapping[str, Any], machine: MachineRef, opened: ManifestBundle, files: Mapping[str, str]) -> str:
+def runs_digest(task: Mapping[str, Any], machine: Machine, opened: ManifestBundle, files: Mapping[str, str]) -> str:
     """Digest of all that the machine is given: a new price or another expectation needs no other machine."""
     resources = {key: value for key, value in task["resources"].items() if key != "max_hourly_cost"}
     sent = {one.path: one.digest for one in opened.manifest.spec.files if one.path != opened.layout.robot.name}
@@ -120,7 +115,7 @@ def as_text(ordered: LaunchPlan) -> list[str]:
     manifest, first = ordered.opened.manifest, ordered.candidates[0]
     spec, latency = manifest.spec, manifest.expected.latency
     limit = "" if latency.limit is None else f", limit {units.format_duration(latency.limit)}"
-    gpu = f", {spec.gpu.count:g} {spec.gpu.name}" if spec.gpu else ""
+    gpu = f", {spec.gpu.label}" if spec.gpu else ""
     lines = [
         f"{manifest.metadata.name}: {spec.instance} in {spec.infra}{' spot' if spec.spot else ''} "
         f"({spec.cpus:g} vCPU{'' if spec.cpus == 1 else 's'}, {units.format_memory(spec.memory)}{gpu})",

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from fogspec.base.quantities import Duration, Money, Strict
-from fogspec.plan.schema import MachineRef, PlanMetadata
+from fogspec.catalog.machine import Machine
+from fogspec.plan.schema import PlanMetadata
 
 HOURS_PER_DAY = 24
 
@@ -17,7 +18,7 @@ def _date(text: str) -> str:
     return text
 
 
-class Machine(Strict):
+class DeployedMachine(Strict):
     """One machine that was started, or was about to be.
 
     `starting` until its nodes have answered once, then `serving`; `ending` when it is to go. `manifest` is the digest
@@ -31,7 +32,7 @@ class Machine(Strict):
     deployer: str
     state: Literal["starting", "serving", "ending"]
     manifest: str
-    machine: MachineRef
+    machine: Machine
     runs: str
     files: dict[str, str]
     fallback: int = 0
@@ -51,7 +52,7 @@ class Machine(Strict):
 class DeploymentBody(Strict):
     """The machines, and what those that are gone have cost since the application was last down."""
 
-    machines: list[Machine]
+    machines: list[DeployedMachine]
     spent: Money = 0.0
 
 

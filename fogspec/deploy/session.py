@@ -14,7 +14,7 @@ from fogspec.deploy import link
 from fogspec.deploy.apply import Rollout
 from fogspec.deploy.preflight import LaunchPlan
 from fogspec.deploy.redacted import redacting
-from fogspec.deploy.schema import Machine
+from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, WallClock
 
 
@@ -22,18 +22,20 @@ from fogspec.deploy.state import DeploymentState, WallClock
 class RolloutResult:
     """What serves now, and whether anything was changed for it; `kept` says that the machine is the same as before."""
 
-    machine: Machine
+    machine: DeployedMachine
     changed: bool
     waited_s: float
     kept: bool = False
 
 
-def link_check(ordered: LaunchPlan, tell: Callable[[str], None]) -> Callable[[Machine, DeploymentStatus], str | None]:
+def link_check(
+    ordered: LaunchPlan, tell: Callable[[str], None]
+) -> Callable[[DeployedMachine, DeploymentStatus], str | None]:
     """Hands the cloud's public half and address to the robot's end, and says why the link does not answer yet."""
     application, layout = ordered.opened.loaded.application, ordered.opened.layout
     joined: set[str] = set()
 
-    def linked(machine: Machine, live: DeploymentStatus) -> str | None:
+    def linked(machine: DeployedMachine, live: DeploymentStatus) -> str | None:
         if link_of(application).protocol is None:
             return None
         if live.link is None or live.address is None:

@@ -14,7 +14,7 @@ from fogspec.base.clock import SystemClock
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.files import write_bytes, write_yaml
 from fogspec.base.layout import Layout
-from fogspec.deploy.schema import DeploymentBody, LiveState, Machine
+from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState
 from fogspec.plan.schema import PlanMetadata
 from fogspec.spec.loader import read_document
 
@@ -53,7 +53,7 @@ class DeploymentState:
 
     layout: Layout
     times: WallClock
-    machines: list[Machine]
+    machines: list[DeployedMachine]
     spent_usd: float = 0.0
 
     @classmethod
@@ -68,7 +68,7 @@ class DeploymentState:
             raise DiagnosticError([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics]) from None
         return cls(layout, times, list(body.machines), body.spent)
 
-    def put(self, machine: Machine, *, ends: bool = False) -> None:
+    def put(self, machine: DeployedMachine, *, ends: bool = False) -> None:
         """Add the machine, or change its record; with `ends` all others are to go, in the same write."""
         others = [one for one in self.machines if one.name != machine.name]
         if ends:
@@ -90,11 +90,11 @@ class DeploymentState:
         if self.layout.deployed.is_dir():
             shutil.rmtree(self.layout.deployed)
 
-    def spent(self, machine: Machine) -> float:
+    def spent(self, machine: DeployedMachine) -> float:
         """What the machine has cost so far, in USD, at the price it was started for."""
         return machine.machine.price * self.up_s(machine) / 3600
 
-    def up_s(self, machine: Machine) -> float:
+    def up_s(self, machine: DeployedMachine) -> float:
         """For how long it has been there."""
         return machine.up_s(self.times.now_s(), self.times.boot(), self.times.date())
 
@@ -106,7 +106,7 @@ class DeploymentState:
         """The folder of one launch."""
         return self.layout.deployed / name
 
-    def launch(self, machine: Machine, task: Mapping[str, Any] | None = None) -> Launch:
+    def launch(self, machine: DeployedMachine, task: Mapping[str, Any] | None = None) -> Launch:
         """The machine as a deployer takes it; looking at it and ending it needs no task."""
         return Launch(machine.name, machine.machine, task or {}, self.layout.root, self.folder(machine.name))
 
@@ -114,7 +114,7 @@ class DeploymentState:
         """Keep the manifest that a machine is started for, so that what runs can be compared with it later."""
         write_bytes(self.folder(name) / "manifest.yaml", content)
 
-    def _write(self, machines: list[Machine], spent_usd: float | None = None) -> None:
+    def _write(self, machines: list[DeployedMachine], spent_usd: float | None = None) -> None:
         spent = round(self.spent_usd if spent_usd is None else spent_usd, 6)
         state = LiveState(
             metadata=PlanMetadata(name=self.layout.name), spec=DeploymentBody(machines=machines, spent=spent)

@@ -12,10 +12,11 @@ from typing import Literal
 import numpy as np
 
 from fogspec.base.quantities import Duration, Strict
+from fogspec.catalog.machine import Machine
 from fogspec.numerics import curves, fitting
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.numerics.surrogate import VERSION
-from fogspec.plan.schema import MachineRef, PlanMetadata
+from fogspec.plan.schema import PlanMetadata
 from fogspec.results.schema import Measured, Results
 from fogspec.spec.schema import Application, Statistic
 
@@ -67,7 +68,7 @@ class Observation(Strict):
     """A machine that was measured: its values by target, and the relative standard error of the latency."""
 
     id: str
-    machine: MachineRef
+    machine: Machine
     values: dict[str, float]
     error: float
 
@@ -80,7 +81,7 @@ class RejectedSample(Strict):
     """
 
     id: str
-    machine: MachineRef
+    machine: Machine
     why: str
     unfit: bool
     short_of_memory: bool = False
@@ -194,8 +195,8 @@ def _error(record: Measured, statistic: Statistic) -> float:
     return _to(5, math.hypot(own, SERVER_ERROR))
 
 
-def _gpu_key(machine: MachineRef) -> str | None:
-    return None if machine.gpu is None else f"{machine.gpu.name}:{machine.gpu.count:g}"
+def _gpu_key(machine: Machine) -> str | None:
+    return machine.gpu_key
 
 
 def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.catalog.instance_types import InstanceTypes, Key, Shape, instance_types, with_measured
+from fogspec.catalog.instance_types import InstanceTypes, instance_types, with_measured
+from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.model.fit import Model, Models, Observation, RejectedSample
 from fogspec.numerics import curves
 from fogspec.numerics.priors import Library, prior_for
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import Posterior, Space, prepare
-from fogspec.plan.schema import MachineRef
 
 Mask = NDArray[np.bool_]
 
@@ -64,16 +64,16 @@ class PredictionSpace:
     offers: Catalog
     types: InstanceTypes
     space: Space
-    place: Mapping[Key, int]
+    place: Mapping[TypeKey, int]
 
     @classmethod
     def of(
-        cls, offers: Catalog, machines: Sequence[MachineRef], catalog: Catalog | None = None,
+        cls, offers: Catalog, machines: Sequence[Machine], catalog: Catalog | None = None,
         library: Library | None = None,
     ) -> "PredictionSpace":  # fmt: skip
         """`machines` are measured, and described by `catalog` where they are no offers."""
-        shapes = [shape_of(one) for one in machines if counts(one, offers)]
-        types = instance_types(with_measured(offers, shapes, catalog))
+        measured = [one for one in machines if counts(one, offers)]
+        types = instance_types(with_measured(offers, measured, catalog))
         prior = None if library is None else prior_for(library, types.names, types.machines)
         place = {key: row for row, key in enumerate(types.keys)}
         return cls(offers, types, prepare(types.machines, prior), place)
@@ -86,7 +86,7 @@ class PredictionSpace:
         unusable = [one for one in unusable if counts(one.machine, self.offers)]
         little = max((one.machine.memory for one in unusable if one.short_of_memory), default=0.0)
         unfit = self.types.machines.memory_gib <= little
-        unfit[[self.place[shape_of(one.machine).key] for one in unusable if one.unfit]] = True
+        unfit[[self.place[one.machine.type_key] for one in unusable if one.unfit]] = True
         of = self.types.of[: len(self.offers)]
         found = {name: _conditioned(self.space, self.place, known, unusable, name) for name in targets}
         return PredictionSet(
@@ -126,20 +126,14 @@ def predict_from(
     return PredictionSpace.of(offers, machines, catalog, library).predicted(known, unusable, targets)
 
 
-def counts(machine: MachineRef, offers: Catalog) -> bool:
+def counts(machine: Machine, offers: Catalog) -> bool:
     """Whether what was measured there says something of the offers: a shape of this host does of shapes of this host."""
     return machine.infra != "local" or bool((offers.cloud == "local").all())
 
 
-def shape_of(machine: MachineRef) -> Shape:
-    """A measured machine's type."""
-    gpu, count = (machine.gpu.name, machine.gpu.count) if machine.gpu else ("", 0.0)
-    return Shape(machine.infra.split("/")[0], machine.instance, machine.cpus, machine.memory, gpu, count)
-
-
 def _conditioned(
     space: Space,
-    place: Mapping[Key, int],
+    place: Mapping[TypeKey, int],
     known: Sequence[Observation],
     unusable: Sequence[RejectedSample],
     target: str,
@@ -150,7 +144,7 @@ def _conditioned(
         return None
     bounds = [one for one in unusable if one.at_least] if target == "latency" else []
     return space.fit(observations(
-        [place[shape_of(one).key] for one in (*(v.machine for v in values), *(b.machine for b in bounds))],
+        [place[one.type_key] for one in (*(v.machine for v in values), *(b.machine for b in bounds))],
         [*(one.values[target] for one in values), *(one.at_least or 0.0 for one in bounds)],
         [*(one.error if target == "latency" else math.nan for one in values), *(math.nan for _ in bounds)],
         [*(False for _ in values), *(True for _ in bounds)],

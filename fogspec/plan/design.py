@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fogspec.base import units
 from fogspec.base.errors import Infeasible, InvalidInput
 from fogspec.catalog.filters import Filtered, before_empty, gpu_type, matches_gpu, matches_infra, merge_zones
-from fogspec.catalog.machine import Gpu, Offer
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog, Floats, ranks
 from fogspec.numerics.design import Cell, Grid, edge_grid
 from fogspec.spec.schema import Spec, local_shape
@@ -26,14 +26,13 @@ if TYPE_CHECKING:
 class DesignPoint:
     """A machine to measure, and why."""
 
-    offer: Offer
+    machine: Machine
     reason: str
 
     @property
     def id(self) -> str:
         """Names the sample everywhere; it depends on the machine alone, so that a wider plan keeps it."""
-        offer = self.offer
-        return sample_id(offer.infra, offer.instance, offer.gpu, offer.spot)
+        return sample_id(self.machine)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +43,12 @@ class Design:
     notes: tuple[str, ...]
 
 
-def sample_id(infra: str, instance: str, gpu: Gpu | None, spot: bool, nth: int = 1) -> str:
+def sample_id(machine: Machine, nth: int = 1) -> str:
     """The id of a machine's sample, or of the `nth` one of the same machine."""
-    words = [infra, instance]
-    if gpu and infra.startswith("gcp/"):
-        words.append(f"{gpu.name}-{gpu.count:g}")  # one host, several accelerators
-    if spot:
+    words = [machine.infra, machine.instance]
+    if machine.gpu and machine.cloud_name == "gcp":
+        words.append(machine.gpu.key)  # one host, several accelerators
+    if machine.spot:
         words.append("spot")
     if nth > 1:
         words.append(f"repeat-{nth}")
@@ -101,7 +100,7 @@ def _adaptive(spec: Spec, admissible: Filtered, library: "Library | None") -> De
         return Design((), ())
     usd = max_cost_usd(spec, offers.price_usd_per_hour)
     asked = initial_batch(offers, usd, math.inf if budget is None else max(budget, float(usd.min())), library)
-    picks = tuple(DesignPoint(offers.offer(row), why) for row, why in zip(asked.rows, asked.reasons, strict=True))
+    picks = tuple(DesignPoint(offers.machine(row), why) for row, why in zip(asked.rows, asked.reasons, strict=True))
     at_once = "one by one" if spec.benchmark.wave == 1 else f"{spec.benchmark.wave} at once"
     wall = None if budget is None else units.format_money(budget)
     most = f"{Policy().most} samples: there is no budget" if wall is None else f"the budget of {wall}"
@@ -122,7 +121,7 @@ def _grid(spec: Spec, admissible: Filtered) -> Design:
                 continue
             grid = edge_grid(group.vcpus, group.memory_gib, cheapest_first(group))
             picks += [
-                DesignPoint(group.offer(cell.row), _reason(cell, gpu)) for cell in grid.cells if cell.same_as is None
+                DesignPoint(group.machine(cell.row), _reason(cell, gpu)) for cell in grid.cells if cell.same_as is None
             ]
             notes += [f"{entry}, GPU {gpu}: {text}" for text in _grid_notes(grid, group)]
     return Design(tuple(picks), tuple(notes))
@@ -156,7 +155,8 @@ def _listed(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
         if shape := local_shape(name):
             cpus, memory_gib = shape
             instance = name.removeprefix("local/")
-            picks.append(DesignPoint(Offer("local", instance, cpus, memory_gib, 0.0), "listed in benchmark.machines"))
+            here = Machine(infra="local", instance=instance, cpus=cpus, memory=memory_gib, price=0.0)
+            picks.append(DesignPoint(here, "listed in benchmark.machines"))
             continue
         picks += _found(name, spec, catalog)
         if name not in admitted:
@@ -180,7 +180,7 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[DesignPoint]:
     for place in filter(len, places):
         named = (place.take(matches_gpu(place, gpu)) for gpu in spec.hardware.gpus)
         best = next(filter(len, named), place)
-        yield DesignPoint(best.offer(int(cheapest_first(best)[0])), "listed in benchmark.machines")
+        yield DesignPoint(best.machine(int(cheapest_first(best)[0])), "listed in benchmark.machines")
 
 
 def _unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
@@ -204,6 +204,6 @@ def _distinct(found: Design) -> Design:
     notes = list(found.notes)
     for one in found.picks:
         if one.id in first:
-            notes.append(f"{one.offer.infra} {one.offer.instance} is found twice, sampled once")
+            notes.append(f"{one.machine.infra} {one.machine.instance} is found twice, sampled once")
         first.setdefault(one.id, one)
     return Design(tuple(first.values()), tuple(notes))

@@ -2,17 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from fogspec.base import units
 from fogspec.base.units import Range
-from fogspec.catalog.filters import matches_infra
+from fogspec.catalog.filters import price_now
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
 from fogspec.plan.schema import (
     NO_PINS,
     ApplicationRef,
     CatalogRef,
-    MachineRef,
     Plan,
     PlanBody,
     Sample,
@@ -112,20 +110,10 @@ def _with(application: Application, body: PlanBody, catalog: Catalog, samples: S
     )
 
 
-def _repriced(machine: MachineRef, catalog: Catalog) -> MachineRef:
+def _repriced(machine: Machine, catalog: Catalog) -> Machine:
     """The machine at its price now; one that is no longer on offer keeps the price it had."""
     price = None if machine.infra == "local" else price_now(machine, catalog)
     return machine if price is None else machine.model_copy(update={"price": price})
-
-
-def price_now(machine: MachineRef, catalog: Catalog) -> float | None:
-    """USD per hour: the highest among the zones of its region, as a plan has it; None when it is not on offer."""
-    rows = np.flatnonzero(catalog.instance == machine.instance)
-    offers = catalog.take(rows)
-    name, count = (machine.gpu.name, machine.gpu.count) if machine.gpu else ("", 0.0)
-    fits = matches_infra(offers, machine.infra) & (offers.spot == machine.spot)
-    fits &= np.asarray((offers.gpu == name) & (offers.gpu_count == count), dtype=np.bool_)
-    return float(offers.price_usd_per_hour[fits].max()) if fits.any() else None
 
 
 def contains(outer: Hardware, outer_infra: Sequence[str], inner: Hardware, inner_infra: Sequence[str]) -> bool:

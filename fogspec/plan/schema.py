@@ -4,14 +4,14 @@ import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field, PlainSerializer
+from pydantic import Field
 
 from fogspec.base import digest
-from fogspec.base.quantities import Duration, Memory, Money, Price, Strict
+from fogspec.base.quantities import Duration, Money, Strict
 from fogspec.catalog.filters import Filtered, filter_offers
-from fogspec.catalog.machine import Gpu, Offer
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import About, Catalog
 from fogspec.plan import design
 from fogspec.spec import fingerprints
@@ -20,35 +20,6 @@ from fogspec.spec.schema import Application, Hardware
 
 if TYPE_CHECKING:
     from fogspec.numerics.priors import Library
-
-
-def _whole(value: float) -> int | float:
-    return int(value) if value == int(value) else value
-
-
-Count = Annotated[float, Field(allow_inf_nan=False), PlainSerializer(_whole, return_type=int | float)]
-
-
-class GpuShape(Strict):
-    """Accelerators of a machine: name and count."""
-
-    name: str
-    count: Count = 1
-
-
-class MachineRef(Strict):
-    """A machine by its infra and instance type, with the shape and price that the catalog gave for it.
-
-    A shape of this host has infra `local`, instance `<n>cpu-<m>gib` and price 0.
-    """
-
-    infra: str
-    instance: str
-    cpus: Count
-    memory: Memory
-    gpu: GpuShape | None = None
-    spot: bool = False
-    price: Price
 
 
 class TaskRef(Strict):
@@ -62,7 +33,7 @@ class Sample(Strict):
     """One machine to measure; `id` is unique in the plan and names its cluster, task and files."""
 
     id: str
-    machine: MachineRef
+    machine: Machine
     reason: str
     task: TaskRef | None = None
 
@@ -71,7 +42,7 @@ class Substitute(Strict):
     """A machine that is measured where the sample `instead_of` cannot be had; those named first are tried first."""
 
     instead_of: str
-    machine: MachineRef
+    machine: Machine
     reason: str
 
 
@@ -189,7 +160,7 @@ def make_plan(
     if admissible is None:
         admissible = filter_offers(catalog, spec.hardware, spec.infra)
     found = design.design(spec, catalog, admissible, library)
-    samples = [Sample(id=pick.id, machine=machine_ref(pick.offer), reason=pick.reason) for pick in found.picks]
+    samples = [Sample(id=pick.id, machine=pick.machine, reason=pick.reason) for pick in found.picks]
     sampler: Literal["grid", "adaptive", "list"] = "list" if spec.benchmark.machines else spec.benchmark.sampler
     return assemble(application, path, catalog.about, sampler, samples, found.notes, pins)
 
@@ -228,26 +199,15 @@ def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
     return [] if image is None or "image" in pins else [f"image {image} is not pinned to a digest: fogspec lock"]
 
 
-def sample_on(machine: MachineRef, reason: str, nth: int = 1) -> Sample:
+def sample_on(machine: Machine, reason: str, nth: int = 1) -> Sample:
     """The `nth` sample that measures this machine; its id depends on the machine and on `nth` alone."""
-    gpu = Gpu(machine.gpu.name, machine.gpu.count) if machine.gpu else None
-    name = design.sample_id(machine.infra, machine.instance, gpu, machine.spot, nth)
-    return Sample(id=name, machine=machine, reason=reason)
+    return Sample(id=design.sample_id(machine, nth), machine=machine, reason=reason)
 
 
-def next_on(machine: MachineRef, reason: str, taken: Collection[str]) -> Sample:
+def next_on(machine: Machine, reason: str, taken: Collection[str]) -> Sample:
     """The first sample of this machine whose id is not taken."""
     numbered = (sample_on(machine, reason, nth) for nth in itertools.count(1))
     return next(sample for sample in numbered if sample.id not in taken)
-
-
-def machine_ref(offer: Offer) -> MachineRef:
-    """The machine as files name it."""
-    gpu = GpuShape(name=offer.gpu.name, count=offer.gpu.count) if offer.gpu else None
-    return MachineRef(
-        infra=offer.infra, instance=offer.instance, cpus=offer.vcpus, memory=offer.memory_gib, gpu=gpu,
-        spot=offer.spot, price=offer.price_usd_per_hour,
-    )  # fmt: skip
 
 
 def estimate(samples: Sequence[Sample], after_s: float, setup_s: float) -> Estimate:

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.plan.design import cheapest_first, replicate
-from fogspec.plan.schema import MachineRef, Sample, Substitute, machine_ref, sample_on
+from fogspec.plan.schema import Sample, Substitute, sample_on
 from fogspec.spec.schema import Spec
 
 PLACES = 2
@@ -39,7 +40,7 @@ def substitutes(spec: Spec, samples: Sequence[Sample], offers: Catalog) -> list[
     return found
 
 
-def other_region(one: MachineRef, two: MachineRef) -> bool:
+def other_region(one: Machine, two: Machine) -> bool:
     """Whether two machines are in different regions, whose quotas are apart."""
     return one.infra.split("/")[:2] != two.infra.split("/")[:2]
 
@@ -48,19 +49,17 @@ def other_region(one: MachineRef, two: MachineRef) -> bool:
 class _Near:
     """The offers that differ little from a machine, with the same accelerators and kind of price; `apart` in doublings."""
 
-    machine: MachineRef
+    machine: Machine
     offers: Catalog
     apart: Floats
     infra: list[str]
 
     @classmethod
-    def of(cls, offers: Catalog, machine: MachineRef, apart: Floats) -> "_Near":
-        name, count = (machine.gpu.name, machine.gpu.count) if machine.gpu else ("", 0.0)
-        rows = np.flatnonzero((apart <= DOUBLINGS) & (offers.spot == machine.spot) & (offers.gpu_count == count))
-        rows = rows[np.asarray(offers.gpu[rows] == name, dtype=np.bool_)]
-        near = offers.take(rows)
-        places = zip(near.cloud, near.region, near.zone, strict=True)
-        return cls(machine, near, np.round(apart[rows], 6), ["/".join(filter(None, place)) for place in places])
+    def of(cls, offers: Catalog, machine: Machine, apart: Floats) -> "_Near":
+        same = (apart <= DOUBLINGS) & (offers.spot == machine.spot)
+        same[same] = offers.take(same).carries(machine)
+        near = offers.take(same)
+        return cls(machine, near, np.round(apart[same], 6), [near.infra(row) for row in range(len(near))])
 
     def elsewhere(self) -> Iterator[Sample]:
         """The same instance type in other places, cheapest first."""
@@ -82,4 +81,4 @@ class _Near:
                 yield self._sample(row, f"the nearest admissible machine to {self.machine.instance}")
 
     def _sample(self, row: int, reason: str) -> Sample:
-        return sample_on(machine_ref(self.offers.offer(row)), reason)
+        return sample_on(self.offers.machine(row), reason)

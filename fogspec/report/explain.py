@@ -91,7 +91,7 @@ def facts(compiled: Artifacts) -> dict[str, Any]:
             {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in widest_intervals(choice)
         ],
         "next_sample": None if worked.next is None else {
-            "infra": choice.offers.offer(worked.next.row).infra, "instance": str(choice.offers.instance[worked.next.row]),
+            "infra": choice.offers.infra(worked.next.row), "instance": str(choice.offers.instance[worked.next.row]),
             "gain": worked.next.gain, "probability_better": worked.next.probability_better, "usd": worked.next.usd,
         },
         "models": [model.model_dump(mode="json") for model in chosen.models.spec.models],
@@ -133,7 +133,7 @@ def _infeasible(choice: Choice) -> list[str]:
     if row is None:
         return []
     probability = choice.probability(row) or 0.0
-    offer = choice.offers.offer(row)
+    offer = choice.offers.machine(row)
     sure = "the model is sure that none does" if probability < 1 - choice.confidence else "the model is not sure"
     return [
         f"  most likely to meet all limits: {offer.instance} in {offer.infra}, with probability {probability:.2f}: {sure}"
@@ -200,7 +200,7 @@ def _next_words(choice: Choice, found: NextSample | None, local: bool) -> str:
         return "any machine of the catalog: shapes of one host do not tell how fast its machines are"
     if found is None:
         return "nothing is left to measure that could tell more"
-    offer = choice.offers.offer(found.row)
+    offer = choice.offers.machine(found.row)
     words = f"{offer.instance} in {offer.infra}, at most {money(found.usd)}: "
     if choice.chosen is None:
         return f"{words}meets the limits with probability {choice.probability(found.row) or 0:.2f}"

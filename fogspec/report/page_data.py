@@ -63,7 +63,7 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
         ],
         "offers": {
             "row": rows.tolist(), "name": offers.instance[rows].tolist(),
-            "infra": [offers.offer(int(row)).infra for row in rows],
+            "infra": [offers.infra(row) for row in rows],
             "spot": offers.spot[rows].astype(int).tolist(), "measured": choice.latency.measured[rows].astype(int).tolist(),
             "vcpus": offers.vcpus[rows].tolist(), "memory": offers.memory_gib[rows].tolist(),
             "gpu": [f"{offers.gpu_count[row]:g} {offers.gpu[row]}" if offers.gpu[row] else "" for row in rows],

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fogspec.base import units
+from fogspec.catalog.machine import Machine
 from fogspec.choice.menu import LEVEL, rounded
 from fogspec.compile.compiler import Artifacts
 from fogspec.model.fit import Models, Observation
-from fogspec.model.predict import shape_of
 from fogspec.numerics import curves
-from fogspec.plan.schema import MachineRef, Plan
+from fogspec.plan.schema import Plan
 from fogspec.results.schema import Measured, Results
 
 
@@ -48,8 +48,8 @@ def measured_table(results: Results) -> Table:
     )  # fmt: skip
 
 
-def _shape(machine: MachineRef) -> tuple[str, str, str, str]:
-    gpu = f"{machine.gpu.count:g} {machine.gpu.name}" if machine.gpu else ""
+def _shape(machine: Machine) -> tuple[str, str, str, str]:
+    gpu = machine.gpu.label if machine.gpu else ""
     return f"{machine.cpus:g}", units.format_memory(machine.memory), gpu, units.format_money(machine.price)
 
 
@@ -88,7 +88,7 @@ def residual_rows(compiled: Artifacts) -> Sequence[tuple[str, ...]]:
     fitted = {model.gpu: model for model in models.spec.models if model.target == "latency"}
     rows = []
     for one in models.spec.known:
-        model = fitted.get(None if one.machine.gpu is None else f"{one.machine.gpu.name}:{one.machine.gpu.count:g}")
+        model = fitted.get(one.machine.gpu_key)
         latency = one.values["latency"]
         curve = None
         if model is not None:
@@ -104,13 +104,13 @@ def _without(compiled: Artifacts, one: Observation) -> tuple[str, str, str]:
     """What all other samples say of a sample's machine: prediction, interval, and how far off it is."""
     assert compiled.chosen is not None
     ground, body = compiled.chosen.predicted.ground, compiled.chosen.models.spec
-    others = [other for other in body.known if shape_of(other.machine).key != shape_of(one.machine).key]
+    others = [other for other in body.known if other.machine.type_key != one.machine.type_key]
     if ground is None or not others:
         return "", "", ""
     posterior = ground.predicted(others, body.unusable, ["latency"]).targets["latency"].posterior
     if posterior is None:
         return "", "", ""
-    at = [ground.place[shape_of(one.machine).key]]
+    at = [ground.place[one.machine.type_key]]
     # Of this machine alone: a bisection over a whole catalog for each sample would take seconds.
     own = replace(posterior, means=posterior.means[:, at], variances=posterior.variances[:, at])
     low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))

@@ -87,7 +87,7 @@ def entry_words(entry: "Entry") -> str:
     if entry.interval is not None:
         low, high = (units.format_duration(end) for end in entry.interval)
         interval = f" [{low}, {high}]"
-    gpu = f" with {entry.gpu.count:g} {entry.gpu.name}" if entry.gpu else ""
+    gpu = f" with {entry.gpu.label}" if entry.gpu else ""
     how = "measured" if entry.measured else "predicted, extrapolated" if entry.extrapolated else "predicted"
     spot = " spot" if entry.spot else ""
     return (

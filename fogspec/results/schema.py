@@ -6,7 +6,8 @@ from pydantic import Field
 
 from fogspec.base import digest
 from fogspec.base.quantities import Duration, Money, Strict
-from fogspec.plan.schema import MachineRef, PlanMetadata, Sampling
+from fogspec.catalog.machine import Machine
+from fogspec.plan.schema import PlanMetadata, Sampling
 
 State = Literal["ok", "insufficient", "timeout", "failed"]
 Reason = Literal[
@@ -49,7 +50,7 @@ class Measured(Strict):
     """
 
     id: str
-    machine: MachineRef
+    machine: Machine
     measured_on: str
     state: State
     reason: Reason | None = None

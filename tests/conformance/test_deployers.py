@@ -16,7 +16,7 @@ from fogspec.backends.local.deployer import LocalDeployer
 from fogspec.backends.protocol import Deployer, DeploymentStatus, Launch, LaunchRefused, Unreachable
 from fogspec.backends.skypilot.deployer import SkyPilotDeployer
 from fogspec.backends.skypilot.errors import CloudProblem
-from fogspec.plan.schema import GpuShape, MachineRef
+from fogspec.catalog.machine import Gpu, Machine
 from tests.support.fake_sky import Cloud, SimulatedClient
 
 RUN = (
@@ -44,9 +44,9 @@ class Bed:
     folder: Path
     cloud: Cloud | None = None
 
-    def launch(self, cpus: float = 1, ready: str = "", gpu: GpuShape | None = None) -> Launch:
+    def launch(self, cpus: float = 1, ready: str = "", gpu: Gpu | None = None) -> Launch:
         name = f"fogspec-demo-{secrets.token_hex(4)}-{secrets.token_hex(3)}"
-        machine = MachineRef.model_construct(
+        machine = Machine.model_construct(
             infra="local" if self.cloud is None else "aws/r1", instance=f"{cpus:g}cpu-1gib", cpus=cpus, memory=1.0,
             gpu=gpu, spot=False, price=0.1,
         )  # fmt: skip

@@ -12,7 +12,8 @@ import pytest
 from fogspec.backends.local import runner as local
 from fogspec.backends.local.runner import MARK, LocalRunner, _marked
 from fogspec.backends.protocol import Job, LaunchRefused, Progress
-from fogspec.plan.schema import MachineRef, Sample
+from fogspec.catalog.machine import Machine
+from fogspec.plan.schema import Sample
 
 RUN = 'exec python3 "$FOGSPEC_AGENT" --out "$FOGSPEC_OUT" --after 20 --startup 20 --warmup 1 --steps {steps} --process {argv}'
 PROBED = """
@@ -24,7 +25,7 @@ while True:
 
 def job(folder: Path, script: str = PROBED, steps: int = 5, cpus: float = 1, memory_gib: float = 1, **task) -> Job:
     shape = f"{cpus:g}cpu-{memory_gib:g}gib"
-    machine = MachineRef.model_construct(infra="local", instance=shape, cpus=cpus, memory=memory_gib, gpu=None,
+    machine = Machine.model_construct(infra="local", instance=shape, cpus=cpus, memory=memory_gib, gpu=None,
                                          spot=False, price=0.0)  # fmt: skip
     (folder / "workload.py").write_text(script)
     argv = json.dumps(["python3", str(folder / "workload.py")])

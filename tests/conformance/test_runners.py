@@ -18,7 +18,8 @@ from fogspec.backends.replay import ReplayRunner
 from fogspec.backends.skypilot.errors import CloudProblem
 from fogspec.backends.skypilot.runner import SkyPilotRunner
 from fogspec.base.templates import render
-from fogspec.plan.schema import GpuShape, MachineRef, Sample
+from fogspec.catalog.machine import Gpu, Machine
+from fogspec.plan.schema import Sample
 from fogspec.results.io import Recording
 from fogspec.results.schema import LatencySummary, Measured
 from tests.support.fake_sky import Cloud, SimulatedClient
@@ -46,13 +47,13 @@ class Bed:
     too_big: Job
 
 
-def machine(instance: str, infra: str = "local", cpus: float = 1, gpu: GpuShape | None = None) -> MachineRef:
-    return MachineRef.model_construct(
+def machine(instance: str, infra: str = "local", cpus: float = 1, gpu: Gpu | None = None) -> Machine:
+    return Machine.model_construct(
         infra=infra, instance=instance, cpus=cpus, memory=1.0, gpu=gpu, spot=False, price=0.0
     )
 
 
-def job_on(folder: Path, name: str, ref: MachineRef, run: str = RUN) -> Job:
+def job_on(folder: Path, name: str, ref: Machine, run: str = RUN) -> Job:
     sample = Sample(id="one", machine=ref, reason="")
     return Job(name, sample, {"run": run, "workdir": "."}, folder, folder / "attempts" / name, 30.0)
 
@@ -228,7 +229,7 @@ def test_how_far_a_sample_is_elsewhere_is_known_while_it_runs(tmp_path):
 
 def test_local_has_no_accelerators(tmp_path):
     with pytest.raises(LaunchRefused, match="no accelerators: T4"):
-        LocalRunner().start(job_on(tmp_path, "gpu", machine("x", gpu=GpuShape(name="T4", count=1))))
+        LocalRunner().start(job_on(tmp_path, "gpu", machine("x", gpu=Gpu(name="T4", count=1))))
 
 
 def test_local_does_not_start_without_the_secrets_of_its_task(tmp_path, monkeypatch):

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from fogspec.base.layout import Layout
-from fogspec.deploy.schema import Machine
+from fogspec.catalog.machine import Machine
+from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, SystemWallClock
-from fogspec.plan.schema import MachineRef
 from tests.support.deployed import Deployed, app, tiny  # noqa: F401
 from tests.support.running import Shell, measure, project, shell  # noqa: F401
 
@@ -48,10 +48,8 @@ def whole(shell: Shell) -> Shell:
     shell("lock", *AT)
     shell("compile", "specs/demo.yaml")
     layout = Layout.of(shell.folder / "specs/demo.yaml", "demo")
-    machine = MachineRef.model_construct(
-        infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, spot=False, price=0.02
-    )
-    DeploymentState(layout, SystemWallClock(), []).put(Machine.model_construct(
+    machine = Machine.model_construct(infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, spot=False, price=0.02)
+    DeploymentState(layout, SystemWallClock(), []).put(DeployedMachine.model_construct(
         name="fogspec-demo-12345678-abcdef", deployer="local", state="serving", manifest="sha256:1", machine=machine,
         runs="sha256:2", files={}, fallback=0, image=None, address="127.0.0.1", at=5.0, boot="b",
         since="2026-11-21T00:00:00+00:00",

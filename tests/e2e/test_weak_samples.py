@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from fogspec.base.files import write_yaml
-from fogspec.plan.schema import GpuShape, MachineRef, PlanMetadata
+from fogspec.catalog.machine import Gpu, Machine
+from fogspec.plan.schema import PlanMetadata
 from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load
@@ -22,8 +23,8 @@ BOX = {"hardware": "{cpus: 2..32}"}
 
 def sample(instance: str, latency: float | None, tag: str = "", **more: Any) -> Measured:
     cpus, memory, price = SHAPES.get(instance, (4, 4, 0.2))
-    gpu = GpuShape(name="T4") if instance.startswith("g.") else None
-    machine = MachineRef(infra="aws/r1", instance=instance, cpus=cpus, memory=memory, gpu=gpu, price=price)
+    gpu = Gpu(name="T4") if instance.startswith("g.") else None
+    machine = Machine(infra="aws/r1", instance=instance, cpus=cpus, memory=memory, gpu=gpu, price=price)
     summary = None if latency is None else LatencySummary(mean=latency, sd=latency / 20)
     base = {"state": "ok", "requests": 20, "duration": 60.0, "spent": 0.01, "measured_on": "test"}
     return Measured(id=f"aws-r1-{instance.replace('.', '-')}{tag}", machine=machine, latency=summary, **(base | more))

@@ -7,7 +7,8 @@ from fogspec.backends.naming import sample_prefix
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.orphans import adopt_orphans
 from fogspec.bench.types import CampaignConfig
-from fogspec.plan.schema import MachineRef, Sample
+from fogspec.catalog.machine import Machine
+from fogspec.plan.schema import Sample
 from fogspec.results.schema import is_final
 from tests.faults.simulation import (
     AFTER_S,
@@ -27,7 +28,7 @@ def samples(count: int) -> list[Sample]:
     return [
         Sample(
             id=f"s{n}", reason="",
-            machine=MachineRef(infra="sim", instance=f"m{n}", cpus="2", memory="4GiB", price=f"${0.1 * (n + 1):.1f}/h"),
+            machine=Machine(infra="sim", instance=f"m{n}", cpus="2", memory="4GiB", price=f"${0.1 * (n + 1):.1f}/h"),
         )
         for n in range(count)
     ]  # fmt: skip
@@ -39,7 +40,7 @@ def others(name: str) -> list[Sample]:
     return [
         Sample(
             id=f"{name}-{infra}{n}", reason="",
-            machine=MachineRef(infra=infra, instance=f"{name}o", cpus="2", memory="4GiB", price=f"${dear * more:.3f}/h"),
+            machine=Machine(infra=infra, instance=f"{name}o", cpus="2", memory="4GiB", price=f"${dear * more:.3f}/h"),
         )
         for n, (infra, more) in enumerate((("elsewhere", 1.0), ("sim", 1.3), ("sim", 1.6)))
     ]  # fmt: skip

@@ -6,11 +6,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
 from fogspec.choice import choose as choice
 from fogspec.model.fit import Models, fit
 from fogspec.model.predict import predict
-from fogspec.plan.schema import MachineRef, PlanMetadata
+from fogspec.plan.schema import PlanMetadata
 from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec.schema import Application
 from tests.bench_choice import application, offers
@@ -19,7 +20,7 @@ from tests.bench_choice import application, offers
 def measured(scale: float = 1.0, hurt: float = 0.0) -> Models:
     """Nine samples of a workload that halves with every doubling, and loses `hurt` a vCPU."""
     records = [
-        Measured(id=f"s{c:g}-{m:g}", machine=MachineRef(infra="aws/r", instance=f"s{c:g}-{m:g}", cpus=c, memory=m, price=0.1),
+        Measured(id=f"s{c:g}-{m:g}", machine=Machine(infra="aws/r", instance=f"s{c:g}-{m:g}", cpus=c, memory=m, price=0.1),
                  measured_on="x", state="ok", requests=9, latency=LatencySummary(mean=scale * (0.5 + 8 / c + hurt * c)),
                  duration=9.0, spent=0.0)
         for c in (2.0, 16.0, 128.0) for m in (2 * c, 4 * c, 8 * c)
@@ -161,4 +162,4 @@ def test_the_order_of_offers_does_not_matter(seed, latency, cost, alpha, random)
     assert (one.chosen is None) == (other.chosen is None)
     assert np.array_equal(one.latency.value[order], other.latency.value)
     if one.chosen is not None:
-        assert few.offer(one.chosen).instance == mixed.offer(other.chosen).instance
+        assert few.machine(one.chosen).instance == mixed.machine(other.chosen).instance

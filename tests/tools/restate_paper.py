@@ -12,7 +12,8 @@ from pathlib import Path
 
 from fogspec.base.files import write_yaml
 from fogspec.base.layout import Layout
-from fogspec.plan.schema import GpuShape, MachineRef, PlanMetadata
+from fogspec.catalog.machine import Gpu, Machine
+from fogspec.plan.schema import PlanMetadata
 from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load
@@ -57,9 +58,9 @@ def restated(name: str, application_digest: str, rows: list[dict[str, str]]) -> 
 
 
 def _record(row: dict[str, str]) -> Measured:
-    machine = MachineRef(
+    machine = Machine(
         infra="aws/us-east-1", instance=row["instance"], cpus=float(row["vcpus"]), memory=float(row["memory_gb"]),
-        gpu=GpuShape(name=row["gpu"], count=1) if row["gpu"] else None, price=float(row["usd_per_hour_us_east_1"]),
+        gpu=Gpu(name=row["gpu"], count=1) if row["gpu"] else None, price=float(row["usd_per_hour_us_east_1"]),
     )  # fmt: skip
     latency = LatencySummary(mean=float(row["sec_per_step"])) if row["sec_per_step"] else None
     return Measured(

@@ -14,9 +14,9 @@ from fogspec.base.errors import OutOfDate
 from fogspec.base.files import yaml_text
 from fogspec.base.layout import Layout
 from fogspec.bench.journal import Journal
-from fogspec.deploy.schema import Machine
+from fogspec.catalog.machine import Machine
+from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, SystemWallClock
-from fogspec.plan.schema import MachineRef
 from fogspec.spec.loader import read_plain
 from tests.unit.bench.test_journal import whole
 
@@ -53,10 +53,8 @@ def answer(read: Callable[[], Any]) -> Any:
 def live(tmp_path: Path) -> DeploymentState:
     """What one machine leaves on disk."""
     file = DeploymentState(Layout(tmp_path, tmp_path / "specs/tiny.yaml", "tiny"), SystemWallClock(), [])
-    machine = MachineRef.model_construct(
-        infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, spot=False, price=0.02
-    )
-    file.put(Machine.model_construct(
+    machine = Machine.model_construct(infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, spot=False, price=0.02)
+    file.put(DeployedMachine.model_construct(
         name="fogspec-tiny-12345678-abcdef", deployer="local", state="serving", manifest="sha256:1", machine=machine,
         runs="sha256:2", files={"work.py": "sha256:3"}, fallback=0, image=None, address="127.0.0.1", at=5.0, boot="b",
         since="2026-11-21T00:00:00+00:00",

@@ -5,9 +5,10 @@ from pathlib import Path
 from fogspec.backends.protocol import Job, Progress
 from fogspec.bench.attempt import END_PATIENCE_S, SILENCE_S, Attempt
 from fogspec.bench.journal import LaunchRecord
-from fogspec.plan.schema import MachineRef, Sample
+from fogspec.catalog.machine import Machine
+from fogspec.plan.schema import Sample
 
-MACHINE = MachineRef(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory="4GiB", price="$3.6/h")
+MACHINE = Machine(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory="4GiB", price="$3.6/h")
 SAMPLE = Sample(id="one", machine=MACHINE, reason="")
 DEADLINE_S = 300.0
 

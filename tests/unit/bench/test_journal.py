@@ -7,10 +7,11 @@ import pytest
 
 from fogspec.base.errors import OutOfDate
 from fogspec.bench.journal import Journal, LaunchRecord
-from fogspec.plan.schema import MachineRef, Sample
+from fogspec.catalog.machine import Machine
+from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
 
-MACHINE = MachineRef(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory="4GiB", spot=False, price="$3.6/h")
+MACHINE = Machine(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory="4GiB", spot=False, price="$3.6/h")
 SAMPLE = Sample(id="one", machine=MACHINE, reason="a corner")
 RECORD = Measured(id="one", machine=MACHINE, measured_on="aws/c6i.large", state="timeout", requests=0,
                   duration="100s", spent="$0.1")  # fmt: skip

@@ -9,12 +9,13 @@ from rich.console import Console
 from fogspec.backends.protocol import Partial, Progress
 from fogspec.bench.live_table import COLUMNS, LiveTable
 from fogspec.bench.types import Event
-from fogspec.plan.schema import MachineRef, Sample
+from fogspec.catalog.machine import Machine
+from fogspec.plan.schema import Sample
 from fogspec.results.schema import LatencySummary, Measured
 
 
 def sample(name: str) -> Sample:
-    machine = MachineRef(infra="aws/r1", instance=f"{name}.large", cpus=2, memory=4.0, price=0.1)
+    machine = Machine(infra="aws/r1", instance=f"{name}.large", cpus=2, memory=4.0, price=0.1)
     return Sample(id=name, machine=machine, reason="")
 
 

@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from fogspec.backends.protocol import Progress
 from fogspec.bench import record as recording
 from fogspec.bench.record import Rules
-from fogspec.plan.schema import MachineRef, Sample
+from fogspec.catalog.machine import Machine
+from fogspec.plan.schema import Sample
 from fogspec.results.statistics import summary, weights
 
 RULES = Rules(warmup=1, valid=0.9, statistic="mean", callback="work", metrics={"length": "length_m"})
-MACHINE = MachineRef.model_construct(
+MACHINE = Machine.model_construct(
     infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, gpu=None, spot=False, price=0.0
 )
 SAMPLE = Sample.model_construct(id="one", machine=MACHINE, reason="", task=None)

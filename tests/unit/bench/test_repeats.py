@@ -5,16 +5,17 @@ import pytest
 
 from fogspec.backends.protocol import Job, LaunchRefused
 from fogspec.backends.replay import ReplayRunner
+from fogspec.catalog.machine import Machine
 from fogspec.numerics.repeats import after_one_more
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import fit
 from fogspec.plan.design import replicate
-from fogspec.plan.schema import MachineRef, next_on, sample_on
+from fogspec.plan.schema import next_on, sample_on
 from fogspec.results.io import Recording
 from fogspec.results.schema import LatencySummary, Measured
 from tests.support.machines import amdahl, family
 
-MACHINE = MachineRef(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory=4, price=0.085)
+MACHINE = Machine(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory=4, price=0.085)
 
 
 def moves(times: list[float]) -> float:

@@ -10,11 +10,11 @@ from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.bench.results_file import ResultsFile, set_aside
 from fogspec.bench.run import check_same_runner
-from fogspec.plan.schema import MachineRef
+from fogspec.catalog.machine import Machine
 from fogspec.results.io import read_results, recordings
 from fogspec.results.schema import LatencySummary, Measured, checksum_ok
 
-MACHINE = MachineRef(infra="local", instance="1cpu-1gib", cpus=1, memory="1GiB", spot=False, price="$0/h")
+MACHINE = Machine(infra="local", instance="1cpu-1gib", cpus=1, memory="1GiB", spot=False, price="$0/h")
 
 
 def record(name: str, detail: str | None = None) -> Measured:

@@ -2,11 +2,12 @@
 
 from fogspec.backends.protocol import Progress
 from fogspec.bench.retry import BACKOFF_S, TRIES, RetryPolicy, overdrawn
-from fogspec.plan.schema import MachineRef, Sample
+from fogspec.catalog.machine import Machine
+from fogspec.plan.schema import Sample
 
 
 def sample(name: str, infra: str) -> Sample:
-    machine = MachineRef(infra=infra, instance=name, cpus=2, memory=4.0, price=0.1)
+    machine = Machine(infra=infra, instance=name, cpus=2, memory=4.0, price=0.1)
     return Sample(id=name, machine=machine, reason="")
 
 

@@ -79,7 +79,7 @@ def test_bounds_forgive_what_units_round() -> None:
 
 def test_the_words_for_accelerators() -> None:
     assert gpu_type("none") is None
-    assert gpu_type("T4") == gpu_type("T4:1") == Gpu("T4", 1)
+    assert gpu_type("T4") == gpu_type("T4:1") == Gpu(name="T4", count=1)
     catalog = table(*OFFERS)
     assert matches_gpu(catalog, "T4:4").sum() == 1
     assert matches_infra(catalog, "aws/us-east-1/use1-az2").sum() == 2

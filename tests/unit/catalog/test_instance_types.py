@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from fogspec.catalog.instance_types import Shape, instance_types, with_measured
+from fogspec.catalog.instance_types import instance_types, with_measured
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import concatenated
 from tests.bench_choice import offers
 
@@ -30,8 +31,8 @@ def test_the_order_of_offers_does_not_matter():
 def test_a_measured_machine_that_is_not_offered_is_described_by_the_catalog():
     catalog = offers(30)
     some = catalog.take(np.arange(5, 30))
-    gone = Shape("aws", str(catalog.instance[0]), 2.0, 4.0)
-    strange = Shape("aws", "never-heard.of", 7.0, 9.0)
+    gone = Machine(infra="aws/r0", instance=str(catalog.instance[0]), cpus=2.0, memory=4.0, price=0.1)
+    strange = Machine(infra="aws/r0", instance="never-heard.of", cpus=7.0, memory=9.0, price=0.1)
     joined = with_measured(some, [gone, strange], catalog)
     assert len(joined) == 27
     assert joined.vcpus[joined.instance == gone.instance][0] == catalog.vcpus[0]

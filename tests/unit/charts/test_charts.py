@@ -11,15 +11,15 @@ import pytest
 
 from fogspec.charts import model_svg
 from fogspec.charts.axes import axis, money, requests_unit, seconds, wide
-from fogspec.charts.chart import Chart, Crowd, Machine
+from fogspec.charts.chart import Chart, Crowd, PlottedMachine
 from fogspec.charts.menu_svg import draw
 from fogspec.charts.model_svg import LatencyChart, Level, Panel, Sample
 from fogspec.charts.terminal import plot
 
 FRONT = [
-    Machine("g4dn.xlarge", 1.65, 0.00024, 0.526, 1.58, 1.73, True, True, True, "chosen", "g4dn.xlarge, 4 vCPU"),
-    Machine("c6i.large", 16.4, 0.0002, 0.085, 15.0, 18.0, True, True, True, "cheapest", "c6i.large, 2 vCPU"),
-    Machine("m6i.large", 16.1, 0.0004, 0.096),
+    PlottedMachine("g4dn.xlarge", 1.65, 0.00024, 0.526, 1.58, 1.73, True, True, True, "chosen", "g4dn.xlarge, 4 vCPU"),
+    PlottedMachine("c6i.large", 16.4, 0.0002, 0.085, 15.0, 18.0, True, True, True, "cheapest", "c6i.large, 2 vCPU"),
+    PlottedMachine("m6i.large", 16.1, 0.0004, 0.096),
 ]
 
 
@@ -75,7 +75,7 @@ def test_the_same_machines_give_the_same_picture_in_any_order():
 
 def test_hostile_names_stay_text():
     name = '"><script>alert(1)</script>&]]>'
-    svg = draw(chart([Machine(name, 1.0, 0.001, 1.0, role="chosen", words=name)], notes=[name]))
+    svg = draw(chart([PlottedMachine(name, 1.0, 0.001, 1.0, role="chosen", words=name)], notes=[name]))
     assert "<script" not in svg
     assert f"chosen: {name}" in texts(svg)
     panel = Panel(name, [Level(2, 1.0)], [Sample(name, 2, 1.0)])
@@ -85,7 +85,7 @@ def test_hostile_names_stay_text():
 @pytest.mark.parametrize("apart", [1.0, 1.05, 1.4, 3.0])
 def test_labels_never_overlap_and_stay_inside(apart):
     near = [
-        Machine(f"a-rather-long-machine-{role}", apart**i, 0.001 * apart**i, apart**i, measured=True, role=role)
+        PlottedMachine(f"a-rather-long-machine-{role}", apart**i, 0.001 * apart**i, apart**i, measured=True, role=role)
         for i, role in enumerate(("chosen", "cheapest", "fastest"))
     ]
     found = boxes(draw(chart(near)))
@@ -104,12 +104,15 @@ def test_one_machine_is_drawn_with_ticks_and_none_is_refused():
 
 
 def test_all_machines_equal_is_drawn():
-    same = [Machine(f"m{i}", 1.25, 0.00125, 3.6) for i in range(50)]
+    same = [PlottedMachine(f"m{i}", 1.25, 0.00125, 3.6) for i in range(50)]
     assert draw(chart(same)).count("h0") == 6, "one speck for each kind and part, and the legend's"
 
 
 def test_interval_bars_stay_inside_the_frame():
-    wild = [Machine("wild", 1.0, 0.001, 1.0, 1e-6, 1e6, True, True, True, "chosen"), Machine("other", 2.0, 0.002, 1.0)]
+    wild = [
+        PlottedMachine("wild", 1.0, 0.001, 1.0, 1e-6, 1e6, True, True, True, "chosen"),
+        PlottedMachine("other", 2.0, 0.002, 1.0),
+    ]
     *bars, _legend = (n.get("d") for n in nodes(draw(chart(wild)), "bar"))
     assert len(bars) == 2
     for bar in bars:
@@ -123,7 +126,9 @@ def test_without_limits_nothing_is_said_to_meet_or_break_them():
 
 
 def test_the_list_keeps_clear_of_the_longest_role():
-    near = Machine("c6i.large", 16.4, 0.0002, 0.085, role="nearest in metrics.path_length", words="c6i.large, 2 vCPU")
+    near = PlottedMachine(
+        "c6i.large", 16.4, 0.0002, 0.085, role="nearest in metrics.path_length", words="c6i.large, 2 vCPU"
+    )
     found = ElementTree.fromstring(draw(chart([near]))).iter()
     starts = {node.text: float(node.get("x")) for node in found if node.tag.endswith("text")}
     assert starts[near.words] > starts[near.role] + 6.6 * len(near.role)

@@ -10,7 +10,6 @@ from fogspec.choice.next_samples import best_next_sample, next_samples
 from fogspec.model.fit import partition
 from fogspec.model.predict import predict_from
 from fogspec.numerics.acquisition import Policy
-from fogspec.plan.schema import machine_ref
 from fogspec.results.schema import LatencySummary, Measured
 from fogspec.spec.schema import Application
 from tests.bench_choice import application
@@ -33,10 +32,10 @@ def family() -> Catalog:
 
 
 def record(offers: Catalog, row: int, **more: object) -> Measured:
-    offer = offers.offer(row)
-    latency = LatencySummary(mean=0.2 + 8 / offer.vcpus + 0.004 * offer.vcpus)
+    machine = offers.machine(row)
+    latency = LatencySummary(mean=0.2 + 8 / machine.cpus + 0.004 * machine.cpus)
     base = {"state": "ok", "latency": latency, "requests": 50, "duration": 60.0, "spent": 0.0, "measured_on": "x"}
-    return Measured(id=f"s{row}", machine=machine_ref(offer), **(base | more))
+    return Measured(id=f"s{row}", machine=machine, **(base | more))
 
 
 def campaign(offers: Catalog, app: Application, left: float = np.inf, wave: int = 1) -> tuple[list[Measured], str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.base.templates import render
+from fogspec.catalog.machine import Gpu, Machine
 from fogspec.compile.tasks import (
     command,
     deploy_task,
@@ -16,7 +17,7 @@ from fogspec.compile.tasks import (
     ros_environment,
     sample_task,
 )
-from fogspec.plan.schema import GpuShape, MachineRef, Sample
+from fogspec.plan.schema import Sample
 from fogspec.spec.schema import Application, Node
 
 NASTY = """it's "$(touch owned)" `x` \\ $HOME ; & | é"""
@@ -31,7 +32,7 @@ def application(**spec) -> Application:
 
 def sample(**machine) -> Sample:
     shape = {"infra": "aws/us-east-1", "instance": "g4dn.xlarge", "cpus": 4.0, "memory": 16.0, "price": 0.526}
-    return Sample(id="one", machine=MachineRef(**(shape | machine)), reason="because")
+    return Sample(id="one", machine=Machine(**(shape | machine)), reason="because")
 
 
 def task_of(app: Application, one: Sample, run: str = "true") -> dict:
@@ -47,7 +48,7 @@ def test_every_task_ends_its_machine_by_itself():
 
 def test_the_machine_is_pinned_with_its_accelerators_spot_and_image():
     app = application(ros={"image": "docker.io/library/ros:jazzy"})
-    resources = task_of(app, sample(gpu=GpuShape(name="T4"), spot=True))["resources"]
+    resources = task_of(app, sample(gpu=Gpu(name="T4"), spot=True))["resources"]
     assert (resources["infra"], resources["instance_type"]) == ("aws/us-east-1", "g4dn.xlarge")
     assert (resources["accelerators"], resources["use_spot"]) == ("T4:1", True)
     assert resources["image_id"] == "docker:docker.io/library/ros:jazzy"

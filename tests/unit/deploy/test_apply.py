@@ -10,12 +10,12 @@ import pytest
 from fogspec.backends.protocol import DeploymentStatus, Launch, LaunchRefused, Unreachable
 from fogspec.base.errors import CloudError, InvalidInput, Refused
 from fogspec.base.layout import Layout
+from fogspec.catalog.machine import Machine
 from fogspec.deploy.apply import Rollout
 from fogspec.deploy.candidates import Candidate
 from fogspec.deploy.preflight import allowed
-from fogspec.deploy.schema import Machine
+from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState
-from fogspec.plan.schema import MachineRef
 
 FIRST, SECOND = "sha256:" + "1" * 64, "sha256:" + "2" * 64
 
@@ -82,11 +82,11 @@ class World:
         digest: str,
         *machines: str,
         runs: str = "same",
-        linked: Callable[[Machine, DeploymentStatus], str | None] | None = None,
+        linked: Callable[[DeployedMachine, DeploymentStatus], str | None] | None = None,
     ) -> Rollout:
         candidates = [
             Candidate(
-                n, MachineRef(infra="aws/r1", instance=name, cpus=2, memory=4.0, price=0.1), {}, f"{runs} {name}", 0.1
+                n, Machine(infra="aws/r1", instance=name, cpus=2, memory=4.0, price=0.1), {}, f"{runs} {name}", 0.1
             )
             for n, name in enumerate(machines)
         ]

@@ -7,8 +7,9 @@ import pytest
 from fogspec.backends import registry
 from fogspec.backends.naming import deployment_name, is_machine_of, sample_prefix
 from fogspec.base.errors import Refused
-from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_now, price_words
-from fogspec.plan.schema import GpuShape, MachineRef
+from fogspec.catalog.filters import price_now
+from fogspec.catalog.machine import Gpu, Machine
+from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
 
 DIGEST = "sha256:" + "ab" * 32
 TABLE = """InstanceType,AcceleratorName,AcceleratorCount,vCPUs,MemoryGiB,Price,SpotPrice,Region,AvailabilityZone
@@ -19,9 +20,9 @@ g.large,T4,1,8,16,0.60,,r1,
 """
 
 
-def machine(infra: str = "aws/r1", instance: str = "c.large", spot: bool = False, gpu: str | None = None) -> MachineRef:
-    shape = GpuShape(name=gpu, count=1) if gpu else None
-    return MachineRef(infra=infra, instance=instance, cpus=8, memory=16.0, gpu=shape, spot=spot, price=0.4)
+def machine(infra: str = "aws/r1", instance: str = "c.large", spot: bool = False, gpu: str | None = None) -> Machine:
+    shape = Gpu(name=gpu, count=1) if gpu else None
+    return Machine(infra=infra, instance=instance, cpus=8, memory=16.0, gpu=shape, spot=spot, price=0.4)
 
 
 @pytest.fixture

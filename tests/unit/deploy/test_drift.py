@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from fogspec.bench.record import Rules
+from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Manifest
 from fogspec.deploy.drift import LEAST, drift, interval_s, observe
-from fogspec.plan.schema import MachineRef
 from fogspec.spec.loader import load, read_document
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -67,7 +67,7 @@ def paper() -> tuple:
     return loaded.application, expected.model_copy(update={"latency": latency})
 
 
-MACHINE = MachineRef(infra="aws/us-east-1", instance="g4dn.xlarge", cpus=4, memory=16.0, price=0.526)
+MACHINE = Machine(infra="aws/us-east-1", instance="g4dn.xlarge", cpus=4, memory=16.0, price=0.526)
 # How the spec's own probe names its requests.
 NAME = Rules.of(load([ROOT / "specs/grasp-planning.yaml"])[0].application).callback
 

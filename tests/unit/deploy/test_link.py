@@ -9,11 +9,11 @@ import pytest
 from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
+from fogspec.catalog.machine import Machine
 from fogspec.cli import main
 from fogspec.compile.launch_files import launch_files, link_of_machine, link_script
 from fogspec.compile.tasks import deploy_task, deployed_processes, ros_environment
 from fogspec.deploy import link as link_files
-from fogspec.plan.schema import MachineRef
 from fogspec.spec.schema import Application
 from tests.unit.compile.test_tasks import application
 
@@ -144,7 +144,7 @@ def test_the_verb_without_a_link_says_so(tmp_path, monkeypatch, capsys):
 
 
 def deployed(app: Application, infra: str = "aws/us-east-1") -> dict:
-    machine = MachineRef(infra=infra, instance="m6i.large", cpus=2.0, memory=8.0, price=0.096)
+    machine = Machine(infra=infra, instance="m6i.large", cpus=2.0, memory=8.0, price=0.096)
     return deploy_task(
         app, machine, workdir=".", agent="a", setup=None, run="true", launch="c.py", link="compiled/app/link"
     )

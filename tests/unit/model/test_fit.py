@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fogspec.catalog.machine import Gpu, Machine
 from fogspec.model import predict as predicting
 from fogspec.model.fit import fit
-from fogspec.plan.schema import GpuShape, MachineRef, PlanMetadata
+from fogspec.plan.schema import PlanMetadata
 from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
 from tests.bench_choice import application, offers
 
@@ -23,7 +24,7 @@ SHAPES = [(c, c * r) for c in (2.0, 16.0, 64.0) for r in (2.0, 4.0, 8.0)]
 
 def record(cpus: float, memory: float, mean: float | None, **more) -> Measured:
     gpu = more.pop("gpu", None)
-    machine = MachineRef(infra="aws/r0", instance=more.pop("instance", f"s{cpus:g}m{memory:g}"), cpus=cpus, memory=memory,
+    machine = Machine(infra="aws/r0", instance=more.pop("instance", f"s{cpus:g}m{memory:g}"), cpus=cpus, memory=memory,
                          gpu=gpu, price=0.1)  # fmt: skip
     latency = None if mean is None else LatencySummary(mean=mean, **more.pop("summary", {}))
     base = {"state": "ok", "requests": 50, "duration": 60.0, "spent": 0.01, "measured_on": "x"}
@@ -91,7 +92,7 @@ def test_a_measured_machine_is_its_measurement_and_others_are_predicted():
 
 
 def test_gpus_have_models_of_their_own():
-    t4 = GpuShape(name="T4")
+    t4 = Gpu(name="T4")
     with_t4 = [record(c, 4 * c, 1.6 + 0.001 * c, gpu=t4) for c in (4.0, 8.0, 16.0)]
     models = fit(application(), results(*(record(c, m, 1 + 8 / c) for c, m in SHAPES), *with_t4))
     assert [(m.gpu, m.n) for m in models.spec.models] == [(None, 9), ("T4:1", 3)]
@@ -124,7 +125,7 @@ def test_the_interval_widens_with_confidence_and_holds_the_prediction():
 
 
 def test_local_measurements_are_marked_extrapolated():
-    local = MachineRef(infra="local", instance="1cpu-1gib", cpus=1.0, memory=1.0, price=0.0)
+    local = Machine(infra="local", instance="1cpu-1gib", cpus=1.0, memory=1.0, price=0.0)
     models = fit(application(), results(*(
         record(c, 1.0, 1 / c).model_copy(update={"machine": local.model_copy(update={"cpus": c})}) for c in (1.0, 2.0, 4.0, 8.0)
     )))  # fmt: skip

@@ -25,7 +25,7 @@ def picked(application: Application, catalog: Catalog) -> Design:
 
 def test_the_cheapest_machine_of_each_cell_is_taken_and_every_gap_is_said() -> None:
     found = picked(application({"gpus": ["none", "T4", "A100"]}), table(*OFFERS))
-    assert [one.offer.instance for one in found.picks] == ["c6a.large", "m6i.large", "r6i.large", "g4dn.xlarge"]
+    assert [one.machine.instance for one in found.picks] == ["c6a.large", "m6i.large", "r6i.large", "g4dn.xlarge"]
     assert found.picks[1].reason == "smallest vCPUs (2), median memory (8 GiB)"
     assert found.picks[3].reason == "smallest vCPUs (4), smallest memory (16 GiB) with T4"
     said = "\n".join(found.notes)
@@ -60,7 +60,7 @@ def test_overlapping_places_sample_a_machine_once() -> None:
 def test_a_list_is_taken_as_it_stands_and_says_what_is_no_candidate() -> None:
     wanted = ["g4dn.xlarge", "c6i.large", "local/2cpu-4gib"]
     found = picked(application(infra=["aws/us-west-1", "aws/us-east-1"], machines=wanted), table(*OFFERS))
-    assert [(one.offer.infra, one.offer.instance, one.offer.price_usd_per_hour) for one in found.picks] == [
+    assert [(one.machine.infra, one.machine.instance, one.machine.price) for one in found.picks] == [
         ("aws/us-east-1", "g4dn.xlarge", 0.526),
         ("aws/us-west-1", "c6i.large", 0.106),
         ("aws/us-east-1", "c6i.large", 0.085),

@@ -2,7 +2,7 @@
 
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.table import Catalog
-from fogspec.plan.schema import Substitute, machine_ref, make_plan, sample_on
+from fogspec.plan.schema import Substitute, make_plan, sample_on
 from fogspec.plan.substitutes import substitutes
 from fogspec.spec.schema import Application
 from tests.support.catalogs import application, table
@@ -18,7 +18,7 @@ def found(app: Application, offers: Catalog = OFFERS, instance: str = "a.large")
     admissible = filter_offers(offers, app.spec.hardware, app.spec.infra).offers
     rows = [n for n in range(len(admissible)) if admissible.instance[n] == instance]
     cheapest = min(rows, key=lambda n: admissible.price_usd_per_hour[n])
-    return substitutes(app.spec, [sample_on(machine_ref(admissible.offer(cheapest)), "")], admissible)
+    return substitutes(app.spec, [sample_on(admissible.machine(cheapest), "")], admissible)
 
 
 def places(alternatives: list[Substitute]) -> list[tuple[str, str]]:
@@ -56,7 +56,7 @@ def test_shapes_of_this_host_have_nowhere_to_go():
 def test_a_machine_may_stand_in_for_several_but_none_of_the_plan_for_another():
     app = application(infra=["aws/r1"])
     offers = filter_offers(OFFERS, app.spec.hardware, app.spec.infra).offers
-    planned = [sample_on(machine_ref(offers.offer(n)), "") for n in range(len(offers))
+    planned = [sample_on(offers.machine(n), "") for n in range(len(offers))
                if offers.instance[n] in ("a.large", "a.xlarge")]  # fmt: skip
     found = substitutes(app.spec, planned, offers)
     assert [(one.instead_of, one.machine.instance) for one in found] == [
