@@ -66,7 +66,7 @@ def difference(loaded: LoadedSpec, catalog: Catalog) -> Difference:
     old, new = redacted(before, secrets), redacted(after, secrets)
     left = [sample for sample in compiled.plan.spec.samples if sample.id not in completed(compiled.results)]
     body = compiled.plan.spec
-    worst = sum(sample.machine.price for sample in left) * lifetime_s(body.after, body.setup) / 3600
+    worst = sum(sample.machine.price for sample in left) * lifetime_s(body.duration, body.setup_timeout) / 3600
     return Difference(
         layout, old, new, tuple(telling(changes(old, new))) if after else (), costs(old, new), tuple(_why(loaded, catalog)),
         tuple(sample.id for sample in left), worst, _no_manifest(compiled),
@@ -99,7 +99,7 @@ def manifest_now(compiled: Artifacts) -> Mapping[str, Any] | None:
 def telling(found: Iterator[Change]) -> list[Change]:
     """The changes that say something: digests only where nothing else differs."""
     every = list(found)
-    return [one for one in every if not one.is_digest and ".reads." not in one.field] or every
+    return [one for one in every if not one.is_digest and ".field_digests." not in one.field] or every
 
 
 def costs(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -> dict[str, tuple[str, str, str]]:
@@ -166,7 +166,7 @@ def _inputs(loaded: LoadedSpec, catalog: Catalog, manifest: Mapping[str, Any] | 
         return
     application = _mapping(named.get("application"))
     if application.get("digest") != fingerprints.chosen_digest(loaded.application):
-        reads = _mapping(application.get("reads"))
+        reads = _mapping(application.get("field_digests"))
         fields = [
             name for name, now in fingerprints.chosen_fields(loaded.application).items() if reads.get(name) != now
         ]

@@ -91,11 +91,11 @@ def _plan(application: Application, layout: Layout, compiled: Artifacts) -> Stag
     except DiagnosticError as problems:
         return Stage("plan", layout.plan, "stale", (problems.diagnostics[0].message,))
     was, now = old.spec, compiled.plan.spec
-    reasons = [*changed_reads(was.application.reads, application), *_changed_pins(was.pins, now.pins)]
+    reasons = [*changed_reads(was.application.field_digests, application), *_changed_pins(was.pins, now.pins)]
     reasons += [f"{name} is not what the lock says" for name in lock_drift(application, layout, read_pins(layout))]
     other_catalog = was.catalog.digest != now.catalog.digest
     if _samples(was, other_catalog) != _samples(now, other_catalog):
-        for name in ("hardware", "infra", "sampler", "steps", "after", "warmup", "setup"):
+        for name in ("hardware", "infra", "sampler", "requests", "duration", "warmup", "setup_timeout"):
             before, after = (body.model_dump(mode="json")[name] for body in (was, now))
             where = "spec." if name in ("hardware", "infra") else "spec.benchmark."
             reasons += map(change_text, changes(before, after, f"{where}{name}"))
@@ -130,7 +130,11 @@ def _edited(layout: Layout, body: PlanBody) -> Iterator[str]:
 def changed_reads(before: Mapping[str, str] | None, application: Application) -> list[str]:
     """Which fields of the spec that measuring reads changed since these digests were taken."""
     now = fingerprints.measured_fields(application)
-    named = {"workload": "benchmark.workload", "warmup": "benchmark.warmup", "valid": "benchmark.valid"}
+    named = {
+        "workload": "benchmark.workload",
+        "warmup": "benchmark.warmup",
+        "min_success_rate": "benchmark.min_success_rate",
+    }
     return [f"spec.{named.get(name, name)} changed" for name, one in now.items() if (before or {}).get(name) != one]
 
 
@@ -148,7 +152,7 @@ def _results(application: Application, layout: Layout, compiled: Artifacts, resu
         others = [f"{name} is locked to something else" for name in fingerprints.changed_pins(results.spec.pins, pins)]
         reasons = others
         if results.spec.application != fingerprints.measured_digest(application):
-            fields = changed_reads(results.spec.reads, application) if results.spec.reads else []
+            fields = changed_reads(results.spec.field_digests, application) if results.spec.field_digests else []
             reasons = [*fields, *others] or ["they measured something else"]
         return Stage("results", layout.results, "stale", tuple(reasons))
     left = samples - completed(results)
@@ -157,7 +161,7 @@ def _results(application: Application, layout: Layout, compiled: Artifacts, resu
         why = f"{len(left)} of {len(samples)} samples to measure: {', '.join(sorted(left)[:NAMED])}"
         return Stage("results", layout.results, "partial", (why,), unlocked)
     sampling = compiled.results.spec.sampling if compiled.plan.spec.sampler == "adaptive" else None
-    if sampling is not None and sampling.ended is None:
+    if sampling is not None and sampling.stop_reason is None:
         return Stage("results", layout.results, "partial", ("the next machines are to be asked for",), unlocked)
     if sampling is not None and not covers(application, sampling):
         why = "the search box has grown since machines were asked for"

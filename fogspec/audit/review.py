@@ -81,7 +81,7 @@ def _inputs(every: Sequence[Change]) -> Iterator[str]:
         steps = change.field.split(".")
         if steps[0] != "provenance" or len(steps) < 2:
             continue
-        if steps[1:3] == ["application", "reads"] and len(steps) > 3:
+        if steps[1:3] == ["application", "field_digests"] and len(steps) > 3:
             yield f"spec.{'.'.join(steps[3:])} changed"
         elif steps[1] == "builder":
             yield f"made by fogspec {short(change.before)} -> {short(change.after)}"

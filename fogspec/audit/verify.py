@@ -78,7 +78,11 @@ def _spec(opened: ManifestBundle) -> Check:
     application, reference = opened.loaded.application, opened.manifest.provenance.application
     if fingerprints.chosen_digest(application) == reference.digest:
         return Check("spec", reference.path)
-    fields = [name for name, now in fingerprints.chosen_fields(application).items() if reference.reads.get(name) != now]
+    fields = [
+        name
+        for name, now in fingerprints.chosen_fields(application).items()
+        if reference.field_digests.get(name) != now
+    ]
     told = ", ".join(f"spec.{name}" for name in fields) or "what the choice reads of it"
     return Check("spec", reference.path, (f"{told} changed since the manifest was made",))
 

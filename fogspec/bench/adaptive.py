@@ -59,8 +59,8 @@ class Tasks:
             self.known[sample.id] = read_task(files[self.layout.task(sample.id)])
 
     def _others(self, sample_id: str | None = None) -> list[Sample]:
-        named = [one for one in self.plan.spec.alternatives if sample_id in (None, one.instead_of)]
-        return [sample_on(one.machine, f"instead of {one.instead_of}: {one.reason}") for one in named]
+        named = [one for one in self.plan.spec.substitutes if sample_id in (None, one.substitute_for)]
+        return [sample_on(one.machine, f"instead of {one.substitute_for}: {one.reason}") for one in named]
 
     def _write(self, sample: Sample) -> None:
         content = task_file(self.application, self.plan, sample, self.layout)
@@ -97,17 +97,17 @@ class AdaptiveSampling:
         """The samples of the next wave, for at most `left_usd` all together; none when sampling has ended."""
         before = self.ledger.sampling
         assert before is not None
-        if before.ended is not None and not should_resume(self.application, before):
+        if before.stop_reason is not None and not should_resume(self.application, before):
             return []
-        if len(before.waves) >= HOPELESS and not any(one.state == "ok" for one in self.ledger.samples.values()):
+        if len(before.batches) >= HOPELESS and not any(one.state == "ok" for one in self.ledger.samples.values()):
             return []
         asked = self._asked(left_usd)
         offers = self.admissible.offers
         taken = {*self.ledger.samples, *(sample.id for wave in self._waves() for sample in wave.samples)}
         samples = [next_on(offers.machine(row), why, taken) for row, why in zip(asked.rows, asked.reasons, strict=True)]
         waves = [*self._waves(), *([Batch(reason=asked.reason, samples=samples)] if samples else [])]
-        for_money = not samples and math.isfinite(left_usd) and bool(self._asked(math.inf).rows)
-        self._decide(waves, None if samples else asked.reason, for_money)
+        out_of_budget = not samples and math.isfinite(left_usd) and bool(self._asked(math.inf).rows)
+        self._decide(waves, None if samples else asked.reason, out_of_budget)
         self._write_plan()
         return samples
 
@@ -116,17 +116,18 @@ class AdaptiveSampling:
         return next_samples(
             self.application, offers, list(self.ledger.samples.values()),
             usd_per_sample=offers.price_usd_per_hour * self.lifetime_s / 3600, left_usd=left_usd, library=self.library,
-            wave=self.application.spec.benchmark.wave,
+            wave=self.application.spec.benchmark.batch_size,
         )  # fmt: skip
 
     def _waves(self) -> Sequence[Batch]:
-        return self.ledger.sampling.waves if self.ledger.sampling is not None else ()
+        return self.ledger.sampling.batches if self.ledger.sampling is not None else ()
 
-    def _decide(self, waves: Sequence[Batch], ended: str | None = None, for_money: bool = False) -> None:
+    def _decide(self, waves: Sequence[Batch], ended: str | None = None, out_of_budget: bool = False) -> None:
         spec = self.application.spec
         self.ledger.decide(Sampling(
-            hardware=spec.hardware, infra=spec.infra, limits=limits_of(self.application), waves=list(waves), ended=ended,
-            for_money=for_money,
+            hardware=spec.hardware, infra=spec.infra, limits_digest=limits_of(self.application), batches=list(waves),
+            stop_reason=ended,
+            out_of_budget=out_of_budget,
         ))  # fmt: skip
 
     def _write_plan(self) -> None:
@@ -147,8 +148,8 @@ class AdaptiveSampling:
 
 def should_resume(application: Application, sampling: Sampling) -> bool:
     """Whether a campaign that ended is to go on: for other limits, a larger box, or if there is more money now."""
-    same = sampling.limits == limits_of(application) and covers(application, sampling)
-    return sampling.for_money or not same
+    same = sampling.limits_digest == limits_of(application) and covers(application, sampling)
+    return sampling.out_of_budget or not same
 
 
 def limits_of(application: Application) -> str:

@@ -56,7 +56,7 @@ class Campaign:
                 raise Refused(f"a bench with --runner {started.runner} was interrupted", f"let it finish: {again}")
             self.running[started.name] = self._adopted(started)
         going_on = [a.started for a in self.running.values() if a.ending is None]
-        return {name for one in going_on for name in (one.sample.id, one.instead_of) if name is not None}
+        return {name for one in going_on for name in (one.sample.id, one.substitute_for) if name is not None}
 
     def run(self, samples: Sequence[Sample]) -> None:
         """Measure the samples, beside those that run on from before, until nothing is left to do."""
@@ -127,7 +127,7 @@ class Campaign:
         assert task is not None, sample.id
         started = LaunchRecord(
             order.name(sample, self.journal.book.attempts + 1), self.runner.name, order.application, sample,
-            self.price(sample), order.lifetime_s, now, self.clock.boot(), entry.instead_of,
+            self.price(sample), order.lifetime_s, now, self.clock.boot(), entry.substitute_for,
         )  # fmt: skip
         self.journal.start(started)
         attempt = Attempt(started, self._job(started, dict(task)), now, same_boot=True)
@@ -204,19 +204,19 @@ class Campaign:
             self.journal.end(started.name, spent_usd, None)
             self.ledger.paid(self.journal.book.spent_usd)
             if pause_s is not None:
-                self.waiting.append(Queued(sample, self.clock.now_s() + pause_s, started.instead_of))
+                self.waiting.append(Queued(sample, self.clock.now_s() + pause_s, started.substitute_for))
             self._say(sample, "is tried again" if wanted else "is no longer wanted", attempt, detail=end.detail)
         else:
             if end.lost:
                 end = replace(end, reason="interrupted", detail=end.detail or "its results are beyond reach")
             record = make_record(sample, end, self.order.rules, billed_s, spent_usd)
-            record = record.model_copy(update={"instead_of": started.instead_of})
+            record = record.model_copy(update={"substitute_for": started.substitute_for})
             self._record(started, record, end)
         del self.running[started.name]
 
     def _record(self, started: LaunchRecord, record: Measured, end: Progress) -> None:
         """Into the journal and the results; a machine that cannot be had gives its place to another."""
-        root = started.instead_of or started.sample.id
+        root = started.substitute_for or started.sample.id
         queued = {entry.sample.id for entry in self.waiting}
         others = [] if self.stopping() else [one for one in self.order.instead(root) if one.id not in queued]
         other = self.tries.instead(started.sample, record.reason, others)
@@ -227,7 +227,7 @@ class Campaign:
         self.journal.end(started.name, record.spent, record)
         self._write(started, record)
         if other is not None:
-            self.waiting.append(Queued(other, instead_of=root))
+            self.waiting.append(Queued(other, substitute_for=root))
 
     def _write(self, started: LaunchRecord, record: Measured) -> None:
         self.ledger.put(record, self.journal.book.spent_usd)
@@ -239,7 +239,7 @@ class Campaign:
         detail = f"would commit ${commitment:.4f}, and ${max(left, 0.0):.4f} of the budget is left"
         progress = Progress(running=False, reason="budget", detail=detail)
         record = make_record(entry.sample, progress, self.order.rules, 0.0, 0.0)
-        record = record.model_copy(update={"instead_of": entry.instead_of})
+        record = record.model_copy(update={"substitute_for": entry.substitute_for})
         self.ledger.put(record, self.journal.book.spent_usd)
         self._say(entry.sample, "is done", record=record)
 

@@ -37,7 +37,7 @@ class LaunchRecord:
     lifetime_s: float
     at_s: float
     boot: str
-    instead_of: str | None = None
+    substitute_for: str | None = None
 
     @property
     def commitment_usd(self) -> float:
@@ -83,11 +83,11 @@ class JournalState:
 
 
 def _started(entry: Mapping[str, Any]) -> LaunchRecord:
-    instead_of = entry.get("instead_of")
+    substitute_for = entry.get("substitute_for")
     return LaunchRecord(
         _name(entry["name"]), _name(entry["runner"]), _name(entry["application"]), Sample.model_validate(entry["sample"]),
         _amount(entry["price_usd_per_hour"]), _amount(entry["lifetime_s"]), _amount(entry["at_s"]), _name(entry["boot"]),
-        None if instead_of is None else _name(instead_of),
+        None if substitute_for is None else _name(substitute_for),
     )  # fmt: skip
 
 

@@ -79,7 +79,7 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
 
 def _changed(application: Application, plan: Plan) -> str:
     now = fingerprints.measured_fields(application)
-    fields = [name for name, value in now.items() if plan.spec.application.reads.get(name) != value]
+    fields = [name for name, value in now.items() if plan.spec.application.field_digests.get(name) != value]
     return f"spec's {', '.join(fields)}" if fields else "hardware, infra or how machines are sampled"
 
 

@@ -37,12 +37,14 @@ class Quote:
         left = None if benchmark.budget is None else max(benchmark.budget - spent, 0.0)
         sampling = prepared.results.spec.sampling if prepared.results is not None else None
         decided = (
-            sampling is not None and sampling.ended is not None and not should_resume(prepared.application, sampling)
+            sampling is not None
+            and sampling.stop_reason is not None
+            and not should_resume(prepared.application, sampling)
         )
         adaptive = body.sampler == "adaptive" and not prepared.only and not decided
         walls = [one for one in (left, max_usd) if one is not None]
         return cls(
-            prepared.layout.name, prepared.todo, len(body.samples), adaptive, lifetime_s(body.after, body.setup),
+            prepared.layout.name, prepared.todo, len(body.samples), adaptive, lifetime_s(body.duration, body.setup_timeout),
             min(walls, default=None), runner.name, runner.costs,
         )  # fmt: skip
 

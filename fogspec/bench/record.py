@@ -48,7 +48,7 @@ class Rules:
         """The rules of a spec; `metrics` maps each metric to the keyword that the probe writes."""
         spec = application.spec
         return Rules(
-            warmup=spec.benchmark.warmup, valid=spec.benchmark.valid, statistic=spec.constraints.statistic,
+            warmup=spec.benchmark.warmup, valid=spec.benchmark.min_success_rate, statistic=spec.constraints.statistic,
             callback=name_of(spec.probe), timeout_s=spec.probe.timeout,
             metrics={name: metric.callback or name for name, metric in spec.metrics.items()},
             scenarios=spec.benchmark.scenarios,
@@ -188,7 +188,7 @@ def make_record(sample: Sample, progress: Progress, rules: Rules, duration_s: fl
         requests=len(requests.latencies_s), failed_requests=requests.failed,
         latency=summary(requests.latencies_s, weights(requests.kinds, rules.scenarios)),
         service=_service(requests, rules), lost=requests.lost or None, unmatched=requests.unmatched or None,
-        waited=progress.waited_s if state in ("timeout", "insufficient") else None,
+        latency_lower_bound=progress.waited_s if state in ("timeout", "insufficient") else None,
         metrics={name: _average(values, rules.scenarios) for name, values in requests.metrics.items()},
         duration=duration_s, spent=spent_usd,
     )  # fmt: skip

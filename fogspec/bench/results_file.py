@@ -28,7 +28,7 @@ class ResultsFile:
     order: list[str]
     redact: Callable[[str], str] = lambda text: text
     pins: dict[str, str] | None = None
-    reads: dict[str, str] | None = None
+    field_digests: dict[str, str] | None = None
     sampling: Sampling | None = None
     samples: dict[str, Measured] = field(default_factory=dict)
     spent_usd: float = 0.0
@@ -81,10 +81,10 @@ class ResultsFile:
         place = {name: number for number, name in enumerate(self.order)}
         ordered = sorted(
             self.samples.values(),
-            key=lambda r: (place.get(r.instead_of or r.id, len(place)), r.instead_of is not None, r.id),
+            key=lambda r: (place.get(r.substitute_for or r.id, len(place)), r.substitute_for is not None, r.id),
         )
         body = ResultsBody(
-            application=self.application, plan=self.plan, pins=self.pins, reads=self.reads,
+            application=self.application, plan=self.plan, pins=self.pins, field_digests=self.field_digests,
             runner=self.runner, source=self.source,
             budget=self.budget_usd, spent=self.spent_usd, sampling=self.sampling, samples=ordered,
         )  # fmt: skip

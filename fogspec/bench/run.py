@@ -170,7 +170,7 @@ def _campaign(one: _Bench, journal: Journal, secret: Secrets) -> tuple[Campaign,
     application = fingerprints.measured_digest(prepared.application)
     ledger = ResultsFile(
         layout, application, prepared.plan_digest, runner.name, runner.source, spec.benchmark.budget,
-        [sample.id for sample in body.samples], secret.out_of, body.pins or None, body.application.reads,
+        [sample.id for sample in body.samples], secret.out_of, body.pins or None, body.application.field_digests,
     )  # fmt: skip
     if prepared.outdated:
         set_aside(layout)
@@ -181,7 +181,7 @@ def _campaign(one: _Bench, journal: Journal, secret: Secrets) -> tuple[Campaign,
     # A sample that runs on from before must have been started by a task with the same pins.
     measures = digest.of_value([application, body.pins])
     journal.begin(runner.name, measures, prepared.plan_digest, ledger.spent_usd)
-    life = lifetime_s(body.after, body.setup)
+    life = lifetime_s(body.duration, body.setup_timeout)
     walls = [spec.benchmark.budget, None if one.terms.max_usd is None else journal.book.spent_usd + one.terms.max_usd]
     order = CampaignConfig(
         application=measures, rules=Rules.of(prepared.application),

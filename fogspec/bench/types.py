@@ -46,7 +46,7 @@ class Queued:
 
     sample: Sample
     not_before_s: float = 0.0
-    instead_of: str | None = None
+    substitute_for: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

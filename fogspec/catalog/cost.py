@@ -37,7 +37,7 @@ class Costs:
         """As the spec bills."""
         objective, data = spec.objective, spec.objective.transfer
         return cls(
-            price_usd_per_hour, spot, objective.interruption.rate, objective.interruption.restart,
+            price_usd_per_hour, spot, objective.interruption.rate, objective.interruption.recovery_time,
             data.per_request * data.price, objective.rate if objective.billing == "provisioned" else None,
         )  # fmt: skip
 

@@ -275,7 +275,7 @@ def latency_budget(application: Application, costs: Costs) -> Floats:
 def latency_limit_s(application: Application) -> float | None:
     """What is left of the latency limit for the machine, once the network's allowance is taken off."""
     constraints = application.spec.constraints
-    return None if constraints.latency is None else constraints.latency - constraints.network
+    return None if constraints.latency is None else constraints.latency - constraints.network_allowance
 
 
 def scales(application: Application, x: Floats, cost: Floats, eligible: Mask) -> Scale:

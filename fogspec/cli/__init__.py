@@ -16,7 +16,6 @@ VERBS = {
     "validate": "check specs and say every mistake at once",
     "explain": "explain a field, an error code, or a choice",
     "config": "print a spec merged with its overlays, defaults filled in",
-    "migrate": "bring specs to the newest apiVersion",
     "compile": "write the plan and tasks; once measured, models, menu and manifest",
     "keys": "on the robot: make the key of its end of the link",
     "lock": "pin catalog, images, workspace and workload to digests",

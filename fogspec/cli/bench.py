@@ -118,7 +118,7 @@ def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: 
     from fogspec.base.clock import SystemClock
     from fogspec.bench.replay import replayable
 
-    found, source = replayable(recorded, prepared.plan.spec.after)
+    found, source = replayable(recorded, prepared.plan.spec.duration)
     replay: Runner = registry.runner(name)(found, source, SystemClock().now_s, pace)
     return replay
 
@@ -198,7 +198,7 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Progre
 
         body = prepared.plan.spec
         wall_usd, now_s = campaign.order.budget_usd, campaign.clock.now_s
-        return LiveTable(prepared.todo, body.steps, wall_usd, now_s, warmup=body.warmup)
+        return LiveTable(prepared.todo, body.requests, wall_usd, now_s, warmup=body.warmup)
     return progress.Lines(lambda text: click.echo(text, err=True))
 
 
@@ -213,8 +213,8 @@ def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
         click.echo(f"  {record.id}: {progress.outcome(record)}")
         if record.state != "ok" and record.id in benched.folders:
             click.echo(f"    logs: {benched.folders[record.id]}")
-    if results.spec.sampling is not None and results.spec.sampling.ended is not None:
-        click.echo(f"sampling ended: {results.spec.sampling.ended}")
+    if results.spec.sampling is not None and results.spec.sampling.stop_reason is not None:
+        click.echo(f"sampling ended: {results.spec.sampling.stop_reason}")
     click.echo(f"results   {layout.results}")
     if any(record.state == "ok" for record in results.spec.samples):
         click.echo(f"next: fogspec compile {layout.spec}")

@@ -114,7 +114,7 @@ def _of_sweep(
     prior = prior_for(library, read.names, read.machines) if library else None
     noise = Noise.of(read.problem, "none", 0) if campaign.noise == "none" else read.repeats
     case = Case.of(read.problem, read.machines, prior, noise)
-    found = replayed(case, read.names, application.spec.benchmark.stop.after, campaign)
+    found = replayed(case, read.names, application.spec.benchmark.stop.duration, campaign)
     about = {"application": application.metadata.name, **_about(campaign, library.digest if prior and library else "")}
     report = {**about, "not_admitted": list(read.left_out), **found}
     if output == "json":

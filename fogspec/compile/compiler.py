@@ -142,7 +142,7 @@ def _reusable_plan(
     except DiagnosticError:
         return None
     body, spec = plan.spec, application.spec
-    if (body.hardware, body.infra, body.picked_from) == (spec.hardware, spec.infra, catalog.about.digest):
+    if (body.hardware, body.infra, body.design_catalog) == (spec.hardware, spec.infra, catalog.about.digest):
         return None
     if not {sample.id for sample in body.samples} <= completed(results):
         return None
@@ -182,7 +182,7 @@ def _agent_files(layout: Layout) -> Iterator[tuple[Path, bytes]]:
 def with_substitutes(application: Application, plan: Plan, admissible: Filtered) -> Plan:
     """The plan, with the machines that take a sample's place where it cannot be had."""
     others = substitutes(application.spec, plan.spec.samples, admissible.offers)
-    return plan.model_copy(update={"spec": plan.spec.model_copy(update={"alternatives": others})})
+    return plan.model_copy(update={"spec": plan.spec.model_copy(update={"substitutes": others})})
 
 
 def substitute_tasks(
@@ -191,7 +191,7 @@ def substitute_tasks(
     """The tasks of machines that took a sample's place, by path."""
     planned = {sample.id for sample in plan.spec.samples}
     records = results.spec.samples if results is not None else []
-    took = [Sample(id=one.id, machine=one.machine, reason="") for one in records if one.instead_of in planned]
+    took = [Sample(id=one.id, machine=one.machine, reason="") for one in records if one.substitute_for in planned]
     others = (one for one in took if one.id not in planned)
     return {layout.task(one.id): task_file(application, plan, one, layout) for one in others}
 
@@ -222,7 +222,7 @@ def task_file(application: Application, plan: Plan, sample: Sample, layout: Layo
 def task_of(application: Application, plan: Plan, sample: Sample, layout: Layout) -> dict[str, Any]:
     """The compiled task of one sample."""
     body = plan.spec
-    life = lifetime_s(body.after, body.setup)
+    life = lifetime_s(body.duration, body.setup_timeout)
     ros = ros_environment(application.spec)
     limits = [*_limits(application, plan), *(word for name in application.spec.secrets for word in ("--secret", name))]
     run = render(
@@ -241,10 +241,10 @@ def setup_script(ros: dict[str, Any]) -> str | None:
 
 def _limits(application: Application, plan: Plan) -> list[str]:
     body, stop = plan.spec, application.spec.benchmark.stop
-    words = ["--after", units.format_number(body.after), "--warmup", str(body.warmup)]
-    words += ["--startup", units.format_number(body.setup)]
-    if body.steps is not None:
-        words += ["--steps", str(body.steps)]
+    words = ["--after", units.format_number(body.duration), "--warmup", str(body.warmup)]
+    words += ["--startup", units.format_number(body.setup_timeout)]
+    if body.requests is not None:
+        words += ["--steps", str(body.requests)]
     words += ["--callback", name_of(application.spec.probe)]
     if (afterwards := probe_parts(application.spec).afterwards) is not None:
         words += ["--afterwards", json.dumps(afterwards)]

@@ -58,7 +58,8 @@ def choose_files(
         beside = layout.compiled
         sources = Sources(
             application=ApplicationRef(
-                path=source, digest=fingerprints.chosen_digest(application), reads=fingerprints.chosen_fields(application)
+                path=source, digest=fingerprints.chosen_digest(application),
+                field_digests=fingerprints.chosen_fields(application)
             ),
             catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
             plan=FileRef(path=layout.plan.relative_to(beside).as_posix(), digest=plan_digest),

@@ -43,7 +43,7 @@ class Pinned(ListedMachine):
     robot_environment: dict[str, str]
     files: list[TaskRef]
     ready: list[str] | None
-    patience: Duration
+    ready_timeout: Duration
     fallbacks: list[Fallback]
 
     @field_serializer("cloud", "robot")
@@ -59,7 +59,7 @@ class ExpectedLatency(Strict):
     interval: tuple[Duration, Duration] | None
     level: float
     limit: Duration | None
-    network: Duration
+    network_allowance: Duration
     probability_met: float | None
     measured: bool
     extrapolated: bool
@@ -68,12 +68,12 @@ class ExpectedLatency(Strict):
 class ExpectedLimits(Strict):
     """Whether all limits are met: with which probability, whether that is what was asked, and whether it was measured.
 
-    `probability_met` and `sure` are None where nothing can be said of probabilities.
+    `probability_met` and `meets_confidence` are None where nothing can be said of probabilities.
     """
 
     confidence: float
     probability_met: float | None
-    sure: bool | None
+    meets_confidence: bool | None
     verified: bool
 
 
@@ -191,7 +191,7 @@ class BestOfAll(Strict):
 
 
 class Provenance(Strict):
-    """Where every figure came from; `application.reads` has a short digest of each field that choosing depends on.
+    """Where every figure came from; `application.field_digests` has a short digest of each field that choosing depends on.
 
     `relaxed` and `exhaustive` say where these methods end if elsewhere than at the chosen machine.
     """
@@ -287,7 +287,7 @@ def _pinned(application: Application, entry: Entry, sources: Sources, choice: Ch
         cloud=spec.cloud, robot=spec.robot, connectivity=spec.connectivity,
         task=sources.task, robot_launch=sources.robot_launch,
         robot_environment=dict(sources.robot_environment), files=sources.files,
-        ready=spec.deployment.ready, patience=spec.deployment.patience,
+        ready=spec.deployment.ready, ready_timeout=spec.deployment.ready_timeout,
         fallbacks=[_fallback(entry_of(choice, row), task) for row, task in sources.fallbacks.items()],
     )  # fmt: skip
 
@@ -311,7 +311,7 @@ def _expected(application: Application, choice: Choice, entry: Entry) -> Expecte
         limits=_limits(choice, row),
         latency=ExpectedLatency(
             statistic=spec.constraints.statistic, predicted=entry.latency, interval=entry.interval, level=LEVEL,
-            limit=spec.constraints.latency, network=spec.constraints.network,
+            limit=spec.constraints.latency, network_allowance=spec.constraints.network_allowance,
             probability_met=None if probability is None else round(probability, 3),
             measured=entry.measured, extrapolated=entry.extrapolated,
         ),
@@ -331,7 +331,7 @@ def _limits(choice: Choice, row: int) -> ExpectedLimits:
     met = choice.probability(row)
     return ExpectedLimits(
         confidence=choice.confidence, probability_met=None if met is None else round(met, 3),
-        sure=None if met is None else choice.sure, verified=bool(choice.latency.measured[row]),
+        meets_confidence=None if met is None else choice.sure, verified=bool(choice.latency.measured[row]),
     )  # fmt: skip
 
 

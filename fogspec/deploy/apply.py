@@ -229,7 +229,7 @@ class Rollout:
                 self._end(machine)
                 raise CloudError(
                     f"{machine.name}: the nodes did not answer within {self.patience_s:g} s{f': {said}' if said else ''}",
-                    "spec.deployment.patience is how long is waited; what served before still does",
+                    "spec.deployment.ready_timeout is how long is waited; what served before still does",
                 )
             self.live.times.sleep(self.deployer_of(machine.machine.infra).poll_s)
 

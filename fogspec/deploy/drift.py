@@ -108,7 +108,7 @@ def _breaks(
     expected: Expected, spread: tuple[float, float] | None, cost: float | None, n: int, failed: int, valid: float
 ) -> list[str]:
     found, latency = [], expected.latency
-    limit = None if latency.limit is None else latency.limit - latency.network
+    limit = None if latency.limit is None else latency.limit - latency.network_allowance
     if limit is not None and spread is not None and spread[0] > limit:
         found.append(f"{latency.statistic} latency is over its limit of {units.format_duration(limit)}")
     if expected.cost.limit is not None and cost is not None and spread is not None and cost > expected.cost.limit:

@@ -70,7 +70,8 @@ def apply(
             live = DeploymentState.read(layout, times)
             work = Rollout(
                 live, ordered.content, ordered.opened.digest, ordered.candidates, ordered.image, ordered.files,
-                ordered.opened.manifest.spec.patience, deployer_of, tell, lambda: interrupt.asked, link_check(ordered, tell),
+                ordered.opened.manifest.spec.ready_timeout, deployer_of, tell, lambda: interrupt.asked,
+                link_check(ordered, tell),
             )  # fmt: skip
             served = work.current()
             if served is not None:

@@ -159,7 +159,7 @@ def targets(application: Application) -> list[str]:
 
 def _observation(record: Measured, statistic: Statistic) -> Observation | RejectedSample:
     # A run that answered nothing waited for its first request: that request takes longer than it waited.
-    waited = record.waited if record.latency is None and record.waited else None
+    waited = record.latency_lower_bound if record.latency is None and record.latency_lower_bound else None
 
     def unusable(why: str, unfit: bool) -> RejectedSample:
         return RejectedSample(

@@ -51,7 +51,7 @@ class CostEstimate:
 def estimate_cost(plan: Plan, done: frozenset[str] = frozenset(), spent_usd: float = 0.0) -> CostEstimate:
     """The bill of a plan of which the samples `done` are measured, at `spent_usd` so far."""
     todo = tuple(sample for sample in plan.spec.samples if sample.id not in done)
-    return CostEstimate(todo, spent_usd, estimate(todo, plan.spec.after, plan.spec.setup))
+    return CostEstimate(todo, spent_usd, estimate(todo, plan.spec.duration, plan.spec.setup_timeout))
 
 
 def within_budget(plan: Plan, due: CostEstimate) -> bool:
@@ -77,8 +77,20 @@ def _less_time(plan: Plan, due: CostEstimate) -> Iterator[BudgetOption]:
     usd_per_s = math.fsum(sample.machine.price for sample in due.todo) / 3600
     left_s = ((body.budget or 0.0) - due.spent_usd) / usd_per_s
     for name, old, other, least, loses in (
-        ("spec.benchmark.stop.after", body.after, body.setup, LEAST_MEASURING_S, "requests of each sample after that"),
-        ("spec.benchmark.setup", body.setup, body.after, 30.0, "every machine that takes longer to be ready"),
+        (
+            "spec.benchmark.stop.duration",
+            body.duration,
+            body.setup_timeout,
+            LEAST_MEASURING_S,
+            "requests of each sample after that",
+        ),
+        (
+            "spec.benchmark.setup_timeout",
+            body.setup_timeout,
+            body.duration,
+            30.0,
+            "every machine that takes longer to be ready",
+        ),
     ):
         new = _round_down(left_s - other)
         if least <= new < old:
@@ -97,10 +109,10 @@ def _fewer_machines(plan: Plan, due: CostEstimate) -> Iterator[BudgetOption]:
     kept = sorted(due.todo, key=lambda sample: (sample.machine.price, sample.id))
     lost: list[Sample] = []
     body = plan.spec
-    while kept and due.spent_usd + estimate(kept, body.after, body.setup).total > (body.budget or 0.0):
+    while kept and due.spent_usd + estimate(kept, body.duration, body.setup_timeout).total > (body.budget or 0.0):
         lost.append(kept.pop())
     if kept:
-        total = due.spent_usd + estimate(kept, body.after, body.setup).total
+        total = due.spent_usd + estimate(kept, body.duration, body.setup_timeout).total
         words = f"measure {len(kept)} of {len(due.todo)} machines (spec.benchmark.machines)"
         yield BudgetOption(len(lost) / len(due.todo), words, total, f"loses {_named([_cell(one) for one in lost])}")
 

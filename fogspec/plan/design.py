@@ -87,7 +87,7 @@ def cheapest_first(offers: Catalog) -> NDArray[np.intp]:
 
 def max_cost_usd(spec: Spec, price_usd_per_hour: Floats) -> Floats:
     """What one sample of each machine may cost: set-up and measuring, for as long as the spec allows."""
-    return price_usd_per_hour * (spec.benchmark.setup + spec.benchmark.stop.after) / 3600
+    return price_usd_per_hour * (spec.benchmark.setup_timeout + spec.benchmark.stop.duration) / 3600
 
 
 def _adaptive(spec: Spec, admissible: Filtered, library: "Library | None") -> Design:
@@ -101,7 +101,7 @@ def _adaptive(spec: Spec, admissible: Filtered, library: "Library | None") -> De
     usd = max_cost_usd(spec, offers.price_usd_per_hour)
     asked = initial_batch(offers, usd, math.inf if budget is None else max(budget, float(usd.min())), library)
     picks = tuple(DesignPoint(offers.machine(row), why) for row, why in zip(asked.rows, asked.reasons, strict=True))
-    at_once = "one by one" if spec.benchmark.wave == 1 else f"{spec.benchmark.wave} at once"
+    at_once = "one by one" if spec.benchmark.batch_size == 1 else f"{spec.benchmark.batch_size} at once"
     wall = None if budget is None else units.format_money(budget)
     most = f"{Policy().most} samples: there is no budget" if wall is None else f"the budget of {wall}"
     later = f"the first wave; then the model is asked for the next machines, {at_once}, never beyond {most}"

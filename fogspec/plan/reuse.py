@@ -35,10 +35,10 @@ def reuse_plan(
     same = (
         not benchmark.machines
         and plan.metadata.name == application.metadata.name
-        and body.application.reads == fingerprints.measured_fields(application)
+        and body.application.field_digests == fingerprints.measured_fields(application)
         and body.pins == dict(pins)
-        and (body.sampler, body.steps, body.after, body.warmup, body.setup)
-        == (benchmark.sampler, stop.steps, stop.after, benchmark.warmup, benchmark.setup)
+        and (body.sampler, body.requests, body.duration, body.warmup, body.setup_timeout)
+        == (benchmark.sampler, stop.requests, stop.duration, benchmark.warmup, benchmark.setup_timeout)
         and contains(body.hardware, body.infra, spec.hardware, spec.infra)
     )
     if not same:
@@ -59,12 +59,14 @@ def plan_from_campaign(
     """
     samples = [
         Sample(id=one.id, machine=_repriced(one.machine, catalog), reason=one.reason)
-        for wave in sampling.waves
+        for wave in sampling.batches
         for one in wave.samples
     ]
-    notes = [f"wave {number} ({len(wave.samples)}): {wave.reason}" for number, wave in enumerate(sampling.waves, 1)]
+    notes = [f"wave {number} ({len(wave.samples)}): {wave.reason}" for number, wave in enumerate(sampling.batches, 1)]
     notes.append(
-        f"sampling ended: {sampling.ended}" if sampling.ended else "the next machines are asked for by fogspec bench"
+        f"sampling ended: {sampling.stop_reason}"
+        if sampling.stop_reason
+        else "the next machines are asked for by fogspec bench"
     )
     plan = assemble(application, path, catalog.about, "adaptive", samples, notes, pins)
     if not covers(application, sampling):
@@ -100,11 +102,11 @@ def _with(application: Application, body: PlanBody, catalog: Catalog, samples: S
             "application": ApplicationRef(
                 path=body.application.path,
                 digest=fingerprints.planned_digest(application),
-                reads=body.application.reads,
+                field_digests=body.application.field_digests,
             ),
             "catalog": CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
             "budget": benchmark.budget,
-            "estimate": estimate(samples, benchmark.stop.after, benchmark.setup),
+            "estimate": estimate(samples, benchmark.stop.duration, benchmark.setup_timeout),
             "samples": list(samples),
         }
     )

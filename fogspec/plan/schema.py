@@ -39,9 +39,9 @@ class Sample(Strict):
 
 
 class Substitute(Strict):
-    """A machine that is measured where the sample `instead_of` cannot be had; those named first are tried first."""
+    """A machine that is measured where the sample `substitute_for` cannot be had; those named first are tried first."""
 
-    instead_of: str
+    substitute_for: str
     machine: Machine
     reason: str
 
@@ -58,12 +58,12 @@ class CatalogRef(Strict):
 class ApplicationRef(Strict):
     """Which spec a file was made from; the digest is over what the stage reads of it, not over its bytes.
 
-    In a plan, `reads` has a short digest of each field that measuring depends on, so that a change can be named.
+    In a plan, `field_digests` has a short digest of each field that measuring depends on, so that a change can be named.
     """
 
     path: str
     digest: str
-    reads: dict[str, str] = Field({})
+    field_digests: dict[str, str] = Field({})
 
 
 class Batch(Strict):
@@ -76,17 +76,17 @@ class Batch(Strict):
 class Sampling(Strict):
     """The decisions of an adaptive campaign: which machines were asked for, among those of which search box.
 
-    They are facts: later compiles read them here and do not ask again. `limits` is a digest of the limits and the objective
-    that were asked for. `ended` says why no further machine was asked for, None while that was not decided;
-    `for_money` says that there was one, and not enough money left for it.
+    Recorded decisions: later compiles read them here and do not ask again. `limits_digest` is a digest of the limits and the
+    objective that were asked for. `stop_reason` says why no further machine was asked for, None while that was not decided;
+    `out_of_budget` says that there was one, and not enough money left for it.
     """
 
     hardware: Hardware
     infra: list[str]
-    limits: str
-    waves: list[Batch]
-    ended: str | None = None
-    for_money: bool = False
+    limits_digest: str
+    batches: list[Batch]
+    stop_reason: str | None = None
+    out_of_budget: bool = False
 
 
 class Estimate(Strict):
@@ -100,7 +100,7 @@ class Estimate(Strict):
 
 class PlanBody(Strict):
     """What the plan says; `hardware` and `infra` are the search box that its samples were picked for, from
-    the catalog with the digest `picked_from`; the spec's own box may have become smaller since, and prices may be new.
+    the catalog with the digest `design_catalog`; the spec's own box may have become smaller since, and prices may be new.
 
     `pins` are the digests of what the spec only names, from the lock.
     """
@@ -108,18 +108,18 @@ class PlanBody(Strict):
     application: ApplicationRef
     pins: dict[str, str] = Field({})
     catalog: CatalogRef
-    picked_from: str
+    design_catalog: str
     hardware: Hardware
     infra: list[str]
     sampler: Literal["grid", "adaptive", "list"]
-    steps: int | None
-    after: Duration
+    requests: int | None
+    duration: Duration
     warmup: int
-    setup: Duration
+    setup_timeout: Duration
     budget: Money | None
     estimate: Estimate
     samples: list[Sample]
-    alternatives: list[Substitute] = Field([])
+    substitutes: list[Substitute] = Field([])
     notes: list[str]
 
 
@@ -174,20 +174,22 @@ def assemble(
     stop = spec.benchmark.stop
     body = PlanBody(
         application=ApplicationRef(
-            path=path, digest=fingerprints.planned_digest(application), reads=fingerprints.measured_fields(application)
+            path=path,
+            digest=fingerprints.planned_digest(application),
+            field_digests=fingerprints.measured_fields(application),
         ),
         pins=dict(pins),
         catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
-        picked_from=about.digest,
+        design_catalog=about.digest,
         hardware=spec.hardware,
         infra=spec.infra,
         sampler=sampler,
-        steps=stop.steps,
-        after=stop.after,
+        requests=stop.requests,
+        duration=stop.duration,
         warmup=spec.benchmark.warmup,
-        setup=spec.benchmark.setup,
+        setup_timeout=spec.benchmark.setup_timeout,
         budget=spec.benchmark.budget,
-        estimate=estimate(samples, stop.after, spec.benchmark.setup),
+        estimate=estimate(samples, stop.duration, spec.benchmark.setup_timeout),
         samples=list(samples),
         notes=[*notes, *_unpinned(application, pins)],
     )

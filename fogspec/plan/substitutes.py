@@ -36,7 +36,7 @@ def substitutes(spec: Spec, samples: Sequence[Sample], offers: Catalog) -> list[
         elsewhere = list(near.elsewhere())[:PLACES]
         neighbours = () if spec.benchmark.machines else near.neighbours()
         others = [*elsewhere, *(one for one in neighbours if one.id not in planned)][: len(elsewhere) + NEIGHBOURS]
-        found += [Substitute(instead_of=sample.id, machine=one.machine, reason=one.reason) for one in others]
+        found += [Substitute(substitute_for=sample.id, machine=one.machine, reason=one.reason) for one in others]
     return found
 
 

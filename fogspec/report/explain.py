@@ -31,7 +31,7 @@ class Analysis:
         assert compiled.chosen is not None
         chosen, offers = compiled.chosen, compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
-        usd = offers.price_usd_per_hour * lifetime_s(body.after, body.setup) / 3600
+        usd = offers.price_usd_per_hour * lifetime_s(body.duration, body.setup_timeout) / 3600
         failed = [one.machine for one in chosen.models.spec.unusable]
         return cls(
             slacks(chosen.choice),

@@ -43,7 +43,8 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
         "name": application.metadata.name, "alpha": spec.objective.alpha, "statistic": spec.constraints.statistic,
         "metric": metric, "unit": (spec.metrics[metric].unit or "") if metric else "s", "level": LEVEL,
         "limits": {"latency": spec.constraints.latency, "cost": spec.constraints.cost},
-        "network": spec.constraints.network, "confidence": choice.confidence, "floors": list(levels(choice.confidence)),
+        "network": spec.constraints.network_allowance,
+        "confidence": choice.confidence, "floors": list(levels(choice.confidence)),
         "probabilities": choice.latency.posterior is not None, "adaptive": spec.benchmark.sampler == "adaptive",
         "tie": select.TIE, "relaxed": spec.objective.method == "relaxed",
         "scale": {

@@ -53,9 +53,7 @@ def _plan_words(compiled: Artifacts) -> str:
     estimate = body.estimate
     count = f"{len(body.samples)} samples"
     if estimate.total == 0:
-        return (
-            f"{count} on this host, free, at most {units.format_duration(body.after * len(body.samples))} of measuring"
-        )
+        return f"{count} on this host, free, at most {units.format_duration(body.duration * len(body.samples))} of measuring"
     budget = "" if body.budget is None else f" of a budget of {money(body.budget)}"
     wall = f"{units.format_duration(estimate.wall)} if all run at once"
     cents = f"{estimate.measuring * 100:.3f}".rstrip("0").rstrip(".")

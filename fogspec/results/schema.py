@@ -39,13 +39,13 @@ class Timings(Strict):
 class Measured(Strict):
     """One sample's record.
 
-    `instead_of` names the sample that could not be had, in whose place this machine was measured. `stopped_by` says
+    `substitute_for` names the sample that could not be had, in whose place this machine was measured. `stopped_by` says
     what ended the measuring: steps, time, precision, exit of the processes, size of the timings, a signal. Of the
     `duration` that is paid, `setup` is how long it took to the first request, and `measuring` how long from then on.
     `requests` counts valid requests after warm-up, `failed_requests` those that failed their own check.
     `service` is the time that the node worked on a request, without what it waited for others, where the probe tells
     them apart; `lost` of the failed requests got no response, `unmatched` responses belong to no request.
-    `latency` is there when at least one valid request was measured, whatever the state; `waited` is a lower
+    `latency` is there when at least one valid request was measured, whatever the state; `latency_lower_bound` is a lower
     bound on the latency of a sample that was aborted in the middle of a request.
     """
 
@@ -61,9 +61,9 @@ class Measured(Strict):
     service: LatencySummary | None = None
     lost: int | None = None
     unmatched: int | None = None
-    waited: Duration | None = None
+    latency_lower_bound: Duration | None = None
     metrics: dict[str, float] = Field({})
-    instead_of: str | None = None
+    substitute_for: str | None = None
     stopped_by: StoppedBy | None = None
     setup: Duration | None = None
     measuring: Duration | None = None
@@ -77,13 +77,13 @@ class ResultsBody(Strict):
 
     `application` is the digest over what measuring reads of the spec; `plan` the digest of the plan, None for
     measurements that were recorded elsewhere, whose `source` cites them. `pins` are the plan's: digests of what the
-    spec only names; None where nothing was locked. `reads` are the plan's digests of what measuring reads of the spec.
+    spec only names; None where nothing was locked. `field_digests` are the plan's digests of what measuring reads of the spec.
     """
 
     application: str
     plan: str | None = None
     pins: dict[str, str] | None = None
-    reads: dict[str, str] | None = None
+    field_digests: dict[str, str] | None = None
     runner: str
     source: str | None = None
     budget: Money | None = None
@@ -126,7 +126,7 @@ def completed(results: Results | None) -> frozenset[str]:
         return frozenset()
     given_up = _is_abandoned(results.spec)
     ended = [one for one in results.spec.samples if is_final(one) or one.id in given_up]
-    return frozenset(name for one in ended for name in (one.id, one.instead_of) if name is not None)
+    return frozenset(name for one in ended for name in (one.id, one.substitute_for) if name is not None)
 
 
 def _is_abandoned(body: ResultsBody) -> set[str]:
@@ -134,22 +134,11 @@ def _is_abandoned(body: ResultsBody) -> set[str]:
     sampling = body.sampling
     if sampling is None or not any(one.state == "ok" for one in body.samples):
         return set()
-    before = sampling.waves if sampling.ended is not None else sampling.waves[:-1]
+    before = sampling.batches if sampling.stop_reason is not None else sampling.batches[:-1]
     asked = {sample.id for wave in before for sample in wave.samples}
-    return {one.id for one in body.samples if one.reason in UNAVAILABLE and (one.instead_of or one.id) in asked}
-
-
-LATER = ("instead_of", "stopped_by", "setup", "measuring", "service", "lost", "unmatched")
+    return {one.id for one in body.samples if one.reason in UNAVAILABLE and (one.substitute_for or one.id) in asked}
 
 
 def _checksum(metadata: PlanMetadata, body: ResultsBody) -> str:
-    """What a field that came later says when it says nothing is left out: older files keep their seal."""
-    content = body.model_dump(mode="json")
-    for part, names in (
-        (content, ("pins", "reads", "sampling")),
-        *((one, LATER) for one in content["samples"]),
-    ):
-        for name in names:
-            if part[name] is None:
-                del part[name]
-    return digest.of_value([metadata.model_dump(mode="json"), content])
+    """Return the digest over all fields but those that are None, so that an optional field added later keeps it valid."""
+    return digest.of_value([metadata.model_dump(mode="json"), body.model_dump(mode="json", exclude_none=True)])

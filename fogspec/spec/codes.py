@@ -58,8 +58,8 @@ TEXT = {
     "FS108": Code(
         "merge keys are not part of YAML 1.2",
         "'<<' was an extension of YAML 1.1. Shared parts belong into an overlay.",
-        "stop: {<<: *usual, steps: 100}",
-        "stop: {steps: 100, after: 5min}",
+        "stop: {<<: *usual, requests: 100}",
+        "stop: {requests: 100, duration: 5min}",
     ),
     "FS109": Code(
         "tags are not part of the language",
@@ -131,8 +131,8 @@ QUANTITIES = {
         "a unit must be one that the language knows",
         "Durations: ns, us, ms, s, min, h. Memory: MiB, GiB, TiB (powers of 1024), MB, GB, TB (powers of "
         "1000). M and m are too easily taken for something else.",
-        "after: 5m",
-        "after: 5min",
+        "duration: 5m",
+        "duration: 5min",
     ),
     "FS204": Code(
         "a quantity must be a number and its unit",
@@ -198,6 +198,12 @@ FIELDS = {
         "fogspec reads `kind: Application` of apiVersion fogspec.dev/v1alpha1.",
         "kind: Deployment",
         "kind: Application",
+    ),
+    "FS308": Code(
+        "a key was renamed",
+        "The key had another name in an earlier version. Its value keeps its meaning: only the name changes.",
+        "stop: {steps: 100, after: 5min}",
+        "stop: {requests: 100, duration: 5min}",
     ),
 }
 

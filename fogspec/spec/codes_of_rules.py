@@ -121,20 +121,20 @@ MEASURING = {
     "FS519": Code(
         "the latency limit must leave time for the request",
         "The network's allowance is taken off the limit.",
-        "constraints: {latency: 50ms, network: 60ms}",
-        "constraints: {latency: 100ms, network: 60ms}",
+        "constraints: {latency: 50ms, network_allowance: 60ms}",
+        "constraints: {latency: 100ms, network_allowance: 60ms}",
     ),
     "FS520": Code(
         "a sample must outlast one request",
-        "With a limit on latency above stop.after, a machine that meets the limit could not be measured.",
+        "With a limit on latency above stop.duration, a machine that meets the limit could not be measured.",
         "constraints: {latency: 10min}",
-        "constraints: {latency: 10min}\nbenchmark: {stop: {after: 30min}}",
+        "constraints: {latency: 10min}\nbenchmark: {stop: {duration: 30min}}",
     ),
     "FS521": Code(
         "a sample must measure more requests than it throws away",
         "The first warmup requests do not count.",
-        "benchmark: {warmup: 10, stop: {steps: 10}}",
-        "benchmark: {warmup: 10, stop: {steps: 100}}",
+        "benchmark: {warmup: 10, stop: {requests: 10}}",
+        "benchmark: {warmup: 10, stop: {requests: 100}}",
     ),
     "FS522": Code(
         "measuring needs a budget",

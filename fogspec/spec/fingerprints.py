@@ -20,7 +20,7 @@ def measured_part(application: Application) -> dict[str, Any]:
         "metrics": body["metrics"],
         "workload": benchmark["workload"],
         "warmup": benchmark["warmup"],
-        "valid": benchmark["valid"],
+        "min_success_rate": benchmark["min_success_rate"],
         "secrets": body["secrets"],
     }
 
@@ -28,7 +28,7 @@ def measured_part(application: Application) -> dict[str, Any]:
 def planned_part(application: Application) -> dict[str, Any]:
     """What the sampling plan depends on, besides the catalog: also hardware, infra and how machines are sampled."""
     body = application.spec.model_dump(mode="json")
-    benchmark = {key: value for key, value in body["benchmark"].items() if key not in ("budget", "wave")}
+    benchmark = {key: value for key, value in body["benchmark"].items() if key not in ("budget", "batch_size")}
     return {
         **measured_part(application),
         "name": application.metadata.name,

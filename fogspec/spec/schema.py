@@ -141,7 +141,7 @@ class Constraints(Strict):
     statistic: Statistic = Field(
         "mean", description="which statistic of the latency is bounded and optimised", examples=["p95"]
     )
-    network: Duration = Field(
+    network_allowance: Duration = Field(
         0.0, description="allowance for the network, taken off the latency bound", examples=["30ms"]
     )
     cost: Cost | None = Field(None, description="upper bound on the cost of one request", examples=["$0.001/request"])
@@ -170,7 +170,7 @@ class Interruption(Strict):
         description="interruptions of one spot machine per hour; the default is a cautious guess",
         examples=["0.05/h"],
     )
-    restart: Duration = Field(
+    recovery_time: Duration = Field(
         300.0, ge=0, description="paid time until another machine is ready in its place", examples=["5min"]
     )
 
@@ -208,7 +208,7 @@ class Objective(Strict):
     interruption: Interruption = Field(
         Interruption(),
         description="what spot machines' interruptions add to their cost",
-        examples=[{"rate": "0.05/h", "restart": "5min"}],
+        examples=[{"rate": "0.05/h", "recovery_time": "5min"}],
     )
     transfer: DataTransfer = Field(
         DataTransfer(),
@@ -247,8 +247,8 @@ class Hardware(Strict):
 class Stop(Strict):
     """When one sample has measured enough: whichever comes first."""
 
-    steps: int | None = Field(200, ge=1, description="requests", examples=[200])
-    after: Duration = Field(300.0, gt=0, description="time", examples=["5min"])
+    requests: int | None = Field(200, ge=1, description="requests", examples=[200])
+    duration: Duration = Field(300.0, gt=0, description="time", examples=["5min"])
     precision: Percent | None = Field(
         None, gt=0, description="half width of the statistic's 95 % interval", examples=["2%"]
     )
@@ -269,8 +269,8 @@ class Benchmark(Strict):
 
     budget: Money | None = Field(None, description="hard: refused before, stopped during", examples=["$2.50"])
     sampler: Literal["grid", "adaptive"] = Field("grid", description="which machines are sampled", examples=["grid"])
-    wave: int = Field(
-        1, ge=1, description="adaptive: how many machines are measured at once after the first wave", examples=[2]
+    batch_size: int = Field(
+        1, ge=1, description="adaptive: how many machines are measured at once after the first batch", examples=[2]
     )
     machines: list[str] = Field(
         [],
@@ -278,10 +278,12 @@ class Benchmark(Strict):
         examples=[["c6i.large", "c6i.4xlarge"]],
     )
     stop: Stop = Field(
-        Stop(), description="when one sample has measured enough", examples=[{"steps": 200, "after": "5min"}]
+        Stop(), description="when one sample has measured enough", examples=[{"requests": 200, "duration": "5min"}]
     )
     warmup: int = Field(1, ge=0, description="first requests of each sample that do not count", examples=[5])
-    setup: Duration = Field(300.0, ge=0, description="longest time a machine may take to be ready", examples=["10min"])
+    setup_timeout: Duration = Field(
+        300.0, ge=0, description="longest time a machine may take to be ready", examples=["10min"]
+    )
     workload: Workload = Field(
         Workload(), description="what sends the requests", examples=[{"node": {"cmd": ["python3", "client.py"]}}]
     )
@@ -290,7 +292,9 @@ class Benchmark(Strict):
         description="kinds of request and how often each occurs in use; the workload names them: stop(…, scenario=…)",
         examples=[{"open_space": 3, "narrow_door": 1}],
     )
-    valid: Percent = Field(0.95, description="smallest share of requests that must succeed", examples=["99%"])
+    min_success_rate: Percent = Field(
+        0.95, description="smallest share of requests that must succeed", examples=["99%"]
+    )
 
 
 class CatalogAge(Strict):
@@ -329,7 +333,7 @@ class Deployment(Strict):
         None, min_length=1, examples=[["python3", "answers.py"]],
         description="a command on the machine that succeeds once the nodes answer; without it they must stay alive",
     )  # fmt: skip
-    patience: Duration = Field(
+    ready_timeout: Duration = Field(
         1800.0, gt=0, description="longest time from the launch until the nodes answer", examples=["20min"]
     )
     fallbacks: int = Field(

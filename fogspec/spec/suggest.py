@@ -9,7 +9,7 @@ SYNONYMS = {
     "instancetypes": "machines", "instances": "machines", "instance": "machines", "region": "infra", "regions": "infra",
     "cloudprovider": "infra", "params": "parameters", "remap": "remappings", "args": "arguments", "environment": "env",
     "paramsfile": "parameter_files", "exec": "executable", "pkg": "package", "ns": "namespace", "maxlatency": "latency",
-    "maxcost": "cost", "timeout": "after", "limit": "constraints", "limits": "constraints", "command": "cmd",
+    "maxcost": "cost", "timeout": "duration", "limit": "constraints", "limits": "constraints", "command": "cmd",
     "docker": "image", "container": "image", "weight": "alpha", "hardwares": "hardware", "bench": "benchmark",
 }  # fmt: skip
 

@@ -10,9 +10,20 @@ from typing import Any
 from fogspec.base.diagnostics import Diagnostic, Span
 from fogspec.base.yaml.positions import Node, Path, dotted, find
 from fogspec.spec.introspect import annotation_at, fields_of, home_of, part
+from fogspec.spec.schema import Application
 from fogspec.spec.suggest import closest
 
 CLOSE = 0.8
+RENAMED: dict[Path, str] = {
+    ("spec", "constraints", "network"): "network_allowance",
+    ("spec", "objective", "interruption", "restart"): "recovery_time",
+    ("spec", "benchmark", "wave"): "batch_size",
+    ("spec", "benchmark", "stop", "steps"): "requests",
+    ("spec", "benchmark", "stop", "after"): "duration",
+    ("spec", "benchmark", "setup"): "setup_timeout",
+    ("spec", "benchmark", "valid"): "min_success_rate",
+    ("spec", "deployment", "patience"): "ready_timeout",
+}
 
 
 @dataclass
@@ -116,6 +127,8 @@ class _Repairer:
         self, key: str, place: Span, path: Path, fields: dict[str, Any], present: set[str], child: Node
     ) -> str | None:
         """The field that a key was meant to be, if it is one of this mapping's; says what is wrong."""
+        if renamed := RENAMED.get((*path, key)) if self.model is Application else None:
+            return self._was_renamed(key, renamed, place, path, present)
         name = closest(key, [one for one in fields if one not in present])
         home = home_of(self.model, key, path)
         sure = name is not None and difflib.SequenceMatcher(None, key, name).ratio() >= CLOSE
@@ -131,6 +144,14 @@ class _Repairer:
             fix, name = f"known here: {', '.join(fields)}; a key of your own starts with 'x-'", None
         self.wrong.append(Diagnostic("FS301", f"{dotted((*path, key))} is not a field of the language", place, fix))
         return name
+
+    def _was_renamed(self, key: str, name: str, place: Span, path: Path, present: set[str]) -> str | None:
+        """Return the current name of a key that had another one, or None if both are set; report it."""
+        message = f"{dotted((*path, key))} was renamed to {dotted((*path, name))}"
+        twice = name in present
+        fix = f"remove it: '{name}' is there already" if twice else f"write '{name}'"
+        self.wrong.append(Diagnostic("FS308", message, place, fix))
+        return None if twice else name
 
     def _empty(self, place: Span, path: Path, fix: str = "remove the key, or give it a value") -> None:
         self.wrong.append(Diagnostic("FS115", f"{dotted(path)} has no value", place, fix))

@@ -140,10 +140,16 @@ DATA = {"transfer": {"per_request": "0.1MB", "price": "$0.01/GiB"}}
 PROVISIONED = {"billing": "provisioned", "rate": "20/s", **DATA}
 OTHERS = {
     "whole hours": ({"objective": PROVISIONED, "constraints": {"price": "$2/h", "confidence": 0.7}}, None),
-    "network, data and certainty": ({"objective": DATA, "constraints": {"network": "5ms", "confidence": 0.99}}, None),
+    "network, data and certainty": (
+        {"objective": DATA, "constraints": {"network_allowance": "5ms", "confidence": 0.99}},
+        None,
+    ),
     "scales": ({"objective": {"scale": {"latency": "1s", "cost": "$1/request"}}}, None),
     "only what was measured": ({"benchmark": {"sampler": "adaptive", "budget": "$20"}}, None),
-    "spot": ({"hardware": {"spot": True}, "objective": {"interruption": {"rate": "18000/h", "restart": "0s"}}}, SPOT),
+    "spot": (
+        {"hardware": {"spot": True}, "objective": {"interruption": {"rate": "18000/h", "recovery_time": "0s"}}},
+        SPOT,
+    ),
 }
 
 
@@ -172,7 +178,7 @@ def narrow_limits(one: LoadedSpec, made: Artifacts) -> tuple[list[str | None], l
     for floor in levels(choice.confidence):
         needed = required_latency(choice.latency, choice.metrics, choice.bounds, floor)
         for column, texts, more in (
-            (needed, found[0], spec.constraints.network),
+            (needed, found[0], spec.constraints.network_allowance),
             (costs.per_request(needed), found[1], 0.0),
         ):
             for value in np.quantile(column, (0, 0.4), method="nearest").tolist():

@@ -13,7 +13,7 @@ from tests.support.scenes import until
 
 SIZES = {"small": 2, "medium": 4, "large": 8, "xlarge": 16, "huge": 32, "giant": 64}
 FAMILIES = {"a": (2, 0.05), "b": (4, 0.06), "c": (8, 0.08)}
-ADAPTIVE = "{sampler: adaptive, budget: $5, stop: {steps: 20, after: 1min}, setup: 1min}"
+ADAPTIVE = "{sampler: adaptive, budget: $5, stop: {requests: 20, duration: 1min}, setup_timeout: 1min}"
 AT = ("--catalog", "offers.csv")
 
 
@@ -85,7 +85,7 @@ def test_few_samples_a_good_choice_and_everything_fresh(project):
     said = bench(project)
     assert "sampling ended: " in said.out
     found = results(project)
-    waves = found["sampling"]["waves"]
+    waves = found["sampling"]["batches"]
     assert [one["id"] for one in first["samples"]] == [one["id"] for one in waves[0]["samples"]]
     asked = [one["id"] for wave in waves for one in wave["samples"]]
     assert [one["id"] for one in found["samples"]] == asked
@@ -162,9 +162,9 @@ def test_the_budget_is_a_wall_for_waves_too(project, budget):
     bench(project)
     found = results(project)
     assert usd(found["spent"]) <= usd(budget)
-    assert found["sampling"]["ended"]
+    assert found["sampling"]["stop_reason"]
     assert not [one for one in found["samples"] if one.get("reason") == "budget" and one["id"] not in
-                {sample["id"] for sample in found["sampling"]["waves"][0]["samples"]}]  # fmt: skip
+                {sample["id"] for sample in found["sampling"]["batches"][0]["samples"]}]  # fmt: skip
 
 
 def test_a_bench_may_be_told_to_spend_less_than_the_budget(project):
@@ -172,24 +172,24 @@ def test_a_bench_may_be_told_to_spend_less_than_the_budget(project):
     bench(project, "--max", "$0.05")
     some = results(project)
     assert usd(some["spent"]) <= 0.05
-    assert some["sampling"]["for_money"]
+    assert some["sampling"]["out_of_budget"]
     bench(project)
     assert usd(results(project)["spent"]) > usd(some["spent"])
-    assert not results(project)["sampling"]["for_money"]
+    assert not results(project)["sampling"]["out_of_budget"]
 
 
 def test_machines_that_are_not_to_be_had_give_their_place_to_others(project):
     project("compile", "specs/demo.yaml", *AT)
     plan = document(project, "compiled/demo/plan.yaml")["spec"]
     gone = plan["samples"][0]["machine"]["instance"]
-    other = next(one for one in plan["alternatives"] if one["instead_of"] == plan["samples"][0]["id"])
+    other = next(one for one in plan["substitutes"] if one["substitute_for"] == plan["samples"][0]["id"])
     sweep = "".join(line for line in project.read("sweep.csv").splitlines(True) if not line.startswith(f"{gone},"))
     project.write("short.csv", sweep)
     said = bench(project, sweep="short.csv")
     records = {one["id"]: one for one in results(project)["samples"]}
     failed = records[plan["samples"][0]["id"]]
     assert (failed["state"], failed["reason"]) == ("failed", "capacity")
-    took = next(one for one in records.values() if one.get("instead_of") == failed["id"])
+    took = next(one for one in records.values() if one.get("substitute_for") == failed["id"])
     assert took["machine"]["instance"] == other["machine"]["instance"]
     assert f"{took['id']} takes its place" in said.err + said.out
     assert list(records)[1] == took["id"], "beside the sample whose place it took"
@@ -207,7 +207,7 @@ def test_a_workload_that_fails_everywhere_does_not_try_every_machine(project):
     said = bench(project, sweep="none.csv", code=1)
     assert "no sample could be measured" in said.err
     assert len(document(project, "compiled/demo/plan.yaml")["spec"]["samples"]) <= 6
-    assert "ended" not in results(project)["sampling"]
+    assert "stop_reason" not in results(project)["sampling"]
 
 
 def test_only_named_samples_ask_for_no_wave(project):
@@ -216,7 +216,7 @@ def test_only_named_samples_ask_for_no_wave(project):
     bench(project, "--only", first)
     assert "sampling" not in results(project)
     bench(project)
-    assert results(project)["sampling"]["ended"]
+    assert results(project)["sampling"]["stop_reason"]
 
 
 def test_a_dry_run_asks_nobody(project):
@@ -240,7 +240,7 @@ def test_stopped_in_the_middle_of_a_wave_it_goes_on_to_the_same_end(project, num
                                 if (project.folder / "results/demo.yaml").exists() else ""))  # fmt: skip
     running.send_signal(number)
     assert running.wait(timeout=60) == (130 if number == signal.SIGINT else -number)
-    assert "ended" not in results(project)["sampling"]
+    assert "stop_reason" not in results(project)["sampling"]
     bench(project)
     assert project.read("results/demo.yaml") == expected
 

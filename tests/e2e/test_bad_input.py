@@ -10,7 +10,9 @@ from tests.support.scenes import SPEC, WORK, Scene, tree
 FIRST = "local-1cpu-1gib"
 SAMPLE = ("--only", FIRST)
 SHORT = (
-    SPEC.replace("latency: 1s", "latency: 500ms").replace("setup: 4s", "setup: 2s").replace("after: 3s", "after: 1s")
+    SPEC.replace("latency: 1s", "latency: 500ms")
+    .replace("setup_timeout: 4s", "setup_timeout: 2s")
+    .replace("duration: 3s", "duration: 1s")
 )
 SAY = "import json, os, sys, time\nout = open(os.environ['FOGSPEC_TIMINGS'], 'a', buffering=1)\n"
 
@@ -27,7 +29,7 @@ def scene(tmp_path):
         ("latency: 1s", "latency: 1", ":8:26", "1s"),
         ("infra: [aws/us-east-1]", "infra: [aws/us-east-1", "", ""),
         ("probe: {callback: work}", "probe: {callback: work", "", ""),
-        ("steps: 10", "steps: -3", ":15:19", ""),
+        ("requests: 10", "requests: -3", ":15:22", ""),
         ("local/1cpu-1gib", "local/1cpu", ":12:", ""),
     ],
     ids=["unknown field", "no unit", "truncated list", "truncated mapping", "negative", "machine"],
@@ -110,7 +112,7 @@ def test_what_is_reviewed_is_what_runs(scene):
     task.unlink()
     assert scene.bench().returncode == 3
     task.write_text(reviewed)
-    scene.spec.write_text(SPEC.replace("steps: 10", "steps: 11"))
+    scene.spec.write_text(SPEC.replace("requests: 10", "requests: 11"))
     ended = scene.bench()
     assert (ended.returncode, "stale" in ended.stderr) == (3, True)
     shutil.rmtree(scene.folder / "compiled")
@@ -167,7 +169,9 @@ def test_a_workload_that_takes_all_memory_is_out_of_memory(tmp_path):
     work = "import fogspec_probe\nkept = []\nwhile True:\n" + (
         "    with fogspec_probe.request('work'):\n        kept.append(b'x' * (100 << 20))\n"
     )
-    scene = Scene.made(tmp_path / "scene", work, SPEC.replace("steps: 10, after: 3s", "steps: 1000, after: 15s"))
+    scene = Scene.made(
+        tmp_path / "scene", work, SPEC.replace("requests: 10, duration: 3s", "requests: 1000, duration: 15s")
+    )
     assert scene.bench(*SAMPLE).returncode == 1
     record = scene.records()[FIRST]
     assert (record["reason"], "1 GiB were not enough" in record["detail"]) == ("out_of_memory", True)
@@ -176,7 +180,7 @@ def test_a_workload_that_takes_all_memory_is_out_of_memory(tmp_path):
 
 def test_a_workload_that_floods_its_log_is_measured_and_the_log_is_cut(tmp_path):
     flood = WORK.replace("    time.sleep(0.01)\n", "    time.sleep(0.03)\n    print('x' * (3 << 20), flush=True)\n")
-    scene = Scene.made(tmp_path / "scene", flood, SPEC.replace("steps: 10", "steps: 40"))
+    scene = Scene.made(tmp_path / "scene", flood, SPEC.replace("requests: 10", "requests: 40"))
     assert scene.bench(*SAMPLE).returncode == 0
     assert scene.records()[FIRST]["state"] == "ok"
     written = sum(path.stat().st_size for path in scene.folder.rglob("*.log"))

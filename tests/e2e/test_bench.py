@@ -24,7 +24,7 @@ def halting(tmp_path, monkeypatch):
     """A bench that is in the middle of its first sample and stays there, in a shell that knows too much."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     monkeypatch.setenv("SOME_API_KEY", "not for workloads")
-    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("after: 3s", "after: 20s"))
+    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("duration: 3s", "duration: 20s"))
     bench = scene.begin()
     until(lambda: scene.requests() >= 3)
     yield scene, bench
@@ -240,7 +240,7 @@ def test_a_changed_spec_sets_aside_what_was_measured(tmp_path):
 
 
 def test_measuring_again_and_stopping_keeps_what_was_measured(tmp_path):
-    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("after: 3s", "after: 20s"))
+    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("duration: 3s", "duration: 20s"))
     (scene.folder / "specs" / "go").touch()
     assert scene.bench("--only", FIRST).returncode == 0
     before = tree(scene.results.parent)
@@ -302,8 +302,8 @@ def test_enough_requests_for_the_precision_asked_for_stop_a_sample(tmp_path):
         "for number in itertools.count():\n"
         "    fogspec_probe.start('work')\n    time.sleep(0.004 + 0.002 * (number % 3))\n    fogspec_probe.stop('work')\n"
     )
-    stop = "stop: {steps: 100000, after: 20s, precision: 10%}"
-    scene = Scene.made(tmp_path / "scene", work, SPEC.replace("stop: {steps: 10, after: 3s}", stop))
+    stop = "stop: {requests: 100000, duration: 20s, precision: 10%}"
+    scene = Scene.made(tmp_path / "scene", work, SPEC.replace("stop: {requests: 10, duration: 3s}", stop))
     ended = scene.bench("--only", FIRST)
     assert ended.returncode == 0, ended.stderr
     record = scene.records()[FIRST]

@@ -121,11 +121,11 @@ def test_a_lower_budget_counts_without_a_new_plan(paid):
 def test_a_machine_that_is_not_to_be_had_gives_its_place_in_a_grid_too(paid):
     paid.write("short.csv", SWEEP.replace("a.large,0.8\n", ""))
     said = bench(paid, "--yes", sweep="short.csv")
-    states = {one["machine"]["instance"]: (one["state"], one.get("instead_of")) for one in results(paid)["samples"]}
+    states = {one["machine"]["instance"]: (one["state"], one.get("substitute_for")) for one in results(paid)["samples"]}
     assert states["a.large"] == ("failed", None)
     assert "a.large" in said.out
     plan = YAML(typ="safe", pure=True).load(paid.read("compiled/demo/plan.yaml"))["spec"]
-    assert not [one for one in plan["alternatives"] if one["machine"]["instance"] in states], (
+    assert not [one for one in plan["substitutes"] if one["machine"]["instance"] in states], (
         "the grid has all admissible machines already: there is no other"
     )
 

@@ -45,7 +45,7 @@ def test_a_secret_is_in_no_file_log_or_result(tmp_path, monkeypatch):
         'fogspec_probe.start("work")\nfogspec_probe.stop("work", ok=False, reason=f"refused {secret}")\n'
         f'{ANSWER}print(secret, file=sys.stderr, flush=True)\nraise SystemExit(f"lost {{secret}}")\n'
     )
-    scene = measured(tmp_path, work, spec.replace("steps: 10", "steps: 1000"))
+    scene = measured(tmp_path, work, spec.replace("requests: 10", "requests: 1000"))
     assert (scene.records()[FIRST]["state"], scene.records()[FIRST]["reason"]) == ("failed", "crash")
     assert "$MAP_PASSWORD" in scene.records()[FIRST]["detail"]
     files = everything(scene.folder)
@@ -61,7 +61,9 @@ def test_a_secret_is_in_no_file_log_or_result(tmp_path, monkeypatch):
 
 def test_a_secret_is_in_no_argv_and_in_nobody_elses_output(tmp_path, monkeypatch):
     monkeypatch.setenv("MAP_PASSWORD", SECRET)
-    spec = SPEC.replace("  benchmark:", "  secrets: [MAP_PASSWORD]\n  benchmark:").replace("after: 3s", "after: 20s")
+    spec = SPEC.replace("  benchmark:", "  secrets: [MAP_PASSWORD]\n  benchmark:").replace(
+        "duration: 3s", "duration: 20s"
+    )
     scene = Scene.made(tmp_path / "scene", HALTING, spec)
     bench = scene.begin("-o", "json")
     try:
@@ -125,7 +127,7 @@ def test_an_outcome_that_is_made_up_counts_for_nothing(tmp_path, outcome):
         f'{ANSWER}out = os.path.dirname(os.environ["FOGSPEC_TIMINGS"])\n'
         f"open(out + '/outcome.json', 'w').write({outcome!r})\nos.kill(os.getppid(), 9)\ntime.sleep(1)\n"
     )
-    scene = measured(tmp_path, work, SPEC.replace("steps: 10", "steps: 1000"))
+    scene = measured(tmp_path, work, SPEC.replace("requests: 10", "requests: 1000"))
     record = scene.records()[FIRST]
     assert record.get("reason") in (None, "crash", "setup")
     assert record.get("stopped_by") in (None, "steps", "time", "exit")
@@ -133,7 +135,7 @@ def test_an_outcome_that_is_made_up_counts_for_nothing(tmp_path, outcome):
 
 
 def test_agent_and_bench_open_no_port(tmp_path):
-    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("after: 3s", "after: 20s"))
+    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("duration: 3s", "duration: 20s"))
     bench = scene.begin()
     try:
         until(lambda: scene.requests() >= 3)

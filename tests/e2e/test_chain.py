@@ -54,7 +54,7 @@ def test_a_chain_that_holds(done: Shell) -> None:
     [
         ("specs/demo.yaml", lambda t: t.replace("alpha: 0.5", "alpha: 0.9"), {"spec", "manifest"}, "spec.objective changed"),
         ("offers.csv", lambda t: t.replace("0.40", "0.41"), {"catalog", "plan", "manifest"}, "another catalog"),
-        ("compiled/demo/plan.yaml", lambda t: t.replace("steps: 20", "steps: 21"), {"plan"}, "spec.steps: 21 -> 20"),
+        ("compiled/demo/plan.yaml", lambda t: t.replace("requests: 20", "requests: 21"), {"plan"}, "spec.requests: 21 -> 20"),
         ("compiled/demo/models.yaml", lambda t: t.replace("p: ", "p: 1"), {"models"}, "models.yaml"),
         ("compiled/demo/manifest.yaml", lambda t: t.replace("$0.4/h", "$0.2/h"), {"manifest"}, "$0.2/h -> $0.4/h"),
         ("compiled/demo/menu.yaml", lambda t: t + "# mine\n", {"menu"}, "its text was edited"),

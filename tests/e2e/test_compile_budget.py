@@ -11,7 +11,7 @@ AT = ("--catalog", "offers.csv")
 
 
 def refused(shell: Shell, budget: str, **parts: str) -> str:
-    limits = f"{{budget: {budget}, stop: {{after: 5min}}, setup: 1min}}"
+    limits = f"{{budget: {budget}, stop: {{duration: 5min}}, setup_timeout: 1min}}"
     shell.write("specs/demo.yaml", spec(**{"hardware": WIDE, "benchmark": limits, **parts}))
     return shell("compile", "specs/demo.yaml", *AT, code=5).err
 
@@ -47,11 +47,11 @@ def test_every_way_that_changes_the_spec_makes_it_fit(offers: Shell, budget: str
     said = refused(offers, budget)
     tried = 0
     for line in said.splitlines():
-        parts = {"hardware": WIDE, "benchmark": f"{{budget: {budget}, stop: {{after: 5min}}, setup: 1min}}"}
-        if found := re.search(r"lower spec.benchmark.stop.after from 5min to (\w+)", line):
-            parts["benchmark"] = parts["benchmark"].replace("after: 5min", f"after: {found[1]}")
-        elif found := re.search(r"lower spec.benchmark.setup from 1min to (\w+)", line):
-            parts["benchmark"] = parts["benchmark"].replace("setup: 1min", f"setup: {found[1]}")
+        parts = {"hardware": WIDE, "benchmark": f"{{budget: {budget}, stop: {{duration: 5min}}, setup_timeout: 1min}}"}
+        if found := re.search(r"lower spec.benchmark.stop.duration from 5min to (\w+)", line):
+            parts["benchmark"] = parts["benchmark"].replace("duration: 5min", f"duration: {found[1]}")
+        elif found := re.search(r"lower spec.benchmark.setup_timeout from 1min to (\w+)", line):
+            parts["benchmark"] = parts["benchmark"].replace("setup_timeout: 1min", f"setup: {found[1]}")
         elif found := re.search(r"lower spec.hardware.cpus to at most (\d+)", line):
             parts["hardware"] = WIDE.replace("2..32", f"2..{found[1]}")
         elif found := re.search(r"take (\w+) out of spec.hardware.gpus", line):
@@ -67,10 +67,12 @@ def test_every_way_that_changes_the_spec_makes_it_fit(offers: Shell, budget: str
 
 
 def test_what_was_measured_already_is_not_paid_twice(offers: Shell) -> None:
-    project(offers, benchmark="{budget: $0.05, stop: {after: 1min}, setup: 1min}")
+    project(offers, benchmark="{budget: $0.05, stop: {duration: 1min}, setup_timeout: 1min}")
     measure(offers)
     offers("compile", "specs/demo.yaml", *AT)
-    offers.write("specs/demo.yaml", spec(hardware=WIDE, benchmark="{budget: $0.05, stop: {after: 1min}, setup: 1min}"))
+    offers.write(
+        "specs/demo.yaml", spec(hardware=WIDE, benchmark="{budget: $0.05, stop: {duration: 1min}, setup_timeout: 1min}")
+    )
     said = offers("compile", "specs/demo.yaml", *AT, code=5).err
     assert "of it spent already" in said
     assert "4 samples to measure" in said

@@ -98,7 +98,7 @@ def test_an_update_replaces_the_old_machine_once_the_new_one_answers(tiny: Deplo
 
 
 def test_an_update_that_does_not_answer_leaves_the_old_machine(app: Make) -> None:
-    ready = "  deployment: {ready: [test, -e, answers], patience: 3s}\n"
+    ready = "  deployment: {ready: [test, -e, answers], ready_timeout: 3s}\n"
     tiny = app(SPEC + ready)
     (tiny.folder / "specs/answers").touch()
     tiny.apply()

@@ -51,7 +51,11 @@ def test_before_and_while_measuring(shell: Shell) -> None:
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("spec:\n", "spec: # the body\n"), ("$5,", "500 cent,"), ("1min}, setup: 1min", "60s}, setup: 60s")],
+    [
+        ("spec:\n", "spec: # the body\n"),
+        ("$5,", "500 cent,"),
+        ("1min}, setup_timeout: 1min", "60s}, setup_timeout: 60s"),
+    ],
 )
 def test_a_comment_or_spelling_changes_nothing(done: Shell, old: str, new: str) -> None:
     change(done, old, new)

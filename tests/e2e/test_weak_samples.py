@@ -17,7 +17,7 @@ from tests.support.running import Shell, project, shell  # noqa: F401
 
 SHAPES = {"a.small": (2, 4, 0.1), "a.large": (8, 16, 0.4), "a.huge": (32, 64, 1.6), "b.small": (2, 8, 0.12),
           "b.large": (8, 32, 0.48), "b.huge": (32, 128, 1.92), "g.small": (4, 16, 0.6)}  # fmt: skip
-LONG = "{budget: $50, stop: {steps: 20, after: 2h}}"
+LONG = "{budget: $50, stop: {requests: 20, duration: 2h}}"
 BOX = {"hardware": "{cpus: 2..32}"}
 
 
@@ -100,7 +100,7 @@ def test_all_failed_is_no_choice(shell: Shell, state: str) -> None:
 
 def test_a_run_that_was_given_up_is_a_lower_bound(shell: Shell) -> None:
     good = [sample("a.large", 1.0), sample("b.large", 1.0)]
-    waited = sample("a.small", None, state="timeout", waited=60.0)
+    waited = sample("a.small", None, state="timeout", latency_lower_bound=60.0)
     alone = compiled(shell, good)
     with_bound = compiled(shell, [*good, waited])
     small = [
@@ -185,16 +185,16 @@ def test_below_the_asked_confidence_it_is_said_aloud(shell: Shell) -> None:
     assert 0.5 < found["menu"]["balanced"]["probability"] < 0.99
     assert any("confidence 0.99" in text for text in found["menu"]["warnings"])
     manifest = shell.read("compiled/demo/manifest.yaml")
-    assert "sure: false" in manifest
+    assert "meets_confidence: false" in manifest
     assert "verified: false" in manifest
 
 
 def test_spot_pays_for_its_interruptions(shell: Shell) -> None:
     records = [sample(name, 600.0) for name in ("a.small", "a.large", "b.small", "b.large")]
     calm = compiled(shell, records, hardware="{cpus: 2..8, spot: true}", constraints="{latency: 1h}", benchmark=LONG,
-                    objective="{alpha: 0, interruption: {rate: 0.01/h, restart: 1min}}")  # fmt: skip
+                    objective="{alpha: 0, interruption: {rate: 0.01/h, recovery_time: 1min}}")  # fmt: skip
     wild = compiled(shell, records, hardware="{cpus: 2..8, spot: true}", constraints="{latency: 1h}", benchmark=LONG,
-                    objective="{alpha: 0, interruption: {rate: 10/h, restart: 30min}}")  # fmt: skip
+                    objective="{alpha: 0, interruption: {rate: 10/h, recovery_time: 30min}}")  # fmt: skip
     assert calm["menu"]["balanced"]["spot"]
     assert not wild["menu"]["balanced"]["spot"]
 

@@ -97,7 +97,7 @@ def test_a_sweep_is_judged_by_the_limits_and_the_confidence_of_its_spec(tmp_path
     (tmp_path / "sweep.csv").write_text("instance_type,latency_s\nc6i.large,1\nc6i.xlarge,0.5\n")
     (tmp_path / "spec.yaml").write_text(
         "apiVersion: fogspec.dev/v1alpha1\nkind: Application\nmetadata: { name: arm }\nspec:\n  cloud: [{ cmd: [plan] }]\n"
-        "  probe: { callback: plan }\n  constraints: { latency: 800ms, network: 50ms, confidence: 0.97 }\n"
+        "  probe: { callback: plan }\n  constraints: { latency: 800ms, network_allowance: 50ms, confidence: 0.97 }\n"
         "  infra: [aws/us-east-1]\n  benchmark: { budget: $1 }\n"
     )
     (one,) = load([tmp_path / "spec.yaml"])

@@ -54,7 +54,7 @@ def place(sample: str) -> str:
 def measured(world: World) -> set[str]:
     """The ids of samples that were measured, or in whose place another machine was."""
     done = [one for one in world.disk["samples"].values() if is_final(one)]
-    return {name for one in done for name in (one.id, one.instead_of) if name}
+    return {name for one in done for name in (one.id, one.substitute_for) if name}
 
 
 def bench(world: World, budget_usd: float | None, count: int, check: Callable[[World], None]) -> int:

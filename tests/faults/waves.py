@@ -34,7 +34,7 @@ spec:
   objective: {alpha: 1}
   hardware: {cpus: 2..64}
   infra: [aws/r1, aws/r2]
-  benchmark: {sampler: adaptive, budget: $2, stop: {steps: 20, after: 1min}, setup: 1min, wave: 2}
+  benchmark: {sampler: adaptive, budget: $2, stop: {requests: 20, duration: 1min}, setup_timeout: 1min, batch_size: 2}
 """
 HEAD = "InstanceType,AcceleratorName,AcceleratorCount,vCPUs,MemoryGiB,Price,SpotPrice,Region,AvailabilityZone\n"
 GONE = ("a.2", "b.8")
@@ -132,7 +132,7 @@ def main(every: int = 1) -> dict[str, int]:
         writes, expected = count[0], kept(first)
         text = expected["results/demo.yaml"].decode()
         tally = {"adaptive benches": 1, "writes": writes, "waves": text.count("- {reason:"),
-                 "machines in another's place": text.count("instead_of"), "ended differently": 0}  # fmt: skip
+                 "machines in another's place": text.count("substitute_for"), "ended differently": 0}  # fmt: skip
         for step in range(1, writes + 1, every):
             folder = Path(scratch, str(step))
             project(folder)

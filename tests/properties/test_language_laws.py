@@ -77,8 +77,8 @@ def applications(draw: st.DrawFn) -> Application:
                             billing="provisioned", rate=draw(positive)),
         hardware=Hardware(cpus=optional(ranges(positive)), memory=optional(ranges(positive))),
         benchmark=Benchmark(
-            budget=draw(positive), valid=draw(positive),
-            stop=Stop(steps=optional(st.integers(2, 10**6)), precision=optional(positive)),
+            budget=draw(positive), min_success_rate=draw(positive),
+            stop=Stop(requests=optional(st.integers(2, 10**6)), precision=optional(positive)),
         ),
     )  # fmt: skip
     return Application(apiVersion="fogspec.dev/v1alpha1", kind="Application", metadata=Metadata(name="arm"), spec=spec)

@@ -22,7 +22,7 @@ def node(name: str, *words: Any) -> dict[str, list[str]]:
 def write_spec(net: Net, spec: dict[str, Any]) -> Path:
     """A spec of one sample on one CPU of this machine; `spec` is merged into it."""
     benchmark = {
-        "machines": ["local/1cpu-1gib"], "warmup": 2, "setup": "20s", "stop": {"steps": 25, "after": "20s"},
+        "machines": ["local/1cpu-1gib"], "warmup": 2, "setup_timeout": "20s", "stop": {"requests": 25, "duration": "20s"},
     } | spec.pop("benchmark", {})  # fmt: skip
     whole = {
         "apiVersion": "fogspec.dev/v1alpha1", "kind": "Application", "metadata": {"name": "robot"},

@@ -49,7 +49,7 @@ def test_recorded_calls_of_a_service_whose_answers_are_judged(net: Net) -> None:
     assert calls.returncode == 0, calls.stderr
     spec = {
         "cloud": busy(net, "service", "--fail-every", 10), "probe": {"service": "/plan", "success": "success == true"},
-        "benchmark": {"workload": {"bag": "calls"}, "valid": "80%"},
+        "benchmark": {"workload": {"bag": "calls"}, "min_success_rate": "80%"},
     }  # fmt: skip
     sample, lines = bench(net, spec)
     assert sample["state"] == "ok", sample
@@ -75,7 +75,7 @@ def test_topics_from_a_bag_closed_loop_with_a_metric_and_a_condition(net: Net) -
         "cloud": busy(net, "topic", "--fail-every", 20),
         "probe": {**TOPICS, "success": "pose.position.z == 1", "timeout": "5s"},
         "metrics": {"count": {"topic": "/pose", "field": "pose.position.x"}},
-        "benchmark": {"workload": {"bag": recorded(net)}, "valid": "80%"},
+        "benchmark": {"workload": {"bag": recorded(net)}, "min_success_rate": "80%"},
     }  # fmt: skip
     sample, lines = bench(net, spec)
     assert sample["state"] == "ok", sample
@@ -104,7 +104,8 @@ def test_topics_from_a_bag_at_a_rate_inside_the_node(net: Net) -> None:
 def test_a_bag_that_the_nodes_record_is_read_afterwards(net: Net) -> None:
     spec = {
         "cloud": busy(net, "topic"), "probe": {**TOPICS, "bag": "run"},
-        "benchmark": {"workload": {"node": node("client", "topic", 4000, "--rate", 10)}, "stop": {"steps": 100, "after": "9s"}},
+        "benchmark": {"workload": {"node": node("client", "topic", 4000, "--rate", 10)},
+                      "stop": {"requests": 100, "duration": "9s"}},
     }  # fmt: skip
     words = [str(net.folder / "specs" / "run"), "/imu=sensor_msgs/msg/Imu", "/pose=geometry_msgs/msg/PoseStamped"]
     spec["cloud"].append(node("recorder", *words))
@@ -141,7 +142,7 @@ def test_bad_input_has_a_name_and_an_end(net: Net, name: str) -> None:
     kind, *more = change["words"]
     spec = {
         "cloud": busy(net, kind, *more), "probe": change["probe"],
-        "benchmark": {"workload": {"node": node("client", kind, 4000)}, "setup": "13s", "stop": {"after": "12s"}},
+        "benchmark": {"workload": {"node": node("client", kind, 4000)}, "setup_timeout": "13s", "stop": {"duration": "12s"}},
     }  # fmt: skip
     sample, lines = bench(net, spec, timeout_s=60)
     assert (sample["state"], sample["reason"]) == ("failed", reason), sample
@@ -159,7 +160,7 @@ def test_a_bag_that_is_cut_off_is_played_up_to_the_cut(net: Net) -> None:
     spec = {
         "cloud": busy(net, "topic"),
         "probe": TOPICS,
-        "benchmark": {"workload": {"bag": "cut.mcap"}, "setup": "12s"},
+        "benchmark": {"workload": {"bag": "cut.mcap"}, "setup_timeout": "12s"},
     }
     sample, _ = bench(net, spec)
     assert (sample["state"], sample["reason"]) == ("failed", "crash"), sample

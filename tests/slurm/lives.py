@@ -83,7 +83,7 @@ class Life:
             "hardware: .*", f"hardware: {{{self.lane.hardware}, memory_per_cpu: 1GiB..16GiB}}", path.read_text()
         )
         text = text.replace("alpha: 0.5", "alpha: 0").replace(
-            "  benchmark:", "  deployment: {patience: 5min}\n  benchmark:"
+            "  benchmark:", "  deployment: {ready_timeout: 5min}\n  benchmark:"
         )
         path.write_text(text)
         linked = self.seed % len(LANES) == LINKED

@@ -36,9 +36,9 @@ spec:
   benchmark:
     budget: $10
     machines: [{machines}]
-    setup: 3min
+    setup_timeout: 3min
     warmup: 1
-    stop: {{steps: {steps}, after: 1min}}
+    stop: {{requests: {steps}, duration: 1min}}
 """
 
 # Latency follows the CPUs that the job was given: the node claims them, this machine need not have them.
@@ -195,7 +195,8 @@ def recorded(site: Site, name: str) -> None:
         for one in plan.spec.samples
     ]  # fmt: skip
     body = ResultsBody(
-        application=fingerprints.measured_digest(application), plan=None, pins=None, reads=plan.spec.application.reads,
+        application=fingerprints.measured_digest(application), plan=None, pins=None,
+        field_digests=plan.spec.application.field_digests,
         runner="skypilot", source="a test", spent=0.001, samples=records,
     )  # fmt: skip
     results = with_checksum(plan.metadata, body)

@@ -33,10 +33,10 @@ def test_waves_go_on_with_the_nearest_machine_in_place_of_one_that_cannot_be_had
     refused = records["2CPU--4GB"]
     assert (refused.state, refused.reason, refused.spent) == ("failed", "capacity", 0), refused
     assert "takes its place" in (refused.detail or "")
-    assert (records[NEIGHBOUR].state, records[NEIGHBOUR].instead_of) == ("ok", refused.id)
+    assert (records[NEIGHBOUR].state, records[NEIGHBOUR].substitute_for) == ("ok", refused.id)
     assert results.sampling is not None
-    assert results.sampling.ended
-    asked = {one.id for wave in results.sampling.waves for one in wave.samples}
+    assert results.sampling.stop_reason
+    asked = {one.id for wave in results.sampling.batches for one in wave.samples}
     assert asked <= {one.id for one in results.samples}
     assert 0 < results.spent < 0.2
     site.compile(spec)

@@ -34,8 +34,8 @@ spec:
   benchmark:
     machines: [local/1cpu-1gib, local/2cpu-1gib]
     warmup: 1
-    setup: 10s
-    stop: {steps: 10, after: 5s}
+    setup_timeout: 10s
+    stop: {requests: 10, duration: 5s}
 """
 WORK = """\
 import os, time

@@ -87,7 +87,7 @@ def spec(name: str = "demo", **parts: str) -> str:
         "objective": "{alpha: 0.5}",
         "hardware": "{cpus: 2..8}",
         "infra": "[aws/r1]",
-        "benchmark": "{budget: $5, stop: {steps: 20, after: 1min}, setup: 1min}",
+        "benchmark": "{budget: $5, stop: {requests: 20, duration: 1min}, setup_timeout: 1min}",
         **parts,
     }
     head = f"apiVersion: fogspec.dev/v1alpha1\nkind: Application\nmetadata: {{name: {name}}}\nspec:\n"
@@ -116,6 +116,7 @@ def measure(shell: Shell, only: int | None = None) -> None:
     results = with_checksum(plan.metadata, ResultsBody(
         application=fingerprints.measured_digest(load([str(shell.folder / "specs/demo.yaml")])[0].application),
         plan=digest.of_bytes((shell.folder / "compiled/demo/plan.yaml").read_bytes()), pins=body.pins or None,
-        reads=body.application.reads, runner="local", spent=round(sum(one.spent for one in records), 6), samples=records,
+        field_digests=body.application.field_digests, runner="local",
+        spent=round(sum(one.spent for one in records), 6), samples=records,
     ))  # fmt: skip
     write_yaml(shell.folder / "results/demo.yaml", results.model_dump(mode="json", exclude_none=True), "a test")

@@ -28,8 +28,8 @@ spec:
   benchmark:
     machines: [local/1cpu-1gib, local/2cpu-1gib]
     warmup: 1
-    setup: 4s
-    stop: {steps: 10, after: 3s}
+    setup_timeout: 4s
+    stop: {requests: 10, duration: 3s}
 """
 WORK = """\
 import time

@@ -88,7 +88,7 @@ def take_constraint(
     elif name == "alpha":
         found.objective["alpha"] = value
     elif "step" in name and isinstance(value, int):
-        found.stop["steps"] = value
+        found.stop["requests"] = value
     elif match := re.fullmatch(r"(min|max)(imum)?(num)?v?(cpus?|memory|mem|ram)", name):
         _bound(found, "cpus" if "cpu" in match[4] else "memory", match[1], value)
     elif name in ("gpu", "gpus", "accelerators"):

@@ -173,29 +173,31 @@ def latency_limit(application: Application) -> Iterator[Finding]:
     """What the network takes must leave something of the latency, and a sample must outlast one request."""
     spec, latency = application.spec, application.spec.constraints.latency
     at: Path = ("spec", "constraints", "latency")
-    network: Path = ("spec", "constraints", "network")
+    network: Path = ("spec", "constraints", "network_allowance")
     if latency is None:
         return
-    if latency <= spec.constraints.network:
+    if latency <= spec.constraints.network_allowance:
         path, fix = (
-            (network, "allow the network less") if spec.constraints.network else (at, "write a latency above zero")
+            (network, "allow the network less")
+            if spec.constraints.network_allowance
+            else (at, "write a latency above zero")
         )
         yield Finding("FS519", path, f"{dotted(path)} leaves no time for the request", fix, (at, network))
-    elif latency >= spec.benchmark.stop.after:
-        after: Path = ("spec", "benchmark", "stop", "after")
-        longest = format_duration(spec.benchmark.stop.after)
+    elif latency >= spec.benchmark.stop.duration:
+        after: Path = ("spec", "benchmark", "stop", "duration")
+        longest = format_duration(spec.benchmark.stop.duration)
         message = f"spec.constraints.latency must be below the {longest} that a sample measures"
-        yield Finding("FS520", at, message, "raise spec.benchmark.stop.after", (after,))
+        yield Finding("FS520", at, message, "raise spec.benchmark.stop.duration", (after,))
 
 
 def stop(application: Application) -> Iterator[Finding]:
     """A sample must measure more requests than it throws away."""
-    steps, warmup = application.spec.benchmark.stop.steps, application.spec.benchmark.warmup
+    steps, warmup = application.spec.benchmark.stop.requests, application.spec.benchmark.warmup
     if steps is not None and warmup >= steps:
         path: Path = ("spec", "benchmark", "warmup")
-        about: Path = ("spec", "benchmark", "stop", "steps")
+        about: Path = ("spec", "benchmark", "stop", "requests")
         message = f"spec.benchmark.warmup must be less than the {steps} requests of a sample"
-        yield Finding("FS521", path, message, "lower warmup, or raise stop.steps", (about,))
+        yield Finding("FS521", path, message, "lower warmup, or raise stop.requests", (about,))
 
 
 def budget(application: Application) -> Iterator[Finding]:

@@ -74,7 +74,7 @@ def test_a_reason_that_the_machine_gave_stands_and_measurements_are_kept(tmp_pat
 
 def test_nothing_after_warm_up_is_a_timeout_with_a_lower_bound(tmp_path):
     made = record(tmp_path, line(), progress=Progress(running=False, waited_s=7.5))
-    assert (made.state, made.waited, made.latency) == ("timeout", 7.5, None)
+    assert (made.state, made.latency_lower_bound, made.latency) == ("timeout", 7.5, None)
 
 
 def answered(*ends_s: float, latency_s: float = 0.01) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ def record(name: str, detail: str | None = None) -> Measured:
     latency = LatencySummary.model_construct(mean=0.1 / 3, sd=1e-9, p50=None, p95=None, p99=None)
     return Measured.model_construct(
         id=name, machine=MACHINE, measured_on="local/1cpu-1gib", state="ok", reason=None, detail=detail, requests=3,
-        failed_requests=0, latency=latency, waited=None, metrics={"length": 1 / 3}, duration=1 / 7, spent=1 / 9,
+        failed_requests=0, latency=latency, latency_lower_bound=None, metrics={"length": 1 / 3}, duration=1 / 7, spent=1 / 9,
         timings=None,
     )  # fmt: skip
 

@@ -98,14 +98,14 @@ def test_config_merges_maps_named_lists_by_name_and_replaces_other_lists(
     assert spec["constraints"]["latency"] == "1.5s"
     assert "cost" not in spec["constraints"]
     assert spec["hardware"]["gpus"] == ["none"]
-    assert spec["benchmark"]["stop"] == {"steps": 200, "after": "5min"}
+    assert spec["benchmark"]["stop"] == {"requests": 200, "duration": "5min"}
     code, out, _ = said(capsys, "config", "base.yaml", "-f", "prod.yaml", "--origins")
     lines = {" ".join(line.split()) for line in out.splitlines()}
     assert {
         "latency: 1.5s # prod.yaml:3",
         "model: m # base.yaml:5",
         "gain: 2.0 # prod.yaml:2",
-        "after: 5min # default",
+        "duration: 5min # default",
     } <= lines
     Path("again.yaml").write_text(out)
     assert said(capsys, "validate", "again.yaml")[0] == 0

@@ -62,7 +62,7 @@ def paper() -> tuple:
     (loaded,) = load([ROOT / "specs/grasp-planning.yaml"])
     expected = read_document(ROOT / "compiled/grasp-planning/manifest.yaml", Manifest).expected
     latency = expected.latency.model_copy(
-        update={"predicted": 1.65, "interval": (1.5, 1.8), "limit": 2.0, "network": 0.0}
+        update={"predicted": 1.65, "interval": (1.5, 1.8), "limit": 2.0, "network_allowance": 0.0}
     )
     return loaded.application, expected.model_copy(update={"latency": latency})
 
@@ -103,7 +103,7 @@ def test_a_change_shows_whatever_was_before_it(paper) -> None:
 def test_a_request_costs_what_the_choice_reckons(paper) -> None:
     application, expected = paper
     transfer = application.spec.objective.transfer.model_copy(update={"per_request": 0.002, "price": 0.09})
-    interruption = application.spec.objective.interruption.model_copy(update={"rate": 1 / 3600, "restart": 60.0})
+    interruption = application.spec.objective.interruption.model_copy(update={"rate": 1 / 3600, "recovery_time": 60.0})
     objective = application.spec.objective.model_copy(update={"transfer": transfer, "interruption": interruption})
     spec = application.spec.model_copy(update={"objective": objective})
     dearer = application.model_copy(update={"spec": spec})

@@ -63,7 +63,7 @@ def test_a_plan_that_measures_otherwise_or_too_little_is_not_kept() -> None:
         application({"cpus": "2..32"}, ["aws/r1"]),
         application({"cpus": "2..8"}, ["aws/r2"]),
         application({"cpus": "2..8"}, ["aws/r1"], warmup=7),
-        application({"cpus": "2..8"}, ["aws/r1"], stop={"after": "9min"}),
+        application({"cpus": "2..8"}, ["aws/r1"], stop={"duration": "9min"}),
         application({"cpus": "2..8"}, ["aws/r1"], machines=["a.s"]),
     ):
         assert reuse_plan(other, plan, CATALOG) is None

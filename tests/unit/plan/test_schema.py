@@ -20,7 +20,7 @@ def snapshot() -> Catalog:
 
 @cache
 def paper() -> Plan:
-    return make_plan(application(PAPER_HARDWARE, stop={"after": "5min"}), "specs/demo.yaml", snapshot())
+    return make_plan(application(PAPER_HARDWARE, stop={"duration": "5min"}), "specs/demo.yaml", snapshot())
 
 
 def test_the_papers_grid_is_nine_machines() -> None:
@@ -40,7 +40,7 @@ def test_five_minutes_of_it_cost_what_table_two_says() -> None:
 
 def test_without_the_failed_machine_it_costs_what_table_two_says_of_cubicles() -> None:
     hardware = {**PAPER_HARDWARE, "machines": {"allow": ["c6i.*", "m6i.*", "r6i.*"], "deny": ["r6i.large"]}}
-    found = make_plan(application(hardware, stop={"after": "5min"}), "demo.yaml", snapshot()).spec
+    found = make_plan(application(hardware, stop={"duration": "5min"}), "demo.yaml", snapshot()).spec
     assert len(found.samples) == 8
     assert round(100 * found.estimate.measuring, 3) == 103.842
     assert "no machine has 6 GiB, the nearest on offer is 8 GiB" in found.notes[0]
@@ -70,7 +70,7 @@ def test_no_hash_seed_changes_a_byte_and_no_scipy_is_loaded() -> None:
 
 def test_all_machines_at_once_the_estimate_adds_up() -> None:
     offers = table("c6i.large,,,2,4,0.36,,us-east-1,a")
-    found = make_plan(application(stop={"after": "10min"}, setup="5min"), "demo.yaml", offers).spec.estimate
+    found = make_plan(application(stop={"duration": "10min"}, setup_timeout="5min"), "demo.yaml", offers).spec.estimate
     assert (found.measuring, found.setup, found.total, found.wall) == (0.06, 0.03, 0.09, 900.0)
 
 
@@ -79,7 +79,7 @@ def test_a_plan_records_its_catalog_and_its_search_box() -> None:
     assert (body.catalog.revision, body.catalog.date) == ("moto 5.2.5, apache-libcloud 3.9.1", "2025-03-02")
     assert body.catalog.digest == snapshot().about.digest
     assert body.application.path == "specs/demo.yaml"
-    assert (body.infra, body.sampler, body.after) == (["aws/us-east-1"], "grid", 300.0)
+    assert (body.infra, body.sampler, body.duration) == (["aws/us-east-1"], "grid", 300.0)
 
 
 def test_a_plan_reads_back_as_it_was_written() -> None:

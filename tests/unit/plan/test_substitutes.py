@@ -59,7 +59,7 @@ def test_a_machine_may_stand_in_for_several_but_none_of_the_plan_for_another():
     planned = [sample_on(offers.machine(n), "") for n in range(len(offers))
                if offers.instance[n] in ("a.large", "a.xlarge")]  # fmt: skip
     found = substitutes(app.spec, planned, offers)
-    assert [(one.instead_of, one.machine.instance) for one in found] == [
+    assert [(one.substitute_for, one.machine.instance) for one in found] == [
         ("aws-r1-a-large", "b.large"),
         ("aws-r1-a-xlarge", "b.large"),
     ]

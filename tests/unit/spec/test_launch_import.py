@@ -31,7 +31,7 @@ def test_the_papers_python_launch_file() -> None:
     assert type(found.cloud[0]["parameters"]["gain"]) is float
     assert found.constraints == {"latency": "10ms"}
     assert found.hardware == {"cpus": "2..64"}
-    assert (found.objective, found.stop) == ({"alpha": 0.7}, {"steps": 100})
+    assert (found.objective, found.stop) == ({"alpha": 0.7}, {"requests": 100})
     said = [
         (one.place.line, one.source_line[one.place.column - 1 :][: one.place.width])
         for one in found.notes

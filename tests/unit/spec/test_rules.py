@@ -55,7 +55,7 @@ def said(
         ({"benchmark": "{ machines: [local/1cpu-1gib, local/2cpu-2gib] }"}, []),
         ({"benchmark": "{ machines: [local/1cpu-1gib, c6i.large] }"}, ["FS522"]),
         ({"benchmark": "{ budget: $0 }"}, ["FS522"]),
-        ({"benchmark": "{ budget: $1, stop: { steps: null } }"}, []),
+        ({"benchmark": "{ budget: $1, stop: { requests: null } }"}, []),
         ({"cloud": "{ package: a, executable: b }"}, ["FS503"]),
         ({"cloud": "{ cmd: [python3, nodes/../plan.py, ..., ./x, 'a ../b', --in=x] }"}, []),
         ({"cloud": "{ cmd: [python3, ../nodes/plan.py] }"}, ["FS507"]),

@@ -48,7 +48,7 @@ def test_shipped_specs_have_no_mistake_and_the_line_for_the_editor(path: Path) -
         ("spec/constraints/latency", 2), ("spec/constraints/latency", "2"), ("spec/constraints/latency", "2 minutes"),
         ("spec/constraints/cost", "$0.001"), ("spec/objective/alpha", 1.5), ("spec/objective/alpha", "0.5"),
         ("spec/hardware/cpus", "2-64"), ("spec/hardware/memory", 4), ("spec/benchmark/sampler", "gird"),
-        ("spec/benchmark/stop/steps", 0), ("spec/benchmark/stop/after", "0s"), ("spec/infra", "aws"), ("spec/infra", []),
+        ("spec/benchmark/stop/requests", 0), ("spec/benchmark/stop/duration", "0s"), ("spec/infra", "aws"), ("spec/infra", []),
         ("spec/cloud", {}), ("metadata/name", "Arm"), ("kind", "Deployment"), ("spec/hardware/spot", "no"),
         ("spec/objective/billing", "free"), ("spec/objective/rate", "0/s"),
     ],
@@ -86,4 +86,4 @@ def test_every_field_has_a_meaning_and_an_example_that_its_own_schema_accepts() 
 
 def test_defaults_are_written_with_their_units() -> None:
     stop = schema_of("Application")["$defs"]["Stop"]["properties"]
-    assert stop["after"]["default"] == "5min"
+    assert stop["duration"]["default"] == "5min"
