@@ -12,8 +12,9 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
+from fogspec.base.units import dollars
 from fogspec.catalog.table import Catalog
-from fogspec.compile.compiler import Artifacts, compile_application, money
+from fogspec.compile.compiler import Artifacts, compile_application
 from fogspec.plan.schema import lifetime_s
 from fogspec.results.schema import completed
 from fogspec.spec.loader import LoadedSpec, read_plain
@@ -202,4 +203,4 @@ def measuring_words(one: Difference) -> str:
         return "no benchmark needed: everything that counts is measured"
     count = len(one.to_measure)
     shown = ", ".join(one.to_measure[:6]) + (f" and {count - 6} more" if count > 6 else "")
-    return f"{count} sample{'' if count == 1 else 's'} to measure first, at most {money(one.measuring_usd)}: {shown}"
+    return f"{count} sample{'' if count == 1 else 's'} to measure first, at most {dollars(one.measuring_usd)}: {shown}"

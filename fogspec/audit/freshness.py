@@ -15,8 +15,9 @@ from fogspec.base import digest
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
+from fogspec.base.units import dollars
 from fogspec.catalog.table import Catalog
-from fogspec.compile.compiler import Artifacts, compile_application, money
+from fogspec.compile.compiler import Artifacts, compile_application
 from fogspec.plan.reuse import covers
 from fogspec.plan.schema import Plan, PlanBody, TaskRef
 from fogspec.results.io import read_results
@@ -105,7 +106,7 @@ def _plan(application: Application, layout: Layout, compiled: Artifacts) -> Stag
     notes = []
     if other_catalog:
         notes.append(
-            f"new catalog, re-estimated: at most {money(was.estimate.total)} before, {money(now.estimate.total)} now"
+            f"new catalog, re-estimated: at most {dollars(was.estimate.total)} before, {dollars(now.estimate.total)} now"
         )
     if was.budget != now.budget:
         notes.append("spec.benchmark.budget changed, and is enough")

@@ -12,6 +12,7 @@ from fogspec.audit.compare import Change, changes, short
 from fogspec.audit.diff import Difference, costs, manifest_in, read_manifest, telling
 from fogspec.audit.freshness import Status, status
 from fogspec.audit.git import Repository
+from fogspec.base import digest
 from fogspec.base.redaction import redacted
 from fogspec.catalog.table import Catalog
 from fogspec.spec.loader import LoadedSpec
@@ -183,7 +184,7 @@ def _provenance(manifest: Mapping[str, Any] | None) -> list[str]:
         one = _part(named, name)
         where = one.get("path") or " ".join(filter(None, (one.get("source"), one.get("revision"), one.get("date"))))
         if one:
-            rows.append(f"| {name} | {escaped(str(where))} | `{str(one.get('digest'))[7:19]}` |")
+            rows.append(f"| {name} | {escaped(str(where))} | `{digest.shorten(str(one.get('digest')))}` |")
     if not rows:
         return []
     return [

@@ -5,7 +5,7 @@ from typing import Any
 
 from fogspec.audit.freshness import Status
 from fogspec.base import units
-from fogspec.compile.compiler import money
+from fogspec.base.units import dollars, rounded
 
 
 def as_text(one: Status, running: Sequence[str] = ()) -> str:
@@ -16,19 +16,14 @@ def as_text(one: Status, running: Sequence[str] = ()) -> str:
         lines += [f"  {'':<9} {'':<8} {text}" for text in (*stage.reasons, *stage.notes)]
     if one.refused is not None:
         lines.append(f"  cannot be compiled: {one.refused}")
-    budget = "" if one.budget_usd is None else f" of a budget of {money(one.budget_usd)}"
-    lines.append(f"  {'spent':<9} {money(one.spent_usd)}{budget}")
+    budget = "" if one.budget_usd is None else f" of a budget of {dollars(one.budget_usd)}"
+    lines.append(f"  {'spent':<9} {dollars(one.spent_usd)}{budget}")
     return "\n".join([*lines, *running, *_next(one)])
 
 
 def interval_words(ends_s: tuple[float, float] | None) -> str:
     """` [1.58s, 1.72s]`; nothing for no interval."""
-    return "" if ends_s is None else f" [{', '.join(units.format_duration(short(end)) for end in ends_s)}]"
-
-
-def short(value: float) -> float:
-    """To four figures."""
-    return float(f"{value:.4g}")
+    return "" if ends_s is None else f" [{', '.join(units.format_duration(rounded(end)) for end in ends_s)}]"
 
 
 def _next(one: Status) -> list[str]:

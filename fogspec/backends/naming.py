@@ -9,7 +9,7 @@ LONGEST = 24
 
 def deployment_name(application: str, manifest: str, token: str) -> str:
     """The name of a launch: which application, which manifest (its digest), and a token that no other launch has."""
-    return f"fogspec-{_short(application)}-{manifest.removeprefix('sha256:')[:8]}-{token}"
+    return f"fogspec-{_short(application)}-{digest.shorten(manifest, 8)}-{token}"
 
 
 def is_deployment_of(name: str, application: str) -> bool:
@@ -24,11 +24,11 @@ def is_machine_of(name: str, application: str) -> bool:
 
 def sample_prefix(application: str) -> str:
     """What the names of all machines that an application's samples were ever measured on begin with."""
-    return f"fogspec-{digest.of_bytes(application.encode())[7:15]}-"
+    return f"fogspec-{digest.shorten(digest.of_bytes(application.encode()), 8)}-"
 
 
 def _short(application: str) -> str:
     """Names of clusters must be short on some clouds: a longer name ends in a digest of the whole."""
     if len(application) <= LONGEST:
         return application
-    return f"{application[: LONGEST - 7].rstrip('-')}-{digest.of_value(application)[7:13]}"
+    return f"{application[: LONGEST - 7].rstrip('-')}-{digest.shorten(digest.of_value(application), 6)}"

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fogspec.backends.protocol import CatalogSource, Deployer, ImageRegistry
+from fogspec.base.clouds import cloud_of
 from fogspec.catalog.table import Catalog
 
 CATALOGS = {
@@ -50,7 +51,7 @@ def registry() -> ImageRegistry:
 
 def deployer(infra: str) -> Deployer:
     """What keeps tasks running there: this host for `local`, else SkyPilot."""
-    found: Deployer = load(DEPLOYERS, "local" if infra.partition("/")[0] == "local" else "skypilot")()
+    found: Deployer = load(DEPLOYERS, "skypilot" if cloud_of(infra).on_skypilot else "local")()
     return found
 
 

@@ -10,6 +10,11 @@ def of_bytes(content: bytes) -> str:
     return f"sha256:{hashlib.sha256(content).hexdigest()}"
 
 
+def shorten(digest: str, length: int = 12) -> str:
+    """Return the first hexadecimal digits of a `sha256:` digest, enough to tell a few apart."""
+    return digest.removeprefix("sha256:")[:length]
+
+
 def of_value(value: Any) -> str:
     """`sha256:<hex>` of a JSON-able value's canonical form: sorted keys, no spaces, no NaN.
 

@@ -36,6 +36,9 @@ class Range:
         return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
 
 
+HOURS_PER_DAY = 24
+HOURS_PER_MONTH = 730
+
 NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 DURATION_S = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 MEMORY_GIB = {
@@ -204,6 +207,11 @@ def _finite(number: str, scale: float = 1.0) -> float:
     return value
 
 
+def rounded(value: float, digits: int = 4) -> float:
+    """Return the value to so many significant digits: more would be noise, and would differ between processors."""
+    return float(f"{value:.{digits}g}")
+
+
 def format_number(value: float) -> str:
     """The shortest decimal text that reads back to the same float, without an exponent where that is short."""
     if value == int(value) and abs(value) < 1e15:
@@ -229,6 +237,18 @@ def format_memory(gib: float) -> str:
 def format_money(usd: float) -> str:
     """`$2.5`."""
     return f"${format_number(usd)}"
+
+
+def dollars(usd: float) -> str:
+    """`$12.34`, for people; below one dollar to a hundredth of a cent: `$0.0123`."""
+    return f"${usd:.2f}" if usd >= 1 or usd == 0 else f"${usd:.4f}"
+
+
+def short_dollars(usd: float) -> str:
+    """`$0.0015`, with three significant digits and no exponent."""
+    digits = max(0, 2 - math.floor(math.log10(usd))) if usd > 0 else 0
+    text = f"{usd:.{digits}f}"
+    return "$" + (text.rstrip("0").rstrip(".") if "." in text else text)
 
 
 def format_cost(usd_per_request: float) -> str:

@@ -155,4 +155,4 @@ def should_resume(application: Application, sampling: Sampling) -> bool:
 def limits_of(application: Application) -> str:
     """A short digest of what machines are asked for: the limits and the objective."""
     chosen = fingerprints.chosen_part(application)
-    return digest.of_value({name: chosen[name] for name in ("constraints", "objective", "metrics")})[7:19]
+    return digest.shorten(digest.of_value({name: chosen[name] for name in ("constraints", "objective", "metrics")}))

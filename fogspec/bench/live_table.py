@@ -9,7 +9,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from fogspec.bench.progress import Tail, machine, money, seconds, verdict
+from fogspec.base.units import dollars
+from fogspec.bench.progress import Tail, machine, seconds, verdict
 from fogspec.bench.types import Event
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
@@ -59,8 +60,8 @@ class LiveTable:
             self._tails.setdefault(name, Tail()).take(event.progress)
         if event.record is not None:
             self._records[name] = event.record
-        of = "" if self._budget_usd is None else f" of {money(self._budget_usd)}"
-        self._money = f"spent {money(event.spent_usd)}{of}, committed at most {money(event.committed_usd)}"
+        of = "" if self._budget_usd is None else f" of {dollars(self._budget_usd)}"
+        self._money = f"spent {dollars(event.spent_usd)}{of}, committed at most {dollars(event.committed_usd)}"
 
     def table(self) -> Table:
         """What is known now."""

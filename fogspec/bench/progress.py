@@ -9,6 +9,7 @@ from typing import Any, Protocol, Self
 
 from fogspec.backends.protocol import Progress
 from fogspec.base import units
+from fogspec.base.units import rounded
 from fogspec.bench.record import opened
 from fogspec.bench.types import Event
 from fogspec.plan.schema import Sample
@@ -140,9 +141,4 @@ def outcome(record: Measured) -> str:
 
 def seconds(value: float) -> str:
     """A latency to three figures."""
-    return units.format_duration(float(f"{value:.3g}"))
-
-
-def money(usd: float) -> str:
-    """Dollars, to a hundredth of a cent where that matters."""
-    return f"${usd:.2f}" if usd >= 1 or usd == 0 else f"${usd:.4f}"
+    return units.format_duration(rounded(value, 3))

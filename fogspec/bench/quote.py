@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from fogspec.backends.protocol import Runner
 from fogspec.base import units
 from fogspec.base.errors import Refused
+from fogspec.base.units import dollars
 from fogspec.bench.adaptive import should_resume
 from fogspec.bench.prepare import Prepared
 from fogspec.catalog.table import Catalog
-from fogspec.compile.compiler import money
 from fogspec.plan.reuse import price_rises
 from fogspec.plan.schema import Sample, lifetime_s
 
@@ -70,18 +70,18 @@ class Quote:
         if self.costs != "real":
             return f"{count} with the {self.runner} runner: costs nothing"
         if self.adaptive:
-            return f"{count}: " + ("no budget" if self.wall_usd is None else f"at most {money(self.wall_usd)}")
+            return f"{count}: " + ("no budget" if self.wall_usd is None else f"at most {dollars(self.wall_usd)}")
         wall = self.wall_usd is not None and self.wall_usd < self.worst_usd
         most = min(self.worst_usd, self.worst_usd if self.wall_usd is None else self.wall_usd)
         when = ", where it stops" if wall else ", if every machine runs until it ends by itself"
-        return f"{count}: at most {money(most)}{when if self.todo else ''}"
+        return f"{count}: at most {dollars(most)}{when if self.todo else ''}"
 
     def lines(self) -> Iterator[str]:
         """A line a sample."""
         for sample in self.todo:
             machine = sample.machine
             price = (
-                f"{units.format_price(machine.price)}, at most {money(self.usd(sample))}" if machine.price else "free"
+                f"{units.format_price(machine.price)}, at most {dollars(self.usd(sample))}" if machine.price else "free"
             )
             yield f"  {sample.id}: {machine.infra} {machine.instance}, {price}"
 

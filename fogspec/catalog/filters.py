@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.base.clouds import CLOUDS, split_infra
 from fogspec.base.units import Range
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.catalog.table import Catalog, Floats, Strings
 from fogspec.spec.schema import Hardware
 
 Mask = NDArray[np.bool_]
-PLACED = {"slurm"}  # clouds whose zones are places of their own
+PLACES_IN_ZONES = {cloud.name for cloud in CLOUDS.values() if cloud.places_in_zones}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,15 +71,10 @@ def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) ->
     return Filtered(merged, FilterCounts(len(catalog), tuple(filters)))
 
 
-def parts(infra: str) -> list[str]:
-    """Cloud, region and zone of an infra, as far as it says them; the name of a Kubernetes context may have slashes."""
-    return infra.split("/", 1 if infra.startswith("kubernetes/") else 2)
-
-
 def matches_infra(catalog: Catalog, entry: str) -> Mask:
     """Which offers are in `cloud`, `cloud/region` or `cloud/region/zone`; `*` stands for any."""
     mask = np.ones(len(catalog), dtype=np.bool_)
-    for column, part in zip((catalog.cloud, catalog.region, catalog.zone), parts(entry), strict=False):
+    for column, part in zip((catalog.cloud, catalog.region, catalog.zone), split_infra(entry), strict=False):
         if part != "*":
             mask &= _equal(column, part.lower() if column is catalog.cloud else part)
     return mask
@@ -158,10 +154,10 @@ def merge_zones(offers: Catalog, infra: Sequence[str]) -> Catalog:
     `offers` are in the catalog's order, which puts the zones of one machine and region together. A partition of a
     Slurm cluster, which SkyPilot calls its zone, is a place with machines and a price of its own: it stays.
     """
-    pinned = _any(offers, [matches_infra(offers, entry) for entry in infra if len(parts(entry)) == 3])
-    whole = _any(offers, [matches_infra(offers, entry) for entry in infra if len(parts(entry)) < 3])
+    pinned = _any(offers, [matches_infra(offers, entry) for entry in infra if len(split_infra(entry)) == 3])
+    whole = _any(offers, [matches_infra(offers, entry) for entry in infra if len(split_infra(entry)) < 3])
     zone = offers.zone.copy()
-    zone[(whole | ~pinned) & ~_within(offers.cloud, PLACED)] = ""
+    zone[(whole | ~pinned) & ~_within(offers.cloud, PLACES_IN_ZONES)] = ""
     return replace(offers, zone=zone).merged()
 
 

@@ -1,5 +1,6 @@
 """A machine that can be rented, or a shape of this host: the one type that every file and every stage uses."""
 
+from fogspec.base.clouds import LOCAL, cloud_name
 from fogspec.base.quantities import Count, Memory, Price, Strict
 
 TypeKey = tuple[str, str, str, float]  # cloud, instance type, name and count of accelerators
@@ -39,7 +40,12 @@ class Machine(Strict):
     @property
     def cloud_name(self) -> str:
         """The first part of its infra."""
-        return self.infra.partition("/")[0]
+        return cloud_name(self.infra)
+
+    @property
+    def is_local(self) -> bool:
+        """Return whether it is a shape of this host."""
+        return self.infra == LOCAL
 
     @property
     def accelerators(self) -> tuple[str, float]:

@@ -67,13 +67,6 @@ def tall(_text: str) -> float:
     return 18.0
 
 
-def money(usd: float) -> str:
-    """`$0.0015`, with three significant digits and no exponent."""
-    digits = max(0, 2 - math.floor(math.log10(usd))) if usd > 0 else 0
-    text = f"{usd:.{digits}f}"
-    return "$" + (text.rstrip("0").rstrip(".") if "." in text else text)
-
-
 def seconds(value: float) -> str:
     """`12 ms` or `1.5 s`."""
     if value < 0.0009995:

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.charts.axes import Axis, axis, money, number, requests_unit, seconds
+from fogspec.base.units import short_dollars
+from fogspec.charts.axes import Axis, axis, number, requests_unit, seconds
 
 Floats = NDArray[np.float64]
 
@@ -104,9 +105,14 @@ def per_request(chart: Chart) -> View:
         elif chart.y_is == "duration":
             forbidden.append((1.0, -1.0, math.log10(price / 3600)))
     return View(
-        "per request", "cost_usd_per_request", "on_front", f"cost of {unit}", lambda usd: money(usd * factor), forbidden,
-        chart.cost_limit_usd_per_request,
-    )  # fmt: skip
+        heading="per request",
+        x="cost_usd_per_request",
+        front="on_front",
+        x_label=f"cost of {unit}",
+        x_words=lambda usd: short_dollars(usd * factor),
+        forbidden=forbidden,
+        limit=chart.cost_limit_usd_per_request,
+    )
 
 
 def per_hour(chart: Chart) -> View:
@@ -118,9 +124,14 @@ def per_hour(chart: Chart) -> View:
         elif chart.y_is == "duration":
             forbidden.append((1.0, 1.0, math.log10(cost * 3600)))
     return View(
-        "per hour", "price_usd_per_hour", "on_hourly_front", "price of an hour", money, forbidden,
-        chart.price_limit_usd_per_hour,
-    )  # fmt: skip
+        heading="per hour",
+        x="price_usd_per_hour",
+        front="on_hourly_front",
+        x_label="price of an hour",
+        x_words=short_dollars,
+        forbidden=forbidden,
+        limit=chart.price_limit_usd_per_hour,
+    )
 
 
 def y_axis(chart: Chart, start: float, end: float) -> Axis:

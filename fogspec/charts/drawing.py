@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from fogspec.base import units
 from fogspec.base.layout import Layout
+from fogspec.base.units import short_dollars
 from fogspec.charts import menu_svg, model_svg
-from fogspec.charts.axes import money, number, requests_unit, seconds
+from fogspec.charts.axes import number, requests_unit, seconds
 from fogspec.charts.chart import Chart, Crowd, PlottedMachine
 from fogspec.charts.drawing_models import interval_of, latency_chart
 from fogspec.choice.choose import Choice, latency_limit_s
@@ -120,7 +121,8 @@ def _described(choice: Choice, row: int, name: str, metric: str | None, factor: 
     shape = f", {machine.cpus:g} vCPU {units.format_number(machine.memory)} GiB{gpu}"
     value = f"{metric} {number(float(choice.x[row]))}" if metric else seconds(float(choice.x[row]))
     per = "request" if factor == 1 else unit.removeprefix("a ")
-    rest = f"{value}, {money(float(choice.cost_usd_per_request[row]) * factor)} per {per}, {money(machine.price)}/h"
+    cost = short_dollars(float(choice.cost_usd_per_request[row]) * factor)
+    rest = f"{value}, {cost} per {per}, {short_dollars(machine.price)}/h"
     within = all(choice.values[limit][row] <= bound for limit, bound in choice.bounds.items())
     if within and not choice.feasible[row] and (probability := choice.probability(row)) is not None:
         rest += f"; met with probability {floored(probability):g}"

@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from fogspec.base.templates import render
-from fogspec.charts.axes import CHARACTER, money
+from fogspec.base.units import short_dollars
+from fogspec.charts.axes import CHARACTER
 from fogspec.charts.chart import Chart, Crowd, Floats, PlottedMachine, View, per_hour, per_request, y_axis, y_words
 from fogspec.charts.frame import Dot, Frame, frame, place_labels
 
@@ -79,8 +80,8 @@ def _dot(found: Frame, machine: PlottedMachine, view: View, words: Callable[[flo
         "chosen" if machine.role == "chosen" else "measured" if machine.measured else "front" if front else "predicted"
     )
     bar = (found.y.clipped(machine.low), found.y.clipped(machine.high)) if machine.low and machine.high else None
-    title = (f"{machine.name}: {words(machine.y)}, {money(machine.cost_usd_per_request)} per request, "
-             f"{money(machine.price_usd_per_hour)} per hour" + (", measured" if machine.measured else ""))  # fmt: skip
+    title = (f"{machine.name}: {words(machine.y)}, {short_dollars(machine.cost_usd_per_request)} per request, "
+             f"{short_dollars(machine.price_usd_per_hour)} per hour" + (", measured" if machine.measured else ""))  # fmt: skip
     at = found.x.at(getattr(machine, view.x)), found.y.at(machine.y)
     return Dot(*at, kind, 6.5 if kind == "chosen" else 4.2, title, bar)
 
@@ -133,5 +134,5 @@ def _summary(chart: Chart) -> str:
     chosen = next((m for m in chart.machines if m.role == "chosen"), None)
     if chosen is None:
         return f"{machines}, none is chosen"
-    return (f"{machines}; chosen: {chosen.name}, {y_words(chart)(chosen.y)}, {money(chosen.cost_usd_per_request)} "
-            f"per request, {money(chosen.price_usd_per_hour)} per hour")  # fmt: skip
+    return (f"{machines}; chosen: {chosen.name}, {y_words(chart)(chosen.y)}, {short_dollars(chosen.cost_usd_per_request)} "
+            f"per request, {short_dollars(chosen.price_usd_per_hour)} per hour")  # fmt: skip

@@ -18,7 +18,6 @@ from fogspec.numerics.frontier import pareto
 from fogspec.numerics.select import Mask, Miss, Scale
 from fogspec.spec.schema import Application
 
-HOURS_PER_MONTH = 730
 LIKELY = 0.5
 MOST_CERTAIN = 0.999
 

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from fogspec.base import units
 from fogspec.base.quantities import Cost, Duration, Strict
+from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
-from fogspec.choice.choose import HOURS_PER_MONTH, Choice
+from fogspec.choice.choose import Choice
 from fogspec.numerics.select import Miss
 from fogspec.plan.schema import PlanMetadata
 from fogspec.spec.schema import Application, Billing, Statistic
@@ -115,7 +116,7 @@ def entry_of(choice: Choice, row: int) -> Entry:
         latency=rounded(float(choice.latency.value[row])),
         interval=None if interval is None else (rounded(interval[0]), rounded(interval[1])),
         metrics={name: rounded(float(p.value[row])) for name, p in choice.metrics.items()},
-        cost=rounded(float(choice.cost_usd_per_request[row])), month=f"${machine.price * HOURS_PER_MONTH:.2f}/month",
+        cost=rounded(float(choice.cost_usd_per_request[row])), month=f"${machine.price * units.HOURS_PER_MONTH:.2f}/month",
         objective=rounded(float(choice.objective[row])), measured=bool(choice.latency.measured[row]),
         extrapolated=bool(choice.latency.extrapolated[row]), probability=_probability(choice, row),
         meets=bool(choice.feasible[row]), why_not=why_not(choice, row),
@@ -183,8 +184,3 @@ def limit_text(name: str, value: float) -> str:
             return units.format_price(value)
         case _:
             return units.format_number(value)
-
-
-def rounded(value: float) -> float:
-    """Four significant digits: more would be noise, and would differ between processors."""
-    return float(f"{value:.4g}")

@@ -106,7 +106,7 @@ def command(
 def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: float) -> "Runner":
     from fogspec.backends import registry
 
-    local = all(sample.machine.infra == "local" for sample in prepared.plan.spec.samples)
+    local = all(sample.machine.is_local for sample in prepared.plan.spec.samples)
     name = name or ("replay" if recorded is not None else "local" if local else "skypilot")
     if (name == "replay") != (recorded is not None):
         raise UsageError("--runner replay and --from FILE go together")
@@ -125,7 +125,7 @@ def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: 
 
 def _check_place(prepared: "Prepared", runner: "Runner") -> None:
     """A local runner cannot stand in for a cloud's machines: its figures would carry their names and prices."""
-    elsewhere = [s.machine for s in prepared.todo if s.machine.infra != "local"]
+    elsewhere = [s.machine for s in prepared.todo if not s.machine.is_local]
     if runner.name == "local" and elsewhere:
         raise Refused(
             f"{prepared.layout.name}: {elsewhere[0].infra} {elsewhere[0].instance} cannot be measured on this machine",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fogspec.base.clouds import cloud_name
 from fogspec.base.errors import OutOfDate, UsageError
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def load_catalog(origin: str | None, clouds: tuple[str, ...]) -> "Catalog":
 
 def clouds_of(one: "LoadedSpec") -> tuple[str, ...]:
     """The clouds that a spec names."""
-    return tuple(sorted({entry.split("/")[0] for entry in one.application.spec.infra}))
+    return tuple(sorted({cloud_name(entry) for entry in one.application.spec.infra}))
 
 
 def located(origin: str, layout: "Layout") -> str:

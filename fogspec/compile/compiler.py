@@ -16,6 +16,7 @@ from fogspec.base.errors import Refused
 from fogspec.base.files import write_bytes, yaml_text
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
+from fogspec.base.units import dollars
 from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.table import Catalog
 from fogspec.compile.tasks import left_out, measured_processes, ros_environment, sample_task
@@ -156,20 +157,16 @@ def check_budget(application: Application, plan: Plan, admissible: Filtered, res
     if within_budget(plan, due):
         return
     assert body.budget is not None
-    before = f", {money(due.spent_usd)} of it spent already" if due.spent_usd else ""
+    before = f", {dollars(due.spent_usd)} of it spent already" if due.spent_usd else ""
     raise Refused(
-        f"{plan.metadata.name}: the plan may cost {money(due.total_usd)}{before}, the budget is {money(body.budget)}: "
+        f"{plan.metadata.name}: the plan may cost {dollars(due.total_usd)}{before}, the budget is {dollars(body.budget)}: "
         "nothing was written",
-        f"{len(due.todo)} samples to measure: measuring {money(due.estimate.measuring)}, set-up {money(due.estimate.setup)}",
+        f"{len(due.todo)} samples to measure: measuring {dollars(due.estimate.measuring)}, "
+        f"set-up {dollars(due.estimate.setup)}",
         "ways to make it fit, those that lose least first:",
         *(f"- {way.line()}" for way in cheapest_options(application, plan, due, admissible)),
         f"- raise spec.benchmark.budget to {units.format_money(ceil_cents(due.total_usd))}: loses nothing",
     )
-
-
-def money(usd: float) -> str:
-    """Dollars and cents; hundredths of a cent where that matters."""
-    return f"${usd:.2f}" if usd >= 1 or usd == 0 else f"${usd:.4f}"
 
 
 def _agent_files(layout: Layout) -> Iterator[tuple[Path, bytes]]:

@@ -9,9 +9,10 @@ from pydantic import field_serializer
 from fogspec import __version__
 from fogspec.base import units
 from fogspec.base.quantities import Cost, Duration, Memory, Price, Strict
+from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice, latency_limit_s
-from fogspec.choice.menu import LEVEL, Entry, entry_of, rounded, scale_texts, weights
+from fogspec.choice.menu import LEVEL, Entry, entry_of, scale_texts, weights
 from fogspec.choice.relaxed import Relaxed
 from fogspec.choice.shortlist import shortlist
 from fogspec.model.fit import Model, Models
@@ -349,7 +350,10 @@ def alternatives(choice: Choice) -> list[Alternative]:
 
 def _lost_on(choice: Choice, row: int) -> str:
     assert choice.chosen is not None
-    mine, best = rounded(float(choice.objective[row])), rounded(float(choice.objective[choice.chosen]))
+    mine, best = (
+        rounded(float(choice.objective[row])),
+        rounded(float(choice.objective[choice.chosen])),
+    )
     if mine == best:
         return "equal objective; ties go by cost, latency, name"
     return f"objective {units.format_number(mine)} against {units.format_number(best)}"

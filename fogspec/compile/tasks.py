@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from fogspec.base import digest
+from fogspec.base.clouds import cloud_of
 from fogspec.catalog.machine import Machine
 from fogspec.compile.links import link_of, port_of
 from fogspec.plan.schema import Sample
@@ -17,11 +18,6 @@ from fogspec.spec.schema import Application, Node, Spec
 
 DEPLOYMENT_IDLE_MINUTES = 30
 BAG_PACKAGES = ["mcap==1.6.0", "rosbags==0.11.9"]  # from PyPI, to read bags on the measured machine
-# Places without containers, spot machines and open ports: SkyPilot refuses a task that asks for them (docs.skypilot.co,
-# "Slurm"). SSH node pools have them: SkyPilot makes a Kubernetes cluster of the pool.
-BARE = ("slurm",)
-# Places without a list of instance types: SkyPilot is asked for the shape, and the catalog may call it anything.
-SHAPED = ("slurm", "kubernetes", "ssh")
 AGENT_FOLDER = "~/.fogspec/agent"
 LAUNCH_FILE = "~/.fogspec/launch/cloud.launch.py"
 LINK_FOLDER = "~/.fogspec/link"
@@ -75,7 +71,7 @@ def deploy_task(
     if link is None:
         return task
     task["file_mounts"][LINK_FOLDER] = link
-    if link_of(application).protocol == "tcp" and machine.infra.partition("/")[0] not in BARE:
+    if link_of(application).protocol == "tcp" and cloud_of(machine.infra).containers:
         task["resources"]["ports"] = [port_of(application)]
     return {**task, "envs": {LINK_PEER: None}}
 
@@ -101,35 +97,36 @@ def _task(
 
 
 def _resources(spec: Spec, machine: Machine, autostop: Mapping[str, Any], labels: Mapping[str, str]) -> dict[str, Any]:
-    cloud = machine.infra.partition("/")[0]
-    resources: dict[str, Any] = {} if cloud == "local" else {"infra": machine.infra}
-    if cloud == "local" or cloud in SHAPED:
-        resources |= {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
-    else:
+    cloud = cloud_of(machine.infra)
+    resources: dict[str, Any] = {"infra": machine.infra} if cloud.on_skypilot else {}
+    if cloud.instance_types:
         resources["instance_type"] = machine.instance
+    else:
+        resources |= {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
     if machine.price > 0:
         # SkyPilot looks at it only when it chooses the machine itself: runners compare the price of a pinned one.
         resources["max_hourly_cost"] = math.ceil(round(machine.price * 1e4, 6)) / 1e4
     if machine.gpu is not None:
         resources["accelerators"] = machine.gpu.key
-    bare = cloud in BARE
-    if machine.spot and not bare:
+    if machine.spot and cloud.containers:
         resources["use_spot"] = True
-    if spec.ros is not None and spec.ros.image is not None and not bare:
+    if spec.ros is not None and spec.ros.image is not None and cloud.containers:
         resources["image_id"] = f"docker:{spec.ros.image}"
     return {**resources, "autostop": dict(autostop), "labels": dict(labels)}
 
 
 def left_out(spec: Spec, machine: Machine) -> list[str]:
     """What a task for this machine leaves out of the spec, because SkyPilot cannot have it there."""
-    cloud = machine.infra.partition("/")[0]
-    if cloud not in BARE:
+    cloud = cloud_of(machine.infra)
+    if cloud.containers:
         return []
-    image = spec.ros.image if spec.ros else None
-    found = (
-        [] if image is None else [f"image {image} is left out in {cloud}: ROS 2 is installed with apt, if it is absent"]
-    )
-    return [*found, *([f"spot is left out in {cloud}, which has none"] if machine.spot else [])]
+    found = []
+    if spec.ros and spec.ros.image:
+        image = spec.ros.image
+        found.append(f"image {image} is left out in {cloud.name}: ROS 2 is installed with apt, if it is absent")
+    if machine.spot:
+        found.append(f"spot is left out in {cloud.name}, which has none")
+    return found
 
 
 def _needs_files(spec: Spec) -> bool:
@@ -222,7 +219,7 @@ def ros_environment(spec: Spec) -> dict[str, Any]:
         "workspace": ros.workspace if ros else None,
         "apt": ros.apt if ros else [],
         "setup": ros.setup if ros else [],
-        "setup_digest": digest.of_value(ros.setup if ros else [])[7:19],
+        "setup_digest": digest.shorten(digest.of_value(ros.setup if ros else [])),
         "apt_source": dict(zip(("codename", "sha256"), ROS_APT_PACKAGES[ros.distro], strict=True)) if ros else {},
         "apt_source_version": ROS_APT_SOURCE,
         "compiler": bool(probe_parts(spec).inside),

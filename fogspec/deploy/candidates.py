@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from fogspec.base import units
+from fogspec.base.clouds import cloud_of
 from fogspec.base.errors import Refused
 from fogspec.catalog.machine import Machine
-from fogspec.choice.choose import HOURS_PER_MONTH
-from fogspec.compile.tasks import BARE
-from fogspec.deploy.schema import HOURS_PER_DAY
 from fogspec.spec.lockfile import image_of, is_pinned
 
 
@@ -72,7 +70,8 @@ def exact(
 
     Where there are no containers the image is left out of the task already.
     """
-    if image is None or infra == "local" or infra.partition("/")[0] in BARE:
+    cloud = cloud_of(infra)
+    if image is None or not (cloud.on_skypilot and cloud.containers):
         return task, None
     if is_pinned(image):
         return task, image
@@ -89,7 +88,7 @@ def exact(
 
 def price_words(usd_per_hour: float) -> str:
     """An hour, a day, a month."""
-    day, month = usd_per_hour * HOURS_PER_DAY, usd_per_hour * HOURS_PER_MONTH
+    day, month = usd_per_hour * units.HOURS_PER_DAY, usd_per_hour * units.HOURS_PER_MONTH
     return f"{units.format_price(usd_per_hour)}, ${day:.2f} a day, ${month:.2f} a month"
 
 

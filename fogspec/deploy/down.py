@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from fogspec.backends.protocol import Deployer, Launch, Unreachable
+from fogspec.base.clouds import LOCAL
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput
 from fogspec.base.layout import Layout
@@ -149,14 +150,11 @@ def places_of(layout: Layout) -> list[str]:
 
     clouds: set[str] = set()
     with contextlib.suppress(DiagnosticError, InvalidInput):
-        clouds |= {
-            machine.machine.infra.partition("/")[0]
-            for machine in DeploymentState.read(layout, SystemWallClock()).machines
-        }
+        clouds |= {machine.machine.cloud_name for machine in DeploymentState.read(layout, SystemWallClock()).machines}
     with contextlib.suppress(DiagnosticError, InvalidInput):
         plan = read_document(layout.plan, Plan)
-        clouds |= {sample.machine.infra.partition("/")[0] for sample in plan.spec.samples}
+        clouds |= {sample.machine.cloud_name for sample in plan.spec.samples}
     with contextlib.suppress(DiagnosticError, InvalidInput):
-        clouds |= {read_document(layout.manifest, Manifest).spec.infra.partition("/")[0]}
-    away = sorted(clouds - {"local"})
-    return ["local", *away[:1]]
+        clouds |= {read_document(layout.manifest, Manifest).spec.cloud_name}
+    away = sorted(clouds - {LOCAL})
+    return [LOCAL, *away[:1]]

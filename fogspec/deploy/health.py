@@ -7,14 +7,14 @@ from typing import Any, Literal
 
 from fogspec.audit.compare import Change, changes
 from fogspec.audit.diff import read_manifest, telling
-from fogspec.audit.status import interval_words, short
+from fogspec.audit.status import interval_words
 from fogspec.backends.protocol import Deployer, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base import digest, units
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
-from fogspec.compile.compiler import money
+from fogspec.base.units import dollars, rounded
 from fogspec.compile.manifest import Manifest
 from fogspec.deploy.drift import Observed, observe
 from fogspec.deploy.redacted import redacting
@@ -164,7 +164,7 @@ def as_text(one: HealthReport) -> list[str]:
     up = "" if one.up_s is None else f", up {units.format_duration(round(one.up_s))}"
     lines.append(
         f"  {'':<9} {machine.instance} in {machine.infra} at {subject.address or 'no address yet'}{up}, "
-        f"{units.format_price(machine.price)}, {money(one.spent_usd)} so far"
+        f"{units.format_price(machine.price)}, {dollars(one.spent_usd)} so far"
     )
     if one.manifest is not None and one.observed is not None:
         lines.append(f"  {'':<9} {_observed_words(one.observed, one.manifest)}")
@@ -177,10 +177,10 @@ def _observed_words(seen: Observed, manifest: Manifest) -> str:
     if seen.value_s is None:
         return f"{predicted}; no request was observed yet"
     value = (
-        f"observed {expected.statistic} {units.format_duration(short(seen.value_s))}{interval_words(seen.interval_s)}"
+        f"observed {expected.statistic} {units.format_duration(rounded(seen.value_s))}{interval_words(seen.interval_s)}"
     )
     failed = f", {seen.failed} failed" if seen.failed else ""
-    cost = "" if seen.cost_usd_per_request is None else f", {units.format_cost(short(seen.cost_usd_per_request))}"
+    cost = "" if seen.cost_usd_per_request is None else f", {units.format_cost(rounded(seen.cost_usd_per_request))}"
     unsaid = ", without an interval: drift cannot be seen" if expected.interval is None else ""
     return f"{value} of the latest {seen.requests} requests{failed}{cost}; {predicted}{unsaid}"
 

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fogspec.audit.status import interval_words, short
+from fogspec.audit.status import interval_words
 from fogspec.audit.verify import remedy, verify
 from fogspec.base import digest, units
 from fogspec.base.errors import OutOfDate
 from fogspec.base.regular import read_file
+from fogspec.base.units import rounded
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
@@ -123,7 +124,7 @@ def as_text(ordered: LaunchPlan) -> list[str]:
         f"  task      {ordered.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
         f"  costs     {price_words(first.price_usd_per_hour)}",
         f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}"
-        f"{interval_words(latency.interval)}{limit}; {units.format_cost(short(manifest.expected.cost.predicted))}",
+        f"{interval_words(latency.interval)}{limit}; {units.format_cost(rounded(manifest.expected.cost.predicted))}",
     ]
     if ordered.image is not None:
         lines.append(f"  image     {ordered.image}")

@@ -9,8 +9,6 @@ from fogspec.base.quantities import Duration, Money, Strict
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import PlanMetadata
 
-HOURS_PER_DAY = 24
-
 
 def _date(text: str) -> str:
     if datetime.fromisoformat(text).tzinfo is None:

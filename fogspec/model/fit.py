@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from fogspec.base.clouds import LOCAL
 from fogspec.base.quantities import Duration, Strict
 from fogspec.catalog.machine import Machine
 from fogspec.numerics import curves, fitting
@@ -140,7 +141,7 @@ def fit(application: Application, results: Results, priors: str | None = None) -
 
 def is_proxy(application: Application, known: Sequence[Observation]) -> bool:
     """Whether shapes of this host stand in for the machines on offer, instead of being them."""
-    return application.spec.infra != ["local"] and any(one.machine.infra == "local" for one in known)
+    return application.spec.infra != [LOCAL] and any(one.machine.is_local for one in known)
 
 
 def partition(records: Sequence[Measured], statistic: Statistic) -> tuple[list[Observation], list[RejectedSample]]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.base.clouds import LOCAL
 from fogspec.catalog.instance_types import InstanceTypes, instance_types, with_measured
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Floats
@@ -128,7 +129,7 @@ def predict_from(
 
 def counts(machine: Machine, offers: Catalog) -> bool:
     """Whether what was measured there says something of the offers: a shape of this host does of shapes of this host."""
-    return machine.infra != "local" or bool((offers.cloud == "local").all())
+    return not machine.is_local or bool((offers.cloud == LOCAL).all())
 
 
 def _conditioned(

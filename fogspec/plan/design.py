@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base import units
+from fogspec.base.clouds import LOCAL, cloud_name, cloud_of
 from fogspec.base.errors import Infeasible, InvalidInput
 from fogspec.catalog.filters import Filtered, before_empty, gpu_type, matches_gpu, matches_infra, merge_zones
 from fogspec.catalog.machine import Machine
@@ -46,7 +47,7 @@ class Design:
 def sample_id(machine: Machine, nth: int = 1) -> str:
     """The id of a machine's sample, or of the `nth` one of the same machine."""
     words = [machine.infra, machine.instance]
-    if machine.gpu and machine.cloud_name == "gcp":
+    if machine.gpu and cloud_of(machine.infra).attaches_gpus:
         words.append(machine.gpu.key)  # one host, several accelerators
     if machine.spot:
         words.append("spot")
@@ -155,7 +156,7 @@ def _listed(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
         if shape := local_shape(name):
             cpus, memory_gib = shape
             instance = name.removeprefix("local/")
-            here = Machine(infra="local", instance=instance, cpus=cpus, memory=memory_gib, price=0.0)
+            here = Machine(infra=LOCAL, instance=instance, cpus=cpus, memory=memory_gib, price=0.0)
             picks.append(DesignPoint(here, "listed in benchmark.machines"))
             continue
         picks += _found(name, spec, catalog)
@@ -193,7 +194,7 @@ def _unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
         hint = ""
         if close:
             hint = f"; did you mean {', '.join(close)}?"
-        elif entry.partition("/")[0] not in places:
+        elif cloud_name(entry) not in places:
             hint = "; --catalog takes a list of its machines and prices, and fogspec lock pins it"
         yield f"the catalog has no machine in {entry}{hint}"
 

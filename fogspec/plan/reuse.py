@@ -85,7 +85,7 @@ def price_rises(samples: Sequence[Sample], catalog: Catalog) -> list[str]:
     found = []
     for sample in samples:
         machine, now = sample.machine, price_now(sample.machine, catalog)
-        if machine.infra == "local":
+        if machine.is_local:
             continue
         name = f"{sample.id}: {machine.infra} {machine.instance}"
         if now is None:
@@ -114,7 +114,7 @@ def _with(application: Application, body: PlanBody, catalog: Catalog, samples: S
 
 def _repriced(machine: Machine, catalog: Catalog) -> Machine:
     """The machine at its price now; one that is no longer on offer keeps the price it had."""
-    price = None if machine.infra == "local" else price_now(machine, catalog)
+    price = None if machine.is_local else price_now(machine, catalog)
     return machine if price is None else machine.model_copy(update={"price": price})
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fogspec.base.clouds import split_infra
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.plan.design import cheapest_first, replicate
@@ -29,7 +30,7 @@ def substitutes(spec: Spec, samples: Sequence[Sample], offers: Catalog) -> list[
     shapes = np.log2(offers.vcpus), np.log2(offers.memory_gib)
     for sample in samples:
         machine = sample.machine
-        if machine.infra == "local" or replicate(sample.id) > 1:
+        if machine.is_local or replicate(sample.id) > 1:
             continue
         apart = np.abs(shapes[0] - np.log2(machine.cpus)) + np.abs(shapes[1] - np.log2(machine.memory))
         near = _Near.of(offers, machine, apart)
@@ -42,7 +43,7 @@ def substitutes(spec: Spec, samples: Sequence[Sample], offers: Catalog) -> list[
 
 def other_region(one: Machine, two: Machine) -> bool:
     """Whether two machines are in different regions, whose quotas are apart."""
-    return one.infra.split("/")[:2] != two.infra.split("/")[:2]
+    return split_infra(one.infra)[:2] != split_infra(two.infra)[:2]
 
 
 @dataclass(frozen=True, slots=True)

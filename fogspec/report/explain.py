@@ -4,12 +4,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from fogspec.base import units
+from fogspec.base.units import dollars, rounded
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import entry_of, limit_text, rounded
+from fogspec.choice.menu import entry_of, limit_text
 from fogspec.choice.next_samples import NextSample, best_next_sample, probability_better
 from fogspec.choice.sensitivity import LEVEL, Influence, Slack, influences, parts, slacks, widest_intervals
 from fogspec.choice.shortlist import shortlist
-from fogspec.compile.compiler import Artifacts, money
+from fogspec.compile.compiler import Artifacts
 from fogspec.model.fit import Model
 from fogspec.plan.schema import lifetime_s
 from fogspec.report.summary import entry_words, no_words
@@ -201,7 +202,7 @@ def _next_words(choice: Choice, found: NextSample | None, local: bool) -> str:
     if found is None:
         return "nothing is left to measure that could tell more"
     offer = choice.offers.machine(found.row)
-    words = f"{offer.instance} in {offer.infra}, at most {money(found.usd)}: "
+    words = f"{offer.instance} in {offer.infra}, at most {dollars(found.usd)}: "
     if choice.chosen is None:
         return f"{words}meets the limits with probability {choice.probability(found.row) or 0:.2f}"
     if choice.latency.measured[found.row]:

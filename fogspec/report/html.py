@@ -13,7 +13,7 @@ from typing import Any
 from fogspec import __version__
 from fogspec.base import units
 from fogspec.base.templates import render, shipped
-from fogspec.choice.choose import HOURS_PER_MONTH
+from fogspec.base.units import rounded
 from fogspec.compile.compiler import Artifacts
 from fogspec.report.explain import explain
 from fogspec.report.page_data import menu_data
@@ -125,8 +125,8 @@ def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
     if compiled.chosen is not None and (entry := compiled.chosen.menu.spec.balanced) is not None:
         rows += [
             ("the chosen machine, an hour", units.format_money(entry.price)),
-            ("the chosen machine, a month", units.format_money(round(entry.price * HOURS_PER_MONTH, 2))),
-            ("1,000 requests on it", units.format_money(float(f"{entry.cost * 1000:.4g}"))),
+            ("the chosen machine, a month", units.format_money(round(entry.price * units.HOURS_PER_MONTH, 2))),
+            ("1,000 requests on it", units.format_money(rounded(entry.cost * 1000))),
         ]
     return rows
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.base.units import rounded
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Floats
 from fogspec.choice.choose import Choice, levels, required_latency
@@ -140,7 +141,7 @@ def _faint(choice: Choice, types: Rows, rows: Rows) -> dict[str, list[float]]:
     if len(rest) > FAINT:
         rest = rest[np.linspace(0, len(rest) - 1, FAINT).astype(int)]
     columns = {"x": choice.x, "cost": choice.cost_usd_per_request, "price": choice.offers.price_usd_per_hour}
-    return {name: [float(f"{value:.4g}") for value in column[rest].tolist()] for name, column in columns.items()}
+    return {name: [rounded(value) for value in column[rest].tolist()] for name, column in columns.items()}
 
 
 def _numbers(column: Floats) -> list[float | None]:

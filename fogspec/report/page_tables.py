@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fogspec.base import units
+from fogspec.base.units import rounded
 from fogspec.catalog.machine import Machine
-from fogspec.choice.menu import LEVEL, rounded
+from fogspec.choice.menu import LEVEL
 from fogspec.compile.compiler import Artifacts
 from fogspec.model.fit import Models, Observation
 from fogspec.numerics import curves

@@ -3,7 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base import units
-from fogspec.compile.compiler import Artifacts, money
+from fogspec.base.units import dollars
+from fogspec.compile.compiler import Artifacts
 
 if TYPE_CHECKING:
     from fogspec.choice.menu import Entry, Menu
@@ -29,7 +30,11 @@ def summary(compiled: Artifacts) -> str:
     assert results is not None
     usable, all_of = len(chosen.models.spec.known), len(results.spec.samples)
     lines.append(
-        _row("results", str(layout.results), f"{usable} of {all_of} samples count; {money(results.spec.spent)} spent")
+        _row(
+            "results",
+            str(layout.results),
+            f"{usable} of {all_of} samples count; {dollars(results.spec.spent)} spent",
+        )
     )
     lines.append(_row("models", str(layout.models), f"{len(chosen.models.spec.models)} fitted"))
     beside = f" and {layout.picture.name}" if layout.picture in compiled.files else ""
@@ -54,17 +59,17 @@ def _plan_words(compiled: Artifacts) -> str:
     count = f"{len(body.samples)} samples"
     if estimate.total == 0:
         return f"{count} on this host, free, at most {units.format_duration(body.duration * len(body.samples))} of measuring"
-    budget = "" if body.budget is None else f" of a budget of {money(body.budget)}"
+    budget = "" if body.budget is None else f" of a budget of {dollars(body.budget)}"
     wall = f"{units.format_duration(estimate.wall)} if all run at once"
     cents = f"{estimate.measuring * 100:.3f}".rstrip("0").rstrip(".")
     return (
-        f"{count}; measuring costs at most {cents} cents, with set-up at most {money(estimate.total)}{budget}; {wall}"
+        f"{count}; measuring costs at most {cents} cents, with set-up at most {dollars(estimate.total)}{budget}; {wall}"
     )
 
 
 def _unmeasured(compiled: Artifacts) -> list[str]:
     layout = compiled.layout
-    local = all(sample.machine.infra == "local" for sample in compiled.plan.spec.samples)
+    local = all(sample.machine.is_local for sample in compiled.plan.spec.samples)
     runner = " --runner local" if local else ""
     if compiled.stale:
         return [f"  stale: {compiled.stale}", f"next: fogspec bench {layout.spec}{runner}"]

@@ -47,12 +47,12 @@ def chosen_part(application: Application) -> dict[str, Any]:
 
 def chosen_fields(application: Application) -> dict[str, str]:
     """A short digest of each part of `chosen_part`, so that a later change can be named."""
-    return {name: digest.of_value(value)[7:19] for name, value in chosen_part(application).items()}
+    return {name: digest.shorten(digest.of_value(value)) for name, value in chosen_part(application).items()}
 
 
 def measured_fields(application: Application) -> dict[str, str]:
     """A short digest of each part of `measured_part`, so that a later change can be named."""
-    return {name: digest.of_value(value)[7:19] for name, value in measured_part(application).items()}
+    return {name: digest.shorten(digest.of_value(value)) for name, value in measured_part(application).items()}
 
 
 def changed_pins(measured: Mapping[str, str] | None, now: Mapping[str, str]) -> list[str]:

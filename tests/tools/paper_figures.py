@@ -14,9 +14,10 @@ import numpy as np
 from fogspec.backends import registry
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
+from fogspec.base.units import short_dollars
 from fogspec.catalog.filters import filter_offers
 from fogspec.charts import drawing, menu_svg, model_svg
-from fogspec.charts.axes import axis, money, seconds
+from fogspec.charts.axes import axis, seconds
 from fogspec.charts.drawing_models import latency_chart
 from fogspec.charts.frame import Dot, Frame, frame
 from fogspec.choice.choose import Choice, choose
@@ -114,7 +115,7 @@ def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
     x, y = axis(vcpus.tolist(), left, left + WIDE), axis(values.tolist(), top + HIGH, top)
     label = "USD per million requests" if of_cost else "mean latency"
     name = TITLES[case.application.metadata.name]
-    found = frame(x, y, "vCPUs", label, lambda v: f"{v:g}", money if of_cost else seconds, name)
+    found = frame(x, y, "vCPUs", label, lambda v: f"{v:g}", short_dollars if of_cost else seconds, name)
     found.x_ticks = [(x.at(2.0**e), str(2**e)) for e in range(1, 7)]
     for mine in (~gpu, gpu):
         if mine.any():
@@ -138,7 +139,9 @@ def _frontier(case: Case, left: float, top: float) -> Frame:
     choice = case.open
     price, latency = choice.offers.price_usd_per_hour, choice.latency.value
     x, y = axis(price.tolist(), left, left + WIDE), axis(latency.tolist(), top + HIGH, top)
-    found = frame(x, y, "price of an hour", "mean latency", money, seconds, TITLES[case.application.metadata.name])
+    found = frame(
+        x, y, "price of an hour", "mean latency", short_dollars, seconds, TITLES[case.application.metadata.name]
+    )
     measured = np.flatnonzero(choice.latency.measured)
     for kind, rows in (("paper", measured), ("curve", np.arange(len(price)))):
         front = rows[pareto(price[rows], latency[rows])]

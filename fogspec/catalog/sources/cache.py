@@ -20,7 +20,7 @@ import numpy as np
 from fogspec.catalog.table import About, Catalog, strings
 
 KEPT = 24  # files; the least recently used beyond that are removed
-READERS = ("cache.py", "gcp.py", "names.py", "parse.py", "rows.py")
+READERS = ("cache.py", "gcp.py", "names.py", "parse.py", "rows.py", "../../base/clouds.py")
 COLUMNS = [field.name for field in fields(Catalog) if field.name != "about"]
 FLAGS = ("spot", "burstable")
 TEXTS = ("cloud", "region", "zone", "instance", "gpu", "arch", "family")

@@ -7,18 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from fogspec.base.clouds import CLOUDS
 from fogspec.base.errors import InvalidInput
 from fogspec.base.file_kinds import not_a_file
 from fogspec.catalog.sources.cache import cached
 from fogspec.catalog.sources.parse import read
 from fogspec.catalog.table import About, Catalog
-
-# SkyPilot's names (docs.skypilot.co, "Cloud providers")
-CLOUDS = {
-    "aws", "azure", "cudo", "do", "fluidstack", "gcp", "hyperbolic", "ibm", "kubernetes", "lambda", "mithril",
-    "nebius", "oci", "paperspace", "primeintellect", "runpod", "scp", "seeweb", "shadeform", "slurm", "ssh", "vast",
-    "verda", "vsphere", "yotta",
-}  # fmt: skip
 
 
 class CsvFile:
@@ -38,7 +32,7 @@ class CsvFile:
     def _cloud(self) -> str | None:
         path = Path(self.path)
         names = (path.name.split(".")[0].lower(), path.absolute().parent.name.lower())
-        named = next((name for name in names if name in CLOUDS), None)
+        named = next((name for name in names if name in CLOUDS and CLOUDS[name].on_skypilot), None)
         return named or (self.clouds[0] if len(set(self.clouds)) == 1 else None)
 
 

@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 
+from fogspec.base.clouds import cloud_of
 from fogspec.catalog.table import Catalog, Floats, strings
 
 Card = tuple[str, float]  # accelerator and count
@@ -48,10 +49,11 @@ def joined(catalog: Catalog, spot: Floats) -> tuple[Catalog, Floats]:
     at: dict[tuple[str, str, str], dict[Card, int]] = defaultdict(dict)
     for row in np.flatnonzero(~host).tolist():
         at[_place(catalog, row)][catalog.gpu[row], float(catalog.gpu_count[row])] = row
+    attaching = {name for name in set(catalog.cloud.tolist()) if cloud_of(name).attaches_gpus}
     alone, hosts, cards = [], [], []
     for row in np.flatnonzero(host).tolist():
         name, place = catalog.instance[row], _place(catalog, row)
-        if place[0] != "gcp" or catalog.gpu[row]:
+        if place[0] not in attaching or catalog.gpu[row]:
             alone.append(row)
             continue
         may_stand_alone, carried = _machine(name, float(catalog.vcpus[row]), float(catalog.memory_gib[row]))

@@ -12,13 +12,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fogspec.base import digest
+from fogspec.base.clouds import cloud_of
 from fogspec.base.errors import InvalidInput
 from fogspec.catalog.sources.csv import table
 from fogspec.catalog.table import About, Catalog, concatenated
 
 SCHEMA = "v8"  # of SkyPilot 0.14
 TABLES = ("vms.csv", "vms.csv.gz")
-OWNED = {"local", "kubernetes", "slurm", "ssh"}  # places that need no price list, and may have one
 
 
 class Folder:
@@ -30,7 +30,7 @@ class Folder:
     def load(self) -> Catalog:
         """The tables of the named clouds, one after the other; raises DiagnosticError or InvalidInput."""
         tables = {cloud: self._table(cloud) for cloud in sorted({*self.clouds})}
-        if missing := [cloud for cloud, path in tables.items() if path is None and cloud not in OWNED]:
+        if missing := [cloud for cloud, path in tables.items() if path is None and cloud_of(cloud).priced]:
             where = f"{self.folder}: the catalog has no table of {', '.join(missing)}"
             raise InvalidInput(where, *map(self._advice, missing))
         found = {cloud: path for cloud, path in tables.items() if path is not None}

@@ -9,28 +9,11 @@ from collections.abc import Sequence
 from typing import Literal
 
 from fogspec.backends.protocol import LinkEnd
+from fogspec.base.clouds import cloud_of
 from fogspec.spec.schema import Application
 
 # Shared address space of RFC 6598: neither a home's nor a data centre's private network is there by custom.
 SPACE = ipaddress.IPv4Network("100.64.0.0/10")
-
-# Each finds the machine by its address, whatever SkyPilot called its firewall. Azure's opens TCP as well.
-OPENING = {
-    "aws": (
-        "aws ec2 authorize-security-group-ingress --region {region} --protocol udp --port {port} --cidr 0.0.0.0/0"
-        ' --group-id "$(aws ec2 describe-instances --region {region} --filters Name=ip-address,Values={address}'
-        " --query 'Reservations[].Instances[].SecurityGroups[0].GroupId' --output text)\""
-    ),
-    "gcp": (
-        "gcloud compute firewall-rules create fogspec-udp-{port} --allow udp:{port}"
-        " --network \"$(gcloud compute instances list --filter 'networkInterfaces[0].accessConfigs[0].natIP={address}'"
-        " --format 'value(networkInterfaces[0].network.basename())')\""
-    ),
-    "azure": (
-        "az vm open-port --port {port} --priority 900"
-        ' --ids "$(az vm list --show-details --query "[?publicIps==\'{address}\'].id" --output tsv)"'
-    ),
-}
 
 FRAGMENT_BYTES = 1300  # below the tunnel's MTU of 1420 with room for headers
 BUFFER_BYTES = 4 << 20
@@ -71,22 +54,22 @@ class WireGuard:
 
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
         """What to open by hand, because SkyPilot opens TCP ports only."""
-        if cloud == "local":
+        if not cloud_of(cloud).on_skypilot:
             return ()
         port = application.spec.connectivity.port or self.port
-        how = "fogspec apply says the command" if cloud in OPENING else f"in the way of {cloud}"
+        how = "fogspec apply says the command" if cloud_of(cloud).open_udp else f"in the way of {cloud}"
         return (f"open UDP port {port} of the machine yourself, because SkyPilot opens TCP ports only: {how}",)
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:
         """One command of the cloud's own program where it is known, which opens the port to every address."""
-        cloud, _, region = infra.partition("/")
-        if cloud == "local":
+        cloud, region = cloud_of(infra), infra.partition("/")[2]
+        if not cloud.on_skypilot:
             return None
         port = application.spec.connectivity.port or self.port
         what = f"open UDP port {port} of {address}, or the robot finds nobody there"
-        if cloud not in OPENING:
+        if cloud.open_udp is None:
             return f"{what}: SkyPilot opens TCP ports only"
-        return f"{what}: {OPENING[cloud].format(region=region, address=address, port=port)}"
+        return f"{what}: {cloud.open_udp.format(region=region, address=address, port=port)}"
 
 
 def fast_dds(only: Sequence[str]) -> str:

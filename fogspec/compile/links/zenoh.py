@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
 from fogspec.backends.protocol import LinkEnd
+from fogspec.base.clouds import cloud_of
 from fogspec.spec.graph_names import AllowedNames, exposed
 from fogspec.spec.schema import Application
 
@@ -38,7 +39,7 @@ class Zenoh:
 
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
         """What to open by hand."""
-        if cloud in ("slurm", "ssh"):
+        if not cloud_of(cloud).opens_ports:
             port = application.spec.connectivity.port or self.port
             return (f"{cloud} opens no ports: let the robot reach TCP port {port} of the machine yourself",)
         return ()

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+from fogspec.base.clouds import cloud_of
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.graph_names import exposed, resolve
 from fogspec.spec.rules.finding import Finding
@@ -40,7 +41,7 @@ def what_a_link_needs(application: Application) -> Iterator[Finding]:
 def port_that_nobody_opens(application: Application) -> Iterator[Finding]:
     """WireGuard's port on machines that SkyPilot starts, where the link is possible at all."""
     spec = application.spec
-    elsewhere = any(entry.partition("/")[0] != "local" for entry in spec.infra)
+    elsewhere = any(cloud_of(entry).on_skypilot for entry in spec.infra)
     if spec.connectivity.link == "wireguard" and elsewhere and not any(what_a_link_needs(application)):
         message = (
             "spec.connectivity.link wireguard needs a UDP port that you open by hand: SkyPilot opens TCP ports only"

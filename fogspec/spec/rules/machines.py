@@ -3,18 +3,14 @@
 import re
 from collections.abc import Iterator, Sequence
 
+from fogspec.base.clouds import CLOUDS, cloud_name
 from fogspec.base.units import Range, format_memory, format_number
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.rules.finding import Finding
 from fogspec.spec.schema import LOCAL_SHAPE, Application
 from fogspec.spec.suggest import closest
 
-# SkyPilot's names: of clouds as of version 0.14, of the accelerators that the large clouds rent.
-CLOUDS = (
-    "aws", "gcp", "azure", "oci", "ibm", "lambda", "runpod", "nebius", "cudo", "paperspace", "do", "fluidstack", "vast",
-    "vsphere", "scp", "kubernetes", "hyperbolic", "primeintellect", "seeweb", "shadeform", "slurm", "ssh", "mithril",
-    "verda", "yotta", "local",
-)  # fmt: skip
+# SkyPilot's names of the accelerators that the large clouds rent, as of version 0.14.
 GPUS = (
     "none", "T4", "T4g", "L4", "L40", "L40S", "A10", "A10G", "A100", "A100-80GB", "H100", "H100-MEGA", "H200", "B200",
     "GB200", "B300", "V100", "V100-32GB", "P100", "P4", "K80", "M60", "M4000", "P4000", "P5000", "RTX4000", "RTX5000",
@@ -22,29 +18,33 @@ GPUS = (
     "Inferentia", "Inferentia2", "Trainium", "Trainium2", "RTX3090", "RTX4090", "RTX5090",
 )  # fmt: skip
 INFRA = re.compile(r"kubernetes/[A-Za-z0-9*_.:/@-]+|[a-z0-9-]+(/[A-Za-z0-9*_.-]+){0,2}")
-REGION = re.compile(r"([a-z]{2}-(?:gov-)?[a-z]+-\d)|[a-z]+-[a-z]+\d")
 INSTANCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+:-]*")  # of Slurm and Kubernetes: 4CPU--16GB--T4:1
 
 
 def places(application: Application) -> Iterator[Finding]:
     """Infra is written cloud, cloud/region or cloud/region/zone."""
     for i, text in enumerate(application.spec.infra):
-        path, cloud = ("spec", "infra", i), text.partition("/")[0]
+        path, cloud = ("spec", "infra", i), cloud_name(text)
         if not INFRA.fullmatch(text):
             tidy = text.strip().strip("/").lower()
             fix = f"write '{tidy}'" if INFRA.fullmatch(tidy) else "write it like aws/us-east-1"
             yield Finding("FS531", path, f"{dotted(path)} must be cloud, cloud/region or cloud/region/zone", fix)
         elif cloud not in CLOUDS:
             near = closest(cloud, CLOUDS)
-            fix = f"write '{near}{text[len(cloud) :]}'" if near else f"write one of {', '.join(CLOUDS[:6])}, ..."
+            fix = f"write '{near}{text[len(cloud) :]}'" if near else f"write one of {', '.join([*CLOUDS][:6])}, ..."
             start, _, rest = text.partition("-")
-            if start in CLOUDS and REGION.fullmatch(rest):
+            if start in CLOUDS and _cloud_with_region(rest):
                 fix = f"write '{start}/{rest}'"
-            elif near is None and (region := REGION.fullmatch(text)):
-                fix = f"write '{'aws' if region[1] else 'gcp'}/{text}'"
+            elif near is None and (owner := _cloud_with_region(text)):
+                fix = f"write '{owner}/{text}'"
             yield Finding(
                 "FS531", path, f"{dotted(path)} must name a cloud that SkyPilot knows, and '{cloud}' is none", fix
             )
+
+
+def _cloud_with_region(text: str) -> str | None:
+    """Return the cloud that names its regions like this text."""
+    return next((cloud.name for cloud in CLOUDS.values() if cloud.names_region(text)), None)
 
 
 def gpus(application: Application) -> Iterator[Finding]:

@@ -9,8 +9,9 @@ import click
 import numpy as np
 import pytest
 
+from fogspec.base.units import short_dollars
 from fogspec.charts import model_svg
-from fogspec.charts.axes import axis, money, requests_unit, seconds, wide
+from fogspec.charts.axes import axis, requests_unit, seconds, wide
 from fogspec.charts.chart import Chart, Crowd, PlottedMachine
 from fogspec.charts.menu_svg import draw
 from fogspec.charts.model_svg import LatencyChart, Level, Panel, Sample
@@ -172,7 +173,7 @@ def test_latency_by_vcpus_shows_curve_interval_and_samples():
 @pytest.mark.parametrize("values", [[1.25], [7.3], [2.05, 2.1], [0.001, 1000], [1e-9, 1e9], [99, 101]])
 def test_every_axis_has_ticks_that_do_not_touch(values):
     found = axis(values, 80, 740)
-    ticks = found.ticks(money, wide)
+    ticks = found.ticks(short_dollars, wide)
     assert ticks
     for (a, one), (b, other) in itertools.pairwise(ticks):
         assert b - a >= (wide(one) + wide(other)) / 2
@@ -182,7 +183,7 @@ def test_every_axis_has_ticks_that_do_not_touch(values):
     ("value", "text"), [(0.00024, "$0.00024"), (0.5, "$0.5"), (12.0, "$12"), (3.1e-7, "$0.00000031")]
 )
 def test_money_has_no_exponent(value, text):
-    assert money(value) == text
+    assert short_dollars(value) == text
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,126 @@
+"""Clouds and clusters, one row each: where they differ, code asks for a field of the row and never for a name."""
+
+import re
+from dataclasses import dataclass
+
+LOCAL = "local"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cloud:
+    """What is special about one cloud or cluster, under SkyPilot's name for it.
+
+    `on_skypilot` is False for this host alone. A cloud that is not `priced` needs no price list, and may have one; one
+    without `instance_types` is asked for the shape of a machine, and the catalog may name it anything. Without
+    `containers` there are no spot machines and no open ports either, and SkyPilot refuses tasks that ask for them.
+    A cloud that `opens_ports` does so for SkyPilot; `open_udp` is a command of the cloud's own program that opens a UDP
+    port of the machine at an address. `places_in_zones`: a zone (a partition) has machines and prices of its own.
+    `context_regions`: the region is the name of a context, which may have slashes. `attaches_gpus`: one instance type
+    may carry one of several accelerators.
+
+    `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
+    whose groups are its family's name.
+    """
+
+    name: str
+    on_skypilot: bool = True
+    priced: bool = True
+    instance_types: bool = True
+    containers: bool = True
+    opens_ports: bool = True
+    places_in_zones: bool = False
+    context_regions: bool = False
+    attaches_gpus: bool = False
+    open_udp: str | None = None
+    region: str | None = None
+    arm: str | None = None
+    family: str | None = None
+
+    def names_region(self, text: str) -> bool:
+        """Return whether the text is the name of a region of this cloud, as far as its pattern tells."""
+        return self.region is not None and re.fullmatch(self.region, text) is not None
+
+
+# SkyPilot's names, as of version 0.14 (docs.skypilot.co, "Cloud providers"), in the order in which messages name them.
+# Naming schemes: docs.aws.amazon.com/ec2 "Amazon EC2 instance type naming conventions", learn.microsoft.com "Azure
+# virtual machine sizes naming conventions", cloud.google.com/compute/docs "CPU platforms" (Arm: T2A, C4A, N4A, A4X).
+# Each `open_udp` finds the machine by its address, whatever SkyPilot called its firewall. Azure's opens TCP as well.
+_ROWS = (
+    Cloud(
+        name="aws",
+        region=r"[a-z]{2}-(?:gov-)?[a-z]+-\d",
+        arm=r"a1\.|mac2|[a-z]+\d+[a-z]*g[a-z]*(-[^.]*)?\.",
+        open_udp=(
+            "aws ec2 authorize-security-group-ingress --region {region} --protocol udp --port {port} --cidr 0.0.0.0/0"
+            ' --group-id "$(aws ec2 describe-instances --region {region} --filters Name=ip-address,Values={address}'
+            " --query 'Reservations[].Instances[].SecurityGroups[0].GroupId' --output text)\""
+        ),
+    ),
+    Cloud(
+        name="gcp",
+        attaches_gpus=True,
+        region=r"[a-z]+-[a-z]+\d",
+        arm=r"(t2a|c4a|n4a|a4x)-",
+        open_udp=(
+            "gcloud compute firewall-rules create fogspec-udp-{port} --allow udp:{port}"
+            " --network \"$(gcloud compute instances list --filter 'networkInterfaces[0].accessConfigs[0].natIP={address}'"
+            " --format 'value(networkInterfaces[0].network.basename())')\""
+        ),
+    ),
+    Cloud(
+        name="azure",
+        arm=r"Standard_[A-Z]+\d+(-\d+)?[a-z]*p[a-z]*(_|$)|.*_GB\d",
+        family=r"(?:Standard|Basic)_([A-Z]+)\d+(?:-\d+)?([a-z]*)(?:.*_(v\d+))?",
+        open_udp=(
+            "az vm open-port --port {port} --priority 900"
+            ' --ids "$(az vm list --show-details --query "[?publicIps==\'{address}\'].id" --output tsv)"'
+        ),
+    ),
+    Cloud(name="oci"),
+    Cloud(name="ibm"),
+    Cloud(name="lambda", arm=r".*(gh200|gb\d00)"),
+    Cloud(name="runpod"),
+    Cloud(name="nebius"),
+    Cloud(name="cudo"),
+    Cloud(name="paperspace"),
+    Cloud(name="do"),
+    Cloud(name="fluidstack"),
+    Cloud(name="vast"),
+    Cloud(name="vsphere"),
+    Cloud(name="scp"),
+    Cloud(name="kubernetes", priced=False, instance_types=False, context_regions=True),
+    Cloud(name="hyperbolic"),
+    Cloud(name="primeintellect"),
+    Cloud(name="seeweb"),
+    Cloud(name="shadeform"),
+    Cloud(
+        name="slurm",
+        priced=False,
+        instance_types=False,
+        containers=False,
+        opens_ports=False,
+        places_in_zones=True,
+    ),
+    Cloud(name="ssh", priced=False, instance_types=False, opens_ports=False),
+    Cloud(name="mithril"),
+    Cloud(name="verda"),
+    Cloud(name="yotta"),
+    Cloud(name=LOCAL, on_skypilot=False, priced=False, instance_types=False),
+)
+CLOUDS = {row.name: row for row in _ROWS}
+
+
+def cloud_name(infra: str) -> str:
+    """Return the first part of `cloud/region/zone`."""
+    return infra.partition("/")[0]
+
+
+def cloud_of(infra: str) -> Cloud:
+    """Return the row of the cloud that an infra names; one that a catalog made up has nothing special."""
+    name = cloud_name(infra)
+    return CLOUDS.get(name) or Cloud(name=name)
+
+
+def split_infra(infra: str) -> list[str]:
+    """Return cloud, region and zone of an infra, as far as it names them."""
+    return infra.split("/", 1 if cloud_of(infra).context_regions else 2)
