@@ -8,7 +8,7 @@ import click
 
 from fogspec.base.errors import Refused, UsageError
 from fogspec.base.units import UnitError, format_price, parse_price_usd_per_hour
-from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, catalogs_for, clouds_of, load_catalog
+from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, catalogs_for, clouds_of, load_catalog
 
 if TYPE_CHECKING:
     from fogspec.catalog.table import Catalog
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 @click.command()
 @MANIFEST
 @CATALOG
+@POLICIES
 @click.option("--prices", metavar="FROM", help="where prices are looked up now, as --catalog; otherwise that catalog")
 @click.option("--max", "most", metavar="'$0.60/h'", help="the highest price allowed, in place of the one approved")
 @click.option("--resolve-image", is_flag=True, help="launch what an image's tag stands for now, where it is not pinned")
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 @click.option("--yes", is_flag=True, help="do not ask")
 @OUTPUT
 def command(
-    manifest: str, catalog_path: str | None, prices: str | None, most: str | None, resolve_image: bool, dry_run: bool,
-    yes: bool, output: str,
+    manifest: str, catalog_path: str | None, policies: tuple[str, ...], prices: str | None, most: str | None,
+    resolve_image: bool, dry_run: bool, yes: bool, output: str,
 ) -> None:  # fmt: skip
     """Launch exactly the task that MANIFEST names, wait until its nodes answer, then end what ran before.
 
@@ -40,8 +41,12 @@ def command(
     from fogspec.deploy.preflight import as_text, check_fresh, launch_plan
     from fogspec.deploy.session import apply
     from fogspec.deploy.state import SystemWallClock
+    from fogspec.spec.rules.policies import Policies
 
     opened = open_bundle(manifest)
+    rules = Policies(policies)
+    rules.require_specs([opened.loaded])
+    rules.require_manifests([opened.loaded], type(opened.manifest))
     catalog = catalogs_for([opened.loaded], catalog_path)[0]
     check_fresh(opened, catalog)
     ask = registry.registry().digest

@@ -42,6 +42,10 @@ CATALOG = click.option(
     help="machines and prices: snapshot (bundled), skypilot (SkyPilot's own, as it fetched them), a folder in "
     "SkyPilot's layout, or a CSV file in its columns; otherwise what fogspec.lock says, or the snapshot",
 )  # fmt: skip
+POLICIES = click.option(
+    "--policy", "policies", multiple=True, metavar="FILE",
+    help="a JSON Schema that must be met too, besides policies/*.schema.json next to specs/",
+)  # fmt: skip
 PRIORS = click.option(
     "--priors", type=click.Path(path_type=Path), metavar="DIR|FILE",
     help="a machine library (fogspec priors build): with one, fewer samples suffice; otherwise what fogspec.lock says",

@@ -5,21 +5,22 @@ from pathlib import Path
 import click
 
 from fogspec.base.errors import InvalidInput, OutOfDate
-from fogspec.cli.options import CATALOG, catalogs_for
+from fogspec.cli.options import CATALOG, POLICIES, catalogs_for
 
 
 @click.command()
 @click.argument("range_", metavar="BASE[..HEAD]", required=False, default="HEAD")
 @click.argument("specs", nargs=-1, type=click.Path(path_type=str))
 @CATALOG
+@POLICIES
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="write it there; otherwise to the output")
 @click.option(
     "--picture-base", metavar="URL", help="where the files of this commit can be seen: pictures are linked there"
 )
 @click.option("--exit-code", is_flag=True, help="exit 3 when something committed does not follow from its inputs")
 def command(
-    range_: str, specs: tuple[str, ...], catalog_path: str | None, out: Path | None, picture_base: str | None,
-    exit_code: bool,
+    range_: str, specs: tuple[str, ...], catalog_path: str | None, policies: tuple[str, ...], out: Path | None,
+    picture_base: str | None, exit_code: bool,
 ) -> None:  # fmt: skip
     """Write Markdown about every manifest that differs between BASE and what is checked out. SPECS are those in specs/.
 
@@ -28,8 +29,10 @@ def command(
     from fogspec.audit.git import Repository
     from fogspec.audit.review import markdown, removed, review
     from fogspec.base.files import write_bytes
+    from fogspec.compile.manifest import Manifest
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import load
+    from fogspec.spec.rules.policies import Policies
 
     repository = Repository()
     commit = repository.base_of(range_)
@@ -49,5 +52,8 @@ def command(
         click.echo(text, nl=False)
     else:
         write_bytes(out, text.encode())
+    rules = Policies(policies)
+    rules.require_specs(loaded)
+    rules.require_manifests(loaded, Manifest)
     if exit_code and (stale := [one.difference.layout.name for one in reviews if not one.fresh]):
         raise OutOfDate(f"not fresh: {', '.join(stale)}", "fogspec status says why")

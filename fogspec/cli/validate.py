@@ -2,7 +2,7 @@
 
 import click
 
-from fogspec.cli.options import COLOR
+from fogspec.cli.options import COLOR, POLICIES
 
 
 @click.command()
@@ -11,15 +11,20 @@ from fogspec.cli.options import COLOR
 @click.option(
     "-o", "--output", type=click.Choice(["text", "json", "github"]), default="text", help="form of the answer"
 )
+@POLICIES
 @COLOR
-def command(files: tuple[str, ...], overlays: tuple[str, ...], output: str, color: bool | None) -> None:
+def command(
+    files: tuple[str, ...], overlays: tuple[str, ...], output: str, policies: tuple[str, ...], color: bool | None
+) -> None:  # fmt: skip
     """Check FILES, or the specs in folders, or those that patterns match; without any, those in specs/."""
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import check_file
+    from fogspec.spec.rules.policies import Policies
 
     paths = find_specs(files)
     loaded, diagnostics = check_file(paths, overlays)
+    diagnostics = [*diagnostics, *Policies(policies).check_specs(loaded)]
     show_diagnostics(diagnostics, output, color)
     if any(one.severity == "error" for one in diagnostics):
         raise click.exceptions.Exit(1)

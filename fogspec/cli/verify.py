@@ -5,16 +5,20 @@ import json
 import click
 
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, catalogs_for
+from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, catalogs_for
 
 
 @click.command()
 @MANIFEST
 @CATALOG
+@POLICIES
 @OUTPUT
 @click.option("--attestation", type=click.Path(path_type=str), metavar="FILE", help="also check this signed statement")
 @click.option("--key", type=click.Path(path_type=str), metavar="PEM", help="the public key that it must be signed with")
-def command(manifest: str, catalog_path: str | None, output: str, attestation: str | None, key: str | None) -> None:
+def command(
+    manifest: str, catalog_path: str | None, policies: tuple[str, ...], output: str, attestation: str | None,
+    key: str | None,
+) -> None:  # fmt: skip
     """Recompute spec, plan, results, models, menu, manifest and task; say which link breaks and how.
 
     MANIFEST is a file, or the name of an application: compiled/NAME/manifest.yaml.
@@ -23,6 +27,7 @@ def command(manifest: str, catalog_path: str | None, output: str, attestation: s
     """
     from fogspec.audit import verify
     from fogspec.compile.bundle import open_bundle
+    from fogspec.spec.rules.policies import Policies
 
     if (attestation is None) != (key is None):
         raise click.UsageError("--attestation and --key go together")
@@ -36,6 +41,9 @@ def command(manifest: str, catalog_path: str | None, output: str, attestation: s
         click.echo(json.dumps(verify.as_dict(opened, links), indent=2, ensure_ascii=False))
     else:
         click.echo(verify.as_text(opened, links))
+    rules = Policies(policies)
+    rules.require_specs([opened.loaded])
+    rules.require_manifests([opened.loaded], type(opened.manifest))
     if broken := [link for link in links if link.breaks]:
         raise OutOfDate(
             f"{opened.layout.manifest}: the chain breaks at {broken[0].name}", verify.remedy(opened, broken[0])

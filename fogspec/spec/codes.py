@@ -1,7 +1,8 @@
 """Stable codes of diagnostics: what each means, why it is so, what is wrong and what is right.
 
 A code is never given a second meaning. FS1xx: the text as YAML; FS2xx: quantities; FS3xx: single fields; FS4xx: catalogs
-and data; FS5xx: rules between fields; FS7xx: generated files; FS8xx: launch files; FS9xx: this version's limits.
+and data; FS5xx: rules between fields; FS6xx: policies; FS7xx: generated files; FS8xx: launch files; FS9xx: this version's
+limits.
 """
 
 from typing import NamedTuple
@@ -217,6 +218,19 @@ DATA = {
         "a suite of measurements must be whole and sound",
         "machines.csv, latencies.csv and problems.jsonl belong together: every machine and workload that is named is "
         "there, and latencies are positive and finite.",
+    ),
+}
+
+POLICIES = {
+    "FS601": Code(
+        "a document must meet the team's policies",
+        "A JSON Schema in policies/, or one named by --policy, is broken. It sees the document that `fogspec config` prints, "
+        "with quantities as numbers in base units. Where the spec does not set the value, the line around it is shown.",
+    ),
+    "FS602": Code(
+        "a policy must be a JSON Schema of its own",
+        "A policy is a JSON file in JSON Schema 2020-12, about Application or DeploymentManifest, and names fields that "
+        "such a document has. A `$ref` stays within the file: nothing is fetched.",
     ),
 }
 

@@ -4,26 +4,56 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from fogspec.base.units import Range
+
 
 def render_document(document: BaseModel) -> dict[str, Any]:
-    """The document's values; reading them gives the same document."""
+    """Return the document's values; reading them gives the same document."""
     data: dict[str, Any] = document.model_dump(mode="json", by_alias=True)
-    found = _set(document, data)
-    assert isinstance(found, dict)
-    return found
+    return _rendered(document, data)
 
 
-def _set(value: Any, data: Any) -> Any:
-    """`data` without the fields that are None and would be None anyway."""
+def numeric_document(document: BaseModel) -> dict[str, Any]:
+    """Return what `render_document` returns, with each quantity as a number in its base unit instead of a text.
+
+    A range is an object with `min` and `max`; an open end is left out.
+    """
+    return {key: _numeric(inner) for key, inner in _set_fields(document)}
+
+
+def _set_fields(document: BaseModel) -> list[tuple[str, Any]]:
+    """Return key and value of the fields, without those that are None and would be None anyway."""
+    fields = [
+        (field.alias or name, getattr(document, name), field) for name, field in type(document).model_fields.items()
+    ]
+    return [
+        (key, inner)
+        for key, inner, field in fields
+        if inner is not None or field.is_required() or field.default is not None
+    ]
+
+
+def _rendered(document: BaseModel, data: dict[str, Any]) -> dict[str, Any]:
+    return {key: _text(inner, data[key]) for key, inner in _set_fields(document)}
+
+
+def _text(value: Any, data: Any) -> Any:
     if isinstance(value, BaseModel):
-        kept = {}
-        for name, field in type(value).model_fields.items():
-            key, inner = field.alias or name, getattr(value, name)
-            if inner is not None or field.is_required() or field.default is not None:
-                kept[key] = _set(inner, data[key])
-        return kept
+        return _rendered(value, data)
     if isinstance(value, dict) and any(isinstance(one, BaseModel) for one in value.values()):
-        return {key: _set(one, data[key]) for key, one in value.items()}
+        return {key: _text(one, data[key]) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_set(one, other) for one, other in zip(value, data, strict=True)]
+        return [_text(one, other) for one, other in zip(value, data, strict=True)]
     return data
+
+
+def _numeric(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return numeric_document(value)
+    if isinstance(value, Range):
+        return {name: end for name, end in (("min", value.low), ("max", value.high)) if end is not None}
+    if isinstance(value, dict):
+        return {key: _numeric(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_numeric(one) for one in value]
+    return value
