@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types floors generated docs unit coverage faults figures figures-svg evaluation mutants lock clean
+.PHONY: help demo check test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types layers generated docs unit coverage faults figures figures-svg evaluation mutants lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -65,7 +65,10 @@ demo: .venv/run.stamp  ## the main job, here and now: real measurements, no acco
 	$(FOGSPEC) compile $(DEMO)
 	$(FOGSPEC) explain $(DEMO)
 
-test: lint types floors generated docs unit slurm-test  ## everything that CI checks
+check: lint types layers  ## what to run before each commit: lint, format, types, layers and the fast unit tests (under a minute)
+	$(BIN)/python -m pytest -q $(TEST_ARGS) -m 'not slow' tests/unit
+
+test: lint types layers generated docs unit slurm-test  ## everything that CI checks
 
 lint: .venv/dev.stamp  ## style and common mistakes
 	$(BIN)/ruff check .
@@ -74,7 +77,7 @@ lint: .venv/dev.stamp  ## style and common mistakes
 types: .venv/dev.stamp  ## strict types
 	$(BIN)/mypy
 
-floors: .venv/dev.stamp  ## who may import whom
+layers: .venv/dev.stamp  ## which package may import which
 	$(BIN)/lint-imports
 
 generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled specs and the public suite are what the code writes

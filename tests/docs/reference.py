@@ -98,7 +98,8 @@ def _row(page: FieldPage) -> str:
 
 def decisions_page() -> str:
     """docs/adr/README.md: an index of the decisions."""
-    parts = [NOTE, "# Decisions\n", "Why things are as they are, one page each.\n", "| decision | status |\n|--|--|"]
+    intro = "Architecture decision records: one page per decision, with its context and consequences.\n"
+    parts = [NOTE, "# Decisions\n", intro, "| decision | status |\n|--|--|"]
     for path in sorted((ROOT / "docs" / "adr").glob("[0-9]*.md")):
         if path.name.startswith("0000"):
             continue

@@ -46,6 +46,7 @@ def test_stops_by_steps_warm_up_not_counted(tmp_path):
     assert 0 < outcome["setup_s"] < outcome["duration_s"] < 5
 
 
+@pytest.mark.slow
 def test_stops_by_time(tmp_path):
     outcome = run(tmp_path, FOREVER, steps=None, after=0.5)
     assert (outcome["state"], outcome["stopped_by"]) == ("ok", "time")
@@ -107,6 +108,7 @@ def test_a_program_that_is_not_there(tmp_path):
     assert "/no/such/program cannot be started: No such file" in outcome["detail"]
 
 
+@pytest.mark.slow
 def test_a_silent_end_and_silence_are_no_response(tmp_path):
     outcome = run(tmp_path / "a", "pass")
     assert (outcome["reason"], outcome["stopped_by"]) == ("no_response", "exit")
@@ -115,12 +117,14 @@ def test_a_silent_end_and_silence_are_no_response(tmp_path):
     assert outcome["duration_s"] < 10
 
 
+@pytest.mark.slow
 def test_a_hang_after_the_first_request_is_ended_by_time_and_leaves_a_lower_bound(tmp_path):
     outcome = run(tmp_path, "say(0.1); time.sleep(600)", after=0.6)
     assert (outcome["state"], outcome["stopped_by"]) == ("timeout", "time")
     assert 0.5 < outcome["waited_s"] < 5
 
 
+@pytest.mark.slow
 def test_silence_after_whoever_asked_has_ended_tells_nothing(tmp_path):
     outcome = run(tmp_path, "say(0.1)", "time.sleep(600)", after=0.6, warmup=0)
     assert (outcome["state"], outcome["stopped_by"], outcome["waited_s"]) == ("ok", "time", None)
@@ -142,6 +146,7 @@ with open(os.environ["FOGSPEC_TIMINGS"], "ab", buffering=0) as f:
     assert (outcome["requests"], outcome["unreadable"]) == (1, 6)
 
 
+@pytest.mark.slow
 def test_processes_that_detach_and_ignore_signals_are_ended(tmp_path):
     stubborn = """
 import signal, subprocess
@@ -172,6 +177,7 @@ def test_term_is_answered_with_an_outcome(tmp_path):
     assert outcome["requests"] >= 1
 
 
+@pytest.mark.slow
 def test_logs_are_kept_small(tmp_path, monkeypatch):
     chatty = "while True: print('x' * 2**20); say(0.01); time.sleep(0.005)"
     run(tmp_path, chatty, steps=60, after=20)
@@ -250,6 +256,7 @@ def afterwards(script: str) -> tuple[str, str]:
     return "--afterwards", json.dumps([sys.executable, "-c", TIMED + script])
 
 
+@pytest.mark.slow
 def test_records_that_are_written_once_everything_has_ended(tmp_path):
     reads = "import pathlib; assert float(os.environ['FOGSPEC_BEGUN']) <= time.time(); [say(0.1) for _ in range(4)]"
     outcome = run(tmp_path / "a", "time.sleep(600)", steps=None, after=0.6, extra=afterwards(reads))
@@ -259,6 +266,7 @@ def test_records_that_are_written_once_everything_has_ended(tmp_path):
     assert (outcome["state"], outcome["stopped_by"]) == ("ok", "exit")
 
 
+@pytest.mark.slow
 def test_what_cannot_be_read_afterwards_says_why_and_a_crash_stays_one(tmp_path):
     outcome = run(tmp_path / "a", "pass", steps=None, extra=afterwards("raise SystemExit('the bag is damaged')"))
     assert (outcome["state"], outcome["reason"], outcome["detail"]) == ("failed", "no_response", "the bag is damaged")
@@ -277,6 +285,7 @@ def test_reading_afterwards_has_an_end(tmp_path, monkeypatch):
     assert detail == "nothing was timed within 0.3 s after the end"
 
 
+@pytest.mark.slow
 def test_what_a_probe_notes_is_no_request_and_explains_why_there_is_none(tmp_path):
     script = """
 with open(os.environ["FOGSPEC_TIMINGS"], "a") as f:

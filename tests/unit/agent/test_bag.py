@@ -105,6 +105,7 @@ def test_the_paper_s_heuristic_warns_offline_too(tmp_path, monkeypatch, plugin):
     assert "found the node idle" in records[-1]["warning"]
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_bag_that_is_cut_off_gives_what_is_before_the_cut(tmp_path, monkeypatch, plugin):
     path = record(tmp_path / "run", plugin, count=9000)

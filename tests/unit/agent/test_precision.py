@@ -22,6 +22,7 @@ def stopped_at(chance: random.Random, deviation: float, resemblance: float, stat
     return interval(timings.valid, statistic)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resemblance", [0.0, 0.5])
 @pytest.mark.parametrize("statistic", ["mean", "p50", "p95"])
 def test_it_is_as_close_as_it_says(statistic, resemblance):

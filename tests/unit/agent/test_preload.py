@@ -22,6 +22,7 @@ def node(tmp_path_factory) -> Path:
     return build(tmp_path_factory.mktemp("preload"))
 
 
+@pytest.mark.slow
 def test_it_compiles_without_a_warning(tmp_path):
     if shutil.which("cc") is None:
         pytest.skip("needs a C compiler: apt-get install gcc libc6-dev")
@@ -42,6 +43,7 @@ def test_it_compiles_without_a_warning(tmp_path):
     subprocess.run(words, check=True, timeout=60)
 
 
+@pytest.mark.slow
 def test_what_a_request_waited_is_latency_and_not_service(node):
     records, _ = play(node, "take /plan 1 30\nsleep 20\nsend /plan 1 0\n")
     (one,) = records
@@ -55,6 +57,7 @@ def test_without_the_middleware_s_time_a_request_arrives_when_it_is_taken(node):
     assert one["latency_s"] == pytest.approx(one["service_s"])
 
 
+@pytest.mark.slow
 def test_times_that_no_clock_can_have_meant_are_not_believed(node):
     # A clock that was set while a request waited: in the future, or before the machine began.
     for waited_ms in (-60_000, 10**12):
@@ -124,6 +127,7 @@ def test_topics_by_order(node):
     assert records[0]["latency_s"] > 0.03 > records[1]["latency_s"]
 
 
+@pytest.mark.slow
 def test_it_costs_microseconds(node):
     # 5 µs where nothing else runs; `python -m tests.ros.figures` prints it.
     assert cost_s(node, 20_000) < 100e-6
@@ -146,6 +150,7 @@ def started(tmp_path: Path, *words: str, path: str) -> "subprocess.CompletedProc
     return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
 
 
+@pytest.mark.slow
 def test_a_machine_without_a_compiler_and_a_program_that_is_not_there(tmp_path, node):
     ended = started(tmp_path, "--", "env", path="/nowhere")
     assert ended.returncode == 1
@@ -162,6 +167,7 @@ def test_where_timing_is_optional_the_command_starts_in_any_case(tmp_path):
     assert "LD_PRELOAD" not in ended.stdout
 
 
+@pytest.mark.slow
 def test_the_command_s_own_words_stay_as_they_are(tmp_path, node):
     ended = started(tmp_path, "--", "printf", "%s|", "--service", "--", "-x", path="/usr/bin:/bin")
     assert ended.stdout == "--service|--|-x|"

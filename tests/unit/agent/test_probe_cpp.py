@@ -39,6 +39,8 @@ int main(int argc, char**) {
 }
 """
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory) -> Path:

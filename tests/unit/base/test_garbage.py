@@ -62,6 +62,7 @@ def live(tmp_path: Path) -> DeploymentState:
     return file
 
 
+@pytest.mark.slow
 def test_a_live_state_with_any_value_changed_is_read_or_refused(live: DeploymentState) -> None:
     path, layout = live.layout.live, live.layout
     whole = read_plain(path)
@@ -85,6 +86,7 @@ def test_a_live_state_with_any_value_changed_is_read_or_refused(live: Deployment
     assert refused > 400
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "content", [b"", b"\0" * 99, b"\xff\xfe\x00", b"[" * 20000, b"null\n", b"kind: LiveState\n---\n"]
 )
@@ -94,6 +96,7 @@ def test_a_live_state_that_is_none_is_said(live: DeploymentState, content: bytes
         DeploymentState.read(live.layout, live.times)
 
 
+@pytest.mark.slow
 def test_a_journal_with_any_value_changed_is_read_or_refused_and_left(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
     whole(path).close()

@@ -33,6 +33,7 @@ def alike(one: object, other: object) -> bool:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @given(st.dictionaries(TEXTS, VALUES, max_size=4))
 def test_two_readers_read_what_was_written(data: dict) -> None:
     text = yaml_text(data, "a test")

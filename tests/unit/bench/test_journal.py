@@ -57,6 +57,7 @@ def test_a_record_that_was_not_written_yet_is_remembered(tmp_path):
     again.close()
 
 
+@pytest.mark.slow
 def test_a_cut_anywhere_is_a_state_to_go_on_from(tmp_path):
     path = tmp_path / "journal.jsonl"
     whole(path).close()

@@ -72,6 +72,7 @@ def test_it_is_small_and_loads_fast() -> None:
     assert statistics.median(took_s) < 0.5  # the aim is 0.1 s; a loaded test machine is given five times that
 
 
+@pytest.mark.slow
 def test_loading_imports_no_scipy() -> None:
     code = "import sys; from fogspec.backends import registry; registry.catalog(None, []); sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -88,6 +89,7 @@ def test_an_edited_snapshot_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path
         Snapshot("", []).load()
 
 
+@pytest.mark.slow
 def test_the_packages_still_give_exactly_this_snapshot() -> None:
     pytest.importorskip("moto", reason="needs the extra fogspec[snapshot]")
     pytest.importorskip("libcloud", reason="needs the extra fogspec[snapshot]")
@@ -96,6 +98,7 @@ def test_the_packages_still_give_exactly_this_snapshot() -> None:
     assert (made.returncode, made.stdout) == (0, "the snapshot is what these packages give\n")
 
 
+@pytest.mark.slow
 def test_without_the_packages_the_one_command_is_said() -> None:
     code = "import sys; sys.modules['moto'] = None; from tools import build_snapshot as b; b.main()"
     made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

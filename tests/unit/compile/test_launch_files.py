@@ -107,6 +107,7 @@ values = st.recursive(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @given(
     st.dictionaries(texts, values, max_size=4), st.lists(texts, max_size=3), st.dictionaries(texts, texts, max_size=3)
 )

@@ -188,6 +188,7 @@ with open(out + "/timings.jsonl", "wb") as file:
 """
 
 
+@pytest.mark.slow
 def test_what_nodes_put_in_place_of_results_is_not_followed_and_fills_no_disk(tmp_path):
     """A terabyte without a byte on disk, and a link to somebody else's file."""
     (tmp_path / "agent.py").write_text(HOSTILE)

@@ -36,6 +36,7 @@ def results(*records: Measured) -> Results:
     return with_checksum(PlanMetadata(name="made-up"), body)
 
 
+@pytest.mark.slow
 @given(st.floats(0.01, 100), st.floats(0.1, 1000))
 @settings(deadline=None)
 def test_a_noise_free_curve_is_recovered(a, b):

@@ -1,5 +1,6 @@
 """A plan is kept only while its samples serve: laws of search boxes, and prices that are new."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,6 +32,7 @@ BOXES = st.tuples(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @given(BOXES, BOXES)
 def test_a_box_that_holds_another_admits_all_that_it_admits(outer: tuple, inner: tuple) -> None:
     if contains(*outer, *inner):

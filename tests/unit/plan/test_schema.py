@@ -54,6 +54,7 @@ def test_the_papers_gpu_machines_are_the_grid_of_the_t4() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_no_hash_seed_changes_a_byte_and_no_scipy_is_loaded() -> None:
     code = (
         "import sys; from tests.unit.plan.test_schema import paper; print(paper().model_dump_json());"

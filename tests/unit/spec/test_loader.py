@@ -91,6 +91,7 @@ BOMB = "b: &b0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("content", "code"),
     [
@@ -205,6 +206,7 @@ def test_our_own_files_have_one_document(tmp_path: Path) -> None:
         read_document(tmp_path / "none.yaml", Results)
 
 
+@pytest.mark.slow
 def test_a_wrong_catalog_is_located(tmp_path: Path) -> None:
     table = tmp_path / "prices.csv"
     table.write_text("InstanceType,vCPUs\nc6i.large,2\n")

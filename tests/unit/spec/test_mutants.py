@@ -1,9 +1,12 @@
 """A mutated spec is still valid or has located mistakes; `python -m tests.mutation.survey` does 100,000 of them."""
 
+import pytest
+
 from tests.mutation.mutants import mutants
 from tests.mutation.survey import report, survey
 
 
+@pytest.mark.slow
 def test_mutants_are_valid_or_located_and_the_fix_is_named() -> None:
     result = survey(1800, seed=7)
     assert result.bad == []

@@ -67,6 +67,7 @@ def test_a_ray_meets_the_floor_where_it_must(modules):
     assert np.isinf(hall.ranges(origin, up)).all()
 
 
+@pytest.mark.slow
 def test_the_planner_finds_the_same_path_on_one_cpu_and_on_two(tmp_path, modules):
     lengths = []
     for cpus in (1, 2):
