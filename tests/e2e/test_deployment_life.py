@@ -31,7 +31,8 @@ def test_from_apply_to_down(tiny: Deployed) -> None:
 
     until(lambda: tiny.status()["observed"]["interval_s"] is not None)
     seen = tiny.status()["observed"]
-    assert 0.009 < seen["p50_s"] < 0.1
+    assert seen["p50_s"] == pytest.approx(0.01, rel=0.06)
+    assert (tiny.status()["health"], seen["drift"]) == ("Healthy", "none")
     assert seen["cost_usd_per_request"] == pytest.approx(0.02 / 3600 * seen["mean_s"])
     assert tiny.status()["spent_usd"] > 0
 
@@ -98,13 +99,12 @@ def test_an_update_replaces_the_old_machine_once_the_new_one_answers(tiny: Deplo
 
 
 def test_an_update_that_does_not_answer_leaves_the_old_machine(app: Make) -> None:
-    ready = "  deployment: {ready: [test, -e, answers], ready_timeout: 3s}\n"
-    tiny = app(SPEC + ready)
+    tiny = app(SPEC + "  deployment: {ready: [test, -e, answers]}\n")
     (tiny.folder / "specs/answers").touch()
     tiny.apply()
     before = tiny.names()
     (tiny.folder / "specs/answers").unlink()
-    tiny.change("test, -e, answers", "test, -s, answers")
+    tiny.change("[test, -e, answers]", "[test, -s, answers], patience: 3s")
     tiny("compile", "specs/tiny.yaml")
     failed = tiny.apply(code=6)
     assert "the nodes did not answer within 3 s" in failed.stderr
@@ -114,7 +114,9 @@ def test_an_update_that_does_not_answer_leaves_the_old_machine(app: Make) -> Non
     assert tiny.alive() == []
 
 
-def test_nodes_that_crash_are_said_and_nothing_is_left(tiny: Deployed) -> None:
+def test_nodes_that_crash_are_said_and_nothing_is_left(app: Make) -> None:
+    # Without a command that asks them, nodes that take long to crash would answer by staying alive.
+    tiny = app(SPEC + "  deployment: {ready: ['false']}\n")
     crashed = tiny.apply(code=1, env={"TOOK_S": "no number"})
     assert "python3 ended with exit code 1" in crashed.stderr
     assert (tiny.machines(), tiny.alive()) == ([], [])
@@ -138,7 +140,7 @@ def test_a_node_that_ends_is_degraded_and_apply_mends_it(tiny: Deployed) -> None
     tiny("status", "--exit-code", code=3)
     tiny.apply()
     assert tiny.names() != [name]
-    assert tiny.status()["health"] in ("Healthy", "Drifted"), "a busy host is slower than it was"
+    assert tiny.status()["health"] == "Healthy"
     tiny("down", "tiny")
 
 
@@ -204,7 +206,7 @@ def test_fallbacks_only_if_the_spec_allows_them(app: Make) -> None:
 
 def test_requests_that_became_slow_are_drift(tiny: Deployed) -> None:
     tiny.apply(env={"TOOK_S": "0.2"})
-    until(lambda: tiny.status()["observed"]["interval_s"] is not None, 30)
+    until(lambda: tiny.status()["observed"]["interval_s"] is not None)
     live = tiny.status()
     assert (live["health"], live["observed"]["drift"]) == ("Drifted", "slower")
     assert live["observed"]["interval_s"][0] > live["predicted"]["interval_s"][1]
@@ -215,7 +217,7 @@ def test_requests_that_became_slow_are_drift(tiny: Deployed) -> None:
 def test_over_the_limit_is_degraded(app: Make) -> None:
     tiny = app(SPEC.replace("latency: 1s", "latency: 100ms"))
     tiny.apply(env={"TOOK_S": "0.2"})
-    until(lambda: tiny.status()["observed"]["interval_s"] is not None, 30)
+    until(lambda: tiny.status()["observed"]["interval_s"] is not None)
     live = tiny.status()
     assert live["health"] == "Degraded"
     assert any("over its limit of 100ms" in reason for reason in live["reasons"])
@@ -309,7 +311,7 @@ def test_secrets_reach_the_nodes_and_no_file(app: Make, monkeypatch: pytest.Monk
     environments = [Path(f"/proc/{pid}/environ").read_bytes() for pid in tiny.alive()]
     assert any(b"MY_SECRET=hunter2-hunter2" in one for one in environments)
     log = tiny.state / "deployed" / tiny.names()[0] / "run.log"
-    assert b"my secret is $MY_SECRET\n" in log.read_bytes()
+    until(lambda: b"my secret is $MY_SECRET\n" in log.read_bytes())
     said.append(tiny("status", "-o", "json"))
     (tiny.folder / "specs" / "end").touch()
     until(lambda: tiny.status()["health"] == "Degraded")

@@ -158,8 +158,8 @@ def environments() -> list[tuple[int, list[bytes]]]:
     return found
 
 
-def until(true: Any, patience_s: float = 20.0) -> None:
-    """Wait until a condition holds."""
+def until(true: Any, patience_s: float = 120.0) -> None:
+    """Wait until a condition holds; the patience only bounds hangs."""
     end = time.monotonic() + patience_s
     while not true():
         assert time.monotonic() < end, "waited in vain"
