@@ -32,6 +32,7 @@ while not os.path.exists("crash"):
     time.sleep(0.02)
 raise SystemExit("no such model")
 """
+PATIENCE_S = 120.0  # it only bounds hangs
 AGENT = Path(next(iter(fogspec.agent.__path__)))
 
 
@@ -55,7 +56,7 @@ class Bed:
         return Launch(name, machine, task, self.folder, self.folder / ".fogspec" / "demo" / "deployed" / name)
 
     def until(self, launch: Launch, state: str, deployer: Deployer | None = None) -> DeploymentStatus:
-        end = time.monotonic() + 30
+        end = time.monotonic() + PATIENCE_S
         while (live := (deployer or self.deployer).look(launch)).state != state:
             assert time.monotonic() < end, live
             time.sleep(0.05)
@@ -176,7 +177,7 @@ def test_other_applications_are_not_its_own(bed: Bed) -> None:
 def test_requests_are_seen(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
     launch = bed.launch()
     bed.deployer.start(launch)
-    end = time.monotonic() + 30
+    end = time.monotonic() + PATIENCE_S
     while not (timings := bed.deployer.look(launch).timings):
         assert time.monotonic() < end
         time.sleep(0.2)

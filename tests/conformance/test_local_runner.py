@@ -15,7 +15,7 @@ from fogspec.backends.protocol import Job, LaunchRefused, Progress
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import Sample
 
-RUN = 'exec python3 "$FOGSPEC_AGENT" --out "$FOGSPEC_OUT" --after 20 --startup 20 --warmup 1 --steps {steps} --process {argv}'
+RUN = 'exec python3 "$FOGSPEC_AGENT" --out "$FOGSPEC_OUT" --after 600 --startup 120 --warmup 1 --steps {steps} --process {argv}'
 PROBED = """
 import fogspec_probe, os, time
 while True:
@@ -31,10 +31,10 @@ def job(folder: Path, script: str = PROBED, steps: int = 5, cpus: float = 1, mem
     argv = json.dumps(["python3", str(folder / "workload.py")])
     task = {"run": RUN.format(steps=steps, argv=f"'{argv}'"), "workdir": "."} | task
     name = f"fogspec-test-{os.getpid()}-{time.monotonic_ns()}"
-    return Job(name, Sample(id="a", machine=machine, reason=""), task, folder, folder / "attempts" / name, 60.0)
+    return Job(name, Sample(id="a", machine=machine, reason=""), task, folder, folder / "attempts" / name, 900.0)
 
 
-def until(runner: LocalRunner, asked: Job, what, patience_s: float = 30.0) -> Progress:
+def until(runner: LocalRunner, asked: Job, what, patience_s: float = 120.0) -> Progress:
     end = time.monotonic() + patience_s
     while not what(progress := runner.look(asked)):
         assert time.monotonic() < end, progress

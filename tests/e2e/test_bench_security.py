@@ -62,7 +62,7 @@ def test_a_secret_is_in_no_file_log_or_result(tmp_path, monkeypatch):
 def test_a_secret_is_in_no_argv_and_in_nobody_elses_output(tmp_path, monkeypatch):
     monkeypatch.setenv("MAP_PASSWORD", SECRET)
     spec = SPEC.replace("  benchmark:", "  secrets: [MAP_PASSWORD]\n  benchmark:").replace(
-        "duration: 3s", "duration: 20s"
+        "after: 1min", "after: 10min"
     )
     scene = Scene.made(tmp_path / "scene", HALTING, spec)
     bench = scene.begin("-o", "json")
@@ -75,7 +75,7 @@ def test_a_secret_is_in_no_argv_and_in_nobody_elses_output(tmp_path, monkeypatch
         assert not [words for words in commands if SECRET.encode() in words]
     finally:
         bench.send_signal(signal.SIGINT)
-        out, err = bench.communicate(timeout=60)
+        out, err = bench.communicate(timeout=240)
     assert SECRET not in out + err
 
 
@@ -135,7 +135,7 @@ def test_an_outcome_that_is_made_up_counts_for_nothing(tmp_path, outcome):
 
 
 def test_agent_and_bench_open_no_port(tmp_path):
-    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("duration: 3s", "duration: 20s"))
+    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("after: 1min", "after: 10min"))
     bench = scene.begin()
     try:
         until(lambda: scene.requests() >= 3)
@@ -144,7 +144,7 @@ def test_agent_and_bench_open_no_port(tmp_path):
         assert not {pid: found for pid, found in sockets.items() if found}
     finally:
         bench.send_signal(signal.SIGINT)
-        bench.communicate(timeout=60)
+        bench.communicate(timeout=240)
 
 
 def sockets_of(pid: int) -> list[str]:

@@ -230,7 +230,7 @@ def test_ctrl_c_ends_what_was_being_started(app: Make) -> None:
     applying = tiny.begin("apply", MANIFEST, "--yes")
     until(lambda: tiny.alive())
     applying.send_signal(signal.SIGINT)
-    _, err = applying.communicate(timeout=60)
+    _, err = applying.communicate(timeout=240)
     assert applying.returncode == 130, err
     assert tiny.alive() == []
     assert tiny.machines() == []
@@ -243,7 +243,7 @@ def test_ctrl_c_twice_names_what_may_still_run_and_what_ends_it(app: Make) -> No
     for _ in range(2):
         applying.send_signal(signal.SIGINT)
         time.sleep(0.05)
-    _, err = applying.communicate(timeout=60)
+    _, err = applying.communicate(timeout=240)
     assert applying.returncode == 130, err
     assert [f"may still run: {one['name']}" in err for one in tiny.machines()] == [True] * len(tiny.machines())
     assert "fogspec down tiny ends everything" in err or tiny.alive() == []
@@ -259,7 +259,7 @@ def test_whoever_applies_is_alone(app: Make) -> None:
     for words in (["apply", "tiny", "--yes"], ["down", "tiny"], ["bench", "tiny", "--runner", "local"]):
         assert f"{words[0]} of tiny {holder}" in tiny(*words, code=5).stderr
     first.send_signal(signal.SIGTERM)
-    first.communicate(timeout=60)
+    first.communicate(timeout=240)
 
 
 def test_down_ends_a_bench_that_died(app: Make, monkeypatch: pytest.MonkeyPatch) -> None:

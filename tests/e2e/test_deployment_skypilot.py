@@ -57,7 +57,7 @@ def test_from_apply_to_down(shell: Shell, cloud: Cloud) -> None:
     (name,) = cloud.machines
     assert name.startswith("fogspec-demo-")
     assert "192.0.2.1" in shell("apply", MANIFEST, *AT, "--yes").out
-    end = time.monotonic() + 30
+    end = time.monotonic() + 120
     while not (live := status(shell))["observed"]["requests"]:
         assert time.monotonic() < end
         time.sleep(0.5)

@@ -24,13 +24,13 @@ def say(latency, ok=True, end="\\n"):
 """
 
 
-def run(tmp_path: Path, *scripts: str, steps=5, after=5.0, warmup=1, startup=5.0, extra=(), environment=None):
+def run(tmp_path: Path, *scripts: str, steps=5, after=600.0, warmup=1, startup=120.0, extra=(), environment=None):
     processes = [w for s in scripts for w in ("--process", json.dumps([sys.executable, "-c", TIMED + s]))]
     limits = ["--after", str(after), "--warmup", str(warmup), "--startup", str(startup)]
     command = [sys.executable, str(AGENT), "--out", str(tmp_path / "out"), *limits, *extra, *processes]
     if steps is not None:
         command += ["--steps", str(steps)]
-    ended = subprocess.run(command, timeout=60, capture_output=True, text=True, env=environment)
+    ended = subprocess.run(command, timeout=240, capture_output=True, text=True, env=environment)
     outcome = json.loads((tmp_path / "out" / "outcome.json").read_text())
     assert ended.returncode == (0 if outcome["state"] == "ok" else 1), ended.stderr
     return outcome
@@ -43,20 +43,21 @@ def test_stops_by_steps_warm_up_not_counted(tmp_path):
     outcome = run(tmp_path, FOREVER, steps=20, warmup=3)
     assert (outcome["state"], outcome["stopped_by"]) == ("ok", "steps")
     assert outcome["requests"] >= 23
-    assert 0 < outcome["setup_s"] < outcome["duration_s"] < 5
+    assert 0 < outcome["setup_s"] < outcome["duration_s"]
 
 
 @pytest.mark.slow
 def test_stops_by_time(tmp_path):
-    outcome = run(tmp_path, FOREVER, steps=None, after=0.5)
+    outcome = run(tmp_path, FOREVER, steps=None, after=0.5, warmup=0)
     assert (outcome["state"], outcome["stopped_by"]) == ("ok", "time")
-    assert outcome["duration_s"] - outcome["setup_s"] < 4
+    assert outcome["duration_s"] - outcome["setup_s"] >= 0.5
 
 
 def test_stops_as_soon_as_the_mean_is_known_well_enough(tmp_path):
-    outcome = run(tmp_path, FOREVER, steps=100_000, after=30, extra=["--precision", "0.05"])
+    some = "[say(0.01) for _ in range(20)]; time.sleep(3600)"
+    outcome = run(tmp_path, some, steps=100_000, extra=["--precision", "0.05"])
     assert outcome["stopped_by"] == "precision"
-    assert outcome["requests"] < 100
+    assert 11 <= outcome["requests"] <= 20
 
 
 def test_a_crash_says_how(tmp_path):
@@ -114,19 +115,19 @@ def test_a_silent_end_and_silence_are_no_response(tmp_path):
     assert (outcome["reason"], outcome["stopped_by"]) == ("no_response", "exit")
     outcome = run(tmp_path / "b", "time.sleep(600)", startup=0.5)
     assert (outcome["reason"], outcome["stopped_by"]) == ("no_response", "startup")
-    assert outcome["duration_s"] < 10
+    assert outcome["duration_s"] >= 0.5
 
 
 @pytest.mark.slow
 def test_a_hang_after_the_first_request_is_ended_by_time_and_leaves_a_lower_bound(tmp_path):
     outcome = run(tmp_path, "say(0.1); time.sleep(600)", after=0.6)
     assert (outcome["state"], outcome["stopped_by"]) == ("timeout", "time")
-    assert 0.5 < outcome["waited_s"] < 5
+    assert 0.5 < outcome["waited_s"] < outcome["duration_s"]
 
 
 @pytest.mark.slow
 def test_silence_after_whoever_asked_has_ended_tells_nothing(tmp_path):
-    outcome = run(tmp_path, "say(0.1)", "time.sleep(600)", after=0.6, warmup=0)
+    outcome = run(tmp_path, "say(0.1); os._exit(0)", "time.sleep(600)", after=2, warmup=0)
     assert (outcome["state"], outcome["stopped_by"], outcome["waited_s"]) == ("ok", "time", None)
 
 
@@ -157,6 +158,8 @@ if os.fork() == 0:
         open(os.environ["FOGSPEC_TIMINGS"] + ".pid", "w").write(str(os.getpid()))
         while True: time.sleep(1)
     os._exit(0)
+known = os.environ["FOGSPEC_TIMINGS"] + ".pid"
+while not os.path.exists(known) or not os.path.getsize(known): time.sleep(0.01)
 while True: say(0.01); time.sleep(0.05)
 """
     run(tmp_path, stubborn, steps=8)
@@ -166,12 +169,12 @@ while True: say(0.01); time.sleep(0.05)
 
 
 def test_term_is_answered_with_an_outcome(tmp_path):
-    limits = ["--after", "60", "--startup", "60", "--process", json.dumps([sys.executable, "-c", TIMED + FOREVER])]
+    limits = ["--after", "600", "--startup", "120", "--process", json.dumps([sys.executable, "-c", TIMED + FOREVER])]
     started = subprocess.Popen([sys.executable, str(AGENT), "--out", str(tmp_path), *limits])
     while not (tmp_path / "timings.jsonl").exists() or not (tmp_path / "timings.jsonl").stat().st_size:
         time.sleep(0.02)
     started.send_signal(signal.SIGTERM)
-    assert started.wait(10) == 1
+    assert started.wait(120) == 1
     outcome = json.loads((tmp_path / "outcome.json").read_text())
     assert (outcome["reason"], outcome["detail"]) == ("interrupted", "ended by signal 15 (Terminated)")
     assert outcome["requests"] >= 1
@@ -179,8 +182,15 @@ def test_term_is_answered_with_an_outcome(tmp_path):
 
 @pytest.mark.slow
 def test_logs_are_kept_small(tmp_path, monkeypatch):
-    chatty = "while True: print('x' * 2**20); say(0.01); time.sleep(0.005)"
-    run(tmp_path, chatty, steps=60, after=20)
+    # However much faster than the agent it is: it waits until its log has been cut.
+    chatty = f"""
+while True:
+    print('x' * 2**20, flush=True)
+    say(0.01)
+    while os.fstat(1).st_size > {agent.LOG_LIMIT}: time.sleep(0.005)
+"""
+    outcome = run(tmp_path, chatty, steps=60, after=60)
+    assert outcome["stopped_by"] == "steps"
     assert (tmp_path / "out" / "process-0.log").stat().st_size < 2 * agent.LOG_LIMIT
 
 
@@ -261,7 +271,7 @@ def test_records_that_are_written_once_everything_has_ended(tmp_path):
     reads = "import pathlib; assert float(os.environ['FOGSPEC_BEGUN']) <= time.time(); [say(0.1) for _ in range(4)]"
     outcome = run(tmp_path / "a", "time.sleep(600)", steps=None, after=0.6, extra=afterwards(reads))
     assert (outcome["state"], outcome["stopped_by"], outcome["requests"]) == ("ok", "time", 4)
-    assert outcome["duration_s"] < 5
+    assert outcome["duration_s"] >= 0.6
     outcome = run(tmp_path / "b", "pass", steps=None, extra=afterwards(reads))
     assert (outcome["state"], outcome["stopped_by"]) == ("ok", "exit")
 
@@ -292,6 +302,6 @@ with open(os.environ["FOGSPEC_TIMINGS"], "a") as f:
     f.write('{"note": "nobody publishes /pose"}\\n{"warning": "x"}\\n{"metric": {"m": 1}, "at_s": 1}\\n{"unmatched": true}\\n')
 time.sleep(600)
 """
-    outcome = run(tmp_path, script, startup=0.6)
-    assert outcome["detail"] == "no timed request within 0.6 s of the start: nobody publishes /pose"
+    outcome = run(tmp_path, script, startup=3)
+    assert outcome["detail"] == "no timed request within 3 s of the start: nobody publishes /pose"
     assert (outcome["requests"], outcome["unreadable"]) == (0, 0)

@@ -21,7 +21,7 @@ def run(tmp_path: Path, script: str, cpus: int = 1, memory_gib: float = 1.0) -> 
 
 
 def ended(started: limits.LimitedProcess) -> int:
-    code = started.process.wait(30)
+    code = started.process.wait(120)
     started.end(grace_s=0)
     return code
 
@@ -51,12 +51,11 @@ def test_distinct_cores_come_before_siblings(monkeypatch):
 HOG = "kept = []\nwhile True: kept.append(bytearray(2**24)); kept[-1][::4096] = b'x' * 4096"
 
 
-@pytest.mark.slow
 def test_memory_is_bounded_and_the_bound_is_the_one_asked_for(tmp_path):
     fits, _ = run(tmp_path, "x = bytearray(2**27)", memory_gib=0.5)
     assert ended(fits) == 0
     hog, log = run(tmp_path, HOG, memory_gib=0.5)
-    code = hog.process.wait(60)
+    code = hog.process.wait(120)
     if hog.memory_by == "rlimit":
         assert code == 1
         assert log.read_text().splitlines()[-1] == "MemoryError"
@@ -80,14 +79,13 @@ time.sleep(600)
     started, log = run(tmp_path, script)
     while "ready" not in (log.read_text() if log.exists() else ""):
         time.sleep(0.02)
-    began = time.monotonic()
-    started.end(grace_s=5)
-    started.end(grace_s=5)
+    # Longer than a test may take: it ends because it was asked to, not for want of patience.
+    started.end(grace_s=3600)
+    started.end(grace_s=3600)
     assert started.poll() == 3
-    assert time.monotonic() - began < 3
     assert "asked" in log.read_text()
     child = int(log.read_text().split()[0])
-    until = time.monotonic() + 5
+    until = time.monotonic() + 120
     while alive(child) and time.monotonic() < until:
         time.sleep(0.02)
     assert not alive(child)

@@ -1,6 +1,5 @@
 """Our side of SkyPilot's worker, with workers that misbehave."""
 
-import time
 from pathlib import Path
 
 import pytest
@@ -10,11 +9,12 @@ from fogspec.backends.skypilot import client as module
 from fogspec.backends.skypilot.client import Client
 from fogspec.base.errors import CloudError
 
+PATIENCE_S = 120.0  # it only bounds hangs
 WORKERS = {
     "echoes": "import sys, json\nfor line in sys.stdin:\n    q = json.loads(line)\n"
               "    print(json.dumps({'id': q['id'], 'value': q['words']}), flush=True)\n",
     "dies": "import sys\nsys.stdin.readline()\nprint('out of luck', file=sys.stderr)\nsys.exit(3)\n",
-    "is_silent": "import time\ntime.sleep(60)\n",
+    "is_silent": "import time\ntime.sleep(3600)\n",
     "has_no_sky": "print('{\"id\": 0, \"missing\": \"No module named sky\"}', flush=True)\n",
     "refuses": "import sys, json\nfor line in sys.stdin:\n    q = json.loads(line)\n"
                "    print(json.dumps({'id': q['id'], 'problem': {'reason': 'quota', 'detail': 'no'}}), flush=True)\n",
@@ -33,7 +33,7 @@ def worker(request, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Client:
 @pytest.mark.parametrize("worker", ["echoes"], indirect=True)
 def test_many_questions_at_once_get_their_own_answers(worker: Client) -> None:
     calls = [worker.begin("any", number=number) for number in range(50)]
-    assert all(call.wait(20) for call in calls)
+    assert all(call.wait(PATIENCE_S) for call in calls)
     assert [call.value() for call in calls] == [{"number": number} for number in range(50)]
 
 
@@ -41,25 +41,22 @@ def test_many_questions_at_once_get_their_own_answers(worker: Client) -> None:
 def test_a_worker_that_dies_is_said_and_replaced(worker: Client) -> None:
     for _ in range(2):
         with pytest.raises(Unreachable, match="out of luck"):
-            worker.ask("any", 20)
+            worker.ask("any", PATIENCE_S)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("worker", ["is_silent"], indirect=True)
 def test_a_silent_worker_holds_nobody_up(worker: Client) -> None:
-    begun = time.monotonic()
     call = worker.begin("any")
     assert not call.done
     with pytest.raises(Unreachable, match=r"within 0\.2 s: any"):
         worker.ask("any", 0.2)
-    worker.close()
-    assert time.monotonic() - begun < 5
+    worker.close()  # which does not wait for its end: that is an hour away
 
 
 @pytest.mark.parametrize("worker", ["has_no_sky"], indirect=True)
 def test_what_is_missing_is_said_with_the_command(worker: Client) -> None:
     with pytest.raises(CloudError, match=r"pip install 'fogspec\[sky\]'"):
-        worker.ready(20)
+        worker.ready(PATIENCE_S)
 
 
 @pytest.mark.parametrize("worker", ["refuses"], indirect=True)
@@ -67,7 +64,7 @@ def test_a_refusal_keeps_its_reason(worker: Client) -> None:
     from fogspec.backends.skypilot.errors import CloudProblem
 
     with pytest.raises(CloudProblem) as no:
-        worker.ask("any", 20)
+        worker.ask("any", PATIENCE_S)
     assert (no.value.reason, no.value.detail) == ("quota", "no")
 
 
