@@ -1,7 +1,5 @@
 """The funnel: which offers a spec admits, and what each filter removed."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -11,6 +9,7 @@ from fogspec.catalog.machine import Gpu
 from fogspec.catalog.table import About, Catalog, strings
 from fogspec.spec.schema import Hardware, Machines
 from tests.support.catalogs import table
+from tests.unit.relative import work_of
 
 OFFERS = (
     "c6i.large,,,2,4,0.085,0.03,us-east-1,use1-az1",
@@ -86,7 +85,7 @@ def test_the_words_for_accelerators() -> None:
     assert matches_names(catalog, ["*.large", "[cm]6i.*"]).sum() == 7
 
 
-def test_fifty_thousand_offers_take_a_few_tens_of_ms() -> None:
+def test_fifty_thousand_offers_are_little_work() -> None:
     n = 50_000
     rng = np.random.default_rng(7)
     vcpus = rng.choice([2.0, 4, 8, 16, 32, 64, 96], n)
@@ -99,10 +98,6 @@ def test_fifty_thousand_offers_take_a_few_tens_of_ms() -> None:
         spot=np.zeros(n, dtype=np.bool_), arch=strings(["x86_64"] * n), physical_cores=vcpus / 2,
         clock_ghz=np.full(n, 3.0), burstable=np.zeros(n, dtype=np.bool_),
     )  # fmt: skip
-    took_s = []
-    for _ in range(3):
-        start = time.perf_counter()
-        found = filter_offers(catalog, Hardware(cpus=Range(2, 64), machines=Machines(deny=["c1.*"])), ["aws"])
-        took_s.append(time.perf_counter() - start)
-    assert found.funnel.admitted > 30_000
-    assert min(took_s) < 0.25  # about 0.02 s on two quiet cores
+    wanted = Hardware(cpus=Range(2, 64), machines=Machines(deny=["c1.*"]))
+    assert filter_offers(catalog, wanted, ["aws"]).funnel.admitted > 30_000
+    assert work_of(lambda: filter_offers(catalog, wanted, ["aws"]), 3) < 60

@@ -1,6 +1,6 @@
 """Which machines are measured next, and which is chosen."""
 
-import time
+import itertools
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from fogspec.numerics.acquisition import Policy, busy, choose, next_wave, provis
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import fit, prepare
 from tests.support.machines import amdahl, family
+from tests.unit.relative import work_of
 
 MACHINES = family()
 TRUTH = amdahl(MACHINES, 0.05)
@@ -93,12 +94,9 @@ def test_provisioned_billing_pays_the_hour_and_bounds_the_rate():
     assert (wanted.limit_s == 0.5).all()
 
 
-def test_other_limits_on_a_fitted_model_take_a_millisecond():
+def test_other_limits_on_a_fitted_model_are_little_work():
+    """About 0.03 when this was written; a millisecond is a quarter."""
     posterior, _, _ = campaign(objective())
     choose(posterior, objective())
-    times = []
-    for alpha in np.linspace(0, 1, 20):
-        start = time.perf_counter()
-        choose(posterior, objective(float(alpha), max_latency_s=1.0))
-        times.append(time.perf_counter() - start)
-    assert min(times) < 0.001
+    alphas = itertools.cycle(np.linspace(0, 1, 20))
+    assert work_of(lambda: choose(posterior, objective(float(next(alphas)), max_latency_s=1.0)), 20) < 0.25

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -11,8 +10,9 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import InvalidInput
 from fogspec.results.schema import Results
 from fogspec.spec.loader import check_file, check_text, load, read_document
+from tests.unit.relative import work_of
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 SPEC = """\
 apiVersion: fogspec.dev/v1alpha1
 kind: Application
@@ -91,7 +91,6 @@ BOMB = "b: &b0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
 )  # fmt: skip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("content", "code"),
     [
@@ -102,9 +101,9 @@ BOMB = "b: &b0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
     ],
 )  # fmt: skip
 def test_hostile_files_end_soon(content: str, code: str) -> None:
-    start = time.process_time()
-    assert code in codes(content)
-    assert time.process_time() - start < 5
+    found: list[str] = []
+    assert work_of(lambda: found.extend(codes(content)), 1) < 1250
+    assert code in found
 
 
 def test_an_alias_repeats_what_its_anchor_marked() -> None:
@@ -172,12 +171,9 @@ def test_a_file_that_is_not_there_or_named_twice(tmp_path: Path) -> None:
 RESULTS = (ROOT / "results" / "grasp-planning.yaml").read_text("utf-8") if (ROOT / "results").is_dir() else ""
 
 
-def test_our_own_files_load_fast() -> None:
+def test_our_own_files_are_little_work_to_load() -> None:
     path = ROOT / "results" / "grasp-planning.yaml"
-    read_document(path, Results)
-    start = time.perf_counter()
-    read_document(path, Results)
-    assert time.perf_counter() - start < 0.5
+    assert work_of(lambda: read_document(path, Results), 3) < 100
 
 
 def test_our_own_files_that_were_edited_or_cut_short_say_how_to_make_them_again(tmp_path: Path) -> None:
@@ -206,7 +202,6 @@ def test_our_own_files_have_one_document(tmp_path: Path) -> None:
         read_document(tmp_path / "none.yaml", Results)
 
 
-@pytest.mark.slow
 def test_a_wrong_catalog_is_located(tmp_path: Path) -> None:
     table = tmp_path / "prices.csv"
     table.write_text("InstanceType,vCPUs\nc6i.large,2\n")
