@@ -1,11 +1,23 @@
 // A librcl.so that has no middleware: requests come from the program that calls it. Built by tests.tools.preload.
+#define _GNU_SOURCE
 #include <stdint.h>
 #include <string.h>
+#include <sys/syscall.h>
 #include <time.h>
+#include <unistd.h>
 
 int64_t received_ns;      // what the middleware says of a request's arrival, on the wall clock
 uint8_t header[24];       // rmw_request_id_t
 int32_t code;             // what the functions return
+int64_t elapsed_ns;       // scripted time; negative for the host's own clocks
+
+// In the place of libc's, for the library as well: what it reads is what the program says, on the fastest and the slowest host.
+int clock_gettime(clockid_t clock, struct timespec *t) {
+  if (elapsed_ns < 0) return (int)syscall(SYS_clock_gettime, clock, t);
+  int64_t since_s = clock == CLOCK_REALTIME ? 1700000000 : 100000;
+  t->tv_sec = since_s + elapsed_ns / 1000000000, t->tv_nsec = elapsed_ns % 1000000000;
+  return 0;
+}
 
 const char *rcl_service_get_service_name(const void *name) { return name; }
 const char *rcl_subscription_get_topic_name(const void *name) { return name; }
