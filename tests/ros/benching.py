@@ -22,7 +22,7 @@ def node(name: str, *words: Any) -> dict[str, list[str]]:
 def write_spec(net: Net, spec: dict[str, Any]) -> Path:
     """A spec of one sample on one CPU of this machine; `spec` is merged into it."""
     benchmark = {
-        "machines": ["local/1cpu-1gib"], "warmup": 2, "setup_timeout": "20s", "stop": {"requests": 25, "duration": "20s"},
+        "machines": ["local/1cpu-1gib"], "warmup": 2, "setup_timeout": "60s", "stop": {"requests": 25, "duration": "60s"},
     } | spec.pop("benchmark", {})  # fmt: skip
     whole = {
         "apiVersion": "fogspec.dev/v1alpha1", "kind": "Application", "metadata": {"name": "robot"},
@@ -35,7 +35,7 @@ def write_spec(net: Net, spec: dict[str, Any]) -> Path:
     return path
 
 
-def bench(net: Net, spec: dict[str, Any], timeout_s: float = 100.0) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def bench(net: Net, spec: dict[str, Any], timeout_s: float = 240.0) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Compile and measure; returns the sample's record and its raw timings."""
     path = write_spec(net, spec)
     for words in (["compile", str(path)], ["bench", str(path), "--runner", "local", "--yes"]):

@@ -134,7 +134,7 @@ class Joined:
         return {key: value.replace("@LINK@", str(self.layout.link)) for key, value in found.items()}
 
 
-def until(done, patience_s: float = 30.0) -> bool:
+def until(done, patience_s: float = 120.0) -> bool:
     """Whether it comes true in time."""
     end = time.monotonic() + patience_s
     while time.monotonic() < end:

@@ -144,7 +144,7 @@ def test_bad_input_has_a_name_and_an_end(net: Net, name: str) -> None:
         "cloud": busy(net, kind, *more), "probe": change["probe"],
         "benchmark": {"workload": {"node": node("client", kind, 4000)}, "setup_timeout": "13s", "stop": {"duration": "12s"}},
     }  # fmt: skip
-    sample, lines = bench(net, spec, timeout_s=60)
+    sample, lines = bench(net, spec)
     assert (sample["state"], sample["reason"]) == ("failed", reason), sample
     assert detail in sample["detail"]
     if name == "a node that dies half-way":
