@@ -51,6 +51,7 @@ def test_distinct_cores_come_before_siblings(monkeypatch):
 HOG = "kept = []\nwhile True: kept.append(bytearray(2**24)); kept[-1][::4096] = b'x' * 4096"
 
 
+@pytest.mark.slow
 def test_memory_is_bounded_and_the_bound_is_the_one_asked_for(tmp_path):
     fits, _ = run(tmp_path, "x = bytearray(2**27)", memory_gib=0.5)
     assert ended(fits) == 0

@@ -44,6 +44,7 @@ def test_a_worker_that_dies_is_said_and_replaced(worker: Client) -> None:
             worker.ask("any", PATIENCE_S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("worker", ["is_silent"], indirect=True)
 def test_a_silent_worker_holds_nobody_up(worker: Client) -> None:
     call = worker.begin("any")

@@ -56,6 +56,7 @@ def once(op: str, problem: Exception, times: int = 1):
     return fails
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("op", ["launched", "log", "jobs"])
 def test_silence_in_the_middle_is_survived(bed, op):
     cloud, job = cloud_of(bed), bed.job("a")
@@ -67,6 +68,7 @@ def test_silence_in_the_middle_is_survived(bed, op):
         assert silent == 3
 
 
+@pytest.mark.slow
 def test_a_launch_whose_answer_is_lost_is_found_by_its_name(bed):
     cloud, job = cloud_of(bed), bed.job("a")
     bed.runner.start(job)
@@ -84,6 +86,7 @@ def test_a_launch_that_never_arrived_is_lost_and_measured_again(bed):
     assert (progress.lost, progress.reason) == (True, None)
 
 
+@pytest.mark.slow
 def test_a_controller_killed_while_it_asked_for_the_launch_goes_on_by_name(bed):
     job = bed.job("a")
     bed.runner.start(job)
@@ -121,6 +124,7 @@ def test_refusals_keep_their_reason_and_cost_nothing_where_no_machine_was_up(bed
     assert progress.detail == problem.detail
 
 
+@pytest.mark.slow
 def test_a_log_cut_on_its_way_is_read_again(bed, monkeypatch):
     cloud, job = cloud_of(bed), bed.job("a")
     whole, times = cloud.log, []
@@ -144,6 +148,7 @@ def test_a_job_without_an_outcome_says_its_last_words(bed):
     assert (progress.reason, progress.detail) == ("crash", "the job ended as FAILED: E: no such package")
 
 
+@pytest.mark.slow
 def test_set_up_is_over_when_the_log_says_so(bed):
     job = bed.job("a")
     job.task["run"] = "sleep 0.5; " + job.task["run"]

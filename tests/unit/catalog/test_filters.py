@@ -9,7 +9,7 @@ from fogspec.catalog.machine import Gpu
 from fogspec.catalog.table import About, Catalog, strings
 from fogspec.spec.schema import Hardware, Machines
 from tests.support.catalogs import table
-from tests.unit.relative import work_of
+from tests.support.relative import work_of
 
 OFFERS = (
     "c6i.large,,,2,4,0.085,0.03,us-east-1,use1-az1",

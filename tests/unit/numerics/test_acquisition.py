@@ -9,7 +9,7 @@ from fogspec.numerics.acquisition import Policy, busy, choose, next_wave, provis
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import fit, prepare
 from tests.support.machines import amdahl, family
-from tests.unit.relative import work_of
+from tests.support.relative import work_of
 
 MACHINES = family()
 TRUTH = amdahl(MACHINES, 0.05)

@@ -7,7 +7,7 @@ from fogspec.numerics import features
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import fit, prepare
 from tests.support.machines import amdahl, family
-from tests.unit.relative import work_of
+from tests.support.relative import work_of
 
 FEW = [0, 3, 6, 10, 17]
 

@@ -10,9 +10,9 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import InvalidInput
 from fogspec.results.schema import Results
 from fogspec.spec.loader import check_file, check_text, load, read_document
-from tests.unit.relative import work_of
+from tests.support.relative import work_of
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 SPEC = """\
 apiVersion: fogspec.dev/v1alpha1
 kind: Application
@@ -91,6 +91,7 @@ BOMB = "b: &b0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("content", "code"),
     [
@@ -202,6 +203,7 @@ def test_our_own_files_have_one_document(tmp_path: Path) -> None:
         read_document(tmp_path / "none.yaml", Results)
 
 
+@pytest.mark.slow
 def test_a_wrong_catalog_is_located(tmp_path: Path) -> None:
     table = tmp_path / "prices.csv"
     table.write_text("InstanceType,vCPUs\nc6i.large,2\n")
