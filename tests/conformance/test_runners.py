@@ -15,12 +15,14 @@ import fogspec.agent
 from fogspec.backends import registry
 from fogspec.backends.local import runner as runner_local
 from fogspec.backends.local.runner import LocalRunner
-from fogspec.backends.protocol import Job, LaunchRefused, ListsMachines, Progress, Recording, Runner
+from fogspec.backends.protocol import Job, LaunchRefused, ListsMachines, Progress, Runner
 from fogspec.backends.replay import ReplayRunner
 from fogspec.backends.skypilot.errors import CloudProblem
 from fogspec.backends.skypilot.runner import SkyPilotRunner
 from fogspec.base.templates import render
-from fogspec.plan.schema import GpuShape, MachineRef, Sample
+from fogspec.catalog.machine import Gpu, Machine
+from fogspec.plan.schema import Sample
+from fogspec.results.io import Recording
 from fogspec.results.schema import LatencySummary, Measured
 from tests.support.fake_sky import Cloud, SimulatedClient
 

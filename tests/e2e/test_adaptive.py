@@ -240,7 +240,7 @@ def test_stopped_in_the_middle_of_a_wave_it_goes_on_to_the_same_end(project, num
                                 if (project.folder / "results/demo.yaml").exists() else ""))  # fmt: skip
     running.send_signal(number)
     assert running.wait(timeout=240) == (130 if number == signal.SIGINT else -number)
-    assert "ended" not in results(project)["sampling"]
+    assert "stop_reason" not in results(project)["sampling"]
     bench(project)
     assert project.read("results/demo.yaml") == expected
 

@@ -10,7 +10,7 @@ from tests.support.scenes import SPEC, WORK, Scene, tree
 FIRST = "local-1cpu-1gib"
 SAMPLE = ("--only", FIRST)
 # A short time only for what ends by it: what ends otherwise need not be faster than that.
-SHORT = {"hang": ("setup: 1min", "setup: 2s"), "hang later": ("after: 1min", "after: 2s")}
+SHORT = {"hang": ("setup_timeout: 1min", "setup_timeout: 2s"), "hang later": ("duration: 1min", "duration: 2s")}
 SHORT["hang in warm-up"] = SHORT["hang later"]
 SAY = "import json, os, sys, time\nout = open(os.environ['FOGSPEC_TIMINGS'], 'a', buffering=1)\n"
 
@@ -169,7 +169,7 @@ def test_a_workload_that_takes_all_memory_is_out_of_memory(tmp_path):
     work = "import fogspec_probe\nkept = []\nwhile True:\n" + (
         "    with fogspec_probe.request('work'):\n        kept.append(b'x' * (100 << 20))\n"
     )
-    scene = Scene.made(tmp_path / "scene", work, SPEC.replace("steps: 10,", "steps: 1000,"))
+    scene = Scene.made(tmp_path / "scene", work, SPEC.replace("requests: 10,", "requests: 1000,"))
     assert scene.bench(*SAMPLE).returncode == 1
     record = scene.records()[FIRST]
     assert (record["reason"], "1 GiB were not enough" in record["detail"]) == ("out_of_memory", True)

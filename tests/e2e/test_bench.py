@@ -25,7 +25,7 @@ def halting(tmp_path, monkeypatch):
     """A bench that is in the middle of its first sample and stays there, in a shell that knows too much."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     monkeypatch.setenv("SOME_API_KEY", "not for workloads")
-    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("after: 1min", "after: 10min"))
+    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("duration: 1min", "duration: 10min"))
     bench = scene.begin()
     until(lambda: scene.requests() >= 3)
     yield scene, bench
@@ -244,7 +244,7 @@ def test_a_changed_spec_sets_aside_what_was_measured(tmp_path):
 
 
 def test_measuring_again_and_stopping_keeps_what_was_measured(tmp_path):
-    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("after: 1min", "after: 10min"))
+    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("duration: 1min", "duration: 10min"))
     (scene.folder / "specs" / "go").touch()
     assert scene.bench("--only", FIRST).returncode == 0
     before = tree(scene.results.parent)

@@ -62,7 +62,7 @@ def test_a_secret_is_in_no_file_log_or_result(tmp_path, monkeypatch):
 def test_a_secret_is_in_no_argv_and_in_nobody_elses_output(tmp_path, monkeypatch):
     monkeypatch.setenv("MAP_PASSWORD", SECRET)
     spec = SPEC.replace("  benchmark:", "  secrets: [MAP_PASSWORD]\n  benchmark:").replace(
-        "after: 1min", "after: 10min"
+        "duration: 1min", "duration: 10min"
     )
     scene = Scene.made(tmp_path / "scene", HALTING, spec)
     bench = scene.begin("-o", "json")
@@ -135,7 +135,7 @@ def test_an_outcome_that_is_made_up_counts_for_nothing(tmp_path, outcome):
 
 
 def test_agent_and_bench_open_no_port(tmp_path):
-    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("after: 1min", "after: 10min"))
+    scene = Scene.made(tmp_path / "scene", HALTING, SPEC.replace("duration: 1min", "duration: 10min"))
     bench = scene.begin()
     try:
         until(lambda: scene.requests() >= 3)

@@ -104,7 +104,7 @@ def test_an_update_that_does_not_answer_leaves_the_old_machine(app: Make) -> Non
     tiny.apply()
     before = tiny.names()
     (tiny.folder / "specs/answers").unlink()
-    tiny.change("[test, -e, answers]", "[test, -s, answers], patience: 3s")
+    tiny.change("[test, -e, answers]", "[test, -s, answers], ready_timeout: 3s")
     tiny("compile", "specs/tiny.yaml")
     failed = tiny.apply(code=6)
     assert "the nodes did not answer within 3 s" in failed.stderr
