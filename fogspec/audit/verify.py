@@ -4,7 +4,6 @@ Each link is checked by itself, so that what is said is where the chain breaks, 
 """
 
 import math
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -148,10 +147,7 @@ def _record(record: Measured, folder: Path, rules: Rules) -> Iterator[str]:
     except InvalidInput as wrong:
         yield wrong.message
         return
-    with tempfile.NamedTemporaryFile(suffix=".jsonl") as plain:
-        plain.write(content)
-        plain.flush()
-        requests = read(Path(plain.name), rules)
+    requests = read(content, rules)
     latency = summary(requests.latencies_s, weights(requests.kinds, rules.scenarios))
     now = record.model_copy(
         update={"requests": len(requests.latencies_s), "failed_requests": requests.failed, "latency": latency}

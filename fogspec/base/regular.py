@@ -1,7 +1,9 @@
 """Reading what a user names: a file, and nothing that would keep whoever reads it waiting."""
 
 import errno
+import gzip
 import os
+import zlib
 
 from fogspec.base.file_kinds import not_a_file
 
@@ -17,3 +19,11 @@ def read_file(path: str | os.PathLike[str], most_bytes: int = -1) -> bytes:
     check_file(path)
     with open(path, "rb") as file:
         return file.read(most_bytes)
+
+
+def decompress(content: bytes, path: str | os.PathLike[str]) -> bytes:
+    """Return the content of a file, decompressed if its name ends in `.gz`; raises OSError if it is damaged."""
+    try:
+        return gzip.decompress(content) if os.fspath(path).endswith(".gz") else content
+    except (OSError, EOFError, zlib.error):
+        raise OSError(errno.EINVAL, "it is no whole gzip file", os.fspath(path)) from None

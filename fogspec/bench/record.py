@@ -2,6 +2,7 @@
 
 import errno
 import gzip
+import io
 import json
 import math
 import os
@@ -81,10 +82,10 @@ class Requests:
     finished: Sequence[Request] = ()
 
 
-def read(path: Path | None, rules: Rules) -> Requests:
-    """The requests of a timings file; lines that are no records are counted, never guessed at."""
+def read(source: Path | bytes | None, rules: Rules) -> Requests:
+    """The requests of a timings file, or of its content; lines that are no records are counted, never guessed at."""
     requests, found, values = Requests(), list[Request](), list[Value]()
-    for line in _lines(path):
+    for line in _lines(source):
         entry = _entry(line)
         if isinstance(entry, Value):
             values.append(entry)
@@ -229,11 +230,11 @@ def timings_reference(relative: str, content: bytes) -> Timings:
     return Timings(path=relative, digest=digest.of_bytes(content))
 
 
-def _lines(path: Path | None) -> Iterator[bytes]:
-    if path is None or path.is_symlink() or not path.is_file():
+def _lines(source: Path | bytes | None) -> Iterator[bytes]:
+    if source is None or (isinstance(source, Path) and (source.is_symlink() or not source.is_file())):
         return
     read_bytes = 0
-    with opened(path) as file:
+    with opened(source) if isinstance(source, Path) else io.BytesIO(source) as file:
         # A last line without its end was cut off in the middle of writing: it says nothing.
         while (line := file.readline(LINE_LIMIT)) and read_bytes < SIZE_LIMIT:
             read_bytes += len(line)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fogspec.catalog.machine import Machine
 from fogspec.evaluation.sweeps import COLUMNS
-from fogspec.model.tables import number, rows
+from fogspec.model.tables import read_table
 from fogspec.results.io import Recording, recordings
 from fogspec.results.schema import LatencySummary, Measured
 
@@ -20,9 +20,11 @@ def replayable(path: str, after_s: float) -> tuple[list[Recording], str]:
     if not path.endswith(".csv"):
         return recordings(path)
     latencies: dict[tuple[str, str], list[float]] = {}
-    for line, row in rows(Path(path), COLUMNS):
-        latency_s = number(Path(path), line, row, "latency_s", required=True)
-        latencies.setdefault((row.get("infra") or "", row["instance_type"]), []).append(latency_s)
+    table = read_table(Path(path), COLUMNS)
+    latency_s = table.numbers("latency_s", positive=True).tolist()
+    table.check()
+    for infra, name, value in zip(table.column("infra"), table.column("instance_type"), latency_s, strict=True):
+        latencies.setdefault((infra, name), []).append(value)
     found = [
         Recording(_record(infra, name, measured, after_s), priced=False)
         for (infra, name), measured in latencies.items()

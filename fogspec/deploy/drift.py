@@ -7,10 +7,8 @@ predicted interval. Latencies are taken on the machine, as they were when it was
 import itertools
 import math
 import statistics
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -50,10 +48,7 @@ class Observed:
 def observe(timings: bytes, application: Application, expected: Expected, machine: Machine) -> Observed:
     """Compare the latest requests with what was expected of this machine."""
     rules = replace(record.Rules.of(application), warmup=0)
-    with tempfile.NamedTemporaryFile(suffix=".jsonl") as file:
-        file.writelines(timings.splitlines(keepends=True)[-LATEST:])
-        file.flush()
-        requests = record.read(Path(file.name), rules)
+    requests = record.read(b"".join(timings.splitlines(keepends=True)[-LATEST:]), rules)
     known = requests.latencies_s
     found = summary(known, weights(requests.kinds, rules.scenarios))
     statistic = expected.latency.statistic

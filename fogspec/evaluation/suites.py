@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fogspec.evaluation.suite import KINDS, Problem, Setting, Suite
-from fogspec.model.tables import Measured, Table, found, opened, problem, read_latencies, read_machines
+from fogspec.model.tables import Measured, Table, found, problem, read_bytes, read_latencies, read_machines
 
 
 def read_suite(folder: Path) -> Suite:
@@ -19,13 +19,12 @@ def read_suite(folder: Path) -> Suite:
 
 def read_problems(path: Path, table: Table, measured: Measured) -> Iterator[Problem]:
     """The problems, one JSON object a line."""
-    with opened(path) as stream:
-        for line, text in enumerate(stream, start=1):
-            if text.strip():
-                yield _problem_of(path, line, text, table, measured)
+    for line, text in enumerate(read_bytes(path).split(b"\n"), start=1):
+        if text.strip():
+            yield _problem_of(path, line, text, table, measured)
 
 
-def _problem_of(path: Path, line: int, text: str, table: Table, measured: Measured) -> Problem:
+def _problem_of(path: Path, line: int, text: bytes, table: Table, measured: Measured) -> Problem:
     try:
         raw = json.loads(text)
         settings = tuple(

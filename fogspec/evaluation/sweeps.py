@@ -12,7 +12,7 @@ from fogspec.catalog.table import Catalog
 from fogspec.choice.choose import latency_limit_s
 from fogspec.evaluation.replay import Noise
 from fogspec.evaluation.suite import Problem, Setting
-from fogspec.model.tables import number, problem, rows
+from fogspec.model.tables import read_table
 from fogspec.numerics.features import Floats, Machines
 from fogspec.spec.schema import Application
 
@@ -46,17 +46,19 @@ def read_sweep(path: Path, application: Application, catalog: Catalog) -> Sweep:
         offers = offers.take(offers.price_usd_per_hour <= spec.constraints.price)
     latencies: dict[int, list[float]] = {}
     left_out: dict[str, None] = {}
-    for line, row in rows(path, COLUMNS):
-        latency = number(path, line, row, "latency_s", required=True)
-        name, infra = row["instance_type"], row.get("infra") or None
+    table = read_table(path, COLUMNS)
+    latency_s = table.numbers("latency_s", positive=True)
+    table.check()
+    for row, (name, infra) in enumerate(zip(table.column("instance_type"), table.column("infra"), strict=True)):
         found = _cheapest(offers, name, infra)
         if found is None:
             if _cheapest(catalog, name, infra) is None:
                 place = f" in {infra}" if infra else ""
-                raise problem(path, line, f"{name}{place} is not in the catalog {catalog.about.source}")
+                table.problem(row, "instance_type", f"{name}{place} is not in the catalog {catalog.about.source}")
             left_out[name] = None
         else:
-            latencies.setdefault(found, []).append(latency)
+            latencies.setdefault(found, []).append(float(latency_s[row]))
+    table.check()
     if len(latencies) < FEWEST:
         raise InvalidInput(f"{path}: the spec admits {len(latencies)} of its machines, a replay needs {FEWEST}")
     at = np.array(sorted(latencies), dtype=np.intp)
@@ -69,7 +71,7 @@ def read_sweep(path: Path, application: Application, catalog: Catalog) -> Sweep:
     return Sweep(_posed(application, truth, machines), machines, names, Noise(again), tuple(left_out))
 
 
-def _cheapest(offers: Catalog, name: str, infra: str | None) -> int | None:
+def _cheapest(offers: Catalog, name: str, infra: str) -> int | None:
     there = (offers.instance == name) & ~offers.spot
     if infra:
         there &= matches_infra(offers, infra)

@@ -1,7 +1,6 @@
 """A library of what machines do elsewhere: a folder in the suite layout, or a zip archive of one."""
 
 import csv
-import gzip
 import io
 import zipfile
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ from fogspec.base import digest
 from fogspec.base.errors import InvalidInput, OutOfDate
 from fogspec.base.files import write_bytes
 from fogspec.base.layout import Layout
-from fogspec.model.tables import LATENCY_COLUMNS, found, read_latencies, read_machines
+from fogspec.model.tables import LATENCY_COLUMNS, MACHINE_COLUMNS, found, read_latencies, read_machines, read_table
 from fogspec.numerics.priors import Library
 from fogspec.spec.lockfile import Pins
 
@@ -66,11 +65,12 @@ def write_priors(path: Path, machines: Sequence[dict[str, Any]], latencies: Sequ
     write_bytes(path, packed.getvalue())
 
 
-def rows_of(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def rows_of(path: Path) -> tuple[list[dict[str, str]], list[dict[str, str]]]:
     """Rows of both files of a folder in the suite layout, checked."""
     read_priors(path)
     folder = _opened(path)
-    return _plain(found(folder, "machines.csv")), _plain(found(folder, "latencies.csv"))
+    machines = read_table(found(folder, "machines.csv"), MACHINE_COLUMNS)
+    return machines.records(), read_table(found(folder, "latencies.csv"), LATENCY_COLUMNS).records()
 
 
 def _opened(path: Path) -> Any:
@@ -81,12 +81,6 @@ def _opened(path: Path) -> Any:
         return zipfile.Path(path)
     except (zipfile.BadZipFile, OSError) as wrong:
         raise InvalidInput(f"{path}: not a library: {wrong}", "fogspec priors build --out FILE.zip") from None
-
-
-def _plain(path: Any) -> list[dict[str, Any]]:
-    raw = path.read_bytes()
-    text = (gzip.decompress(raw) if path.name.endswith(".gz") else raw).decode()
-    return list(csv.DictReader(io.StringIO(text, newline="")))
 
 
 def _csv(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:

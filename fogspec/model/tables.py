@@ -1,19 +1,17 @@
 """Machines and their latencies as CSV tables: machines.csv and latencies.csv[.gz], and sweeps."""
 
-import csv
-import gzip
-import io
-import math
-from collections.abc import Iterator, Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fogspec.base.csv_table import CsvTable, parse_csv
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
-from fogspec.base.regular import check_file
+from fogspec.base.regular import decompress, read_file
 from fogspec.numerics.features import Floats, Machines, codes
 
 MACHINE_COLUMNS = ("Cloud", "InstanceType", "vCPUs", "MemoryGiB", "Price")
@@ -37,49 +35,62 @@ class Measured:
     latency_s: dict[str, Floats]
 
 
-def read_machines(path: Path) -> Table:
+def read_machines(path: Any) -> Table:
     """The machines of a suite: SkyPilot's columns and a few more; only MACHINE_COLUMNS are required."""
-    listed = list(rows(path, MACHINE_COLUMNS))
-    for line, row in listed:
-        for name in ("vCPUs", "MemoryGiB", "Price"):
-            number(path, line, row, name, required=True)
-    names = tuple(f"{row['Cloud']}/{row['InstanceType']}" for _, row in listed)
-    if len(set(names)) < len(names):
-        twice = next(n for i, n in enumerate(names) if n in names[:i])
-        raise problem(path, listed[[*names].index(twice)][0], f"{twice} is there twice")
-
-    def column(name: str, scale: float = 1.0) -> Floats:
-        return np.array([number(path, line, row, name) for line, row in listed]) * scale
+    table = read_table(path, MACHINE_COLUMNS)
+    names = tuple(
+        f"{cloud}/{kind}" for cloud, kind in zip(table.column("Cloud"), table.column("InstanceType"), strict=True)
+    )
+    row: dict[str, int] = {}
+    for i, name in enumerate(names):
+        if row.setdefault(name, i) != i:
+            table.problem(row[name], "InstanceType", f"{name} is there twice")
 
     def code(name: str) -> Any:
-        return codes([row.get(name, "") or "" for _, row in listed])
+        return codes([*table.column(name)])
 
-    count = column("AcceleratorCount")
+    vcpus, memory_gib, price = (table.numbers(name, positive=True) for name in ("vCPUs", "MemoryGiB", "Price"))
+    columns = {
+        "gpu_count": np.nan_to_num(table.numbers("AcceleratorCount")),
+        "gpu_memory_gib": table.numbers("GpuMemMiB") / 1024,
+        "physical_cores": table.numbers("PhysicalCores"),
+        "clock_ghz": table.numbers("ClockGHz"),
+        "burstable": np.array([text in ("1", "True", "true") for text in table.column("Burstable")]),
+    }
+    table.check()
     machines = Machines(
-        vcpus=column("vCPUs"), memory_gib=column("MemoryGiB"), price_usd_per_hour=column("Price"),
-        family=code("Family"), arch=code("Arch"), cloud=code("Cloud"), cpu_model=code("CpuModel"),
-        gpu=code("AcceleratorName"), gpu_count=np.where(np.isnan(count), 0.0, count),
-        gpu_memory_gib=column("GpuMemMiB", 1 / 1024), physical_cores=column("PhysicalCores"),
-        clock_ghz=column("ClockGHz"), burstable=np.array([row.get("Burstable") in ("1", "True", "true") for _, row in listed]),
-    )  # fmt: skip
-    return Table(names, machines, {name: i for i, name in enumerate(names)})
+        vcpus=vcpus,
+        memory_gib=memory_gib,
+        price_usd_per_hour=price,
+        family=code("Family"),
+        arch=code("Arch"),
+        cloud=code("Cloud"),
+        cpu_model=code("CpuModel"),
+        gpu=code("AcceleratorName"),
+        **columns,
+    )
+    return Table(names, machines, row)
 
 
-def read_latencies(path: Path, table: Table) -> Measured:
+def read_latencies(path: Any, table: Table) -> Measured:
     """Latencies per workload; raises `DiagnosticError` for latencies that are not positive and finite or unknown machines."""
     suites: dict[str, str] = {}
     latency: dict[str, Floats] = {}
-    for line, row in rows(path, LATENCY_COLUMNS):
-        name = f"{row['cloud']}/{row['instance_type']}"
+    file = read_table(path, LATENCY_COLUMNS)
+    values = file.numbers("latency_s", positive=True)
+    texts = zip(*(file.column(name) for name in LATENCY_COLUMNS[:4]), strict=True)
+    for row, (workload, suite, cloud, kind) in enumerate(texts):
+        name = f"{cloud}/{kind}"
         if name not in table.row:
-            raise problem(path, line, f"machine {name} is not in machines.csv")
-        value = number(path, line, row, "latency_s", required=True)
-        workload = row["workload"]
-        if suites.setdefault(workload, row["suite"]) != row["suite"]:
-            raise problem(path, line, f"workload {workload} is in suite {suites[workload]} elsewhere in the file")
+            file.problem(row, "instance_type", f"machine {name} is not in machines.csv")
+            continue
+        if suites.setdefault(workload, suite) != suite:
+            file.problem(row, "suite", f"workload {workload} is in suite {suites[workload]} elsewhere in the file")
+            suites[workload] = suite
         if workload not in latency:
             latency[workload] = np.full(len(table.names), np.nan)
-        latency[workload][table.row[name]] = value
+        latency[workload][table.row[name]] = values[row]
+    file.check()
     return Measured(suites, latency)
 
 
@@ -93,44 +104,17 @@ def found(folder: Path, name: str) -> Path:
     )
 
 
-def opened(path: Any) -> Any:
-    """A file of a suite as text, plain or gzipped; raises InvalidInput for anything but a file."""
-    if isinstance(path, Path):
-        check_file(path)
-    raw = path.open("rb")
-    return io.TextIOWrapper(gzip.open(raw) if path.name.endswith(".gz") else raw, encoding="utf-8", newline="")
+def read_table(path: Any, required: Sequence[str]) -> CsvTable:
+    """A CSV file of a suite or sweep, plain or gzipped; raises InvalidInput, and DiagnosticError for a wrong table."""
+    return parse_csv(read_bytes(path), str(path), required, code="FS402", what=path.name)
 
 
-def rows(path: Path, required: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Rows of a CSV file with their line numbers; raises for missing columns and ragged rows."""
+def read_bytes(path: Any) -> bytes:
+    """The content of a file, plain or gzipped, in a folder or an archive; raises InvalidInput for anything but a file."""
     try:
-        with opened(path) as stream:
-            reader = csv.DictReader(stream)
-            missing = [name for name in required if name not in (reader.fieldnames or ())]
-            if missing:
-                raise problem(
-                    path, 1, f"column {missing[0]} is missing; found {', '.join(reader.fieldnames or ['none'])}"
-                )
-            for row in reader:
-                if None in row or None in row.values():
-                    raise problem(path, reader.line_num, f"a row has {len(reader.fieldnames or ())} fields")
-                yield reader.line_num, row
-    except (OSError, UnicodeDecodeError, EOFError, csv.Error) as wrong:
+        return decompress(read_file(path) if isinstance(path, Path) else path.read_bytes(), str(path))
+    except (OSError, EOFError, zlib.error) as wrong:
         raise InvalidInput(f"{path}: cannot be read: {getattr(wrong, 'strerror', None) or wrong}") from None
-
-
-def number(path: Path, line: int, row: dict[str, str], name: str, *, required: bool = False) -> float:
-    """A field as a number, NaN where empty; one that is `required` must be positive and finite."""
-    text = row.get(name) or ""
-    if not text and not required:
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        raise problem(path, line, f"{name} is not a number: {text!r}") from None
-    if required and not (math.isfinite(value) and value > 0):
-        raise problem(path, line, f"{name} must be positive and finite, got {text!r}")
-    return value
 
 
 def problem(path: Path, line: int, message: str) -> DiagnosticError:

@@ -110,11 +110,11 @@ def test_a_sweep_is_judged_by_the_limits_and_the_confidence_of_its_spec(tmp_path
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("instance,latency\nc6i.large,1\n", "column instance_type is missing"),
+        ("instance,latency\nc6i.large,1\n", "missing: instance_type"),
         ("instance_type,latency_s\nc6i.nano,1\nc6i.large,2\n", "c6i.nano is not in the catalog"),
         ("instance_type,latency_s\nc6i.large,0\n", "positive and finite"),
         ("instance_type,latency_s\nc6i.large,1\n", "a replay needs 2"),
-        ("", "column instance_type is missing"),
+        ("", "it needs the columns instance_type, latency_s"),
     ],
 )
 def test_a_wrong_sweep_is_said(tmp_path, text, says):

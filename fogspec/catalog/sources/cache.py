@@ -20,7 +20,13 @@ import numpy as np
 from fogspec.catalog.table import About, Catalog, strings
 
 KEPT = 24  # files; the least recently used beyond that are removed
-READERS = ("cache.py", "gcp.py", "names.py", "parse.py", "rows.py", "../../base/clouds.py")
+READERS = (
+    "base/clouds.py",
+    "base/csv_table.py",
+    "catalog/sources/cache.py",
+    "catalog/sources/gcp.py",
+    "catalog/sources/parse.py",
+)
 COLUMNS = [field.name for field in fields(Catalog) if field.name != "about"]
 FLAGS = ("spot", "burstable")
 TEXTS = ("cloud", "region", "zone", "instance", "gpu", "arch", "family")
@@ -47,8 +53,8 @@ def folder() -> Path:
 
 @cache
 def _code() -> str:
-    here = Path(__file__).parent
-    return hashlib.sha256(b"".join((here / name).read_bytes() for name in READERS)).hexdigest()
+    package = Path(__file__).parents[2]
+    return hashlib.sha256(b"".join((package / name).read_bytes() for name in READERS)).hexdigest()
 
 
 def _load(file: Path) -> Catalog | None:

@@ -1,15 +1,12 @@
 """A catalog from a CSV file in SkyPilot's columns, plain or gzipped."""
 
-import gzip
-import os
-import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from fogspec.base.clouds import CLOUDS
 from fogspec.base.errors import InvalidInput
-from fogspec.base.file_kinds import not_a_file
+from fogspec.base.regular import decompress, read_file
 from fogspec.catalog.sources.cache import cached
 from fogspec.catalog.sources.parse import read
 from fogspec.catalog.table import About, Catalog
@@ -37,25 +34,12 @@ class CsvFile:
 
 
 def table(path: str | Path, cloud: str | None, about: About, shown: str | None = None) -> Catalog:
-    """The table in a file, which is called `shown` where something is wrong with it; raises DiagnosticError or InvalidInput."""
-    raw, name = _bytes(path), shown or str(path)
-    nobody = About("", "", "", "")
-    catalog = cached(raw, name, cloud, lambda: read(_unpacked(raw, path), name, cloud, nobody))
-    found = replace(about, digest=catalog.about.digest, notes=(*about.notes, *catalog.about.notes))
-    return replace(catalog, about=found)
-
-
-def _bytes(path: str | Path) -> bytes:
+    """Return the table in a file, under the name `shown` in messages; raises DiagnosticError or InvalidInput."""
+    name = shown or str(path)
     try:
-        if (what := not_a_file(os.stat(path).st_mode)) is not None:
-            raise InvalidInput(f"{path}: the catalog cannot be read: {what}")
-        return Path(path).read_bytes()
+        raw = read_file(path)
+        catalog = cached(raw, name, cloud, lambda: read(decompress(raw, path), name, cloud, About("", "", "", "")))
     except OSError as problem:
         raise InvalidInput(f"{path}: the catalog cannot be read: {problem.strerror}") from None
-
-
-def _unpacked(raw: bytes, path: str | Path) -> bytes:
-    try:
-        return gzip.decompress(raw) if str(path).endswith(".gz") else raw
-    except (OSError, EOFError, zlib.error):
-        raise InvalidInput(f"{path}: the catalog cannot be read: it is no whole gzip file") from None
+    found = replace(about, digest=catalog.about.digest, notes=(*about.notes, *catalog.about.notes))
+    return replace(catalog, about=found)

@@ -8,21 +8,23 @@ Burstable, GpuMemMiB. All others are left alone.
 import gc
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import fields, replace
+from functools import cache
 
 import numpy as np
 
+from fogspec.base.clouds import cloud_of
+from fogspec.base.csv_table import CsvTable, parse_csv
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.digest import of_bytes
 from fogspec.catalog.sources import gcp
-from fogspec.catalog.sources.names import arch_of, family_of
-from fogspec.catalog.sources.rows import Rows, parse
 from fogspec.catalog.table import About, Catalog, Floats, Strings, strings
 
 REQUIRED = ("InstanceType", "vCPUs", "MemoryGiB", "Price", "Region")
 GPU_MIB = re.compile(r"SizeInMiB\D+(\d+)")
 TRUE = ("1", "1.0", "true", "True")
+ARCHITECTURES = {"aarch64": "arm64", "arm": "arm64", "amd64": "x86_64", "x64": "x86_64", "i386": "x86_64"}
 
 
 def read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog:
@@ -42,18 +44,18 @@ def read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog:
 
 
 def _read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog:
-    rows = parse(content, path, REQUIRED)
+    rows = parse_csv(content, path, REQUIRED, code="FS401", what="a catalog")
     if cloud is None and "Cloud" not in rows.columns:
         message = "which cloud these machines belong to must be said: a column Cloud is missing"
         raise DiagnosticError([Diagnostic("FS401", message, Span(path, 1, 1))])
     machines, spot = _machines(rows, cloud or "", about), rows.numbers("SpotPrice")
     rows.check()
-    _explain(rows, machines, spot)
+    notes = [*about.notes, *_left_out(rows, machines, spot)]
     offers = _priced(*gcp.joined(_unpriced(machines), spot))
     once = offers.merged()
     if repeated := len(offers) - len(once):
-        rows.notes.append(f"{path}: {repeated:,} offers are repeated: the highest price of each counts")
-    return replace(once, about=replace(about, digest=digest(content), notes=(*about.notes, *rows.notes)))
+        notes.append(f"{path}: {repeated:,} offers are repeated: the highest price of each counts")
+    return replace(once, about=replace(about, digest=digest(content), notes=tuple(notes)))
 
 
 def digest(content: bytes) -> str:
@@ -62,7 +64,7 @@ def digest(content: bytes) -> str:
     return of_bytes(b"\n".join([head, *sorted(filter(None, rest))]))
 
 
-def _machines(rows: Rows, cloud: str, about: About) -> Catalog:
+def _machines(rows: CsvTable, cloud: str, about: About) -> Catalog:
     """One row a line of the table, priced or not."""
     clouds = _clouds(rows, cloud)
     instances = rows.shared("InstanceType")
@@ -87,13 +89,34 @@ def _machines(rows: Rows, cloud: str, about: About) -> Catalog:
     )
 
 
-def _clouds(rows: Rows, cloud: str) -> Strings:
+def _clouds(rows: CsvTable, cloud: str) -> Strings:
     column = rows.column("Cloud")
     known = {text: text.strip().lower() or cloud for text in set(column)}
     return strings(map(known.__getitem__, column))
 
 
-def _gpu_memory_gib(rows: Rows) -> Floats:
+@cache
+def arch_of(cloud: str, instance: str, said: str) -> str:
+    """`x86_64` or `arm64`, from what the table says, else from the name; other words stay as they are."""
+    if word := said.strip().lower():
+        return ARCHITECTURES.get(word, word)
+    pattern = cloud_of(cloud).arm
+    arm = pattern is not None and re.match(pattern, instance)
+    return "arm64" if arm else "x86_64"
+
+
+@cache
+def family_of(cloud: str, instance: str, said: str) -> str:
+    """The family: `c6i` of c6i.large, `n2` of n2-standard-4, `Dsv5` of Standard_D8s_v5; else the name's first word."""
+    if said:
+        return said
+    pattern = cloud_of(cloud).family
+    if pattern is not None and (match := re.match(pattern, instance)):
+        return "".join(part or "" for part in match.groups())
+    return re.split(r"[.\-_]", instance, maxsplit=1)[0]
+
+
+def _gpu_memory_gib(rows: CsvTable) -> Floats:
     """Memory of one accelerator in GiB: from GpuMemMiB, else from SkyPilot's GpuInfo."""
     if "GpuMemMiB" in rows.columns:
         return rows.numbers("GpuMemMiB") / 1024
@@ -103,18 +126,21 @@ def _gpu_memory_gib(rows: Rows) -> Floats:
     return np.fromiter(map(known.__getitem__, column), np.float64, len(column))
 
 
-def _explain(rows: Rows, machines: Catalog, spot: Floats) -> None:
-    """Say which rows are no candidates."""
+def _left_out(rows: CsvTable, machines: Catalog, spot: Floats) -> Iterator[str]:
+    """Yield a note for each reason why rows are not candidates, with the line of the first such row."""
     price = machines.price_usd_per_hour
-    names: Sequence[str] = machines.instance.tolist()
-    for mask, what in (
+    for mask, reason in (
         (np.isnan(price) & ~(spot > 0), "no price: not a candidate"),
         (price == 0, "a price of 0: not a candidate"),
         (spot == 0, "a spot price of 0: not a spot candidate"),
         (~(machines.vcpus > 0) | ~(machines.memory_gib > 0), "no vCPUs or no memory: not a candidate"),
         ((machines.gpu != "") & (machines.gpu_count == 0), "an accelerator without a count: not a candidate"),
     ):
-        rows.note(np.flatnonzero(mask & (machines.instance != "")).tolist(), what, names)
+        found = np.flatnonzero(mask & (machines.instance != "")).tolist()
+        if found:
+            have = "row has" if len(found) == 1 else "rows have"
+            first = f"{machines.instance[found[0]]} at line {rows.lines[found[0]]}"
+            yield f"{rows.path}: {len(found):,} {have} {reason}, such as {first}"
 
 
 def _unpriced(machines: Catalog) -> Catalog:

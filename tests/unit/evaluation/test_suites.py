@@ -37,14 +37,14 @@ def test_reads_gzipped_files_alike(suite):
 @pytest.mark.parametrize(
     ("file", "old", "new", "says"),
     [
-        ("machines.csv", "vCPUs", "cpus", "column vCPUs is missing"),
+        ("machines.csv", "vCPUs", "cpus", "missing: vCPUs"),
         ("machines.csv", "m0,", "m1,", "aws/m1 is there twice"),
         ("latencies.csv", ",m3,", ",m99,", "machine aws/m99 is not in machines.csv"),
         ("latencies.csv", "latency_s\n", "latency_s\nw0,s0,aws,m0,-1\n", "must be positive and finite"),
         ("latencies.csv", "latency_s\n", "latency_s\nw0,s0,aws,m0,inf\n", "must be positive and finite"),
         ("latencies.csv", "latency_s\n", "latency_s\nw0,s0,aws,m0,fast\n", "not a number"),
         ("latencies.csv", "latency_s\n", "latency_s\nw0,other,aws,m0,1\n", "is in suite"),
-        ("latencies.csv", "latency_s\n", "latency_s\nw0,s0\n", "a row has 5 fields"),
+        ("latencies.csv", "latency_s\n", "latency_s\nw0,s0\n", "a row must have 5 fields"),
         ("problems.jsonl", '"family"', '"families"', "kind is one of"),
         ("problems.jsonl", '"w0"', '"w9"', "has no latencies"),
         ("problems.jsonl", '"settings"', '"setting"', "not a problem"),
