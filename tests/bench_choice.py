@@ -5,8 +5,8 @@ import time
 
 import numpy as np
 
-from fogspec.backends import registry
 from fogspec.catalog.machine import Machine
+from fogspec.catalog.sources import load_catalog
 from fogspec.catalog.table import About, Catalog, strings
 from fogspec.choice.choose import choose
 from fogspec.model.fit import Models, fit
@@ -58,7 +58,7 @@ def measured(names: dict[str, tuple[float, float]] | None = None) -> Models:
 
 def main() -> None:
     """Print the median, least and greatest time of each step."""
-    catalog = registry.catalog(None, ("aws",))
+    catalog = load_catalog(None, ("aws",))
     of_type = np.array([str(name).partition(".")[0] for name in catalog.instance])
     family = catalog.take(np.isin(of_type, ("c6i", "m6i", "r6i")) & ~catalog.spot)
     grid = {f"{f}.{size}": (v, v * r) for f, r in (("c6i", 2), ("m6i", 4), ("r6i", 8))

@@ -3,6 +3,7 @@
 Each link is checked by itself, so that what is said is where the chain breaks, not only that it does.
 """
 
+import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,12 +15,12 @@ from fogspec.audit.compare import change_text, changes_in_file
 from fogspec.base import digest
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, InvalidInput
-from fogspec.bench.record import Rules, read
 from fogspec.catalog.table import Catalog
 from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.compiler import Artifacts, compile_application
 from fogspec.plan.schema import Plan, digest_without_budget
 from fogspec.results.io import raw_timings, read_results
+from fogspec.results.requests import RecordRules, parse_requests
 from fogspec.results.schema import LatencySummary, Measured, Results
 from fogspec.results.statistics import summary, weights
 from fogspec.spec import fingerprints
@@ -131,7 +132,7 @@ def _results(opened: ManifestBundle, compiled: Artifacts, results: Results | Non
 def _timings(opened: ManifestBundle, results: Results) -> Check:
     """Raw timings: as they were recorded, and the records follow from them."""
     layout = opened.layout
-    rules = Rules.of(opened.loaded.application)
+    rules = RecordRules.of(opened.loaded.application)
     kept = [record for record in results.spec.samples if record.timings is not None]
     breaks = [wrong for record in kept for wrong in _record(record, layout.results.parent, rules)]
     without = len(results.spec.samples) - len(kept)
@@ -139,7 +140,7 @@ def _timings(opened: ManifestBundle, results: Results) -> Check:
     return Check("timings", f"{len(kept)} files of raw timings", tuple(breaks[:SHOWN]), notes)
 
 
-def _record(record: Measured, folder: Path, rules: Rules) -> Iterator[str]:
+def _record(record: Measured, folder: Path, rules: RecordRules) -> Iterator[str]:
     assert record.timings is not None
     path = folder / record.timings.path
     try:
@@ -147,8 +148,8 @@ def _record(record: Measured, folder: Path, rules: Rules) -> Iterator[str]:
     except InvalidInput as wrong:
         yield wrong.message
         return
-    requests = read(content, rules)
-    latency = summary(requests.latencies_s, weights(requests.kinds, rules.scenarios))
+    requests = parse_requests(io.BytesIO(content), rules)
+    latency = summary(requests.latencies_s, weights(requests.scenarios, rules.scenarios))
     now = record.model_copy(
         update={"requests": len(requests.latencies_s), "failed_requests": requests.failed, "latency": latency}
     )

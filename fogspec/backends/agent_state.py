@@ -1,66 +1,125 @@
-"""What the on-machine keeper says of a deployment, as far as it can be believed: it came from another machine."""
+"""What the on-machine agent writes: the outcome of a sample, the state of a deployment.
+
+It comes from another machine and is untrusted: it is read with limits and checked value by value.
+"""
 
 import json
 import re
-from dataclasses import replace
-from typing import Any, Literal, TypeGuard
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeGuard, get_args
 
 from fogspec.backends.protocol import DeploymentStatus
 from fogspec.backends.skypilot.errors import plain
+from fogspec.base.regular import open_untrusted
+from fogspec.results.schema import Reason
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {
-    "starting": "starting", "ready": "ready", "ended": "ended"
-}  # fmt: skip
+    "starting": "starting",
+    "ready": "ready",
+    "ended": "ended",
+}
+OUTCOME_BYTES = 64 * 2**10
 TAIL_BYTES = 2**20
-WORDS_BYTES = 16384
-# What SkyPilot puts before each line of a job, and says of the job's end itself.
+LOG_BYTES = 16384
+TEXT_LIMIT = 500
+LONGEST_S = 1e9
+# SkyPilot's prefix of each line of a job, and its own lines about the job's end.
 PREFIX = re.compile(r"^\([^()]*pid=\d+[^()]*\) ")
 PLATFORM = ("ERROR: Job ", "✓ Job finished", "⚙︎ ", "├── ", "└── ", "srun: ")
-TOLD = re.compile(rb"=== fogspec state (\{.*\}) ===")
+STATE_LINE = re.compile(rb"=== fogspec state (\{.*\}) ===")
 
 
-def deployment_status(said: bytes, timings: bytes, address: str | None) -> DeploymentStatus:
-    """From the bytes of state.json and the end of the timings; nothing said is `starting`."""
-    facts = _facts(said)
-    seconds, detail = facts.get("ready_s"), facts.get("detail")
-    return DeploymentStatus(
-        state=STATES.get(str(facts.get("state")), "starting"),
-        detail="".join(c for c in detail if c.isprintable())[:300] if isinstance(detail, str) else None,
-        address=address,
-        ready_s=float(seconds) if isinstance(seconds, (int, float)) and 0 <= seconds < 1e9 else None,
-        timings=tail(timings), observed=facts.get("observed") is not False, link=_public(facts.get("link")),
-    )  # fmt: skip
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """The outcome of a sample: the reason of a failure, and times in seconds; None for a value that is missing or wrong."""
+
+    reason: Reason | None = None
+    detail: str | None = None
+    stopped_by: str | None = None
+    setup_s: float | None = None
+    waited_s: float | None = None
+    duration_s: float | None = None
+
+    @property
+    def measured_s(self) -> float | None:
+        """Seconds from the end of set-up to the end."""
+        if self.duration_s is None or self.setup_s is None:
+            return None
+        return max(0.0, self.duration_s - self.setup_s)
 
 
-def told(log: bytes, address: str | None) -> DeploymentStatus | None:
-    """The last thing that the keeper says in a log, with the requests that it tells of; None where it says nothing."""
-    lines = TOLD.findall(log)
-    if not lines:
+def read_outcome(path: Path) -> Outcome | None:
+    """Return the outcome in the agent's file; None if there is no readable one."""
+    try:
+        with open_untrusted(path) as file:
+            values = json.loads(file.read(OUTCOME_BYTES))
+    except (OSError, ValueError, RecursionError):
         return None
-    rows = _facts(lines[-1]).get("latest")
-    records = [_record(row) for row in rows if _sound(row)] if isinstance(rows, list) else []
-    return with_words(
-        deployment_status(lines[-1], "".join(f"{json.dumps(one)}\n" for one in records).encode(), address), log
+    if not isinstance(values, dict):
+        return None
+    reason = values.get("reason")
+    return Outcome(
+        reason=reason if reason in get_args(Reason) else None,
+        detail=_short(values.get("detail")),
+        stopped_by=_short(values.get("stopped_by")),
+        setup_s=_seconds(values.get("setup_s")),
+        waited_s=_seconds(values.get("waited_s")),
+        duration_s=_seconds(values.get("duration_s")),
     )
 
 
-def with_words(said: DeploymentStatus, log: bytes) -> DeploymentStatus:
-    """What the nodes printed last is why they ended."""
-    if said.state != "ended" or not said.detail or (words := last_words(log)) is None:
-        return said
-    return replace(said, detail=f"{said.detail}: {words}"[:300])
+def deployment_status(state: bytes, timings: bytes, address: str | None) -> DeploymentStatus:
+    """Return the status from the bytes of state.json and the end of the timings; `starting` for no state."""
+    values = _mapping(state)
+    detail = values.get("detail")
+    return DeploymentStatus(
+        state=STATES.get(str(values.get("state")), "starting"),
+        detail="".join(c for c in detail if c.isprintable())[:300] if isinstance(detail, str) else None,
+        address=address,
+        ready_s=_seconds(values.get("ready_s")),
+        timings=tail(timings),
+        observed=values.get("observed") is not False,
+        link=_public_key(values.get("link")),
+    )
 
 
-def last_words(log: bytes) -> str | None:
-    """The last line that nodes have printed; what is said of them is not theirs."""
-    for line in reversed(log[-WORDS_BYTES:].decode("utf-8", "replace").splitlines()):
-        words = PREFIX.sub("", plain(line)).strip()
-        if words and "=== fogspec state " not in words and not words.startswith(PLATFORM):
-            return words[:300]
+def status_in_log(log: bytes, address: str | None) -> DeploymentStatus | None:
+    """Return the supervisor's last report in a log, with the requests that it lists; None if there is no report."""
+    lines = STATE_LINE.findall(log)
+    if not lines:
+        return None
+    rows = _mapping(lines[-1]).get("latest")
+    records = [_record(row) for row in rows if _is_record(row)] if isinstance(rows, list) else []
+    timings = "".join(f"{json.dumps(one)}\n" for one in records).encode()
+    return with_last_line(deployment_status(lines[-1], timings, address), log)
+
+
+def with_last_line(status: DeploymentStatus, log: bytes) -> DeploymentStatus:
+    """Return the status with the nodes' last line, which tells why they ended."""
+    if status.state != "ended" or not status.detail or (line := last_line(log)) is None:
+        return status
+    return replace(status, detail=f"{status.detail}: {line}"[:300])
+
+
+def last_line(log: bytes) -> str | None:
+    """Return the last line that the nodes printed, without the supervisor's and SkyPilot's own lines."""
+    for line in reversed(log[-LOG_BYTES:].decode("utf-8", "replace").splitlines()):
+        text = PREFIX.sub("", plain(line)).strip()
+        if text and "=== fogspec state " not in text and not text.startswith(PLATFORM):
+            return text[:300]
     return None
 
 
-def _sound(row: object) -> TypeGuard[list[Any]]:
+def tail(timings: bytes) -> bytes:
+    """Return the last whole lines."""
+    if len(timings) <= TAIL_BYTES:
+        return timings
+    cut = timings[-TAIL_BYTES:]
+    return cut[cut.find(b"\n") + 1 :]
+
+
+def _is_record(row: object) -> TypeGuard[list[Any]]:
     return isinstance(row, list) and len(row) == 4 and isinstance(row[1], (int, float))
 
 
@@ -68,22 +127,22 @@ def _record(row: list[Any]) -> dict[str, Any]:
     return {"name": str(row[0]), "latency_s": row[1], "ok": row[2] is True, "scenario": row[3]}
 
 
-def _public(said: object) -> str | None:
-    """One line that can be handed to the robot, which checks it again."""
-    return said if isinstance(said, str) and re.fullmatch(r"[A-Za-z0-9+/=]{1,4096}", said) else None
+def _public_key(value: object) -> str | None:
+    """Return one line that can be handed to the robot, which checks it again."""
+    return value if isinstance(value, str) and re.fullmatch(r"[A-Za-z0-9+/=]{1,4096}", value) else None
 
 
-def tail(timings: bytes) -> bytes:
-    """The last whole lines."""
-    if len(timings) <= TAIL_BYTES:
-        return timings
-    cut = timings[-TAIL_BYTES:]
-    return cut[cut.find(b"\n") + 1 :]
+def _seconds(value: object) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and 0 <= value < LONGEST_S else None
 
 
-def _facts(said: bytes) -> dict[str, Any]:
+def _short(value: object) -> str | None:
+    return value[:TEXT_LIMIT] if isinstance(value, str) else None
+
+
+def _mapping(text: bytes) -> dict[str, Any]:
     try:
-        found = json.loads(said[:65536])
+        found = json.loads(text[:65536])
     except (ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}

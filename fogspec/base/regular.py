@@ -3,7 +3,9 @@
 import errno
 import gzip
 import os
+import stat
 import zlib
+from typing import BinaryIO
 
 from fogspec.base.file_kinds import not_a_file
 
@@ -27,3 +29,12 @@ def decompress(content: bytes, path: str | os.PathLike[str]) -> bytes:
         return gzip.decompress(content) if os.fspath(path).endswith(".gz") else content
     except (OSError, EOFError, zlib.error):
         raise OSError(errno.EINVAL, "it is no whole gzip file", os.fspath(path)) from None
+
+
+def open_untrusted(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a file that came from a sample; raise OSError unless it is a plain file: links lead elsewhere, pipes block."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "not a plain file", os.fspath(path))
+    return os.fdopen(descriptor, "rb")

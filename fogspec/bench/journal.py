@@ -1,7 +1,7 @@
-"""The journal of a benchmark: what was started is on disk before it costs anything.
+"""The journal of a benchmark: every start is on disk before it can cost anything.
 
-One JSON line an entry, appended and synced. A controller that is killed at any moment leaves at most one torn
-last line, which says nothing that had happened yet and is cut off. Entries:
+One JSON line per entry, appended and synced. A controller that is killed at any moment leaves at most one torn
+last line, which describes nothing that had happened yet and is cut off. Entries:
 
     campaign  a bench begins: runner, and what had been spent on the results file until then
     start     about to start a machine: its name, its sample, price, lifetime and the clock's reading
@@ -25,9 +25,9 @@ from fogspec.results.schema import Measured
 MOST = 1e12  # of seconds, of USD: more is garbage
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LaunchRecord:
-    """A machine that was started, or was about to be: enough to find it, end it and know its worst bill."""
+    """A machine that was started, or was about to be: enough to find it, stop it and bound its cost."""
 
     name: str
     runner: str
@@ -41,13 +41,13 @@ class LaunchRecord:
 
     @property
     def commitment_usd(self) -> float:
-        """The most it can cost: its price until the moment it ends by itself."""
+        """The most that it can cost: its price for its whole lifetime."""
         return self.price_usd_per_hour * self.lifetime_s / 3600
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class JournalState:
-    """What the journal adds up to: machines not known to be gone, records not yet written, money spent."""
+    """The sum of the journal: machines not verified gone, records not yet in the results, money spent."""
 
     open: dict[str, LaunchRecord] = field(default_factory=dict)
     unwritten: dict[str, tuple[LaunchRecord, Measured]] = field(default_factory=dict)
@@ -58,11 +58,11 @@ class JournalState:
 
     @property
     def committed_usd(self) -> float:
-        """The most that the machines not known to be gone can cost."""
+        """The most that the machines not verified gone can cost."""
         return sum(started.commitment_usd for started in self.open.values())
 
-    def take(self, entry: dict[str, Any]) -> None:
-        """Add one entry; raises KeyError, TypeError or ValueError for one that nobody wrote like this."""
+    def apply(self, entry: dict[str, Any]) -> None:
+        """Add one entry; raise KeyError, TypeError or ValueError if it is malformed."""
         kind = entry["do"]
         if kind == "campaign":
             _name(entry["application"])
@@ -85,21 +85,27 @@ class JournalState:
 def _started(entry: Mapping[str, Any]) -> LaunchRecord:
     substitute_for = entry.get("substitute_for")
     return LaunchRecord(
-        _name(entry["name"]), _name(entry["runner"]), _name(entry["application"]), Sample.model_validate(entry["sample"]),
-        _amount(entry["price_usd_per_hour"]), _amount(entry["lifetime_s"]), _amount(entry["at_s"]), _name(entry["boot"]),
-        None if substitute_for is None else _name(substitute_for),
-    )  # fmt: skip
+        name=_name(entry["name"]),
+        runner=_name(entry["runner"]),
+        application=_name(entry["application"]),
+        sample=Sample.model_validate(entry["sample"]),
+        price_usd_per_hour=_amount(entry["price_usd_per_hour"]),
+        lifetime_s=_amount(entry["lifetime_s"]),
+        at_s=_amount(entry["at_s"]),
+        boot=_name(entry["boot"]),
+        substitute_for=None if substitute_for is None else _name(substitute_for),
+    )
 
 
 def _amount(value: Any) -> float:
-    """Seconds or USD; raises ValueError for what is no such number."""
+    """Return seconds or USD; raise ValueError if the value is out of range."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= MOST:
         raise ValueError(value)
     return float(value)
 
 
 def _name(value: Any) -> str:
-    """A word that may be a folder's name; raises ValueError for any other."""
+    """Return a text that can be a directory's name; raise ValueError for any other."""
     if not isinstance(value, str) or not value.isprintable() or "/" in value or value in (".", ".."):
         raise ValueError(value)
     return value
@@ -109,9 +115,9 @@ class Journal:
     """An append-only file, held open; `book` is what it says so far."""
 
     def __init__(self, path: Path, sync: Callable[[int], None] = os.fsync) -> None:
-        """Read what is there and cut off a torn last line; raises OutOfDate for a journal that was damaged."""
+        """Read the file and cut off a torn last line; raise OutOfDate if it was damaged."""
         self.path, self._sync = path, sync
-        self.book = JournalState()
+        self.state = JournalState()
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             check_file(path)
@@ -126,7 +132,7 @@ class Journal:
 
     def _replay(self, number: int, line: bytes) -> None:
         try:
-            self.book.take(json.loads(line))
+            self.state.apply(json.loads(line))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as wrong:
             raise OutOfDate(
                 f"{self.path}:{number}: this line of the journal cannot be read",
@@ -134,7 +140,7 @@ class Journal:
             ) from wrong
 
     def append(self, **entry: Any) -> None:
-        """Write one entry and return when it is on disk; on OSError (a full disk) nothing was written."""
+        """Write one entry and sync it; on OSError (a full disk) nothing was written."""
         size = os.fstat(self._file.fileno()).st_size
         line = json.dumps(entry, sort_keys=True).encode() + b"\n"
         try:
@@ -146,29 +152,29 @@ class Journal:
             with contextlib.suppress(OSError):
                 self._file.truncate(size)
             raise
-        self.book.take(json.loads(line))
+        self.state.apply(json.loads(line))
 
     def begin(self, runner: str, application: str, plan: str, results_usd: float) -> None:
-        """A bench begins on a results file that says it has cost `results_usd` so far.
+        """Begin a bench on a results file with a cost of `results_usd` so far.
 
-        Machines that were ended without a record are in the journal's sum only.
+        Only the journal's sum has machines that were stopped without a record.
         """
-        goes_on = self.book.campaign is not None and self.book.campaign["application"] == application
-        base_usd = max(results_usd, self.book.spent_usd) if goes_on else results_usd
+        continues = self.state.campaign is not None and self.state.campaign["application"] == application
+        base_usd = max(results_usd, self.state.spent_usd) if continues else results_usd
         self.append(do="campaign", runner=runner, application=application, plan=plan, base_usd=base_usd)
 
     def start(self, started: LaunchRecord) -> None:
-        """Call before a machine is started."""
+        """Record a machine, before it is started."""
         facts = {key: getattr(started, key) for key in LaunchRecord.__slots__}
         self.append(do="start", **{**facts, "sample": started.sample.model_dump(mode="json")})
 
     def end(self, name: str, spent_usd: float, record: Measured | None) -> None:
-        """Call when a machine is verified gone; without a record it is measured again."""
+        """Record that a machine is verified gone; without a record its sample is measured again."""
         dumped = None if record is None else record.model_dump(mode="json")
         self.append(do="end", name=name, spent_usd=spent_usd, record=dumped)
 
     def written(self, name: str) -> None:
-        """Call when the record is in the results file."""
+        """Record that the sample is in the results file."""
         self.append(do="written", name=name)
 
     def close(self) -> None:

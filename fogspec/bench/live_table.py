@@ -1,4 +1,4 @@
-"""A benchmark on a terminal: a table that is drawn anew four times a second, whatever the events do."""
+"""Live progress table, refreshed at 4 Hz."""
 
 from collections.abc import Callable, Sequence
 from typing import Self
@@ -11,7 +11,7 @@ from rich.text import Text
 
 from fogspec.base.units import dollars
 from fogspec.bench.progress import Tail, machine, seconds, verdict
-from fogspec.bench.types import Event
+from fogspec.bench.types import Event, EventKind
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
 
@@ -20,9 +20,9 @@ COLUMNS = ("sample", "machine", "state", "requests", "mean so far", "time", "lef
 
 
 class LiveTable:
-    """Samples that are asked for later get a row when they start; requests are counted after the warm-up.
+    """A row per sample; later samples get theirs when they start. Requests are counted after the warm-up.
 
-    Where the terminal is narrow there is no column for the machine, which a sample is named after.
+    A narrow terminal has no column for the machine, after which a sample is named.
     """
 
     def __init__(self, samples: Sequence[Sample], steps: int | None, budget_usd: float | None,
@@ -46,25 +46,25 @@ class LiveTable:
         self._live.stop()
 
     def __call__(self, event: Event) -> None:
-        """Remember it for the next drawing."""
+        """Take the event for the next refresh."""
         name = event.sample.id
         self._samples.setdefault(name, event.sample)
-        self._state[name] = event.what if event.record is None else verdict(event.record)
-        if event.what == "starts":
+        self._state[name] = event.kind if event.record is None else verdict(event.record)
+        if event.kind is EventKind.STARTS:
             self._began[name], self._tails[name] = self._now_s(), Tail()
             self._records.pop(name, None)
         if event.ends_s is not None:
             self._ends[name] = event.ends_s
-        if event.progress is not None:
+        if event.status is not None:
             self._began.setdefault(name, self._now_s())
-            self._tails.setdefault(name, Tail()).take(event.progress)
+            self._tails.setdefault(name, Tail()).update(event.status)
         if event.record is not None:
             self._records[name] = event.record
         of = "" if self._budget_usd is None else f" of {dollars(self._budget_usd)}"
         self._money = f"spent {dollars(event.spent_usd)}{of}, committed at most {dollars(event.committed_usd)}"
 
     def table(self) -> Table:
-        """What is known now."""
+        """Return the table as of now."""
         table = Table(box=box.SIMPLE, caption=self._money)
         shown = [n for n, title in enumerate(COLUMNS) if title != "machine" or self._console.width >= WIDE]
         for n in shown:

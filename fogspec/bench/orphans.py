@@ -1,8 +1,8 @@
-"""Machines that no journal here knows: the journal was lost, or the bench was killed on another host."""
+"""Orphaned machines: no journal here lists them, because it was lost or the bench was killed on another host."""
 
 from collections.abc import Sequence
 
-from fogspec.backends.protocol import ListsMachines, Unreachable
+from fogspec.backends.protocol import Unreachable
 from fogspec.base.errors import CloudError, Refused
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.journal import LaunchRecord
@@ -13,34 +13,41 @@ ORPHAN = "unknown"
 
 
 def adopt_orphans(campaign: Campaign, samples: Sequence[Sample], resume: bool, starts: bool = True) -> None:
-    """Take machines of this application over that are not in the journal: they are taken down, and paid in full.
+    """Take over the application's machines that are not in the journal: they are taken down, and paid in full.
 
-    Raises Refused unless that was asked for, since a bench in another folder or on another host may still need them;
-    CloudError when the runner cannot be asked. A bench that starts nothing, with a journal, need not ask.
+    Raise Refused unless `resume`, since a bench in another folder or on another host may still need them; CloudError if the
+    backend cannot list them. A bench that starts nothing and has a journal need not list them.
     """
-    runner, book, prefix = campaign.runner, campaign.journal.book, campaign.order.prefix
-    if not isinstance(runner, ListsMachines) or not (resume or starts or book.campaigns <= 1):
+    backend, state, config = campaign.backend, campaign.journal.state, campaign.config
+    if not (resume or starts or state.campaigns <= 1):
         return
     try:
-        found = runner.strays(prefix, campaign.order.attempts)
+        found = backend.list(config.application, config.attempts)
     except Unreachable as lost:
         raise CloudError(f"which machines are up cannot be said: {lost}", "run the bench again") from None
-    strays = [name for name in found if name.startswith(prefix) and name not in book.open]
-    if strays and not resume:
+    orphans = [name for name in found if name.startswith(config.prefix) and name not in state.open]
+    if orphans and not resume:
         raise Refused(
-            "machines of another bench of this application are up", *strays,
+            "machines of another bench of this application are up",
+            *orphans,
             "let that bench finish where it runs; if it was killed, bench --resume takes them down",
-        )  # fmt: skip
-    for name in strays:
-        campaign.journal.start(_started(campaign, name, samples))
+        )
+    for name in orphans:
+        campaign.journal.start(_launch_record(campaign, name, samples))
 
 
-def _started(campaign: Campaign, name: str, samples: Sequence[Sample]) -> LaunchRecord:
-    """As if it had been started now, at the price of the dearest sample that its name may mean, for all its lifetime."""
-    words = name.removeprefix(campaign.order.prefix)
-    meant = [one for one in samples if words.startswith(f"{one.id[:SAMPLE_IN_NAME]}-")] or samples
-    dearest = max(meant, key=campaign.price)
-    life_s = campaign.order.lifetime_s
+def _launch_record(campaign: Campaign, name: str, samples: Sequence[Sample]) -> LaunchRecord:
+    """Return a launch record for an orphan: from now, at the highest price its name can match, for its full lifetime."""
+    rest = name.removeprefix(campaign.config.prefix)
+    matching = [one for one in samples if rest.startswith(f"{one.id[:SAMPLE_IN_NAME]}-")] or samples
+    dearest = max(matching, key=campaign.price)
     return LaunchRecord(
-        name, campaign.runner.name, ORPHAN, dearest, campaign.price(dearest), life_s, campaign.clock.now_s(), ORPHAN
+        name=name,
+        runner=campaign.backend.name,
+        application=ORPHAN,
+        sample=dearest,
+        price_usd_per_hour=campaign.price(dearest),
+        lifetime_s=campaign.config.lifetime_s,
+        at_s=campaign.clock.now_s(),
+        boot=ORPHAN,
     )

@@ -1,4 +1,4 @@
-"""From reviewed files to a campaign: the plan, its tasks, and results that are there already, all checked."""
+"""The inputs of a campaign, all checked: the plan, its tasks, and existing results."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -20,12 +20,12 @@ from fogspec.spec.lockfile import pins_of_measurement
 from fogspec.spec.schema import Application
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Prepared:
-    """What is to be measured: `todo` of the plan's samples, by tasks that are as they were reviewed.
+    """The samples to measure, `todo`, with their reviewed tasks.
 
-    `results` are those that count already; `outdated` says that the file on disk measured something else; `only`
-    that the samples were named by the user. `read` are the results as they were on disk.
+    `results` are those that still count; `outdated` tells that the file on disk measured something else; `only`
+    that the user named the samples. `read` are the results as they were on disk.
     """
 
     application: Application
@@ -40,7 +40,7 @@ class Prepared:
     read: Results | None = None
 
     def check_current(self) -> None:
-        """Raises OutOfDate where another bench has measured since this was prepared: its samples must not be lost."""
+        """Raise OutOfDate if another bench has measured since this was prepared: its samples must not be lost."""
         if read_results(self.layout) != self.read:
             raise OutOfDate(f"{self.layout.results} has changed since this bench began", "run the bench again")
 
@@ -48,8 +48,8 @@ class Prepared:
 def prepare(application: Application, spec_path: str | Path, only: Sequence[str]) -> Prepared:
     """Check everything that a benchmark of this application relies on.
 
-    `only` names samples to measure, again if need be; without it, all that are not measured yet. Raises OutOfDate for
-    a missing or stale plan or an edited task, Problems for a file that cannot be read, UsageError for a sample
+    `only` names samples to measure, even if they are measured; without it, all that are not measured yet. Raise OutOfDate for
+    a missing or stale plan or an edited task, DiagnosticError for a file that cannot be read, UsageError for a sample
     that the plan does not have.
     """
     layout = Layout.of(spec_path, application.metadata.name)
@@ -72,9 +72,17 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
     )
     counting = None if outdated else results
     return Prepared(
-        application, layout, plan, digest.of_bytes(layout.plan.read_bytes()), tasks, counting, outdated,
-        bool(only), tuple(_todo(plan, counting, only)), results,
-    )  # fmt: skip
+        application=application,
+        layout=layout,
+        plan=plan,
+        plan_digest=digest.of_bytes(layout.plan.read_bytes()),
+        tasks=tasks,
+        results=counting,
+        outdated=outdated,
+        only=bool(only),
+        todo=tuple(_todo(plan, counting, only)),
+        read=results,
+    )
 
 
 def _changed(application: Application, plan: Plan) -> str:
@@ -97,7 +105,7 @@ def _task(layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
 
 
 def read_task(content: bytes) -> Mapping[str, Any]:
-    """A compiled task, parsed."""
+    """Return the parsed task."""
     from ruamel.yaml import YAML
 
     task: Mapping[str, Any] = YAML(typ="safe", pure=True).load(content)

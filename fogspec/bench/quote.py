@@ -1,9 +1,9 @@
-"""What a bench is about to spend, said before it is spent; and refused where the plan's prices no longer hold."""
+"""The cost of a bench before it begins, and the check that the plan's prices still hold."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from fogspec.backends.protocol import Runner
+from fogspec.backends.protocol import Costs, SampleBackend
 from fogspec.base import units
 from fogspec.base.errors import Refused
 from fogspec.base.units import dollars
@@ -16,22 +16,22 @@ from fogspec.plan.schema import Sample, lifetime_s
 NAMED = 9
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Quote:
-    """A bench before it begins. `worst_usd` is what its samples cost if each machine runs until it ends by itself."""
+    """The cost of a bench; `cap_usd` is the budget that is left, None without one."""
 
     name: str
     todo: tuple[Sample, ...]
     planned: int
     adaptive: bool
-    life_s: float
-    wall_usd: float | None
+    lifetime_s: float
+    cap_usd: float | None
     runner: str
-    costs: str
+    costs: Costs
 
     @classmethod
-    def of(cls, prepared: Prepared, runner: Runner, max_usd: float | None) -> "Quote":
-        """From the plan, and what was spent of its budget already."""
+    def of(cls, prepared: Prepared, backend: SampleBackend, max_usd: float | None) -> "Quote":
+        """Return the quote of the plan, with what is left of its budget."""
         body, benchmark = prepared.plan.spec, prepared.application.spec.benchmark
         spent = prepared.results.spec.spent if prepared.results is not None else 0.0
         left = None if benchmark.budget is None else max(benchmark.budget - spent, 0.0)
@@ -42,42 +42,48 @@ class Quote:
             and not should_resume(prepared.application, sampling)
         )
         adaptive = body.sampler == "adaptive" and not prepared.only and not decided
-        walls = [one for one in (left, max_usd) if one is not None]
+        caps = [one for one in (left, max_usd) if one is not None]
         return cls(
-            prepared.layout.name, prepared.todo, len(body.samples), adaptive, lifetime_s(body.duration, body.setup_timeout),
-            min(walls, default=None), runner.name, runner.costs,
-        )  # fmt: skip
+            name=prepared.layout.name,
+            todo=prepared.todo,
+            planned=len(body.samples),
+            adaptive=adaptive,
+            lifetime_s=lifetime_s(body.duration, body.setup_timeout),
+            cap_usd=min(caps, default=None),
+            runner=backend.name,
+            costs=backend.costs,
+        )
 
     @property
     def worst_usd(self) -> float:
-        """What the samples cost at most, whatever the wall."""
+        """The cost of the samples if each machine runs for its whole lifetime, without the cap."""
         return sum(self.usd(sample) for sample in self.todo)
 
     @property
-    def asks(self) -> bool:
-        """Whether it can cost money."""
-        return self.costs == "real" and (bool(self.todo) or self.adaptive)
+    def needs_consent(self) -> bool:
+        """Whether it can cost real money."""
+        return self.costs is Costs.REAL and (bool(self.todo) or self.adaptive)
 
     def usd(self, sample: Sample) -> float:
-        """What one sample costs at most."""
-        return sample.machine.price * self.life_s / 3600
+        """Return the most that one sample can cost."""
+        return sample.machine.price * self.lifetime_s / 3600
 
     def line(self) -> str:
-        """What would be measured, and the most that it may cost."""
+        """Return one line: the samples to measure, and the most that they can cost."""
         count = f"{self.name}: {len(self.todo)} of {self.planned} samples to measure"
         if self.adaptive:
             count += ", then the machines that the model asks for"
-        if self.costs != "real":
+        if self.costs is not Costs.REAL:
             return f"{count} with the {self.runner} runner: costs nothing"
         if self.adaptive:
-            return f"{count}: " + ("no budget" if self.wall_usd is None else f"at most {dollars(self.wall_usd)}")
-        wall = self.wall_usd is not None and self.wall_usd < self.worst_usd
-        most = min(self.worst_usd, self.worst_usd if self.wall_usd is None else self.wall_usd)
-        when = ", where it stops" if wall else ", if every machine runs until it ends by itself"
+            return f"{count}: " + ("no budget" if self.cap_usd is None else f"at most {dollars(self.cap_usd)}")
+        capped = self.cap_usd is not None and self.cap_usd < self.worst_usd
+        most = min(self.worst_usd, self.worst_usd if self.cap_usd is None else self.cap_usd)
+        when = ", where it stops" if capped else ", if every machine runs until it ends by itself"
         return f"{count}: at most {dollars(most)}{when if self.todo else ''}"
 
     def lines(self) -> Iterator[str]:
-        """A line a sample."""
+        """Yield a line per sample."""
         for sample in self.todo:
             machine = sample.machine
             price = (
@@ -87,7 +93,7 @@ class Quote:
 
 
 def check_prices(samples: tuple[Sample, ...] | list[Sample], prices: Catalog, again: str) -> None:
-    """Raises Refused when a machine has become dearer than the plan says: nobody agreed to that."""
+    """Raise Refused if a machine has become more expensive than in the plan that was approved."""
     if rises := price_rises(samples, prices):
         more = [f"and {len(rises) - NAMED} more"] if len(rises) > NAMED else []
         raise Refused(

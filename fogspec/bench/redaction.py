@@ -1,4 +1,4 @@
-"""Secrets stay where they are: their values are taken out of everything that a campaign keeps or shows."""
+"""Redaction of the values of secrets in everything that a campaign keeps or shows."""
 
 import os
 from dataclasses import dataclass, field, replace
@@ -6,21 +6,21 @@ from pathlib import Path
 
 from fogspec.agent.secrecy import Secrets
 from fogspec.base.files import write_bytes
+from fogspec.base.regular import open_untrusted
 from fogspec.bench.progress import ProgressReporter
-from fogspec.bench.record import opened
-from fogspec.bench.types import Event
+from fogspec.bench.types import Event, EventKind
 
-ENDS = ("is done", "is tried again", "is no longer wanted")
+FINAL = (EventKind.DONE, EventKind.RETRIED, EventKind.UNWANTED)
 FILE_LIMIT = 256 * 2**20
 
 
 def redact_files(secrets: Secrets, folder: Path) -> None:
-    """Write what an attempt left anew where it has a secret: a workload writes what it likes."""
+    """Rewrite the files of an attempt that contain secrets: a workload can write anything."""
     if not secrets:
         return
     for path in (Path(at, name) for at, _, names in os.walk(folder) for name in names):
         try:
-            with opened(path) as file:
+            with open_untrusted(path) as file:
                 before = file.read(FILE_LIMIT)
         except OSError:
             continue
@@ -31,17 +31,17 @@ def redact_files(secrets: Secrets, folder: Path) -> None:
 
 @dataclass(slots=True)
 class RedactingProgress:
-    """Tells a watcher what happens, without secrets; remembers where the logs of each sample are."""
+    """Reports events without secrets; `folders` has the logs of each sample."""
 
-    watcher: ProgressReporter
+    reporter: ProgressReporter
     secrets: Secrets
     folders: dict[str, Path] = field(default_factory=dict)
 
     def __call__(self, event: Event) -> None:
-        """Pass it on."""
+        """Redact the event and report it."""
         if event.folder is not None:
             self.folders[event.sample.id] = event.folder
-            if event.what in ENDS:
+            if event.kind in FINAL:
                 redact_files(self.secrets, event.folder)
         detail = None if event.detail is None else self.secrets.out_of(event.detail)
-        self.watcher(replace(event, detail=detail))
+        self.reporter(replace(event, detail=detail))

@@ -1,66 +1,87 @@
-"""What a campaign is to do, whom it tells what happens, and where its records go."""
+"""The configuration of a campaign, its events, and the interface of its results."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
 
-from fogspec.backends.protocol import Progress
-from fogspec.bench.record import Rules
+from fogspec.backends.naming import sample_prefix
+from fogspec.backends.protocol import SampleStatus
 from fogspec.plan.schema import Sample
+from fogspec.results.requests import RecordRules
 from fogspec.results.schema import Measured
 
 SAMPLE_IN_NAME = 30
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignConfig:
-    """What a campaign is to do. `application` is a digest of what is measured.
+    """The configuration of a campaign. `application` is the application's name, `measured` a digest of what is measured of it.
 
-    `task` gives a sample's reviewed task, parsed, or None when the sample is not asked for; `instead` gives samples
-    to measure where the one with this id cannot be had, those to be tried first in front. A sample is ended by its
-    controller after `deadline_s`, and by itself after `lifetime_s`. Names of machines begin with `prefix`; `token`
-    makes those of this campaign differ from all others, also when the journal is gone.
+    `task` returns a sample's reviewed task, parsed, or None if the sample is no longer wanted; `substitutes` returns samples to
+    measure if the one with this id is unavailable, best first. The controller stops a sample after `deadline_s`; its machine
+    shuts itself down after `lifetime_s`. `token` makes the names of this campaign's jobs differ from all others, also when the
+    journal is lost.
     """
 
     application: str
-    rules: Rules
+    measured: str
+    rules: RecordRules
     budget_usd: float | None
     deadline_s: float
     lifetime_s: float
     task: Callable[[Sample], Mapping[str, object] | None]
     root: Path
     attempts: Path
-    prefix: str
     token: str
-    instead: Callable[[str], Sequence[Sample]] = lambda _sample: ()
+    substitutes: Callable[[str], Sequence[Sample]] = lambda _sample: ()
 
-    def name(self, sample: Sample, number: int) -> str:
-        """The name of the campaign's attempt with this number."""
+    @property
+    def prefix(self) -> str:
+        """The prefix of the names of all jobs of the application's samples."""
+        return sample_prefix(self.application)
+
+    def job_name(self, sample: Sample, number: int) -> str:
+        """Return the name of the campaign's attempt with this number."""
         return f"{self.prefix}{sample.id[:SAMPLE_IN_NAME]}-{self.token}-{number}"
 
 
 @dataclass(frozen=True, slots=True)
 class Queued:
-    """A sample that is to be started, `not_before_s` by the campaign's clock, perhaps in the place of another."""
+    """A sample to start, not before `not_before_s` of the campaign's clock; `instead_of` is the sample that it replaces."""
 
     sample: Sample
     not_before_s: float = 0.0
     substitute_for: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
-    """What happens to a sample now, for whoever watches, and what the campaign has spent.
+class EventKind(StrEnum):
+    """The kinds of events of a sample, as progress output spells them."""
 
-    `folder` has the logs of the attempt, `ends_s` is when it is ended at the latest, by the campaign's clock.
+    STARTS = "starts"
+    SETS_UP = "sets up"
+    MEASURES = "measures"
+    LOST_CONTACT = "lost contact"
+    ENDS = "ends"
+    RETRIED = "is tried again"
+    UNWANTED = "is no longer wanted"
+    DONE = "is done"
+    NOT_ENDED = "cannot be ended"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """An event of a sample, with what the campaign has spent.
+
+    `folder` has the logs of the attempt, `ends_s` is when it is stopped at the latest, by the campaign's clock.
     """
 
     sample: Sample
-    what: str
+    kind: EventKind
     spent_usd: float
     committed_usd: float
-    progress: Progress | None = None
+    status: SampleStatus | None = None
     record: Measured | None = None
     detail: str | None = None
     folder: Path | None = None
@@ -68,16 +89,16 @@ class Event:
 
 
 class ResultsSink(Protocol):
-    """Where records go."""
+    """The destination of records."""
 
     def keep(self, record: Measured, timings: Path | None) -> Measured:
-        """Keep the raw timings safe and name them in the record."""
+        """Keep the raw timings, and return the record with a reference to them."""
         ...
 
     def put(self, record: Measured, spent_usd: float) -> None:
-        """Write the results with this record in place; `spent_usd` is what all of them cost."""
+        """Write the results with this record; `spent_usd` is the cost of all of them."""
         ...
 
     def paid(self, spent_usd: float) -> None:
-        """Write what all of it cost, where a machine was paid for and left no record."""
+        """Write the cost of all of them after a machine was paid for that left no record."""
         ...

@@ -36,7 +36,8 @@ def command(
     Refuses a manifest that is stale or was edited, and a price above the one approved. Idempotent: what runs already
     is left alone. Ctrl-C ends what is being started.
     """
-    from fogspec.backends import registry
+    from fogspec.backends.images.registry import Registry
+    from fogspec.backends.registry import deployment_backend
     from fogspec.compile.bundle import open_bundle
     from fogspec.deploy.preflight import as_text, check_fresh, launch_plan
     from fogspec.deploy.session import apply
@@ -49,13 +50,13 @@ def command(
     rules.require_manifests([opened.loaded], type(opened.manifest))
     catalog = catalogs_for([opened.loaded], catalog_path)[0]
     check_fresh(opened, catalog)
-    ask = registry.registry().digest
+    ask = Registry().digest
     ordered = launch_plan(opened, _prices(opened, prices, catalog), _price(most), resolve_image, ask)
     click.echo("\n".join(as_text(ordered)), err=True)
     if dry_run:
         return
     applied = apply(
-        ordered, registry.deployer, SystemWallClock(), lambda text: click.echo(text, err=True), lambda: _ask(yes)
+        ordered, deployment_backend, SystemWallClock(), lambda text: click.echo(text, err=True), lambda: _ask(yes)
     )
     machine = applied.machine
     if output == "json":

@@ -11,7 +11,7 @@ from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, 
 from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from
 
 if TYPE_CHECKING:
-    from fogspec.backends.protocol import Runner
+    from fogspec.backends.protocol import SampleBackend
     from fogspec.bench.campaign import Campaign
     from fogspec.bench.prepare import Prepared
     from fogspec.bench.progress import ProgressReporter
@@ -75,25 +75,25 @@ def command(
     unusable = []
     for one in applications_of(spec):
         prepared = prepare(one.application, one.path, names)
-        runner = _runner(prepared, runner_name, recorded, pace)
-        runner.at_once = min(runner.at_once, at_once or runner.at_once)
-        _check_place(prepared, runner)
-        offering = Quote.of(prepared, runner, max_usd)
+        backend = _backend(prepared, runner_name, recorded, pace)
+        backend.at_once = min(backend.at_once, at_once or backend.at_once)
+        _check_place(prepared, backend)
+        offering = Quote.of(prepared, backend, max_usd)
         click.echo(offering.line(), err=True)
         if prepared.outdated:
             kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
             click.echo(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)
-        catalog, prices = _catalogs(one, catalog_path, prepared, runner)
+        catalog, prices = _catalogs(one, catalog_path, prepared, backend)
         if prices is not None:
             check_prices(prepared.todo, prices, f"fogspec compile {prepared.layout.spec}")
         if dry_run:
             click.echo("\n".join(offering.lines()))
             continue
-        _check_needed(prepared, runner)
+        _check_needed(prepared, backend)
         _confirm(offering, yes)
         library = _library(prepared, priors) if catalog is not None else None
         terms = BenchOptions(max_usd, resume, catalog, prices, library)
-        benched = bench(prepared, runner, lambda campaign, p=prepared: _watcher(campaign, p, output), terms)  # type: ignore[misc]
+        benched = bench(prepared, backend, lambda campaign, p=prepared: _watcher(campaign, p, output), terms)  # type: ignore[misc]
         _report(prepared, benched, output)
         if not any(record.state == "ok" for record in benched.results.spec.samples):
             unusable.append(prepared.layout.name)
@@ -103,8 +103,8 @@ def command(
         )
 
 
-def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: float) -> "Runner":
-    from fogspec.backends import registry
+def _backend(prepared: "Prepared", name: str | None, recorded: str | None, pace: float) -> "SampleBackend":
+    from fogspec.backends.registry import sample_backend
 
     local = all(sample.machine.is_local for sample in prepared.plan.spec.samples)
     name = name or ("replay" if recorded is not None else "local" if local else "skypilot")
@@ -113,43 +113,43 @@ def _runner(prepared: "Prepared", name: str | None, recorded: str | None, pace: 
     if name not in RUNNERS:
         raise UsageError(f"--runner: say where to measure: {', '.join(RUNNERS)}")
     if recorded is None:
-        runner: Runner = registry.runner(name)()
-        return runner
+        backend: SampleBackend = sample_backend(name)()
+        return backend
     from fogspec.base.clock import SystemClock
     from fogspec.bench.replay import replayable
 
     found, source = replayable(recorded, prepared.plan.spec.duration)
-    replay: Runner = registry.runner(name)(found, source, SystemClock().now_s, pace)
+    replay: SampleBackend = sample_backend(name)(found, source, SystemClock().now_s, pace)
     return replay
 
 
-def _check_place(prepared: "Prepared", runner: "Runner") -> None:
+def _check_place(prepared: "Prepared", backend: "SampleBackend") -> None:
     """A local runner cannot stand in for a cloud's machines: its figures would carry their names and prices."""
     elsewhere = [s.machine for s in prepared.todo if not s.machine.is_local]
-    if runner.name == "local" and elsewhere:
+    if backend.name == "local" and elsewhere:
         raise Refused(
             f"{prepared.layout.name}: {elsewhere[0].infra} {elsewhere[0].instance} cannot be measured on this machine",
             "to measure here, list shapes such as local/2cpu-4gib under spec.benchmark.machines and compile again",
         )
 
 
-def _check_needed(prepared: "Prepared", runner: "Runner") -> None:
+def _check_needed(prepared: "Prepared", backend: "SampleBackend") -> None:
     """Raises an FogspecError for files and secrets that a sample would miss, before a machine is paid to miss them."""
     from fogspec.base.redaction import check_set
     from fogspec.spec.lock_io import check_files
 
-    if runner.costs != "recorded":
+    if backend.costs != "recorded":
         check_files(prepared.application, prepared.layout, measured=True)
         check_set(prepared.application.spec.secrets if prepared.todo else ())
 
 
 def _catalogs(
-    one: "LoadedSpec", path: str | None, prepared: "Prepared", runner: "Runner"
+    one: "LoadedSpec", path: str | None, prepared: "Prepared", backend: "SampleBackend"
 ) -> "tuple[Catalog | None, Catalog | None]":
     """What an adaptive campaign asks for machines of, and where prices are what they are right now."""
     from fogspec.cli.options import catalogs_for, clouds_of, load_catalog
 
-    real, adaptive = runner.costs == "real", prepared.plan.spec.sampler == "adaptive"
+    real, adaptive = backend.costs == "real", prepared.plan.spec.sampler == "adaptive"
     if not real and not adaptive:
         return None, None
     catalog = catalogs_for([one], path)[0]
@@ -180,7 +180,7 @@ def _library(prepared: "Prepared", path: Path | None) -> "Library | None":
 
 def _confirm(offering: "Quote", yes: bool) -> None:
     """Raises Refused unless the user agrees to spend; what costs nothing needs no consent."""
-    if yes or not offering.asks:
+    if yes or not offering.needs_consent:
         return
     if not sys.stdin.isatty():
         raise Refused(f"{offering.line()}: not confirmed", "spend it with --yes, look at it with --dry-run")
@@ -197,7 +197,7 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Progre
         from fogspec.bench.live_table import LiveTable
 
         body = prepared.plan.spec
-        wall_usd, now_s = campaign.order.budget_usd, campaign.clock.now_s
+        wall_usd, now_s = campaign.config.budget_usd, campaign.clock.now_s
         return LiveTable(prepared.todo, body.requests, wall_usd, now_s, warmup=body.warmup)
     return progress.Lines(lambda text: click.echo(text, err=True))
 

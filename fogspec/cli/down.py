@@ -12,7 +12,7 @@ from fogspec.cli.options import OUTPUT
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from fogspec.backends.protocol import Deployer
+    from fogspec.backends.protocol import DeploymentBackend
     from fogspec.base.layout import Layout
 
 
@@ -29,7 +29,7 @@ def command(spec_or_name: str, output: str) -> None:
     from fogspec.deploy.state import SystemWallClock
 
     layout = layout_of(spec_or_name)
-    count, spent_usd = down(layout, _deployers(layout), SystemWallClock(), lambda text: click.echo(text, err=True))
+    count, spent_usd = down(layout, _backends(layout), SystemWallClock(), lambda text: click.echo(text, err=True))
     leave_link(layout)
     if output == "json":
         click.echo(json.dumps({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}))
@@ -39,8 +39,8 @@ def command(spec_or_name: str, output: str) -> None:
     click.echo(f"{layout.name}: {ended}")
 
 
-def _deployers(layout: "Layout") -> "list[Callable[[], Deployer]]":
-    from fogspec.backends import registry
+def _backends(layout: "Layout") -> "list[Callable[[], DeploymentBackend]]":
+    from fogspec.backends.registry import deployment_backend
     from fogspec.deploy.down import places_of
 
-    return [partial(registry.deployer, infra) for infra in places_of(layout)]
+    return [partial(deployment_backend, infra) for infra in places_of(layout)]

@@ -110,9 +110,9 @@ def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> list["Cata
 
 def load_catalog(origin: str | None, clouds: tuple[str, ...]) -> "Catalog":
     """The catalog from there, for these clouds."""
-    from fogspec.backends import registry
+    from fogspec.catalog import sources
 
-    return registry.catalog(origin, clouds)
+    return sources.load_catalog(origin, clouds)
 
 
 def clouds_of(one: "LoadedSpec") -> tuple[str, ...]:

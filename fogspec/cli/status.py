@@ -20,7 +20,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     Degraded, Progressing, Missing, Unknown: do its nodes answer, as fast as the model predicted).
     """
     from fogspec.audit import freshness, status
-    from fogspec.backends import registry
+    from fogspec.backends.registry import deployment_backend
     from fogspec.deploy import health
     from fogspec.deploy.state import SystemWallClock
     from fogspec.spec.discover import find_specs
@@ -32,7 +32,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
         for one, catalog in zip(loaded, catalogs_for(loaded, catalog_path), strict=True)
     ]
     lives = [
-        health.health_report(loaded_one.application, one.layout, one.fresh, SystemWallClock(), registry.deployer)
+        health.health_report(loaded_one.application, one.layout, one.fresh, SystemWallClock(), deployment_backend)
         for loaded_one, one in zip(loaded, found, strict=True)
     ]
     if output == "json":

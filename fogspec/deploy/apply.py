@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from fogspec.backends.naming import deployment_name, is_deployment_of
-from fogspec.backends.protocol import Deployer, DeploymentStatus, LaunchRefused, Unreachable
+from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
 from fogspec.deploy.candidates import Candidate
 from fogspec.deploy.schema import DeployedMachine, date_of
@@ -28,7 +28,7 @@ class _MachineLost(Exception):
 class Rollout:
     """One application of a manifest.
 
-    `deployer_of` finds who keeps a machine by its infra; `linked` joins robot and cloud once the nodes are ready, and
+    `backend_of` finds who keeps a machine by its infra; `linked` joins robot and cloud once the nodes are ready, and
     says why the link does not answer yet.
     """
 
@@ -39,7 +39,7 @@ class Rollout:
     image: str | None
     files: Mapping[str, str]
     patience_s: float
-    deployer_of: Callable[[str], Deployer]
+    backend_of: Callable[[str], DeploymentBackend]
     tell: Callable[[str], None] = lambda _text: None
     stopping: Callable[[], bool] = lambda: False
     linked: Callable[[DeployedMachine, DeploymentStatus], str | None] = lambda _machine, _live: None
@@ -79,7 +79,7 @@ class Rollout:
     def _lives(self, machine: DeployedMachine) -> bool:
         """Whether its nodes run; raises CloudError where nobody can say."""
         try:
-            live = self.deployer_of(machine.machine.infra).look(self.live.launch(machine))
+            live = self.backend_of(machine.machine.infra).poll(self.live.job(machine))
         except LaunchRefused:
             return False
         except Unreachable as lost:
@@ -92,9 +92,9 @@ class Rollout:
         Raises CloudError where nobody can say: another one beside them would cost twice.
         """
         layout, known = self.live.layout, {machine.name for machine in self.live.machines}
-        deployers = {one.name: one for one in (self.deployer_of(c.machine.infra) for c in self.candidates)}
+        backends = {one.name: one for one in (self.backend_of(c.machine.infra) for c in self.candidates)}
         try:
-            found = [name for one in deployers.values() for name in one.names(layout.name, layout.state)]
+            found = [name for one in backends.values() for name in one.list(layout.name, layout.state)]
         except Unreachable as lost:
             raise CloudError(f"{layout.name}: nobody can say what runs of it: {lost}", "safe to run again") from None
         return sorted(name for name in set(found) - known if is_deployment_of(name, layout.name))
@@ -103,7 +103,7 @@ class Rollout:
         """End all machines but these; whether there were any. Raises CloudError for one not verified gone."""
         others = [machine for machine in self.live.machines if machine.name not in keep]
         for machine in others:
-            end(self.live, machine, self.deployer_of(machine.machine.infra), self.tell)
+            end(self.live, machine, self.backend_of(machine.machine.infra), self.tell)
         return bool(others)
 
     def unfinished(self) -> DeployedMachine | None:
@@ -159,10 +159,10 @@ class Rollout:
 
     def _journaled(self, one: Candidate) -> DeployedMachine:
         """The machine's record, on disk before anything is started."""
-        times, deployer = self.live.times, self.deployer_of(one.machine.infra)
+        times, backend = self.live.times, self.backend_of(one.machine.infra)
         machine = DeployedMachine(
             name=deployment_name(self.live.layout.name, self.digest, secrets.token_hex(3)),
-            deployer=deployer.name, state="starting", manifest=self.digest,
+            deployer=backend.name, state="starting", manifest=self.digest,
             machine=one.machine.model_copy(update={"price": one.price_usd_per_hour}), runs=one.runs, fallback=one.number,
             image=self.image, files=dict(self.files), at=times.now_s(), boot=times.boot(),
             since=date_of(times.date().timestamp()),
@@ -175,10 +175,10 @@ class Rollout:
         if (self.live.folder(machine.name) / "manifest.yaml").exists():
             return machine
         self.tell(f"{one.machine.instance} in {one.machine.infra}: starting {machine.name}")
-        deployer = self.deployer_of(one.machine.infra)
+        backend = self.backend_of(one.machine.infra)
         self.live.keep_manifest(machine.name, self.manifest)
         try:
-            deployer.start(self.live.launch(machine, one.task))
+            backend.start(self.live.job(machine, one.task))
         except Unreachable as lost:
             self.tell(f"lost contact: {lost}")
         return machine
@@ -231,19 +231,21 @@ class Rollout:
                     f"{machine.name}: the nodes did not answer within {self.patience_s:g} s{f': {said}' if said else ''}",
                     "spec.deployment.ready_timeout is how long is waited; what served before still does",
                 )
-            self.live.times.sleep(self.deployer_of(machine.machine.infra).poll_s)
+            self.live.times.sleep(self.backend_of(machine.machine.infra).poll_s)
 
     def _end(self, machine: DeployedMachine) -> None:
-        end(self.live, machine, self.deployer_of(machine.machine.infra), self.tell)
+        end(self.live, machine, self.backend_of(machine.machine.infra), self.tell)
 
     def _look(self, machine: DeployedMachine) -> DeploymentStatus:
         try:
-            return self.deployer_of(machine.machine.infra).look(self.live.launch(machine))
+            return self.backend_of(machine.machine.infra).poll(self.live.job(machine))
         except Unreachable as lost:
-            return DeploymentStatus("starting", f"no contact just now: {lost}")
+            return DeploymentStatus(state="starting", detail=f"no contact just now: {lost}")
 
 
-def end(live: DeploymentState, machine: DeployedMachine, deployer: Deployer, tell: Callable[[str], None]) -> None:
+def end(
+    live: DeploymentState, machine: DeployedMachine, backend: DeploymentBackend, tell: Callable[[str], None]
+) -> None:
     """End a machine and forget it once it is verified gone; raises CloudError when that cannot be verified.
 
     A disk that is full keeps no machine alive: what cannot be written now is written by whoever ends it again.
@@ -252,7 +254,7 @@ def end(live: DeploymentState, machine: DeployedMachine, deployer: Deployer, tel
         with contextlib.suppress(InvalidInput, OSError):
             live.put(machine.model_copy(update={"state": "ending"}))
     try:
-        deployer.end(live.launch(machine))
+        backend.stop(live.job(machine))
     except Unreachable as lost:
         raise CloudError(
             f"{machine.name}: could not be verified gone: {lost}",

@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from fogspec.backends.protocol import Deployer, Launch, Unreachable
+from fogspec.backends.protocol import DeploymentBackend, Job, Unreachable
 from fogspec.base.clouds import LOCAL
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput
@@ -56,17 +56,17 @@ def leave_link(layout: Layout) -> None:
 
 
 def down(
-    layout: Layout, deployers: Sequence[Callable[[], Deployer]], times: WallClock, tell: Callable[[str], None]
+    layout: Layout, backends: Sequence[Callable[[], DeploymentBackend]], times: WallClock, tell: Callable[[str], None]
 ) -> tuple[int, float]:
     """End everything of one application; how many machines that were, and what they cost in USD.
 
     Machines that are not in the live state are found by the application's name, also those of a bench that died. Where
-    one of the deployers cannot be had, those of the others are ended all the same.
+    one of the backends cannot be had, those of the others are ended all the same.
     Raises Refused while a bench or an apply runs, CloudError for what could not be verified gone.
     """
     try:
         with application_lock(layout.state / "lock", f"down of {layout.name}", remove=True):
-            done = _down(_live(layout, times, tell), deployers, tell)
+            done = _down(_live(layout, times, tell), backends, tell)
         with contextlib.suppress(OSError):
             layout.state.rmdir()
             layout.state.parent.rmdir()
@@ -91,14 +91,14 @@ def _live(layout: Layout, times: WallClock, tell: Callable[[str], None]) -> Depl
 
 
 def _down(
-    live: DeploymentState, makers: Sequence[Callable[[], Deployer]], tell: Callable[[str], None]
+    live: DeploymentState, makers: Sequence[Callable[[], DeploymentBackend]], tell: Callable[[str], None]
 ) -> tuple[int, float]:
-    deployers, left, ended = list[Deployer](), list[str](), 0
+    backends, left, ended = list[DeploymentBackend](), list[str](), 0
     unwritten: list[InvalidInput | OSError] = []
     for make in makers:
         with _gathering(left, unwritten):
-            deployers.append(make())
-    by_name = {one.name: one for one in deployers}
+            backends.append(make())
+    by_name = {one.name: one for one in backends}
     spent = live.total_usd()
     for machine in list(live.machines):
         with _gathering(left, unwritten):
@@ -107,9 +107,9 @@ def _down(
                 ended += 1
             elif not left:
                 raise Unreachable(f"{machine.name}: nobody here can end what {machine.deployer} runs")
-    for deployer in deployers:
+    for backend in backends:
         with _gathering(left, unwritten):
-            ended += _orphans(live, deployer, tell)
+            ended += _orphans(live, backend, tell)
     if left:
         raise CloudError(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
     if unwritten:
@@ -118,14 +118,14 @@ def _down(
     return ended, spent
 
 
-def _orphans(live: DeploymentState, deployer: Deployer, tell: Callable[[str], None]) -> int:
+def _orphans(live: DeploymentState, backend: DeploymentBackend, tell: Callable[[str], None]) -> int:
     """End what bears the application's name and is in no list; how many there were."""
     layout = live.layout
-    names = list(deployer.names(layout.name, layout.state))
+    names = list(backend.list(layout.name, layout.state))
     for name in names:
-        deployer.end(Launch(name, None, {}, layout.root, live.folder(name)))
+        backend.stop(Job(name=name, task={}, root=layout.root, directory=live.folder(name)))
         tell(f"{name}: gone")
-    if rest := deployer.names(layout.name, layout.state):
+    if rest := backend.list(layout.name, layout.state):
         raise Unreachable(f"still there: {', '.join(rest)}")
     return len(names)
 

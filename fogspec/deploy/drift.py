@@ -4,6 +4,7 @@ Drift is a statement about the model, in both directions: the observed statistic
 predicted interval. Latencies are taken on the machine, as they were when it was measured, so the network has no part.
 """
 
+import io
 import itertools
 import math
 import statistics
@@ -14,10 +15,10 @@ from typing import Literal
 import numpy as np
 
 from fogspec.base import units
-from fogspec.bench import record
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Expected
+from fogspec.results.requests import RecordRules, parse_requests
 from fogspec.results.schema import LatencySummary
 from fogspec.results.statistics import NEEDED, QUANTILES, summary, weights
 from fogspec.spec.schema import Application
@@ -47,10 +48,10 @@ class Observed:
 
 def observe(timings: bytes, application: Application, expected: Expected, machine: Machine) -> Observed:
     """Compare the latest requests with what was expected of this machine."""
-    rules = replace(record.Rules.of(application), warmup=0)
-    requests = record.read(b"".join(timings.splitlines(keepends=True)[-LATEST:]), rules)
+    rules = replace(RecordRules.of(application), warmup=0)
+    requests = parse_requests(io.BytesIO(b"".join(timings.splitlines(keepends=True)[-LATEST:])), rules)
     known = requests.latencies_s
-    found = summary(known, weights(requests.kinds, rules.scenarios))
+    found = summary(known, weights(requests.scenarios, rules.scenarios))
     statistic = expected.latency.statistic
     value = None if found is None else getattr(found, statistic)
     spread = interval_s(known, statistic)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from fogspec.audit.compare import Change, changes
 from fogspec.audit.diff import read_manifest, telling
 from fogspec.audit.status import interval_words
-from fogspec.backends.protocol import Deployer, DeploymentStatus, LaunchRefused, Unreachable
+from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base import digest, units
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
@@ -51,7 +51,11 @@ class HealthReport:
 
 
 def health_report(
-    application: Application, layout: Layout, fresh: bool, times: WallClock, deployer_for: Callable[[str], Deployer]
+    application: Application,
+    layout: Layout,
+    fresh: bool,
+    times: WallClock,
+    backend_for: Callable[[str], DeploymentBackend],
 ) -> HealthReport | None:
     """How the application's deployment stands; None where nothing was applied. Nothing is written.
 
@@ -62,7 +66,7 @@ def health_report(
         return None
     serving = next((one for one in live_file.machines if one.state == "serving"), None)
     subject = serving or live_file.machines[-1]
-    live = _look(live_file, subject, cache(redacting(deployer_for, application.spec.secrets)))
+    live = _poll(live_file, subject, cache(redacting(backend_for, application.spec.secrets)))
     approved = _manifest(live_file, subject)
     differs = manifest_changes(layout, live_file, subject, application)
     reasons = [] if fresh else ["the manifest on disk is stale: fogspec diff says why"]
@@ -115,13 +119,13 @@ def running_changes(layout: Layout, times: WallClock, application: Application) 
     return None if serving is None else manifest_changes(layout, live, serving, application)
 
 
-def _look(
-    live: DeploymentState, machine: DeployedMachine, deployer_of: Callable[[str], Deployer]
+def _poll(
+    live: DeploymentState, machine: DeployedMachine, backend_of: Callable[[str], DeploymentBackend]
 ) -> DeploymentStatus | None:
     try:
-        return deployer_of(machine.machine.infra).look(live.launch(machine))
+        return backend_of(machine.machine.infra).poll(live.job(machine))
     except LaunchRefused as no:
-        return DeploymentStatus("gone", no.detail)
+        return DeploymentStatus(state="gone", detail=no.detail)
     except (Unreachable, FogspecError):
         return None
 

@@ -1,4 +1,4 @@
-"""A deployer whose words have no secrets in them: machines and clouds say what they like."""
+"""A deployment backend whose messages contain no secrets: they come from machines and clouds."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -6,39 +6,39 @@ from dataclasses import replace
 from pathlib import Path
 
 from fogspec.agent.secrecy import Secrets
-from fogspec.backends.protocol import Deployer, DeploymentStatus, Launch, LaunchRefused, Unreachable
+from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, Job, LaunchRefused, Unreachable
 
 
-class RedactingDeployer:
-    """Does what another deployer does, and passes on what it says without the secrets."""
+class RedactingBackend:
+    """Delegates to another backend, and removes the secrets from its messages."""
 
-    def __init__(self, deployer: Deployer, secrets: Secrets) -> None:
-        self.name, self.poll_s = deployer.name, deployer.poll_s
-        self._deployer, self._secrets = deployer, secrets
+    def __init__(self, backend: DeploymentBackend, secrets: Secrets) -> None:
+        self.name, self.poll_s = backend.name, backend.poll_s
+        self._backend, self._secrets = backend, secrets
 
-    def start(self, launch: Launch) -> None:
-        """Start it."""
-        with self._discreetly():
-            self._deployer.start(launch)
+    def start(self, job: Job) -> None:
+        """Start the job."""
+        with self._redacted():
+            self._backend.start(job)
 
-    def look(self, launch: Launch) -> DeploymentStatus:
-        """How it is."""
-        with self._discreetly():
-            live = self._deployer.look(launch)
-        return live if live.detail is None else replace(live, detail=self._secrets.out_of(live.detail))
+    def poll(self, job: Job) -> DeploymentStatus:
+        """Return its status."""
+        with self._redacted():
+            status = self._backend.poll(job)
+        return status if status.detail is None else replace(status, detail=self._secrets.out_of(status.detail))
 
-    def end(self, launch: Launch) -> None:
-        """End it."""
-        with self._discreetly():
-            self._deployer.end(launch)
+    def stop(self, job: Job) -> None:
+        """Stop it."""
+        with self._redacted():
+            self._backend.stop(job)
 
-    def names(self, application: str, state: Path) -> Sequence[str]:
-        """What runs of an application."""
-        with self._discreetly():
-            return self._deployer.names(application, state)
+    def list(self, application: str, directory: Path) -> Sequence[str]:
+        """Return the names of the application's jobs."""
+        with self._redacted():
+            return self._backend.list(application, directory)
 
     @contextmanager
-    def _discreetly(self) -> Iterator[None]:
+    def _redacted(self) -> Iterator[None]:
         try:
             yield
         except LaunchRefused as no:
@@ -47,7 +47,9 @@ class RedactingDeployer:
             raise Unreachable(self._secrets.out_of(str(lost))) from None
 
 
-def redacting(deployer_for: Callable[[str], Deployer], names: Iterable[str]) -> Callable[[str], Deployer]:
-    """The same deployers by infra, without the values of these variables in what they say."""
+def redacting(
+    backend_for: Callable[[str], DeploymentBackend], names: Iterable[str]
+) -> Callable[[str], DeploymentBackend]:
+    """Return the same backends by infra, without the values of these variables in their messages."""
     secrets = Secrets.of(names)
-    return lambda infra: RedactingDeployer(deployer_for(infra), secrets)
+    return lambda infra: RedactingBackend(backend_for(infra), secrets)

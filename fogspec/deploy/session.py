@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
-from fogspec.backends.protocol import Deployer, DeploymentStatus
+from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus
 from fogspec.base.errors import FogspecError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
 from fogspec.base.redaction import check_set
@@ -52,7 +52,7 @@ def link_check(
 
 
 def apply(
-    ordered: LaunchPlan, deployer_for: Callable[[str], Deployer], times: WallClock, tell: Callable[[str], None],
+    ordered: LaunchPlan, backend_for: Callable[[str], DeploymentBackend], times: WallClock, tell: Callable[[str], None],
     confirm: Callable[[], None],
 ) -> RolloutResult:  # fmt: skip
     """Bring what runs to what the manifest says; `confirm` is called before money is spent, and may raise.
@@ -63,14 +63,14 @@ def apply(
     layout = ordered.opened.layout
     begun = times.now_s()
     names = ordered.opened.loaded.application.spec.secrets
-    deployer_of = cache(redacting(deployer_for, names))
+    backend_of = cache(redacting(backend_for, names))
     live: DeploymentState | None = None
     try:
         with application_lock(layout.state / "lock", f"apply of {layout.name}"), interruptible() as interrupt:
             live = DeploymentState.read(layout, times)
             work = Rollout(
                 live, ordered.content, ordered.opened.digest, ordered.candidates, ordered.image, ordered.files,
-                ordered.opened.manifest.spec.ready_timeout, deployer_of, tell, lambda: interrupt.asked,
+                ordered.opened.manifest.spec.ready_timeout, backend_of, tell, lambda: interrupt.asked,
                 link_check(ordered, tell),
             )  # fmt: skip
             served = work.current()

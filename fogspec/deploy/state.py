@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from fogspec.backends.protocol import Launch
+from fogspec.backends.protocol import Job
 from fogspec.base.clock import SystemClock
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.files import write_bytes, write_yaml
@@ -106,9 +106,10 @@ class DeploymentState:
         """The folder of one launch."""
         return self.layout.deployed / name
 
-    def launch(self, machine: DeployedMachine, task: Mapping[str, Any] | None = None) -> Launch:
-        """The machine as a deployer takes it; looking at it and ending it needs no task."""
-        return Launch(machine.name, machine.machine, task or {}, self.layout.root, self.folder(machine.name))
+    def job(self, machine: DeployedMachine, task: Mapping[str, Any] | None = None) -> Job:
+        """Return the machine's job; only starting it needs the task."""
+        root, directory = self.layout.root, self.folder(machine.name)
+        return Job(name=machine.name, task=task or {}, root=root, directory=directory, machine=machine.machine)
 
     def keep_manifest(self, name: str, content: bytes) -> None:
         """Keep the manifest that a machine is started for, so that what runs can be compared with it later."""

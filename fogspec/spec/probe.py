@@ -1,7 +1,7 @@
 """The seam of the probes: what `probe:` says, and which on-machine half does it.
 
 Every half is a module of `fogspec/agent`, run on the measured machine as `fogspec_machine`, and writes the same records
-(`fogspec.agent.records`), so that one reader reads them all (`fogspec.bench.record`). None publishes
+(`fogspec.agent.records`), so that one reader reads them all (`fogspec.results.requests`). None publishes
 anything, serves anything, or otherwise changes the graph that it watches, save for subscriptions.
 """
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fogspec.backends import registry
 from fogspec.base.files import write_yaml
 from fogspec.base.layout import Layout
 from fogspec.catalog.cost import Costs
+from fogspec.catalog.sources import load_catalog
 from fogspec.choice.choose import levels, required_latency
 from fogspec.compile.compiler import Artifacts, compile_application
 from fogspec.compile.decision import decide
@@ -59,7 +59,7 @@ def written_catalog(path: Path, offers) -> None:
 
 
 def compiled(one: LoadedSpec, catalog: str | None = None) -> Artifacts:
-    return compile_application(one.application, one.path, registry.catalog(catalog, ("aws",)))
+    return compile_application(one.application, one.path, load_catalog(catalog, ("aws",)))
 
 
 def written(one: LoadedSpec, to: Path, catalog: str | None = None, made: Artifacts | None = None) -> Path:

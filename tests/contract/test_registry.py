@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends import registry as backends
+from fogspec.backends.images.registry import Registry
 from fogspec.base.errors import CloudError, InvalidInput
 from tests.support.running import CATALOG, Shell, shell, spec  # noqa: F401
 
@@ -154,13 +154,13 @@ def test_a_credential_helper_is_asked(private: str, shell: Shell, monkeypatch: p
     helper.chmod(0o755)
     monkeypatch.setenv("PATH", str(helper.parent), prepend=":")
     shell.write("../docker/config.json", json.dumps({"credHelpers": {private: "test"}}))
-    assert backends.registry().digest(f"{private}/robots/helped:v1") == digest
+    assert Registry().digest(f"{private}/robots/helped:v1") == digest
 
 
 def test_a_damaged_docker_configuration_is_named(private: str, shell: Shell) -> None:
     shell.write("../docker/config.json", "{")
     with pytest.raises(InvalidInput, match=r"config\.json"):
-        backends.registry().digest(f"{private}/robots/planner:v1")
+        Registry().digest(f"{private}/robots/planner:v1")
 
 
 class Tokens(http.server.BaseHTTPRequestHandler):
@@ -199,9 +199,9 @@ def test_a_token_server_is_asked_first_and_a_digest_is_checked(lies: bool, shell
         name = f"127.0.0.1:{server.server_address[1]}/a/b:v1"
         if lies:
             with pytest.raises(CloudError, match="says sha256:0000"):
-                backends.registry().digest(name)
+                Registry().digest(name)
         else:
-            assert backends.registry().digest(name) == f"sha256:{hashlib.sha256(b'{}').hexdigest()}"
+            assert Registry().digest(name) == f"sha256:{hashlib.sha256(b'{}').hexdigest()}"
     finally:
         server.shutdown()
         server.server_close()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends import registry
+from fogspec.catalog.sources import load_catalog
 from fogspec.plan.schema import Plan
 from fogspec.spec.loader import read_document
 
@@ -76,7 +76,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def snapshot() -> str:
     """The bundled catalog in SkyPilot's layout."""
-    catalog = registry.catalog(None, [])
+    catalog = load_catalog(None, [])
     rows = [",".join(HEAD)]
     for row in range(len(catalog)):
         gpu = [catalog.gpu[row], f"{catalog.gpu_count[row]:g}"] if catalog.gpu[row] else ["", ""]

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from fogspec.backends.local.runner import LocalRunner
+from fogspec.backends.local.backend import LocalSamples
 from fogspec.base.errors import OutOfDate
 from fogspec.bench.prepare import prepare
 from fogspec.bench.run import bench
@@ -172,7 +172,7 @@ def test_machines_whose_journal_is_lost_are_found_and_taken_down(halting):
     name = scene.names()[0]
     bench.kill()
     bench.wait()
-    marks = [f"FOGSPEC_SAMPLE={name}".encode()]
+    marks = [f"FOGSPEC_JOB={name}".encode()]
     (scene.folder / ".fogspec" / "tiny" / "journal.jsonl").unlink()
     careful = scene.bench()
     assert (careful.returncode, name in careful.stderr, "--resume" in careful.stderr) == (5, True, True)
@@ -200,7 +200,7 @@ def test_what_another_bench_measured_meanwhile_is_not_lost(tmp_path):
     assert scene.bench("--only", FIRST).returncode == 0
     before = scene.results.read_bytes()
     with pytest.raises(OutOfDate, match="has changed since this bench began"):
-        bench(prepared, LocalRunner(), lambda _campaign: nullcontext(lambda _event: None))
+        bench(prepared, LocalSamples(), lambda _campaign: nullcontext(lambda _event: None))
     assert scene.results.read_bytes() == before
 
 

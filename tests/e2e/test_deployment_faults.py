@@ -60,11 +60,11 @@ def test_the_clock_jumps(tiny: Deployed) -> None:
 
 
 def test_a_network_that_is_cut_starts_nothing_twice(tiny: Deployed) -> None:
-    assert faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.cut(looks=5, ends=0)) == 0
+    assert faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.cut(polls=5, stops=0)) == 0
     (name,) = tiny.names()
-    assert faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.cut(looks=99, ends=0)) == 6
+    assert faulty.run(tiny, "apply", MANIFEST, "--yes", fault=faulty.cut(polls=99, stops=0)) == 6
     assert tiny.names() == [name], "another machine beside one that may be fine would cost twice"
-    assert faulty.run(tiny, "down", "tiny", fault=faulty.cut(looks=0, ends=99)) == 6
+    assert faulty.run(tiny, "down", "tiny", fault=faulty.cut(polls=0, stops=99)) == 6
     assert [machine["state"] for machine in tiny.machines()] == ["ending"]
     assert faulty.run(tiny, "down", "tiny") == 0
     assert faulty.left(tiny).nothing

@@ -11,7 +11,7 @@ import pytest
 
 from fogspec.backends import registry
 from fogspec.backends.protocol import Unreachable
-from fogspec.backends.skypilot.deployer import SkyPilotDeployer
+from fogspec.backends.skypilot.backend import SkyPilotDeployments
 from fogspec.backends.skypilot.errors import CloudProblem
 from tests.support.fake_sky import Cloud, SimulatedClient
 from tests.support.running import Shell, measure, project, shell  # noqa: F401
@@ -35,8 +35,8 @@ def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cloud]:
     measure(shell)
     shell("compile", "specs/demo.yaml", *AT)
     made = Cloud(shell.folder.parent / "cloud")
-    monkeypatch.setattr(SkyPilotDeployer, "poll_s", 0.05)
-    monkeypatch.setattr(registry, "deployer", lambda infra: SkyPilotDeployer(SimulatedClient(made)))
+    monkeypatch.setattr(SkyPilotDeployments, "poll_s", 0.05)
+    monkeypatch.setattr(registry, "deployment_backend", lambda infra: SkyPilotDeployments(SimulatedClient(made)))
     yield made
     for name in list(made.machines):
         made.end(name)

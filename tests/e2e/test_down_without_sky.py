@@ -14,11 +14,11 @@ class Host:
     def __init__(self) -> None:
         self.left = ["fogspec-arm-1"]
 
-    def names(self, *_: object) -> list[str]:
+    def list(self, *_: object) -> list[str]:
         return list(self.left)
 
-    def end(self, launch) -> None:
-        self.left.remove(launch.name)
+    def stop(self, job) -> None:
+        self.left.remove(job.name)
 
 
 def test_what_can_be_ended_is_ended_and_what_cannot_be_asked_is_said(tmp_path):

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from fogspec.backends import registry
+from fogspec.catalog.sources import load_catalog
 from fogspec.evaluation.replay import Case
 from fogspec.evaluation.sweeps import read_sweep
 from fogspec.spec.loader import load
@@ -101,7 +101,7 @@ def test_a_sweep_is_judged_by_the_limits_and_the_confidence_of_its_spec(tmp_path
         "  infra: [aws/us-east-1]\n  benchmark: { budget: $1 }\n"
     )
     (one,) = load([tmp_path / "spec.yaml"])
-    read = read_sweep(tmp_path / "sweep.csv", one.application, registry.catalog(None, ["aws"]))
+    read = read_sweep(tmp_path / "sweep.csv", one.application, load_catalog(None, ["aws"]))
     asked = Case.of(read.problem, read.machines, None, read.repeats).objective(read.problem.settings[0])
     assert asked.confidence == 0.97
     assert asked.limit_s.tolist() == pytest.approx([0.75, 0.75])

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable
 
-from fogspec.backends.naming import sample_prefix
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.orphans import adopt_orphans
 from fogspec.bench.types import CampaignConfig
@@ -15,10 +14,10 @@ from tests.faults.simulation import (
     RULES,
     SETUP_S,
     SLACK_S,
-    FaultyRunner,
+    FaultyBackend,
     Killed,
     MortalJournal,
-    SimulatedLedger,
+    SimulatedSink,
     VirtualClock,
     World,
 )
@@ -81,15 +80,15 @@ def bench(world: World, budget_usd: float | None, count: int, check: Callable[[W
 def campaign_of(world: World, controller: int, budget: float | None, check: Callable[[World], None]) -> Campaign:
     """A controller's campaign in this world."""
     journal = MortalJournal(world.folder / "journal.jsonl", world, controller)
-    order = CampaignConfig(
-        application="a", rules=RULES, budget_usd=budget, deadline_s=SETUP_S + AFTER_S,
+    config = CampaignConfig(
+        application="a", measured="a", rules=RULES, budget_usd=budget, deadline_s=SETUP_S + AFTER_S,
         lifetime_s=SETUP_S + AFTER_S + SLACK_S, task=lambda _sample: {}, root=world.folder,
-        attempts=world.folder / "attempts", prefix=sample_prefix("a"), token=f"{controller}x{os.urandom(2).hex()}",
-        instead=lambda name: [one for one in others(name) if one.id not in measured(world)],
+        attempts=world.folder / "attempts", token=f"{controller}x{os.urandom(2).hex()}",
+        substitutes=lambda name: [one for one in others(name) if one.id not in measured(world)],
     )  # fmt: skip
     return Campaign(
-        order, FaultyRunner(world, controller), journal, SimulatedLedger(world, controller),
-        VirtualClock(world, controller), tell=lambda _event: check(world),
+        config=config, backend=FaultyBackend(world, controller), journal=journal, sink=SimulatedSink(world, controller),
+        clock=VirtualClock(world, controller), report=lambda _event: check(world),
     )  # fmt: skip
 
 

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 
-from fogspec.backends.local.deployer import LocalDeployer
-from fogspec.backends.protocol import Launch, Unreachable
+from fogspec.backends.local.backend import LocalDeployments
+from fogspec.backends.protocol import Job, Unreachable
 from fogspec.base import files
 from fogspec.deploy import state
 from tests.support.deployed import MANIFEST, Deployed
@@ -34,7 +34,7 @@ from tests.support.forking import forked
 STEPS: tuple[tuple[object, str], ...] = (
     (files.os, "replace"),
     *((state.DeploymentState, name) for name in ("_write", "keep_manifest", "gone", "clear")),
-    *((LocalDeployer, name) for name in ("start", "look", "end")),
+    *((LocalDeployments, name) for name in ("start", "poll", "stop")),
 )
 Fault = Callable[[], None]
 
@@ -121,19 +121,19 @@ def jumped(days: int) -> Fault:
     return put
 
 
-def cut(looks: int, ends: int) -> Fault:
-    """The network is cut: the first looks and ends reach nobody."""
+def cut(polls: int, stops: int) -> Fault:
+    """The network is cut: the first polls and stops reach nobody."""
 
     def put() -> None:
-        for name, count in (("look", looks), ("end", ends)):
-            left, step = itertools.count(1), getattr(LocalDeployer, name)
+        for name, count in (("poll", polls), ("stop", stops)):
+            left, step = itertools.count(1), getattr(LocalDeployments, name)
 
-            def call(self: LocalDeployer, launch: Launch, left=left, step=step, count=count) -> object:  # type: ignore[no-untyped-def]
+            def call(self: LocalDeployments, job: Job, left=left, step=step, count=count) -> object:  # type: ignore[no-untyped-def]
                 if next(left) <= count:
                     raise Unreachable("the network is down")
-                return step(self, launch)
+                return step(self, job)
 
-            setattr(LocalDeployer, name, call)
+            setattr(LocalDeployments, name, call)
 
     return put
 

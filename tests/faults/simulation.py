@@ -10,13 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fogspec.backends.protocol import Job, LaunchRefused, Progress, Unreachable
+from fogspec.backends.naming import sample_prefix
+from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus, Unreachable
 from fogspec.bench.journal import Journal
-from fogspec.bench.record import Rules
+from fogspec.results.requests import RecordRules
 from fogspec.results.schema import Measured, is_final
 
 SETUP_S, AFTER_S, SLACK_S = 120.0, 300.0, 120.0
-RULES = Rules(warmup=1, valid=0.9, statistic="mean")
+RULES = RecordRules(warmup=1, valid=0.9, statistic="mean")
 
 
 class Killed(BaseException):
@@ -43,6 +44,11 @@ class Machine:
     def bill(self, now: float) -> float:
         end = min(now if self.ended is None else self.ended, self.started + self.lifetime)
         return self.price * (end - self.started) / 3600
+
+
+def _sample_of(name: str) -> str:
+    """The id of the sample that a job of this name measures."""
+    return name.removeprefix(sample_prefix("a")).rsplit("-", 2)[0]
 
 
 @dataclass
@@ -104,7 +110,7 @@ class VirtualClock:
 
 
 @dataclass
-class FaultyRunner:
+class FaultyBackend:
     """Machines that fail in every way the seam knows, and a network that fails beside them."""
 
     world: World
@@ -131,45 +137,49 @@ class FaultyRunner:
         fate = fate if world.faults else "finishes"
         done = ready + world.chance.uniform(5, AFTER_S) if fate not in ("hangs", "never ready") else now + 1e9
         world.machines[job.name] = Machine(
-            job.sample.id, job.sample.machine.price, now, life, fate,
+            _sample_of(job.name), job.machine.price, now, life, fate,
             ready if fate != "never ready" else now + 1e9, done,
         )  # fmt: skip
         world.step(self.controller, "after launch")
         if world.happens(0.05):
             raise Unreachable("the answer to the launch was lost")
 
-    def look(self, job: Job) -> Progress:
+    def poll(self, job: Job) -> SampleStatus:
         world = self.world
-        world.step(self.controller, "look")
-        timings = job.folder / "timings.jsonl"
+        world.step(self.controller, "poll")
+        timings = job.directory / "timings.jsonl"
         machine = world.machines.get(job.name)
         if machine is not None and machine.fetched:
             return self._finished(machine, timings)
         if world.happens(0.1):
             raise Unreachable("no route to host")
         if machine is None or not machine.up(world.now) or (machine.fate == "vanishes" and world.now >= machine.done):
-            return Progress(running=False, lost=True, detail="the machine is not there")
+            return SampleStatus(running=False, lost=True, detail="the machine is not there")
         if machine.fate == "no room" and world.now >= machine.ready:
             machine.ended = machine.started if machine.ended is None else machine.ended
-            return Progress(running=False, reason="capacity", again=world.happens(0.3), billed_s=0.0)
+            return SampleStatus(running=False, reason="capacity", again=world.happens(0.3), billed_s=0.0)
         if world.now < machine.done:
-            return Progress(running=True, ready=world.now >= machine.ready, measured_on="simulated")
-        job.folder.mkdir(parents=True, exist_ok=True)
+            return SampleStatus(running=True, ready=world.now >= machine.ready, measured_on="simulated")
+        job.directory.mkdir(parents=True, exist_ok=True)
         write_timings(timings, machine)
         machine.fetched = True
         world.step(self.controller, "fetched")
         return self._finished(machine, timings)
 
-    def _finished(self, machine: Machine, timings: Path) -> Progress:
+    def _finished(self, machine: Machine, timings: Path) -> SampleStatus:
         reason = "crash" if machine.fate == "crashes" else None
-        return Progress(running=False, timings=timings, reason=reason, measured_on="simulated")
+        return SampleStatus(running=False, timings=timings, reason=reason, measured_on="simulated")
 
-    def strays(self, prefix: str, folder: Path) -> list[str]:
+    def list(self, application: str, directory: Path) -> list[str]:
         world = self.world
-        world.step(self.controller, "strays")
-        return [name for name, one in world.machines.items() if name.startswith(prefix) and one.up(world.now)]
+        world.step(self.controller, "list")
+        return [
+            name
+            for name, one in world.machines.items()
+            if name.startswith(sample_prefix(application)) and one.up(world.now)
+        ]
 
-    def end(self, job: Job) -> None:
+    def stop(self, job: Job) -> None:
         world = self.world
         world.step(self.controller, "before end")
         if world.happens(0.1):
@@ -191,7 +201,7 @@ def write_timings(path: Path, machine: Machine) -> None:
 
 
 @dataclass
-class SimulatedLedger:
+class SimulatedSink:
     """The results' disk: a write happens whole or not at all."""
 
     world: World

@@ -19,9 +19,9 @@ def test_a_thousand_benches_and_a_kill_at_every_step():
 
 def test_the_campaign_would_notice_a_controller_that_forgets_to_end_its_machines(monkeypatch):
     monkeypatch.setattr(campaign.World, "faults", False)
-    from tests.faults.simulation import FaultyRunner
+    from tests.faults.simulation import FaultyBackend
 
-    monkeypatch.setattr(FaultyRunner, "end", lambda self, job: None)
+    monkeypatch.setattr(FaultyBackend, "stop", lambda self, job: None)
     tally = campaign.Tally()
     campaign.run_one(0, tally, kills=set(), faults=False)
     assert tally["machines leaked"] == 3

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from fogspec.backends.replay import ReplayRunner
+from fogspec.backends.replay import ReplaySamples
 from fogspec.bench import run as benching
 from fogspec.bench.journal import Journal
 from fogspec.bench.prepare import prepare
@@ -87,7 +87,7 @@ def run(folder: Path) -> None:
     one, catalog = opened(folder)
     clock = FastClock()
     found, source = replayable(str(folder / "sweep.csv"), 60.0)
-    runner = ReplayRunner(found, source, clock.now_s)
+    runner = ReplaySamples(found, source, clock.now_s)
     with mock.patch.object(benching, "SystemClock", return_value=clock):
         benching.bench(prepare(one.application, one.path, []), runner, lambda _: Lines(lambda _: None),
                        benching.BenchOptions(catalog=catalog))  # fmt: skip

@@ -38,7 +38,7 @@ class Abandoned:
         """Wait until it was there; to be asked before a test ends the API server that knows."""
         end = time.monotonic() + patience_s
         while not self.was_up:
-            self.was_up = self.client.ask("launched", 60, request=self.request, name=ABANDONED) is not None
+            self.was_up = self.client.call("launched", 60, request=self.request, name=ABANDONED) is not None
             assert time.monotonic() < end
             time.sleep(1)
         # A worker that a test ends would start again in the user's own environment.
@@ -94,7 +94,7 @@ def abandoned(cluster: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
         finally:
             os.environ.clear()
             os.environ.update(before)
-        asked = client.ask("launch", 120, task=task, name=ABANDONED, root=str(site.project))
+        asked = client.call("launch", 120, task=task, name=ABANDONED, root=str(site.project))
         yield Abandoned(client, asked["request"])
 
 

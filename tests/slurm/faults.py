@@ -148,7 +148,7 @@ def judge(site: Site, name: str, budget_usd: float = 10.0, spare: str | None = N
     tally["machines leaked"] += len(site.left(spare=spare))
     results = read_document(site.project / "results" / f"{name}.yaml", Results).spec
     journal = site.project / ".fogspec" / name / "journal.jsonl"
-    book = Journal(journal).book
+    book = Journal(journal).state
     tally["budgets exceeded"] += max(results.spent, book.spent_usd) > budget_usd
     tally["machines not accounted for"] += len(book.open)
     tally["samples lost"] += len(MACHINES) - len({one.machine.instance for one in results.samples})

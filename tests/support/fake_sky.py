@@ -11,13 +11,14 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fogspec.backends.local import processes
 from fogspec.backends.protocol import Unreachable
-from fogspec.backends.skypilot.client import Call
+from fogspec.backends.skypilot.client import result
 from fogspec.backends.skypilot.errors import CloudProblem, classify
 
 
@@ -120,18 +121,17 @@ def _kill(process: "subprocess.Popen[bytes]", home: Path) -> None:
         time.sleep(0.02)
 
 
-class Followed(Call):
+class Followed(Future[Any]):
     """A log that is followed to its end."""
 
     def __init__(self, client: "SimulatedClient", words: Mapping[str, Any]) -> None:
         super().__init__()
         self._client, self._words = client, words
 
-    @property
     def done(self) -> bool:
         machine = self._client.cloud.machines.get(self._words["name"])
         running = machine is not None and machine.process is not None and machine.process.poll() is None
-        self._client._answer(self, "log", self._words)
+        self._client.run(Future() if running else self, "log", self._words)
         return not running
 
 
@@ -143,20 +143,20 @@ class SimulatedClient:
     def __init__(self, cloud: Cloud) -> None:
         self.cloud = cloud
 
-    def begin(self, op: str, **words: Any) -> Call:
-        return Followed(self, words) if words.pop("follow", False) else self._answer(Call(), op, words)
+    def begin(self, op: str, **words: Any) -> Future[Any]:
+        return Followed(self, words) if words.pop("follow", False) else self.run(Future(), op, words)
 
-    def _answer(self, call: Call, op: str, words: Mapping[str, Any]) -> Call:
+    def run(self, call: Future[Any], op: str, words: Mapping[str, Any]) -> Future[Any]:
         problem = self.cloud.fails(op, words)
-        if isinstance(problem, Unreachable):
-            problem = CloudProblem("setup", str(problem), contact=True)
         try:
             if problem is not None:
                 raise problem
-            call.tell({"value": getattr(self.cloud, op)(**words)})
+            call.set_result(getattr(self.cloud, op)(**words))
+        except Unreachable as lost:
+            call.set_exception(lost)
         except Exception as raised:
-            call.tell({"problem": classify(raised).told()})
+            call.set_exception(classify(raised))
         return call
 
-    def ask(self, op: str, timeout_s: float, **words: Any) -> Any:
-        return self.begin(op, **words).value()
+    def call(self, op: str, timeout_s: float, **words: Any) -> Any:
+        return result(self.begin(op, **words), timeout_s, op)

@@ -127,7 +127,7 @@ class Scene:
 
     def alive(self) -> list[int]:
         """Living processes of any of its samples."""
-        marks = [f"FOGSPEC_SAMPLE={name}".encode() for name in self.names()]
+        marks = [f"FOGSPEC_JOB={name}".encode() for name in self.names()]
         return [pid for pid, words in environments() if any(mark in words for mark in marks)]
 
     def requests(self) -> int:

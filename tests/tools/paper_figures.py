@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fogspec.backends import registry
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
 from fogspec.base.units import short_dollars
 from fogspec.catalog.filters import filter_offers
+from fogspec.catalog.sources import load_catalog
 from fogspec.charts import drawing, menu_svg, model_svg
 from fogspec.charts.axes import axis, seconds
 from fogspec.charts.drawing_models import latency_chart
@@ -62,7 +62,7 @@ def cases() -> Iterator[Case]:
             results = read_results(Layout.of(one.path, application.metadata.name))
             assert results is not None
             clouds = tuple({entry.split("/")[0] for entry in application.spec.infra})
-            catalog = registry.catalog(None, clouds)
+            catalog = load_catalog(None, clouds)
             offers = filter_offers(catalog, application.spec.hardware, application.spec.infra).offers
             models = fit(application, results)
             predicted = predict(models, offers, targets(application), catalog)

@@ -16,8 +16,8 @@ from math import exp, log2, sqrt
 from pathlib import Path
 from typing import Any
 
-from fogspec.backends import registry
 from fogspec.base.layout import Layout
+from fogspec.catalog.sources import load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.results.io import read_results
 
@@ -100,7 +100,7 @@ def latency_s(workload: Workload, machine: Row) -> float:
 
 def files() -> dict[Path, str]:
     """The text of every file, by its path."""
-    catalog = registry.catalog(None, ["aws"])
+    catalog = load_catalog(None, ["aws"])
     machines = [_machine(catalog, i) for i in range(len(catalog)) if _wanted(catalog, i)]
     measured = [(w.name, w.suite, m["InstanceType"], latency_s(w, m)) for w in WORKLOADS for m in machines]
     measured += [(name, name, *sample) for name in PAPER for sample in _published(name)]

@@ -127,6 +127,15 @@ def host_capacity() -> tuple[int, float]:
     return max(1, math.floor(cpus)), memory_bytes / 2**30
 
 
+def cgroup_of(pid: int) -> str | None:
+    """Return the path of a process's cgroup, if `start` made it."""
+    for line in _text(Path("/proc", str(pid), "cgroup")).splitlines():
+        path = line.partition("0::")[2].strip("/")
+        if path.rpartition("/")[2].startswith("fogspec-"):
+            return str(CGROUPS / path)
+    return None
+
+
 def memory_by() -> MemoryBy:
     """How memory would be bounded on this host."""
     group = _new_group(2**30)

@@ -1,4 +1,4 @@
-"""Our side of the worker: questions that do not block, and their answers."""
+"""The client of the worker process: calls that do not block, with a future for each result."""
 
 import contextlib
 import importlib.metadata
@@ -8,11 +8,12 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
+from collections.abc import Mapping
+from concurrent.futures import Future
 from typing import IO, Any
 
 from fogspec.backends.protocol import Unreachable
-from fogspec.backends.skypilot.errors import CloudProblem, from_dict, plain
+from fogspec.backends.skypilot.errors import CloudProblem, plain
 from fogspec.base.errors import CloudError
 
 WORKER = "fogspec.backends.skypilot.worker"
@@ -20,42 +21,10 @@ START_S = 240.0
 TAIL_BYTES = 2000
 
 
-class Call:
-    """A question that was asked at `asked_s` of the monotonic clock."""
-
-    def __init__(self) -> None:
-        self.asked_s = time.monotonic()
-        self._answered = threading.Event()
-        self._told: dict[str, Any] = {}
-
-    @property
-    def done(self) -> bool:
-        """Whether there is an answer."""
-        return self._answered.is_set()
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for the answer; whether there is one."""
-        return self._answered.wait(timeout_s)
-
-    def value(self) -> Any:
-        """The answer; raises CloudProblem for one that is a no, Unreachable where nothing is known."""
-        if "problem" not in self._told:
-            return self._told.get("value")
-        problem = from_dict(self._told["problem"])
-        if problem.contact:
-            raise Unreachable(problem.detail)
-        raise problem
-
-    def tell(self, told: dict[str, Any]) -> None:
-        """The answer is here."""
-        self._told = told
-        self._answered.set()
-
-
 class Client:
-    """SkyPilot as a worker process, started when first asked and again when it ended.
+    """SkyPilot in a worker process, which is started by the first call and restarted after it ended.
 
-    Its own sessions end with it; machines and API server do not. Raises CloudError where SkyPilot is not installed.
+    The worker ends with this process; machines and API server do not. Raise CloudError if SkyPilot is not installed.
     """
 
     def __init__(self) -> None:
@@ -65,7 +34,7 @@ class Client:
             raise CloudError("SkyPilot is not installed here", "pip install 'fogspec[sky]'") from None
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
-        self._calls: dict[int, tuple[subprocess.Popen[str], Call]] = {}
+        self._calls: dict[int, tuple[subprocess.Popen[str], Future[Any]]] = {}
         self._process: subprocess.Popen[str] | None = None
 
     def __enter__(self) -> "Client":
@@ -75,33 +44,31 @@ class Client:
         self.close()
 
     def ready(self, timeout_s: float = START_S) -> str:
-        """Wait until SkyPilot answers, and return its version; raises CloudError when it does not."""
+        """Wait until SkyPilot answers, and return its version; raise CloudError if it does not."""
         try:
-            return str(self.ask("hello", timeout_s)["version"])
+            return str(self.call("hello", timeout_s)["version"])
         except (CloudProblem, Unreachable) as problem:
             raise CloudError(f"SkyPilot does not answer: {problem}", "what it says itself: sky api status") from None
 
-    def begin(self, op: str, **words: Any) -> Call:
-        """Ask; see `fogspec.backends.skypilot.api` for what can be asked."""
-        call, number = Call(), next(self._numbers)
+    def begin(self, op: str, **arguments: Any) -> Future[Any]:
+        """Begin an operation of `fogspec.backends.skypilot.api`.
+
+        The future raises CloudProblem if the operation failed, Unreachable if its outcome is unknown.
+        """
+        call, number = Future[Any](), next(self._numbers)
         with self._lock:
             process = self._started()
             self._calls[number] = (process, call)
             try:
-                assert process.stdin is not None
-                process.stdin.write(json.dumps({"id": number, "op": op, "words": words}) + "\n")
-                process.stdin.flush()
+                print(json.dumps({"id": number, "op": op, "arguments": arguments}), file=process.stdin, flush=True)
             except OSError:
                 del self._calls[number]
-                call.tell(_silence("SkyPilot's worker has ended"))
+                call.set_exception(Unreachable("SkyPilot's worker has ended"))
         return call
 
-    def ask(self, op: str, timeout_s: float, **words: Any) -> Any:
-        """Ask and wait; raises Unreachable when there is no answer in time, else as `Call.value` does."""
-        call = self.begin(op, **words)
-        if not call.wait(timeout_s):
-            raise Unreachable(f"SkyPilot has not answered within {timeout_s:g} s: {op}")
-        return call.value()
+    def call(self, op: str, timeout_s: float, **arguments: Any) -> Any:
+        """Begin an operation and wait for its result; raise Unreachable after `timeout_s`, else as the future does."""
+        return result(self.begin(op, **arguments), timeout_s, op)
 
     def close(self) -> None:
         """End the worker."""
@@ -119,41 +86,57 @@ class Client:
 
     def _started(self) -> "subprocess.Popen[str]":
         if self._process is None or self._process.poll() is not None:
-            said = tempfile.TemporaryFile()  # noqa: SIM115 - whoever listens reads it when the worker has ended
-            # In a session of its own: Ctrl-C on the terminal is for us to answer.
+            errors = tempfile.TemporaryFile()  # noqa: SIM115 - the listener reads it when the worker has ended
+            # In a session of its own: Ctrl-C on the terminal is for this process to handle.
             self._process = subprocess.Popen(
-                [sys.executable, "-m", WORKER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, text=True,
+                [sys.executable, "-m", WORKER],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
                 start_new_session=True,
-            )  # fmt: skip
-            threading.Thread(target=self._listen, args=(self._process, said), daemon=True).start()
+            )
+            threading.Thread(target=self._listen, args=(self._process, errors), daemon=True).start()
         return self._process
 
-    def _listen(self, process: "subprocess.Popen[str]", said: IO[bytes]) -> None:
+    def _listen(self, process: "subprocess.Popen[str]", errors: IO[bytes]) -> None:
+        """Resolve the worker's calls, and when it has ended those that it left."""
         missing = None
-        assert process.stdout is not None
-        for line in process.stdout:
-            told = json.loads(line)
-            missing = told.get("missing", missing)
-            asked = self._calls.pop(told["id"], None)
-            if asked is not None:
-                asked[1].tell(told)
+        for line in process.stdout or ():
+            answer = json.loads(line)
+            missing = answer.get("missing", missing)
+            begun = self._calls.pop(answer["id"], None)
+            if begun is not None:
+                _resolve(begun[1], answer)
         code = process.wait()
         with self._lock:
-            left = [number for number, (asked_of, _) in self._calls.items() if asked_of is process]
+            left = [number for number, (worker, _) in self._calls.items() if worker is process]
             calls = [self._calls.pop(number)[1] for number in left]
-        why = f"{missing}: pip install 'fogspec[sky]'" if missing else f"SkyPilot's worker ended{_how(code, said)}"
+        why = f"{missing}: pip install 'fogspec[sky]'" if missing else f"SkyPilot's worker ended{_cause(code, errors)}"
         for call in calls:
-            call.tell(_silence(why))
+            call.set_exception(Unreachable(why))
 
 
-def _silence(why: str) -> dict[str, Any]:
-    return {"problem": CloudProblem("setup", why, again=True, contact=True).told()}
+def result(call: Future[Any], timeout_s: float, op: str) -> Any:
+    """Wait for the result of a call; raise Unreachable after `timeout_s`, else as the future does."""
+    try:
+        return call.result(timeout_s)
+    except TimeoutError:
+        raise Unreachable(f"SkyPilot has not answered within {timeout_s:g} s: {op}") from None
 
 
-def _how(code: int, said: IO[bytes]) -> str:
-    """By which signal, or what it said last."""
+def _resolve(call: Future[Any], answer: Mapping[str, Any]) -> None:
+    if "problem" not in answer:
+        call.set_result(answer.get("value"))
+        return
+    problem = CloudProblem.from_dict(answer["problem"])
+    call.set_exception(Unreachable(problem.detail) if problem.contact else problem)
+
+
+def _cause(code: int, errors: IO[bytes]) -> str:
+    """Return the signal that ended the worker, or its last line."""
     if code < 0:
         return f" by signal {-code}"
-    said.seek(max(0, said.seek(0, 2) - TAIL_BYTES))
-    lines = [line for line in plain(said.read().decode("utf-8", "replace")).splitlines() if line.strip()]
+    errors.seek(max(0, errors.seek(0, 2) - TAIL_BYTES))
+    lines = [line for line in plain(errors.read().decode("utf-8", "replace")).splitlines() if line.strip()]
     return f": {lines[-1].strip()}" if lines else ""

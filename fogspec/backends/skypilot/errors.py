@@ -1,7 +1,7 @@
-"""What SkyPilot's exceptions mean here: a reason that results know, and whether trying again soon can help.
+"""Classification of SkyPilot's exceptions: a reason for the results, and whether a retry can help soon.
 
-Providers' own words are looked for in the text of the exception and of all that led to it, because SkyPilot gathers the
-refusals of every zone it tried in `failover_history` and says of them all that resources are unavailable. Error codes:
+Providers' error codes are searched in the text of the exception and of all its causes, because SkyPilot collects the
+refusals of every zone that it tried in `failover_history` and reports them all as unavailable resources. Error codes:
 docs.aws.amazon.com/AWSEC2/latest/APIReference/errors-overview.html; cloud.google.com/compute/docs/troubleshooting;
 learn.microsoft.com/azure/azure-resource-manager/troubleshooting/common-deployment-errors.
 """
@@ -14,11 +14,11 @@ from fogspec.results.schema import Reason
 
 DETAIL_LIMIT = 500
 FORGOTTEN = "SkyPilot knows of no launch of it: none was asked for, or its API server has begun anew since"
-# An API server that fails sends what it was doing; nothing in it is about the machine.
-SERVERS_OWN = re.compile(r"[\s+|]*Exception Group Traceback \(most recent call last\):.*", re.DOTALL)
+# The traceback of an API server that failed: nothing in it is about the machine.
+SERVER_TRACEBACK = re.compile(r"[\s+|]*Exception Group Traceback \(most recent call last\):.*", re.DOTALL)
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
-# The first that is found decides: a quota is often told of as a lack of capacity, and never the other way round.
+# The first match decides: a quota is often reported as a lack of capacity, never the other way round.
 WORDS: tuple[tuple[Reason, bool, str], ...] = (
     ("quota", False, r"quota|LimitExceeded|MaxSpotInstanceCount|limit of .{0,40}(instances|vcpus)|exceeded.{0,20}limit"
                      r"|EnforcePartLimits|AssocGrp|QOSMax|QOSGrp"),
@@ -44,9 +44,10 @@ UNFIT = {
 
 
 class CloudProblem(Exception):
-    """What SkyPilot refused or could not do.
+    """A call that SkyPilot refused or could not carry out.
 
-    `gone`: the machine that was asked for does not exist. `contact`: nothing was answered, so nothing is known.
+    `again`: a retry can help soon. `gone`: the requested machine does not exist. `contact`: there was no answer, so the state
+    is unknown.
     """
 
     def __init__(
@@ -59,21 +60,20 @@ class CloudProblem(Exception):
         self.gone = gone
         self.contact = contact
 
-    def told(self) -> dict[str, Any]:
-        """As values that go through a pipe."""
-        return {"reason": self.reason, "detail": self.detail, "again": self.again, "gone": self.gone,
-                "contact": self.contact}  # fmt: skip
+    def to_dict(self) -> dict[str, Any]:
+        """Return the problem as JSON values."""
+        return {name: getattr(self, name) for name in ("reason", "detail", "again", "gone", "contact")}
 
-
-def from_dict(told: Mapping[str, Any]) -> CloudProblem:
-    """The problem from what `told` gave."""
-    reason: Reason = told["reason"] if told.get("reason") in get_args(Reason) else "setup"
-    flags = {name: bool(told.get(name)) for name in ("again", "gone", "contact")}
-    return CloudProblem(reason, str(told.get("detail", "")), **flags)
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "CloudProblem":
+        """Return the problem from the values of `to_dict`."""
+        reason: Reason = values["reason"] if values.get("reason") in get_args(Reason) else "setup"
+        flags = {name: bool(values.get(name)) for name in ("again", "gone", "contact")}
+        return cls(reason, str(values.get("detail", "")), **flags)
 
 
 def classify(problem: BaseException) -> CloudProblem:
-    """What an exception of SkyPilot, or of the network below it, means."""
+    """Return the problem that an exception of SkyPilot, or of the network below it, stands for."""
     if isinstance(problem, CloudProblem):
         return problem
     kinds = {kind.__name__ for one in _causes(problem) for kind in type(one).__mro__}
@@ -96,7 +96,7 @@ def classify(problem: BaseException) -> CloudProblem:
 
 
 def _causes(problem: BaseException) -> Iterator[BaseException]:
-    """The exception and all that led to it."""
+    """Yield the exception and all its causes."""
     yield problem
     for one in getattr(problem, "failover_history", None) or ():
         if isinstance(one, BaseException):
@@ -106,12 +106,12 @@ def _causes(problem: BaseException) -> Iterator[BaseException]:
 
 
 def _detail(problem: BaseException, text: str) -> str:
-    text = SERVERS_OWN.sub("", text)
+    text = SERVER_TRACEBACK.sub("", text)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    said = " | ".join(dict.fromkeys(lines)) or type(problem).__name__
-    return said if len(said) <= DETAIL_LIMIT else f"{said[: DETAIL_LIMIT - 2]} …"
+    detail = " | ".join(dict.fromkeys(lines)) or type(problem).__name__
+    return detail if len(detail) <= DETAIL_LIMIT else f"{detail[: DETAIL_LIMIT - 2]} …"
 
 
 def plain(text: str) -> str:
-    """A text without colours and control characters, lines kept."""
+    """Return the text without colors and control characters; lines are kept."""
     return "".join(c for c in ANSI.sub("", text) if c.isprintable() or c == "\n")

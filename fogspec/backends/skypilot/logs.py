@@ -94,7 +94,7 @@ def _lines(log: Path) -> Iterator[bytes]:
             yield PREFIX.sub(b"", line)
 
 
-def last_words(log: Path) -> str:
+def last_line(log: Path) -> str:
     """The last line of the job's own that says something."""
     lines = [line.strip() for line in _tail(log) if line.strip()]
     return lines[-1][:300] if lines else ""

@@ -1,7 +1,7 @@
-"""The process that has SkyPilot in it: `python -m fogspec.backends.skypilot.worker`.
+"""The process that imports SkyPilot: `python -m fogspec.backends.skypilot.worker`.
 
-A line of JSON in is a question, `{"id": 1, "op": "jobs", "words": {...}}`; a line out is its answer, `{"id": 1, "value": ...}`
-or `{"id": 1, "problem": {...}}`. Questions are worked on at the same time. The worker ends when its standard input does.
+A line of JSON on standard input is a call, `{"id": 1, "op": "jobs", "arguments": {...}}`; a line on standard output is its
+result, `{"id": 1, "value": ...}` or `{"id": 1, "problem": {...}}`. Calls run concurrently. The worker ends with its input.
 """
 
 import json
@@ -14,53 +14,53 @@ from typing import Any, TextIO
 
 
 def main() -> None:
-    """Answer until nobody asks any more."""
-    # What SkyPilot prints goes elsewhere, so that answers are alone on what was standard output.
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    """Serve calls until standard input ends."""
+    # SkyPilot prints: results alone go to what was standard output.
+    results = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     lock = threading.Lock()
-    questions: queue.SimpleQueue[str] = queue.SimpleQueue()
-    # Whoever asks while SkyPilot is being imported does not wait for it.
-    threading.Thread(target=hear, args=(questions,), daemon=True).start()
+    calls: queue.SimpleQueue[str] = queue.SimpleQueue()
+    # A thread of its own: the client must not wait while SkyPilot is being imported.
+    threading.Thread(target=read_calls, args=(calls,), daemon=True).start()
     try:
         from fogspec.backends.skypilot import api
     except ImportError as problem:
-        say(answers, lock, {"id": 0, "missing": str(problem)})
+        write(results, lock, {"id": 0, "missing": str(problem)})
         return
-    # An API server that is started here outlives us, and must not be left in a folder that may be removed.
+    # An API server that is started here outlives this process, and must not stay in a directory that may be removed.
     os.chdir(os.path.expanduser("~"))
     while True:
-        question = json.loads(questions.get())
-        operation = api.OPERATIONS[question["op"]]
-        words = (answers, lock, question["id"], operation, question["words"])
-        threading.Thread(target=answer, args=words, daemon=True).start()
+        call = json.loads(calls.get())
+        operation = api.OPERATIONS[call["op"]]
+        arguments = (results, lock, call["id"], operation, call["arguments"])
+        threading.Thread(target=run, args=arguments, daemon=True).start()
 
 
-def hear(questions: "queue.SimpleQueue[str]") -> None:
-    """Take down what is asked, and end this process with whoever asks."""
+def read_calls(calls: "queue.SimpleQueue[str]") -> None:
+    """Queue the calls, and end this process with its client."""
     for line in sys.stdin:
-        questions.put(line)
-    # A launch that is being prepared must not go out after whoever wanted it is gone.
+        calls.put(line)
+    # A launch that is being prepared must not go out after its client has ended.
     os._exit(0)
 
 
-def answer(answers: TextIO, lock: threading.Lock, number: int, operation: Any, words: dict[str, Any]) -> None:
-    """Work on one question."""
+def run(results: TextIO, lock: threading.Lock, number: int, operation: Any, arguments: dict[str, Any]) -> None:
+    """Run one call and write its result."""
     from fogspec.backends.skypilot.errors import classify
 
     try:
-        told = {"id": number, "value": operation(**words)}
+        result = {"id": number, "value": operation(**arguments)}
     except (Exception, SystemExit) as problem:  # SkyPilot ends processes where others raise
         traceback.print_exc()
-        told = {"id": number, "problem": classify(problem).told()}
-    say(answers, lock, told)
+        result = {"id": number, "problem": classify(problem).to_dict()}
+    write(results, lock, result)
 
 
-def say(answers: TextIO, lock: threading.Lock, told: dict[str, Any]) -> None:
-    """One line, whole."""
+def write(results: TextIO, lock: threading.Lock, result: dict[str, Any]) -> None:
+    """Write one whole line."""
     with lock:
-        answers.write(json.dumps(told, default=str) + "\n")
-        answers.flush()
+        results.write(json.dumps(result, default=str) + "\n")
+        results.flush()
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The links between robot and cloud, by the name that a spec gives them: pure functions from a spec to configuration."""
 
-from fogspec.backends.protocol import Link
 from fogspec.compile.links.none import NoLink
+from fogspec.compile.links.protocol import Link
 from fogspec.compile.links.wireguard import WireGuard
 from fogspec.compile.links.zenoh import Zenoh
 from fogspec.spec.schema import Application

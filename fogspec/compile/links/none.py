@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Literal
 
-from fogspec.backends.protocol import LinkEnd
+from fogspec.compile.links.protocol import LinkEnd
 from fogspec.spec.schema import Application
 
 

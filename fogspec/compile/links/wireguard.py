@@ -8,8 +8,8 @@ import ipaddress
 from collections.abc import Sequence
 from typing import Literal
 
-from fogspec.backends.protocol import LinkEnd
 from fogspec.base.clouds import cloud_of
+from fogspec.compile.links.protocol import LinkEnd
 from fogspec.spec.schema import Application
 
 # Shared address space of RFC 6598: neither a home's nor a data centre's private network is there by custom.

@@ -11,8 +11,8 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
-from fogspec.backends.protocol import LinkEnd
 from fogspec.base.clouds import cloud_of
+from fogspec.compile.links.protocol import LinkEnd
 from fogspec.spec.graph_names import AllowedNames, exposed
 from fogspec.spec.schema import Application
 

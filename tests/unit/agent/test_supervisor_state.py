@@ -18,16 +18,16 @@ def test_the_last_word_counts() -> None:
         + line(state="ready", ready_s=2.5, observed=True)
         + b"more\n"
     )
-    live = agent_state.told(log, "192.0.2.1")
+    live = agent_state.status_in_log(log, "192.0.2.1")
     assert (live.state, live.ready_s, live.address, live.observed) == ("ready", 2.5, "192.0.2.1", True)
 
 
 def test_silence() -> None:
-    assert agent_state.told(b"nodes talk\n", None) is None
+    assert agent_state.status_in_log(b"nodes talk\n", None) is None
 
 
 def test_requests_in_few_words() -> None:
-    live = agent_state.told(
+    live = agent_state.status_in_log(
         line(state="ready", latest=[["plan", 0.5, True, None], ["plan", 0.1, False, "door"], ["x"], 7]), None
     )
     records = [json.loads(one) for one in live.timings.splitlines()]
@@ -45,14 +45,14 @@ def test_requests_in_few_words() -> None:
     ],
 )  # fmt: skip
 def test_rubbish_is_left_out(said) -> None:
-    live = agent_state.told(line(**said), None)
+    live = agent_state.status_in_log(line(**said), None)
     assert live.state in ("starting", "ready")
     assert (live.ready_s, live.link, live.timings) == (None, None, b"")
 
 
 def test_broken_json_and_long_words() -> None:
-    assert agent_state.told(b"=== fogspec state {not json} ===\n", None).state == "starting"
-    said = agent_state.told(line(state="ended", detail="\x1b[31m" + "x" * 1000), None)
+    assert agent_state.status_in_log(b"=== fogspec state {not json} ===\n", None).state == "starting"
+    said = agent_state.status_in_log(line(state="ended", detail="\x1b[31m" + "x" * 1000), None)
     assert said.detail is not None
     assert len(said.detail) == 300
     assert "\x1b" not in said.detail

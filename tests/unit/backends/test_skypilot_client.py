@@ -1,5 +1,6 @@
 """Our side of SkyPilot's worker, with workers that misbehave."""
 
+from concurrent import futures
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from fogspec.base.errors import CloudError
 PATIENCE_S = 120.0  # it only bounds hangs
 WORKERS = {
     "echoes": "import sys, json\nfor line in sys.stdin:\n    q = json.loads(line)\n"
-              "    print(json.dumps({'id': q['id'], 'value': q['words']}), flush=True)\n",
+              "    print(json.dumps({'id': q['id'], 'value': q['arguments']}), flush=True)\n",
     "dies": "import sys\nsys.stdin.readline()\nprint('out of luck', file=sys.stderr)\nsys.exit(3)\n",
     "is_silent": "import time\ntime.sleep(3600)\n",
     "has_no_sky": "print('{\"id\": 0, \"missing\": \"No module named sky\"}', flush=True)\n",
@@ -33,24 +34,24 @@ def worker(request, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Client:
 @pytest.mark.parametrize("worker", ["echoes"], indirect=True)
 def test_many_questions_at_once_get_their_own_answers(worker: Client) -> None:
     calls = [worker.begin("any", number=number) for number in range(50)]
-    assert all(call.wait(PATIENCE_S) for call in calls)
-    assert [call.value() for call in calls] == [{"number": number} for number in range(50)]
+    assert not futures.wait(calls, PATIENCE_S).not_done
+    assert [call.result() for call in calls] == [{"number": number} for number in range(50)]
 
 
 @pytest.mark.parametrize("worker", ["dies"], indirect=True)
 def test_a_worker_that_dies_is_said_and_replaced(worker: Client) -> None:
     for _ in range(2):
         with pytest.raises(Unreachable, match="out of luck"):
-            worker.ask("any", PATIENCE_S)
+            worker.call("any", PATIENCE_S)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("worker", ["is_silent"], indirect=True)
 def test_a_silent_worker_holds_nobody_up(worker: Client) -> None:
     call = worker.begin("any")
-    assert not call.done
+    assert not call.done()
     with pytest.raises(Unreachable, match=r"within 0\.2 s: any"):
-        worker.ask("any", 0.2)
+        worker.call("any", 0.2)
     worker.close()  # which does not wait for its end: that is an hour away
 
 
@@ -65,7 +66,7 @@ def test_a_refusal_keeps_its_reason(worker: Client) -> None:
     from fogspec.backends.skypilot.errors import CloudProblem
 
     with pytest.raises(CloudProblem) as no:
-        worker.ask("any", PATIENCE_S)
+        worker.call("any", PATIENCE_S)
     assert (no.value.reason, no.value.detail) == ("quota", "no")
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fogspec.backends.skypilot.errors import CloudProblem, classify, from_dict
+from fogspec.backends.skypilot.errors import CloudProblem, classify
 
 
 def raised(kind: str, text: str, history: tuple[str, ...] = ()) -> Exception:
@@ -63,8 +63,8 @@ def test_the_cause_speaks_too_and_details_are_short_and_plain() -> None:
 
 def test_a_problem_survives_the_pipe() -> None:
     problem = CloudProblem("image", "no such image", again=True, gone=True)
-    assert from_dict(problem.told()).told() == problem.told()
-    assert from_dict({"reason": "rm -rf", "detail": 3}).told()["reason"] == "setup"
+    assert CloudProblem.from_dict(problem.to_dict()).to_dict() == problem.to_dict()
+    assert CloudProblem.from_dict({"reason": "rm -rf", "detail": 3}).to_dict()["reason"] == "setup"
 
 
 def test_what_a_failing_api_server_was_doing_is_not_told() -> None:

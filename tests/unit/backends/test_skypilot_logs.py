@@ -104,8 +104,8 @@ def test_how_far_it_is_is_the_last_thing_it_said(tmp_path: Path, line: str, so_f
 def test_last_words_are_the_jobs_own_without_colours(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     log.write_bytes(PREFIX + b"\x1b[31mno such\x07 package\x1b[0m\n\n")
-    assert logs.last_words(log) == "no such package"
-    assert logs.last_words(tmp_path / "none") == ""
+    assert logs.last_line(log) == "no such package"
+    assert logs.last_line(tmp_path / "none") == ""
 
 
 def test_a_job_ended_for_want_of_memory_is_told_from_others(tmp_path: Path) -> None:

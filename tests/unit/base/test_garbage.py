@@ -109,7 +109,7 @@ def test_a_journal_with_any_value_changed_is_read_or_refused_and_left(tmp_path: 
             if isinstance(found, OutOfDate):
                 assert found.message.startswith(f"{path}:"), where
             else:
-                book = found.book
+                book = found.state
                 found.close()
                 assert 0 <= book.spent_usd + book.committed_usd < math.inf, (number, where)
                 assert not any("/" in name for name in book.open), (number, where)

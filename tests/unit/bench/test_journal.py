@@ -18,7 +18,10 @@ RECORD = Measured(id="one", machine=MACHINE, measured_on="aws/c6i.large", state=
 
 
 def started(name: str) -> LaunchRecord:
-    return LaunchRecord(name, "local", "sha256:app", SAMPLE, 3.6, 600.0, 12.5, "boot")
+    return LaunchRecord(
+        name=name, runner="local", application="sha256:app", sample=SAMPLE, price_usd_per_hour=3.6, lifetime_s=600.0,
+        at_s=12.5, boot="boot",
+    )  # fmt: skip
 
 
 def whole(path) -> Journal:
@@ -37,12 +40,12 @@ def test_what_is_read_back_is_what_was_written(tmp_path):
     journal = whole(tmp_path / "state" / "journal.jsonl")
     journal.close()
     again = Journal(tmp_path / "state" / "journal.jsonl")
-    assert again.book == journal.book
-    assert list(again.book.open) == ["c"]
-    assert again.book.open["c"] == started("c")
-    assert again.book.open["c"].commitment_usd == pytest.approx(0.6)
-    assert (again.book.unwritten, again.book.attempts) == ({}, 3)
-    assert again.book.spent_usd == pytest.approx(1.3)
+    assert again.state == journal.state
+    assert list(again.state.open) == ["c"]
+    assert again.state.open["c"] == started("c")
+    assert again.state.open["c"].commitment_usd == pytest.approx(0.6)
+    assert (again.state.unwritten, again.state.attempts) == ({}, 3)
+    assert again.state.spent_usd == pytest.approx(1.3)
     again.close()
 
 
@@ -53,7 +56,7 @@ def test_a_record_that_was_not_written_yet_is_remembered(tmp_path):
     journal.end("a", 0.1, RECORD)
     journal.close()
     again = Journal(tmp_path / "journal.jsonl")
-    assert again.book.unwritten["a"] == (started("a"), RECORD)
+    assert again.state.unwritten["a"] == (started("a"), RECORD)
     again.close()
 
 
@@ -97,11 +100,11 @@ def test_a_full_disk_leaves_the_journal_as_it_was(tmp_path):
         os.fsync(handle)
 
     journal = Journal(path, sync)
-    book = list(journal.book.open)
+    book = list(journal.state.open)
     full = True
     with pytest.raises(OSError, match="No space"):
         journal.start(started("d"))
-    assert (path.read_bytes(), list(journal.book.open)) == (before, book)
+    assert (path.read_bytes(), list(journal.state.open)) == (before, book)
     full = False
     journal.start(started("d"))
     journal.close()
@@ -110,7 +113,7 @@ def test_a_full_disk_leaves_the_journal_as_it_was(tmp_path):
 def test_money_of_machines_without_a_record_is_not_forgotten(tmp_path):
     journal = whole(tmp_path / "journal.jsonl")
     journal.begin("local", "sha256:app", "sha256:plan", 1.1)
-    assert journal.book.spent_usd == pytest.approx(1.3)
+    assert journal.state.spent_usd == pytest.approx(1.3)
     journal.begin("local", "sha256:another", "sha256:plan", 0.0)
-    assert journal.book.spent_usd == 0.0
+    assert journal.state.spent_usd == 0.0
     journal.close()

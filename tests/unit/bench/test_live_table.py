@@ -6,9 +6,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from fogspec.backends.protocol import Partial, Progress
+from fogspec.backends.protocol import Partial, SampleStatus
 from fogspec.bench.live_table import COLUMNS, LiveTable
-from fogspec.bench.types import Event
+from fogspec.bench.types import Event, EventKind
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import LatencySummary, Measured
@@ -33,22 +33,33 @@ def test_it_shows_what_happens(tmp_path: Path):
     timings = tmp_path / "timings.jsonl"
     line = {"name": "w", "latency_s": 0.5, "ok": True}
     timings.write_text((json.dumps(line) + "\n") * 3 + '{"name": "cut off')
-    table(Event(sample("a"), "starts", 0.0, 0.2, ends_s=100.0))
+    table(Event(sample=sample("a"), kind=EventKind.STARTS, spent_usd=0.0, committed_usd=0.2, ends_s=100.0))
     now[0] = 40.0
-    table(Event(sample("a"), "measures", 0.0, 0.2, Progress(running=True, timings=timings), ends_s=100.0))
+    table(
+        Event(
+            sample=sample("a"),
+            kind=EventKind.MEASURES,
+            spent_usd=0.0,
+            committed_usd=0.2,
+            status=SampleStatus(running=True, timings=timings),
+            ends_s=100.0,
+        )
+    )
     row = drawn(table)[0]
     assert row == ["a", "aws/r1/a.large", "measures", "3 of 200", "500ms", "40 s", "at most 60 s"]
     assert "of $2.50, committed at most $0.2000" in str(table.table().caption)
-    far = Progress(running=True, so_far=Partial(12, 0.25))
-    table(Event(sample("b"), "measures", 0.0, 0.2, far, ends_s=100.0))
+    far = SampleStatus(running=True, so_far=Partial(12, 0.25))
+    table(
+        Event(sample=sample("b"), kind=EventKind.MEASURES, spent_usd=0.0, committed_usd=0.2, status=far, ends_s=100.0)
+    )
     assert drawn(table)[1][3:5] == ["12 of 200", "250ms"], "its timings come when it is over"
     record = Measured(
         id="a", machine=sample("a").machine, measured_on="x", state="ok", requests=200, duration=55.0, spent=0.1,
         latency=LatencySummary(mean=0.5),
     )  # fmt: skip
-    table(Event(sample("a"), "is done", 0.1, 0.0, record=record))
+    table(Event(sample=sample("a"), kind=EventKind.DONE, spent_usd=0.1, committed_usd=0.0, record=record))
     assert drawn(table)[0][2:] == ["ok", "200 of 200", "500ms", "55 s", ""]
-    table(Event(sample("later"), "starts", 0.1, 0.2, ends_s=300.0))
+    table(Event(sample=sample("later"), kind=EventKind.STARTS, spent_usd=0.1, committed_usd=0.2, ends_s=300.0))
     assert [row[0] for row in drawn(table)] == ["a", "b", "later"]
     with table:
         now[0] += 1
@@ -62,7 +73,15 @@ def test_a_narrow_terminal_shows_whole_names(tmp_path: Path):
     timings.write_text(json.dumps({"name": "w", "latency_s": 0.5, "ok": True}) + "\n")
     for count, shown in ((1, ""), (7, "2 of 200")):
         timings.write_text((json.dumps({"name": "w", "latency_s": 0.5, "ok": True}) + "\n") * count)
-        table(Event(sample(names[0]), "measures", 0.0, 0.2, Progress(running=True, timings=timings)))
+        table(
+            Event(
+                sample=sample(names[0]),
+                kind=EventKind.MEASURES,
+                spent_usd=0.0,
+                committed_usd=0.2,
+                status=SampleStatus(running=True, timings=timings),
+            )
+        )
         assert drawn(table)[0][2] == shown, "warm-up does not count"
     Console(file=out, width=80).print(table.table())
     assert all(name in out.getvalue() for name in names)

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.backends.protocol import Progress
+from fogspec.backends.protocol import SampleStatus
 from fogspec.bench import record as recording
-from fogspec.bench.record import Rules
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import Sample
+from fogspec.results.requests import RecordRules
 from fogspec.results.statistics import summary, weights
 
-RULES = Rules(warmup=1, valid=0.9, statistic="mean", callback="work", metrics={"length": "length_m"})
+RULES = RecordRules(warmup=1, valid=0.9, statistic="mean", callback="work", metrics={"length": "length_m"})
 MACHINE = Machine.model_construct(
     infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, gpu=None, spot=False, price=0.0
 )
@@ -36,9 +36,9 @@ def written(folder, *records, end=""):
 
 
 def record(folder, *records, rules=RULES, progress=None, end=""):
-    progress = progress or Progress(running=False)
+    progress = progress or SampleStatus(running=False)
     path = written(folder, *records, end=end)
-    ended = Progress(
+    ended = SampleStatus(
         running=False, timings=path, reason=progress.reason, detail=progress.detail, waited_s=progress.waited_s
     )
     return recording.make_record(SAMPLE, ended, rules, 2.0, 0.0)
@@ -68,12 +68,12 @@ def test_other_names_are_said_when_the_one_asked_for_is_missing(tmp_path):
 
 
 def test_a_reason_that_the_machine_gave_stands_and_measurements_are_kept(tmp_path):
-    made = record(tmp_path, line(), line(), progress=Progress(running=False, reason="crash", detail="exit code 3"))
+    made = record(tmp_path, line(), line(), progress=SampleStatus(running=False, reason="crash", detail="exit code 3"))
     assert (made.state, made.reason, made.detail, made.requests) == ("failed", "crash", "exit code 3", 1)
 
 
 def test_nothing_after_warm_up_is_a_timeout_with_a_lower_bound(tmp_path):
-    made = record(tmp_path, line(), progress=Progress(running=False, waited_s=7.5))
+    made = record(tmp_path, line(), progress=SampleStatus(running=False, waited_s=7.5))
     assert (made.state, made.latency_lower_bound, made.latency) == ("timeout", 7.5, None)
 
 
@@ -95,7 +95,7 @@ def answered(*ends_s: float, latency_s: float = 0.01) -> list[dict[str, Any]]:
 )
 def test_a_node_that_hangs_does_not_count_by_what_it_did_before(tmp_path, ends_s, waited_s, timeout_s, hangs):
     rules = replace(RULES, warmup=0, timeout_s=timeout_s)
-    made = record(tmp_path, *answered(*ends_s), rules=rules, progress=Progress(running=False, waited_s=waited_s))
+    made = record(tmp_path, *answered(*ends_s), rules=rules, progress=SampleStatus(running=False, waited_s=waited_s))
     assert made.requests == 3
     if hangs:
         assert (made.state, made.reason) == ("failed", "no_response")
@@ -105,7 +105,7 @@ def test_a_node_that_hangs_does_not_count_by_what_it_did_before(tmp_path, ends_s
 
 
 def test_a_share_of_the_time_may_be_lost_as_of_the_requests(tmp_path):
-    rules, waited = replace(RULES, warmup=0, valid=0.5), Progress(running=False, waited_s=4.0)
+    rules, waited = replace(RULES, warmup=0, valid=0.5), SampleStatus(running=False, waited_s=4.0)
     made = record(tmp_path, *answered(*(1 + 0.1 * i for i in range(60))), rules=rules, progress=waited)
     assert (made.state, made.requests) == ("ok", 60)
     assert made.detail.startswith("no request was finished in the last 4s")
@@ -113,7 +113,7 @@ def test_a_share_of_the_time_may_be_lost_as_of_the_requests(tmp_path):
 
 @pytest.mark.parametrize(("statistic", "needed"), [("p50", 2), ("p95", 20), ("p99", 100)])
 def test_a_quantile_takes_enough_requests(tmp_path, statistic, needed):
-    rules = Rules(warmup=0, valid=0.9, statistic=statistic)
+    rules = RecordRules(warmup=0, valid=0.9, statistic=statistic)
     few = record(tmp_path, *[line()] * (needed - 1), rules=rules)
     assert (few.state, getattr(few.latency, statistic)) == ("insufficient", None)
     enough = record(tmp_path, *[line()] * needed, rules=rules)
@@ -172,7 +172,7 @@ def test_no_values_have_no_summary():
     assert summary([], []) is None
 
 
-WEIGHED = Rules(warmup=0, valid=0.9, statistic="mean", callback="work", metrics={"length": "length_m"},
+WEIGHED = RecordRules(warmup=0, valid=0.9, statistic="mean", callback="work", metrics={"length": "length_m"},
                 scenarios={"easy": 3.0, "hard": 1.0})  # fmt: skip
 
 
@@ -210,7 +210,7 @@ def test_requests_that_name_no_scenario_are_not_guessed(tmp_path):
     assert "easy, hard" in made.detail
 
 
-PROBED = Rules(warmup=0, valid=0.5, statistic="mean", timeout_s=1.0, metrics={"length": "length"})
+PROBED = RecordRules(warmup=0, valid=0.5, statistic="mean", timeout_s=1.0, metrics={"length": "length"})
 
 
 def probed(start_s, latency_s, service_s=None, **more):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fogspec.backends.protocol import Job, LaunchRefused
-from fogspec.backends.replay import ReplayRunner
+from fogspec.backends.replay import ReplaySamples
 from fogspec.catalog.machine import Machine
 from fogspec.numerics.repeats import after_one_more
 from fogspec.numerics.samples import observations
@@ -50,12 +50,14 @@ def test_each_sample_of_a_machine_has_an_id_of_its_own():
 def test_a_replay_has_as_many_samples_as_were_recorded(tmp_path):
     base = {"machine": MACHINE, "measured_on": "x", "state": "ok", "requests": 9, "duration": 60.0, "spent": 0.1}
     records = [Measured(id=f"s{n}", latency=LatencySummary(mean=1.0 + n), **base) for n in range(2)]
-    runner = ReplayRunner([Recording(one, priced=True) for one in records], "a file", lambda: 0.0)
+    backend = ReplaySamples([Recording(one, priced=True) for one in records], "a file", lambda: 0.0)
     played = []
     for nth in (1, 2):
-        job = Job(f"job{nth}", sample_on(MACHINE, "why", nth), {}, tmp_path, tmp_path / str(nth), 60.0)
-        runner.start(job)
-        played.append(runner.look(job).recorded.latency.mean)
+        job = Job(
+            name=f"job{nth}", task={}, root=tmp_path, directory=tmp_path / str(nth), machine=MACHINE, replicate=nth
+        )
+        backend.start(job)
+        played.append(backend.poll(job).recorded.latency.mean)
     assert played == [1.0, 2.0]
     with pytest.raises(LaunchRefused, match="no further recording"):
-        runner.start(Job("job3", sample_on(MACHINE, "why", 3), {}, tmp_path, tmp_path / "3", 60.0))
+        backend.start(Job(name="job3", task={}, root=tmp_path, directory=tmp_path / "3", machine=MACHINE, replicate=3))

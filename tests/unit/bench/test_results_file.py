@@ -26,10 +26,17 @@ def record(name: str, detail: str | None = None) -> Measured:
     )  # fmt: skip
 
 
+def results_file(layout: Layout) -> ResultsFile:
+    return ResultsFile(
+        layout=layout, application="sha256:a", plan="sha256:p", runner="local", source=None, budget_usd=None,
+        sample_ids=["b", "a"],
+    )  # fmt: skip
+
+
 @pytest.fixture
 def file(tmp_path):
     layout = Layout.of(tmp_path / "specs" / "app.yaml", "app")
-    return ResultsFile(layout, "sha256:a", "sha256:p", "local", None, None, ["b", "a"])
+    return results_file(layout)
 
 
 def test_after_every_record_the_file_is_whole_and_says_the_same_numbers(file):
@@ -47,8 +54,8 @@ def test_going_on_gives_the_same_bytes_as_one_run(file):
     for name in ("a", "b"):
         file.put(record(name), 0.2)
     before = file.layout.results.read_bytes()
-    other = ResultsFile(file.layout, "sha256:a", "sha256:p", "local", None, None, ["b", "a"])
-    other.take(read_results(file.layout))
+    other = results_file(file.layout)
+    other.resume(read_results(file.layout))
     other.write()
     assert file.layout.results.read_bytes() == before
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fogspec.backends import registry
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import InvalidInput
+from fogspec.catalog.sources import load_catalog
 from tests.support.catalogs import HEAD, table
 
 GOOD = "c6i.large,,,2,4,0.085,,us-east-1,"
@@ -17,7 +17,7 @@ GOOD = "c6i.large,,,2,4,0.085,,us-east-1,"
 def load(tmp_path: Path, content: bytes, name: str = "aws.csv") -> object:
     path = tmp_path / name
     path.write_bytes(content)
-    return registry.catalog(str(path), [])
+    return load_catalog(str(path), [])
 
 
 @pytest.mark.parametrize(
@@ -57,9 +57,9 @@ def test_a_truncated_gzip_a_missing_file_and_a_folder_are_no_traceback(tmp_path:
         with pytest.raises(InvalidInput, match="no whole gzip"):
             load(tmp_path, content, "aws.csv.gz")
     with pytest.raises(InvalidInput, match="No such file"):
-        registry.catalog(str(tmp_path / "absent.csv"), ["aws"])
+        load_catalog(str(tmp_path / "absent.csv"), ["aws"])
     with pytest.raises(InvalidInput, match="has no table of aws"):
-        registry.catalog(str(tmp_path), ["aws"])
+        load_catalog(str(tmp_path), ["aws"])
 
 
 def test_the_cloud_is_in_the_table_or_in_the_names_or_must_be_said(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_the_cloud_is_in_the_table_or_in_the_names_or_must_be_said(tmp_path: Pat
     assert load(tmp_path / "gcp", content, "vms.csv").cloud[0] == "gcp"  # type: ignore[attr-defined]
     with pytest.raises(DiagnosticError, match="column Cloud is missing"):
         load(tmp_path, content, "offers.csv")
-    assert registry.catalog(str(tmp_path / "offers.csv"), ["lambda"]).cloud[0] == "lambda"
+    assert load_catalog(str(tmp_path / "offers.csv"), ["lambda"]).cloud[0] == "lambda"
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def test_it_is_small_and_little_work_to_load() -> None:
 
 @pytest.mark.slow
 def test_loading_imports_no_scipy() -> None:
-    code = "import sys; from fogspec.backends import registry; registry.catalog(None, []); sys.exit('scipy' in sys.modules)"
+    code = "import sys; from fogspec.catalog import sources; sources.load_catalog(None, []); sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

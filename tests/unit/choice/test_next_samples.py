@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fogspec.backends import registry
+from fogspec.catalog.sources import load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.choice.choose import choose
 from fogspec.choice.next_samples import best_next_sample, next_samples
@@ -26,7 +26,7 @@ def adaptive(**constraints: object) -> Application:
 
 @pytest.fixture(scope="module")
 def family() -> Catalog:
-    catalog = registry.catalog(None, ("aws",))
+    catalog = load_catalog(None, ("aws",))
     names = np.array([str(name).partition(".")[0] for name in catalog.instance])
     return catalog.take(np.isin(names, ("c6i", "m6i", "r6i")) & (catalog.region == "us-east-1"))
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends.protocol import DeploymentStatus, Launch, LaunchRefused, Unreachable
+from fogspec.backends.protocol import DeploymentStatus, Job, LaunchRefused, Unreachable
 from fogspec.base.errors import CloudError, InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.catalog.machine import Machine
@@ -49,22 +49,24 @@ class Told:
     up: dict[str, str] = field(default_factory=dict)
     log: list[str] = field(default_factory=list)
 
-    def start(self, launch: Launch) -> None:
-        assert launch.machine is not None
-        self.up[launch.name] = launch.machine.instance
-        self.log.append(f"start {launch.machine.instance}")
+    def start(self, job: Job) -> None:
+        assert job.machine is not None
+        self.up[job.name] = job.machine.instance
+        self.log.append(f"start {job.machine.instance}")
 
-    def look(self, launch: Launch) -> DeploymentStatus:
-        answers = self.says[self.up.get(launch.name, "nothing")]
+    def poll(self, job: Job) -> DeploymentStatus:
+        answers = self.says[self.up.get(job.name, "nothing")]
         answer = answers.pop(0) if len(answers) > 1 else answers[0]
         if isinstance(answer, Exception):
             raise answer
-        return answer if isinstance(answer, DeploymentStatus) else DeploymentStatus(str(answer), address="192.0.2.1")  # type: ignore[arg-type]
+        return (
+            answer if isinstance(answer, DeploymentStatus) else DeploymentStatus(state=str(answer), address="192.0.2.1")
+        )  # type: ignore[arg-type]
 
-    def end(self, launch: Launch) -> None:
-        self.log.append(f"end {self.up.pop(launch.name, 'nothing')}")
+    def stop(self, job: Job) -> None:
+        self.log.append(f"end {self.up.pop(job.name, 'nothing')}")
 
-    def names(self, application: str, state: Path) -> Sequence[str]:
+    def list(self, application: str, directory: Path) -> Sequence[str]:
         return list(self.up)
 
 
@@ -155,21 +157,21 @@ def test_the_same_machine_takes_the_new_manifest(world: World) -> None:
 
 
 def test_nodes_that_end_while_they_start(world: World) -> None:
-    world.deployer.says["a"] = ["starting", DeploymentStatus("ended", "planner ended with exit code 1")]
+    world.deployer.says["a"] = ["starting", DeploymentStatus(state="ended", detail="planner ended with exit code 1")]
     with pytest.raises(InvalidInput, match="planner ended with exit code 1"):
         world.apply(FIRST, "a").run()
     assert world.deployer.up == {}
 
 
 def test_a_machine_that_is_taken_away(world: World) -> None:
-    world.deployer.says["a"] = ["starting", DeploymentStatus("gone", "spot capacity was reclaimed")]
+    world.deployer.says["a"] = ["starting", DeploymentStatus(state="gone", detail="spot capacity was reclaimed")]
     with pytest.raises(CloudError, match="spot capacity was reclaimed"):
         world.apply(FIRST, "a").run()
     assert world.deployer.up == {}
 
 
 def test_patience_has_an_end(world: World) -> None:
-    world.deployer.says["a"] = [DeploymentStatus("starting", "the job is setting_up")]
+    world.deployer.says["a"] = [DeploymentStatus(state="starting", detail="the job is setting_up")]
     with pytest.raises(CloudError, match=r"did not answer within 600 s: the job is setting_up"):
         world.apply(FIRST, "a").run()
     assert world.times.now == pytest.approx(605)
@@ -204,10 +206,10 @@ def test_a_killed_apply_is_seen_through(world: World) -> None:
         pass
 
     world.deployer.says["a"] = ["starting", Killed(), "starting", "ready"]  # type: ignore[list-item]
-    world.deployer.look = lambda launch: (_ for _ in ()).throw(Killed())  # type: ignore[method-assign]
+    world.deployer.poll = lambda launch: (_ for _ in ()).throw(Killed())  # type: ignore[method-assign]
     with pytest.raises(Killed):
         world.apply(FIRST, "a").run()
-    del world.deployer.look
+    del world.deployer.poll
     world.deployer.says["a"] = ["starting", "starting", "ready"]
     world.apply(FIRST, "a").run()
     assert world.deployer.log == ["start a"], "it was not started twice"

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends import registry
 from fogspec.backends.naming import deployment_name, is_machine_of, sample_prefix
 from fogspec.base.errors import Refused
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Gpu, Machine
+from fogspec.catalog.sources import load_catalog
 from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
 
 DIGEST = "sha256:" + "ab" * 32
@@ -28,7 +28,7 @@ def machine(infra: str = "aws/r1", instance: str = "c.large", spot: bool = False
 @pytest.fixture
 def catalog(tmp_path: Path):
     (tmp_path / "aws.csv").write_text(TABLE)
-    return registry.catalog(str(tmp_path / "aws.csv"), ("aws",))
+    return load_catalog(str(tmp_path / "aws.csv"), ("aws",))
 
 
 def test_the_highest_price_of_a_region_counts(catalog) -> None:

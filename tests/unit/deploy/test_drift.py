@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.bench.record import Rules
 from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Manifest
 from fogspec.deploy.drift import LEAST, drift, interval_s, observe
+from fogspec.results.requests import RecordRules
 from fogspec.spec.loader import load, read_document
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -69,7 +69,7 @@ def paper() -> tuple:
 
 MACHINE = Machine(infra="aws/us-east-1", instance="g4dn.xlarge", cpus=4, memory=16.0, price=0.526)
 # How the spec's own probe names its requests.
-NAME = Rules.of(load([ROOT / "specs/grasp-planning.yaml"])[0].application).callback
+NAME = RecordRules.of(load([ROOT / "specs/grasp-planning.yaml"])[0].application).callback
 
 
 def lines(latencies, failed: int = 0) -> bytes:

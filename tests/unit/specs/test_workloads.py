@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import fogspec.agent
-from fogspec.bench import record
+from fogspec.results.requests import RecordRules, read_requests
 from tests.conftest import ROOT
 
 WORKLOADS = ROOT / "specs" / "workloads"
@@ -41,7 +41,7 @@ def run(tmp_path, name, *words, cpus=None):
         preexec_fn=lambda: os.sched_setaffinity(0, chosen),
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
-    said = record.read(timings, record.Rules(warmup=0, valid=0.9, statistic="mean"))
+    said = read_requests(timings, RecordRules(warmup=0, valid=0.9, statistic="mean"))
     assert said.unreadable == 0
     return [json.loads(line) for line in timings.read_text().splitlines()]
 

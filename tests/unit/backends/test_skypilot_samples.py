@@ -2,14 +2,15 @@
 
 import json
 import time
+from concurrent.futures import Future
 
 import pytest
 
-from fogspec.backends.protocol import Job, LaunchRefused, Progress, Unreachable
-from fogspec.backends.skypilot import runner as module
+from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus, Unreachable
+from fogspec.backends.skypilot import backend as module
+from fogspec.backends.skypilot.backend import SkyPilotSamples
 from fogspec.backends.skypilot.errors import CloudProblem
-from fogspec.backends.skypilot.runner import SkyPilotRunner
-from tests.conformance.test_runners import Bed, lasting, skypilot
+from tests.conformance.test_backends import Bed, lasting, skypilot_samples
 from tests.support.fake_sky import Cloud, SimulatedClient
 
 
@@ -21,21 +22,21 @@ def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def bed(tmp_path) -> Bed:
-    return skypilot(tmp_path)
+    return skypilot_samples(tmp_path)
 
 
 def cloud_of(bed: Bed) -> Cloud:
-    client = bed.runner._client
+    client = bed.backend._client
     assert isinstance(client, SimulatedClient)
     return client.cloud
 
 
-def patient(runner: SkyPilotRunner, job: Job, patience_s: float = 120.0) -> tuple[Progress, int]:
+def patient(backend: SkyPilotSamples, job: Job, patience_s: float = 120.0) -> tuple[SampleStatus, int]:
     """How it ended, and how often nothing was heard of it."""
     end, silent = time.monotonic() + patience_s, 0
     while True:
         try:
-            if not (progress := runner.look(job)).running:
+            if not (progress := backend.poll(job)).running:
                 return progress, silent
         except Unreachable:
             silent += 1
@@ -59,10 +60,10 @@ def once(op: str, problem: Exception, times: int = 1):
 @pytest.mark.slow
 @pytest.mark.parametrize("op", ["launched", "log", "jobs"])
 def test_silence_in_the_middle_is_survived(bed, op):
-    cloud, job = cloud_of(bed), bed.job("a")
+    cloud, job = cloud_of(bed), bed.job()
     cloud.fails = once(op, Unreachable("the network is down"), 3)
-    bed.runner.start(job)
-    progress, silent = patient(bed.runner, job)
+    bed.backend.start(job)
+    progress, silent = patient(bed.backend, job)
     assert (progress.reason, progress.lost) == (None, False)
     if op == "launched":
         assert silent == 3
@@ -70,41 +71,42 @@ def test_silence_in_the_middle_is_survived(bed, op):
 
 @pytest.mark.slow
 def test_a_launch_whose_answer_is_lost_is_found_by_its_name(bed):
-    cloud, job = cloud_of(bed), bed.job("a")
-    bed.runner.start(job)
-    bed.runner._watched[job.name].call.tell({"problem": CloudProblem("setup", "cut off", contact=True).told()})
-    progress, silent = patient(bed.runner, job)
+    cloud, job = cloud_of(bed), bed.job()
+    bed.backend.start(job)
+    lost = bed.backend._watched[job.name].call = Future()
+    lost.set_exception(Unreachable("cut off"))
+    progress, silent = patient(bed.backend, job)
     assert (progress.reason, progress.lost, silent) == (None, False, 1)
     assert len(cloud.machines) == 1
 
 
 def test_a_launch_that_never_arrived_is_lost_and_measured_again(bed):
-    job = bed.job("a")
+    job = bed.job()
     cloud_of(bed).fails = once("launch", Unreachable("no server"))
-    bed.runner.start(job)
-    progress, _ = patient(bed.runner, job)
+    bed.backend.start(job)
+    progress, _ = patient(bed.backend, job)
     assert (progress.lost, progress.reason) == (True, None)
 
 
 @pytest.mark.slow
 def test_a_controller_killed_while_it_asked_for_the_launch_goes_on_by_name(bed):
-    job = bed.job("a")
-    bed.runner.start(job)
-    assert "request" not in json.loads((job.folder / "launch.json").read_text())
-    progress, _ = patient(bed.anew(), job)
+    job = bed.job()
+    bed.backend.start(job)
+    assert "request" not in json.loads((job.directory / "launch.json").read_text())
+    progress, _ = patient(bed.another(), job)
     assert (progress.reason, progress.lost) == (None, False)
     assert progress.measured_s is not None
 
 
 def test_a_machine_that_goes_away_takes_its_results_with_it(bed):
-    cloud, job = cloud_of(bed), lasting(bed.job("a"))
-    bed.runner.start(job)
-    while bed.runner.look(job).detail != "its machine is up":
+    cloud, job = cloud_of(bed), lasting(bed.job())
+    bed.backend.start(job)
+    while bed.backend.poll(job).detail != "its machine is up":
         time.sleep(0.02)
     cloud.end(job.name)
-    progress, _ = patient(bed.runner, job)
+    progress, _ = patient(bed.backend, job)
     assert (progress.lost, progress.running) == (True, False)
-    assert bed.anew().look(job).lost, "and that is written down"
+    assert bed.another().poll(job).lost, "and that is written down"
 
 
 @pytest.mark.parametrize(
@@ -116,17 +118,17 @@ def test_a_machine_that_goes_away_takes_its_results_with_it(bed):
     ],
 )
 def test_refusals_keep_their_reason_and_cost_nothing_where_no_machine_was_up(bed, problem, again, billed_s):
-    job = bed.job("a")
+    job = bed.job()
     cloud_of(bed).refused[job.name] = problem
-    bed.runner.start(job)
-    progress, _ = patient(bed.runner, job)
+    bed.backend.start(job)
+    progress, _ = patient(bed.backend, job)
     assert (progress.reason, progress.again, progress.billed_s) == (problem.reason, again, billed_s)
     assert progress.detail == problem.detail
 
 
 @pytest.mark.slow
 def test_a_log_cut_on_its_way_is_read_again(bed, monkeypatch):
-    cloud, job = cloud_of(bed), bed.job("a")
+    cloud, job = cloud_of(bed), bed.job()
     whole, times = cloud.log, []
 
     def cut(**words) -> int:
@@ -134,27 +136,27 @@ def test_a_log_cut_on_its_way_is_read_again(bed, monkeypatch):
         return whole(**{**words, "limit": 200 if len(times) < 3 else words["limit"]})
 
     monkeypatch.setattr(cloud, "log", cut)
-    bed.runner.start(job)
-    progress, _ = patient(bed.runner, job)
+    bed.backend.start(job)
+    progress, _ = patient(bed.backend, job)
     assert (progress.reason, progress.lost) == (None, False)
     assert progress.timings is not None
 
 
 def test_a_job_without_an_outcome_says_its_last_words(bed):
-    job = bed.job("a")
+    job = bed.job()
     job.task["run"] = "echo installing; echo 'E: no such package' >&2; exit 100"
-    bed.runner.start(job)
-    progress, _ = patient(bed.runner, job)
+    bed.backend.start(job)
+    progress, _ = patient(bed.backend, job)
     assert (progress.reason, progress.detail) == ("crash", "the job ended as FAILED: E: no such package")
 
 
 @pytest.mark.slow
 def test_set_up_is_over_when_the_log_says_so(bed):
-    job = bed.job("a")
+    job = bed.job()
     job.task["run"] = "sleep 0.5; " + job.task["run"]
-    bed.runner.start(job)
+    bed.backend.start(job)
     said = []
-    while (progress := bed.runner.look(job)).running:
+    while (progress := bed.backend.poll(job)).running:
         said.append(progress.ready)
         time.sleep(0.01)
     assert said[0] is False
@@ -162,29 +164,20 @@ def test_set_up_is_over_when_the_log_says_so(bed):
 
 
 def test_an_end_that_takes_long_is_asked_about_again_and_a_failed_one_is_tried_again(bed):
-    cloud, job = cloud_of(bed), bed.job("a")
-    bed.runner.start(job)
+    cloud, job = cloud_of(bed), bed.job()
+    bed.backend.start(job)
     cloud.fails = once("end", CloudProblem("setup", "still there", again=True), 2)
     for _ in range(2):
         with pytest.raises(Unreachable, match="still there"):
-            bed.runner.end(job)
-    bed.runner.end(job)
+            bed.backend.stop(job)
+    bed.backend.stop(job)
     assert cloud.machines == {}
 
 
 def test_it_does_not_start_without_the_secrets_of_its_task(bed, monkeypatch):
     monkeypatch.delenv("MAP_PASSWORD", raising=False)
-    job = bed.job("a")
+    job = bed.job()
     job.task["secrets"] = {"MAP_PASSWORD": None}
     with pytest.raises(LaunchRefused, match="MAP_PASSWORD"):
-        bed.runner.start(job)
+        bed.backend.start(job)
     assert cloud_of(bed).machines == {}
-
-
-def test_strays_are_those_with_the_prefix(bed, tmp_path):
-    job = bed.job("a")
-    bed.runner.start(job)
-    assert list(bed.anew().strays("fogspec-", tmp_path)) == [job.name]
-    assert list(bed.anew().strays("fogspec-b", tmp_path)) == []
-    bed.anew().end(job)
-    assert list(bed.runner.strays("fogspec-", tmp_path)) == []

@@ -1,4 +1,4 @@
-"""The local runner keeps what the seam promises: a name is enough to find, look at and end a sample."""
+"""The local backend keeps what the seam promises: a name is enough to find, look at and end a sample."""
 
 import json
 import os
@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends.local import runner as local
-from fogspec.backends.local.runner import MARK, LocalRunner, _marked
-from fogspec.backends.protocol import Job, LaunchRefused, Progress
+from fogspec.backends.local import backend as local
+from fogspec.backends.local import processes
+from fogspec.backends.local.backend import MARK, LocalSamples
+from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus
 from fogspec.catalog.machine import Machine
-from fogspec.plan.schema import Sample
 
 RUN = 'exec python3 "$FOGSPEC_AGENT" --out "$FOGSPEC_OUT" --after 600 --startup 120 --warmup 1 --steps {steps} --process {argv}'
 PROBED = """
@@ -31,54 +31,55 @@ def job(folder: Path, script: str = PROBED, steps: int = 5, cpus: float = 1, mem
     argv = json.dumps(["python3", str(folder / "workload.py")])
     task = {"run": RUN.format(steps=steps, argv=f"'{argv}'"), "workdir": "."} | task
     name = f"fogspec-test-{os.getpid()}-{time.monotonic_ns()}"
-    return Job(name, Sample(id="a", machine=machine, reason=""), task, folder, folder / "attempts" / name, 900.0)
+    directory = folder / "attempts" / name
+    return Job(name=name, machine=machine, task=task, root=folder, directory=directory, lifetime_s=900.0)
 
 
-def until(runner: LocalRunner, asked: Job, what, patience_s: float = 120.0) -> Progress:
+def until(backend: LocalSamples, asked: Job, what, patience_s: float = 120.0) -> SampleStatus:
     end = time.monotonic() + patience_s
-    while not what(progress := runner.look(asked)):
+    while not what(progress := backend.poll(asked)):
         assert time.monotonic() < end, progress
         time.sleep(0.05)
     return progress
 
 
-def over(progress: Progress) -> bool:
+def over(progress: SampleStatus) -> bool:
     return not progress.running
 
 
 @pytest.fixture
-def runner():
-    return LocalRunner()
+def backend():
+    return LocalSamples()
 
 
-def test_a_sample_is_measured_on_its_cpus_and_any_process_says_the_same_of_it_ever_after(tmp_path, runner):
+def test_a_sample_is_measured_on_its_cpus_and_any_process_says_the_same_of_it_ever_after(tmp_path, backend):
     asked = job(tmp_path)
-    runner.start(asked)
-    done = until(runner, asked, over)
+    backend.start(asked)
+    done = until(backend, asked, over)
     assert (done.reason, done.stopped_by, done.measured_on, done.lost) == (None, "steps", "local/1cpu-1gib", False)
     records = [json.loads(line) for line in done.timings.read_text().splitlines()]
     assert len(records) >= 6
     assert {record["metrics"]["cpus"] for record in records} == {1.0}
-    runner.end(asked)
-    runner.end(asked)
-    assert runner.look(asked) == done
-    assert LocalRunner().look(asked) == done
-    assert _marked(asked.name) == []
+    backend.stop(asked)
+    backend.stop(asked)
+    assert backend.poll(asked) == done
+    assert LocalSamples().poll(asked) == done
+    assert processes.marked(MARK, asked.name) == []
 
 
-def test_ending_early_leaves_what_was_measured_and_no_process(tmp_path, runner):
+def test_ending_early_leaves_what_was_measured_and_no_process(tmp_path, backend):
     asked = job(tmp_path, steps=100_000)
-    runner.start(asked)
-    measuring = until(runner, asked, lambda progress: progress.ready and progress.timings.stat().st_size > 500)
+    backend.start(asked)
+    measuring = until(backend, asked, lambda progress: progress.ready and progress.timings.stat().st_size > 500)
     assert measuring.running
-    runner.end(asked)
-    assert _marked(asked.name) == []
-    after = runner.look(asked)
+    backend.stop(asked)
+    assert processes.marked(MARK, asked.name) == []
+    after = backend.poll(asked)
     assert (after.running, after.reason) == (False, "interrupted")
     assert after.timings.read_text().endswith("\n")
 
 
-def test_background_grandchildren_that_ignore_signals_are_ended(tmp_path, runner, monkeypatch):
+def test_background_grandchildren_that_ignore_signals_are_ended(tmp_path, backend, monkeypatch):
     monkeypatch.setattr(local, "GRACE_S", 1.0)
     stubborn = """
 import os, signal, time, fogspec_probe
@@ -93,28 +94,28 @@ fogspec_probe.start("plan"); fogspec_probe.stop("plan"); os._exit(0)
     asked = job(
         tmp_path, run=f"PYTHONPATH=$(dirname $FOGSPEC_AGENT) exec {sys.executable} workload.py", script=stubborn
     )
-    runner.start(asked)
-    until(runner, asked, over)
-    assert len(_marked(asked.name)) >= 1
-    runner.end(asked)
-    assert _marked(asked.name) == []
+    backend.start(asked)
+    until(backend, asked, over)
+    assert len(processes.marked(MARK, asked.name)) >= 1
+    backend.stop(asked)
+    assert processes.marked(MARK, asked.name) == []
 
 
-def test_a_memory_hog_is_recorded_as_out_of_memory_from_any_process(tmp_path, runner):
+def test_a_memory_hog_is_recorded_as_out_of_memory_from_any_process(tmp_path, backend):
     hog = "kept = []\nwhile True: kept.append(bytearray(2**24)); kept[-1][::4096] = b'x' * 4096"
     asked = job(tmp_path, script=hog, memory_gib=0.25)
-    runner.start(asked)
-    done = until(runner, asked, over)
+    backend.start(asked)
+    done = until(backend, asked, over)
     assert done.reason == "out_of_memory"
     assert done.detail.startswith("0.25 GiB were not enough: python3 ")
-    runner.end(asked)
-    assert LocalRunner().look(asked) == done
+    backend.stop(asked)
+    assert LocalSamples().poll(asked) == done
 
 
 CONTROLLER = """
 import os, pickle, sys
-from fogspec.backends.local.runner import LocalRunner
-LocalRunner().start(pickle.load(open(sys.argv[1], "rb")))
+from fogspec.backends.local.backend import LocalSamples
+LocalSamples().start(pickle.load(open(sys.argv[1], "rb")))
 os.kill(os.getpid(), 9)
 """
 
@@ -127,64 +128,64 @@ def killed_controller(tmp_path: Path, asked: Job) -> None:
     assert ended.returncode == -9
 
 
-def test_a_sample_outlives_a_killed_controller_and_is_recovered(tmp_path, runner):
+def test_a_sample_outlives_a_killed_controller_and_is_recovered(tmp_path, backend):
     asked = job(tmp_path, steps=30)
     killed_controller(tmp_path, asked)
-    done = until(runner, asked, over)
+    done = until(backend, asked, over)
     assert (done.reason, done.stopped_by, done.lost) == (None, "steps", False)
-    runner.end(asked)
+    backend.stop(asked)
 
 
-def test_a_sample_of_a_killed_controller_can_be_ended_by_name(tmp_path, runner):
+def test_a_sample_of_a_killed_controller_can_be_ended_by_name(tmp_path, backend):
     asked = job(tmp_path, steps=100_000)
     killed_controller(tmp_path, asked)
-    until(runner, asked, lambda progress: progress.running and progress.ready)
-    runner.end(asked)
-    assert _marked(asked.name) == []
-    assert runner.look(asked).reason == "interrupted"
+    until(backend, asked, lambda progress: progress.running and progress.ready)
+    backend.stop(asked)
+    assert processes.marked(MARK, asked.name) == []
+    assert backend.poll(asked).reason == "interrupted"
 
 
-def test_a_sample_that_was_never_started_or_lost_everything_is_lost(tmp_path, runner):
+def test_a_sample_that_was_never_started_or_lost_everything_is_lost(tmp_path, backend):
     asked = job(tmp_path)
-    assert runner.look(asked).lost
-    runner.end(asked)
-    assert runner.look(asked).lost
+    assert backend.poll(asked).lost
+    backend.stop(asked)
+    assert backend.poll(asked).lost
 
 
-def test_a_run_script_that_fails_says_what_it_said(tmp_path, runner):
+def test_a_run_script_that_fails_says_what_it_said(tmp_path, backend):
     asked = job(tmp_path, run="echo no such thing >&2; exit 4")
-    runner.start(asked)
-    done = until(runner, asked, over)
+    backend.start(asked)
+    done = until(backend, asked, over)
     assert (done.reason, done.detail) == ("setup", "the run script ended with exit code 4: no such thing")
 
 
 @pytest.mark.parametrize(
     "wrong", [{"cpus": 4096}, {"memory_gib": 2.0**20}, {"workdir": "missing"}, {"secrets": {"FOGSPEC_NOT_SET": None}}]
 )
-def test_what_this_host_cannot_do_is_said_and_leaves_nothing(tmp_path, runner, wrong):
+def test_what_this_host_cannot_do_is_said_and_leaves_nothing(tmp_path, backend, wrong):
     asked = job(tmp_path, **wrong)
     with pytest.raises(LaunchRefused) as no:
-        runner.start(asked)
+        backend.start(asked)
     assert no.value.reason in ("capacity", "setup")
     assert not no.value.again
-    runner.end(asked)
-    assert _marked(asked.name) == []
+    backend.stop(asked)
+    assert processes.marked(MARK, asked.name) == []
 
 
-def test_the_environment_keeps_credentials_and_thread_counts_back_unless_asked(tmp_path, runner, monkeypatch):
+def test_the_environment_keeps_credentials_and_thread_counts_back_unless_asked(tmp_path, backend, monkeypatch):
     for name in ("AWS_SECRET_ACCESS_KEY", "MY_TOKEN", "OMP_NUM_THREADS", "HARMLESS"):
         monkeypatch.setenv(name, "from the shell")
     asked = job(tmp_path, run="env", secrets={"MY_TOKEN": None}, envs={"OMP_NUM_THREADS": 1})
-    runner.start(asked)
-    until(runner, asked, over)
-    runner.end(asked)
-    said = dict(line.partition("=")[::2] for line in (asked.folder / "run.log").read_text().splitlines())
+    backend.start(asked)
+    until(backend, asked, over)
+    backend.stop(asked)
+    said = dict(line.partition("=")[::2] for line in (asked.directory / "run.log").read_text().splitlines())
     assert "AWS_SECRET_ACCESS_KEY" not in said
     assert (said["MY_TOKEN"], said["OMP_NUM_THREADS"], said["HARMLESS"]) == ("from the shell", "1", "from the shell")
     assert said[MARK] == asked.name
     assert said["PATH"].split(":")[0] == str(Path(sys.executable).parent)
 
 
-def test_the_source_says_what_was_emulated_and_how(runner):
-    assert "by affinity" in runner.source
-    assert "by cgroup" in runner.source or "by rlimit" in runner.source
+def test_the_source_says_what_was_emulated_and_how(backend):
+    assert "by affinity" in backend.source
+    assert "by cgroup" in backend.source or "by rlimit" in backend.source

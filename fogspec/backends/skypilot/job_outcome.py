@@ -1,0 +1,88 @@
+"""The files of a sample's job, and the outcome that they and SkyPilot's record of the job add up to, for any process."""
+
+import contextlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from fogspec.backends.agent_state import read_outcome
+from fogspec.backends.protocol import Job, SampleStatus
+from fogspec.backends.skypilot import logs
+
+LOG = "run.log"
+ENDED = "ended.json"
+
+
+def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> SampleStatus:
+    """Return the status of a job that ended, by its log and SkyPilot's record of it.
+
+    `launched_s` is the time of its launch, in seconds since the epoch.
+    """
+    log, out = job.directory / LOG, job.directory / "out"
+    timings = out / "timings.jsonl"
+    status = SampleStatus(running=False, timings=timings if timings.is_file() else None, measured_on=job.machine_name)
+    outcome = read_outcome(out / "outcome.json")
+    if outcome is None:
+        return _without_outcome(status, record.get("status"), log)
+    detail = outcome.detail
+    if outcome.reason == "out_of_memory" and job.machine is not None:
+        detail = f"{job.machine.memory:g} GiB were not enough: {detail}"
+    ended_s, measured_s = record.get("end_at"), outcome.measured_s
+    setup_s = None
+    if ended_s is not None and measured_s is not None:
+        setup_s = max(0.0, ended_s - launched_s - measured_s)
+    return replace(
+        status,
+        reason=outcome.reason,
+        detail=detail,
+        stopped_by=outcome.stopped_by,
+        waited_s=outcome.waited_s,
+        measured_s=measured_s,
+        setup_s=setup_s,
+    )
+
+
+def _without_outcome(status: SampleStatus, job_status: str | None, log: Path) -> SampleStatus:
+    """Return the status of a job whose agent left no outcome."""
+    line = logs.last_line(log)
+    detail = f"the job ended as {job_status}" + (f": {line}" if line else "")
+    if job_status == "CANCELLED":
+        return replace(status, lost=True, detail=detail)
+    if logs.out_of_memory(log):
+        return replace(status, reason="out_of_memory", detail=detail)
+    return replace(status, reason="setup" if job_status == "FAILED_SETUP" else "crash", detail=detail)
+
+
+def read_final(directory: Path) -> SampleStatus | None:
+    """Return the final status that was written, if any."""
+    values = load(directory / ENDED)
+    if values is None:
+        return None
+    timings = directory / "out" / "timings.jsonl"
+    return SampleStatus(**{**values, "timings": timings if values.get("timings") else None})
+
+
+def write_final(directory: Path, status: SampleStatus) -> None:
+    """Write the final status."""
+    save(directory / ENDED, {**asdict(status), "timings": status.timings is not None, "recorded": None})
+
+
+def load(path: Path) -> dict[str, Any] | None:
+    """Return the values in a file; None if it has none."""
+    with contextlib.suppress(OSError, ValueError):
+        values = json.loads(path.read_text(encoding="utf-8"))
+        return values if isinstance(values, dict) else None
+    return None
+
+
+def save(path: Path, data: Mapping[str, Any]) -> None:
+    """Write the file, whole or not at all, and sync it."""
+    part = path.with_suffix(".part")
+    with open(part, "w", encoding="utf-8") as file:
+        json.dump(data, file)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
