@@ -41,6 +41,12 @@ class Costs:
             data.per_request * data.price, objective.rate if objective.billing == "provisioned" else None,
         )  # fmt: skip
 
+    @classmethod
+    def busy(cls, price_usd_per_hour: Floats) -> "Costs":
+        """Return busy billing on on-demand machines, without data transfer."""
+        spot = np.zeros(len(price_usd_per_hour), dtype=bool)
+        return cls(price_usd_per_hour, spot, 0.0, 0.0, transfer_usd=0.0, requests_per_s=None)
+
     @property
     def usd_per_s(self) -> Floats:
         """What a second costs, restarts included: exact for provisioned billing and for short requests."""

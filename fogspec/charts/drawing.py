@@ -13,8 +13,9 @@ from fogspec.charts import menu_svg, model_svg
 from fogspec.charts.axes import number, requests_unit, seconds
 from fogspec.charts.chart import Chart, Crowd, PlottedMachine
 from fogspec.charts.drawing_models import interval_of, latency_chart
-from fogspec.choice.choose import Choice, latency_limit_s
+from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL, floored, limit_text, thinned, weights
+from fogspec.choice.rule import latency_limit_s
 from fogspec.choice.shortlist import shortlist
 from fogspec.model.fit import Models
 from fogspec.spec.schema import Application
@@ -27,7 +28,7 @@ def menu_chart(application: Application, choice: Choice, doubts: Sequence[str]) 
     """The menu as a picture, for a choice with at least one machine that can be predicted."""
     spec = application.spec
     metric = spec.objective.metric
-    rows = np.flatnonzero(choice.eligible & (choice.x > 0) & (choice.cost_usd_per_request > 0))
+    rows = np.flatnonzero(choice.eligible & (choice.metric_value > 0) & (choice.cost_usd_per_request > 0))
     rate = spec.objective.rate if spec.objective.billing == "provisioned" else None
     limit = spec.constraints.metrics.get(metric) if metric else _latency_limit(application)
     return Chart(
@@ -35,7 +36,7 @@ def menu_chart(application: Application, choice: Choice, doubts: Sequence[str]) 
         y_label=f"{metric} in {spec.metrics[metric].unit or 'its unit'}" if metric else f"{spec.constraints.statistic} latency",
         machines=_machines(choice, metric), y_is="number" if metric else "duration",
         crowd=Crowd(
-            choice.x[rows], choice.cost_usd_per_request[rows], choice.offers.price_usd_per_hour[rows],
+            choice.metric_value[rows], choice.cost_usd_per_request[rows], choice.offers.price_usd_per_hour[rows],
             choice.feasible[rows],
         ),
         y_limit=limit, cost_limit_usd_per_request=spec.constraints.cost, price_limit_usd_per_hour=spec.constraints.price,
@@ -46,8 +47,8 @@ def menu_chart(application: Application, choice: Choice, doubts: Sequence[str]) 
 def named(choice: Choice) -> dict[str, int]:
     """What is labelled: the choice and two alternatives; where nothing meets the limits, what comes nearest."""
     if choice.chosen is None:
-        found = {} if choice.nearest is None else {"nearest": choice.nearest}
-        for miss in choice.misses:
+        found = {} if choice.least_infeasible is None else {"nearest": choice.least_infeasible}
+        for miss in choice.violations:
             if miss.row not in found.values():
                 found[f"nearest in {miss.limit}"] = miss.row
         return dict(list(found.items())[: ALTERNATIVES + 1])
@@ -59,8 +60,8 @@ def _none(choice: Choice) -> list[str]:
     """That no machine meets the limits, and how far off the nearest is."""
     if choice.feasible.any():
         return []
-    far = [f"{miss.limit} would have to be {miss.factor:.3g} times as large" for miss in choice.misses]
-    either = " or " if all(miss.alone for miss in choice.misses) else " and "
+    far = [f"{miss.limit} would have to be {miss.factor:.3g} times as large" for miss in choice.violations]
+    either = " or " if all(miss.alone for miss in choice.violations) else " and "
     return [": ".join(["no machine meets the limits", *([either.join(far)] if far else [])])]
 
 
@@ -74,7 +75,7 @@ def _latency_limit(application: Application) -> float | None:
 def _subtitle(application: Application, choice: Choice) -> str:
     limits = ", ".join(f"{name} at most {limit_text(name, bound)}" for name, bound in choice.bounds.items())
     billing = "" if application.spec.objective.billing == "busy" else ", whole hours are paid"
-    surely = f"; met with probability {choice.floor:g}" if choice.bounds and choice.floor is not None else ""
+    surely = f"; met with probability {choice.level:g}" if choice.bounds and choice.level is not None else ""
     return f"{weights(application)}{billing}; limits: {limits or 'none'}{surely}"
 
 
@@ -87,7 +88,7 @@ def _machines(choice: Choice, metric: str | None) -> list[PlottedMachine]:
     rows = [
         row
         for row in {*roles, *measured, *fronts[0], *fronts[1]}
-        if choice.x[row] > 0 and choice.cost_usd_per_request[row] > 0
+        if choice.metric_value[row] > 0 and choice.cost_usd_per_request[row] > 0
     ]
     factor, unit = requests_unit([float(choice.cost_usd_per_request[row]) for row in rows] or [1.0])
     order = {role: at for at, role in enumerate(named(choice))}
@@ -97,7 +98,7 @@ def _machines(choice: Choice, metric: str | None) -> list[PlottedMachine]:
         low, high = (interval_of(predictions, row) if shown else None) or (None, None)
         name = str(choice.offers.instance[row]) + (" spot" if choice.offers.spot[row] else "")
         found.append(PlottedMachine(
-            name, float(choice.x[row]), float(choice.cost_usd_per_request[row]),
+            name, float(choice.metric_value[row]), float(choice.cost_usd_per_request[row]),
             float(choice.offers.price_usd_per_hour[row]), low, high, measured=bool(predictions.measured[row]),
             on_front=row in fronts[0], on_hourly_front=row in fronts[1], role=roles.get(row, ""),
             words=_described(choice, row, name, metric, factor, unit) if row in roles else "",
@@ -119,7 +120,8 @@ def _described(choice: Choice, row: int, name: str, metric: str | None, factor: 
     machine = choice.offers.machine(row)
     gpu = f" {machine.gpu.label}" if machine.gpu else ""
     shape = f", {machine.cpus:g} vCPU {units.format_number(machine.memory)} GiB{gpu}"
-    value = f"{metric} {number(float(choice.x[row]))}" if metric else seconds(float(choice.x[row]))
+    metric_value = float(choice.metric_value[row])
+    value = f"{metric} {number(metric_value)}" if metric else seconds(metric_value)
     per = "request" if factor == 1 else unit.removeprefix("a ")
     cost = short_dollars(float(choice.cost_usd_per_request[row]) * factor)
     rest = f"{value}, {cost} per {per}, {short_dollars(machine.price)}/h"

@@ -79,7 +79,7 @@ def _levels(choice: Choice, rows: np.ndarray) -> list[Level]:
 
 def _each_once(choice: Choice, rows: np.ndarray) -> list[int]:
     """One offer of each instance type: what a machine costs elsewhere does not change how fast it is."""
-    _, first = np.unique(choice.latency.of[rows], return_index=True)
+    _, first = np.unique(choice.latency.type_index[rows], return_index=True)
     found: list[int] = rows[first].tolist()
     return found
 

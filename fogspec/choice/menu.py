@@ -11,7 +11,7 @@ from fogspec.base.quantities import Cost, Duration, Strict
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
-from fogspec.numerics.select import Miss
+from fogspec.choice.rule import Violation
 from fogspec.plan.schema import PlanMetadata
 from fogspec.spec.schema import Application, Billing, Statistic
 
@@ -91,8 +91,8 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
         limits={name: limit_text(name, bound) for name, bound in choice.bounds.items()},
         admissible=len(choice.offers), predicted=int(choice.eligible.sum()), meet=int(choice.feasible.sum()),
         balanced=entry(choice.chosen), cheapest=entry(choice.cheapest), fastest=entry(choice.fastest),
-        nearest=entry(choice.nearest),
-        missed=[_missed(choice, miss) for miss in choice.misses],
+        nearest=entry(choice.least_infeasible),
+        missed=[_missed(choice, one) for one in choice.violations],
         front=[entry_of(choice, row) for row in thinned(choice.front)],
         hourly_front=[entry_of(choice, row) for row in thinned(choice.hourly_front)],
         warnings=warnings,
@@ -136,8 +136,8 @@ def why_not(choice: Choice, row: int) -> str | None:
         return "; ".join(broken)
     if choice.latency.unfit[row]:
         return "it failed when it was measured, or has no more memory than a machine that ran out of it"
-    asked = choice.confidence if choice.floor is None else choice.floor
-    return f"meets the limits with probability {floored(choice.probability(row) or 0):g}, below {asked:g}"
+    required = choice.confidence if choice.level is None else choice.level
+    return f"meets the limits with probability {floored(choice.probability(row) or 0):g}, below {required:g}"
 
 
 def floored(probability: float) -> float:
@@ -150,13 +150,17 @@ def _probability(choice: Choice, row: int) -> float | None:
     return None if found is None else round(found, 3)
 
 
-def _missed(choice: Choice, miss: Miss) -> Limit:
-
-    offer = choice.offers.machine(miss.row)
+def _missed(choice: Choice, one: Violation) -> Limit:
+    machine = choice.offers.machine(one.row)
     return Limit(
-        limit=miss.limit, bound=limit_text(miss.limit, miss.bound), nearest_value=limit_text(miss.limit, miss.value),
-        factor=rounded(miss.factor), infra=offer.infra, instance=offer.instance, alone=miss.alone,
-    )  # fmt: skip
+        limit=one.limit,
+        bound=limit_text(one.limit, one.bound),
+        nearest_value=limit_text(one.limit, one.value),
+        factor=rounded(one.factor),
+        infra=machine.infra,
+        instance=machine.instance,
+        alone=one.alone,
+    )
 
 
 def weights(application: Application) -> str:
@@ -168,8 +172,9 @@ def weights(application: Application) -> str:
 def scale_texts(application: Application, choice: Choice) -> dict[str, str]:
     """What latency (or the metric) and cost are divided by."""
     metric = application.spec.objective.metric
-    of_x = units.format_number(rounded(choice.scale.x)) if metric else units.format_duration(rounded(choice.scale.x))
-    return {metric or "latency": of_x, "cost": units.format_cost(rounded(choice.scale.cost))}
+    divisor = rounded(choice.scale.metric)
+    of_metric = units.format_number(divisor) if metric else units.format_duration(divisor)
+    return {metric or "latency": of_metric, "cost": units.format_cost(rounded(choice.scale.cost))}
 
 
 def limit_text(name: str, value: float) -> str:

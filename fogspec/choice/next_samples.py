@@ -6,15 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.catalog.cost import Costs
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog, Floats
-from fogspec.choice.choose import Choice, choose, latency_budget
+from fogspec.choice.choose import Choice, choose
+from fogspec.choice.rule import Utility
 from fogspec.model.fit import partition, targets
 from fogspec.model.predict import PredictionSet, predict_from
 from fogspec.numerics.acquisition import Policy, gains, next_wave
 from fogspec.numerics.priors import Library
-from fogspec.numerics.select import weighed
 from fogspec.numerics.surrogate import Posterior
 from fogspec.plan.initial_batch import NextBatch, SampleCosts, initial_batch, next_batch
 from fogspec.results.schema import Measured
@@ -64,9 +63,9 @@ def best_next_sample(
     posterior = choice.latency.posterior
     if posterior is None or state.barred.all():
         return None
-    question = _Question(application, predicted, choice)
-    values = question.drawn(posterior)
-    expected = np.where(state.barred, -1.0, gains(posterior, question))
+    utility = _utility(predicted, choice)
+    values = utility.drawn(posterior)
+    expected = np.where(state.barred, -1.0, gains(posterior, utility))
     one = int(np.argmax(expected / state.bill.usd))
     better = None
     if choice.chosen is not None:
@@ -74,11 +73,11 @@ def best_next_sample(
     return NextSample(int(state.bill.row[one]), float(expected[one]), better, float(state.bill.usd[one]))
 
 
-def probability_better(application: Application, predicted: PredictionSet, choice: Choice, row: int) -> float | None:
+def probability_better(predicted: PredictionSet, choice: Choice, row: int) -> float | None:
     """How probably one offer's type meets the limits and is better than the chosen one; None if that cannot be said."""
     if choice.latency.posterior is None or choice.chosen is None:
         return None
-    values = _Question(application, predicted, choice).drawn(choice.latency.posterior)
+    values = _utility(predicted, choice).drawn(choice.latency.posterior)
     of = predicted.types.of
     return float(np.mean(values[:, of[row]] < values[:, of[choice.chosen]]))
 
@@ -118,10 +117,15 @@ class _State:
         """By expected improvement; then the choice itself."""
         choice = choose(self.application, self.predicted)
         posterior = choice.latency.posterior
-        assert posterior is not None
-        question = _Question(self.application, self.predicted, choice)
+        if posterior is None:
+            raise ValueError("without a measured machine nothing can be improved")
         found = next_wave(
-            posterior, question, sample_cost=self.bill.usd, left=left_usd, policy=Policy(wave=wave), barred=self.barred
+            posterior,
+            _utility(self.predicted, choice),
+            sample_cost=self.bill.usd,
+            left=left_usd,
+            policy=Policy(wave=wave),
+            barred=self.barred,
         )
         if found.machines:
             reasons = [self._reason(posterior, *each) for each in zip(found.machines, found.worth, strict=True)]
@@ -134,8 +138,8 @@ class _State:
 
     def _verifying(self, choice: Choice, why: str, left_usd: float) -> NextBatch:
         """The choice itself, where it was not measured and can be paid for."""
-        row = choice.chosen
-        if row is None or choice.latency.measured[row]:
+        row = choice.unverified
+        if row is None:
             return NextBatch((), (), why)
         one = int(self.predicted.types.of[row])
         name = choice.offers.instance[row]
@@ -148,29 +152,7 @@ class _State:
         return NextBatch((int(self.bill.row[one]),), ("verifies the choice",), why)
 
 
-@dataclass(frozen=True, slots=True)
-class _Question:
-    """The spec's limits and objective over joint draws, each type at its cheapest offer."""
-
-    application: Application
-    predicted: PredictionSet
-    choice: Choice
-
-    def drawn(self, posterior: Posterior) -> Floats:
-        """What each type is worth in each draw (S, N); infinite where it breaks a limit or cannot be had."""
-        choice, types, spec = self.choice, self.predicted.types, self.application.spec
-        offered = types.offer < len(choice.offers)
-        row = np.where(offered, types.offer, 0)
-        costs = Costs.of(spec, choice.offers.price_usd_per_hour[row], choice.offers.spot[row])
-        latency = np.exp(posterior.draws)
-        held = (latency <= latency_budget(self.application, costs)) & (offered & ~choice.latency.unfit[row])
-        x = latency
-        for name, predictions in choice.metrics.items():
-            if predictions.posterior is None:
-                continue
-            # In reverse order, for the same seed made both: they are taken as independent.
-            value = np.exp(predictions.posterior.draws[::-1])
-            held &= value <= choice.bounds.get(f"metrics.{name}", np.inf)
-            x = value if name == spec.objective.metric else x
-        worth = weighed(x, costs.per_request(latency), spec.objective.alpha, choice.scale)
-        return np.where(held, worth, np.inf)
+def _utility(predicted: PredictionSet, choice: Choice) -> Utility:
+    """Return the value of each type at its cheapest offer; measured types that are not on offer have none."""
+    offered = predicted.types.offer < len(choice.offers)
+    return choice.utility(np.where(offered, predicted.types.offer, 0), offered)

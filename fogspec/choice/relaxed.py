@@ -3,17 +3,18 @@
 It is kept to be compared with: over the same offers and the same models it is never better than looking at all of them.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Floats
 from fogspec.choice.choose import Choice
+from fogspec.choice.rule import Rule, Scale
 from fogspec.model.fit import Model, Models
-from fogspec.numerics import curves, relaxed, select
-from fogspec.spec.schema import Application
+from fogspec.numerics import curves, relaxed
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,16 +31,12 @@ class Relaxed:
     row: int | None
 
 
-def relaxed_optimum(application: Application, models: Models, choice: Choice) -> Relaxed | None:
+def relaxed_optimum(models: Models, choice: Choice) -> Relaxed | None:
     """The paper's choice over the same offers; None where no continuous machine meets the limits.
 
     One problem for each GPU type and infra, compared at the end by the exact objective of where they end.
     """
-    found = [
-        one
-        for gpu, rows in _groups(choice).items()
-        if (one := _group(application, models, choice, gpu, rows)) is not None
-    ]
+    found = [one for gpu, rows in _groups(choice).items() if (one := _group(models, choice, gpu, rows)) is not None]
     if not found:
         return None
     return min(found, key=lambda one: np.inf if one.row is None else float(choice.objective[one.row]))
@@ -47,7 +44,7 @@ def relaxed_optimum(application: Application, models: Models, choice: Choice) ->
 
 def chosen_by_relaxing(choice: Choice, found: Relaxed | None) -> Choice:
     """The choice with the paper's machine in place of the best one."""
-    return replace(choice, chosen=None if found is None else found.row)
+    return replace(choice, by_relaxation=True, relaxed_row=None if found is None else found.row)
 
 
 def _groups(choice: Choice) -> dict[str | None, NDArray[np.intp]]:
@@ -58,43 +55,51 @@ def _groups(choice: Choice) -> dict[str | None, NDArray[np.intp]]:
     return {gpu: np.array(rows) for gpu, rows in groups.items()}
 
 
-def _group(
-    application: Application, models: Models, choice: Choice, gpu: str | None, rows: NDArray[np.intp]
-) -> Relaxed | None:
+def _group(models: Models, choice: Choice, gpu: str | None, rows: NDArray[np.intp]) -> Relaxed | None:
     fitted = {model.target: model for model in models.spec.models if model.gpu == gpu}
     if "latency" not in fitted:
         return None
     offers = choice.offers
-    vcpus, memory = offers.vcpus[rows], offers.memory_gib[rows]
-    price = relaxed.price_surface(vcpus, memory, offers.price_usd_per_hour[rows])
-    metric = application.spec.objective.metric
-
-    def values(c: Floats, m: Floats) -> dict[str, Floats]:
-        latency = _value(fitted["latency"], c, m)
-        dollars = np.maximum(price(c, m), 1e-9)
-        found = {"latency": latency, "rate": latency, "price": dollars}
-        found["cost"] = Costs.of(application.spec, dollars, np.zeros(dollars.shape, bool)).per_request(latency)
-        return found | {f"metrics.{name}": _value(model, c, m) for name, model in fitted.items() if name != "latency"}
-
-    def objective(c: Floats, m: Floats) -> Floats:
-        at = values(c, m)
-        x = at[f"metrics.{metric}"] if metric else at["latency"]
-        return select.weighed(x, at["cost"], application.spec.objective.alpha, choice.scale)
-
-    def feasible(c: Floats, m: Floats) -> NDArray[np.bool_]:
-        at = values(c, m)
-        held = at["latency"] > 0
-        for name, bound in choice.bounds.items():
-            held &= at[name] <= bound
-        return np.asarray(held)
-
-    optimum = relaxed.minimise(objective, feasible, relaxed.box_of(vcpus, memory))
-    if optimum is None:
+    surfaces = {target: partial(_value, model) for target, model in fitted.items()}
+    found = relax(choice.rule.take(rows), choice.scale, offers.vcpus[rows], offers.memory_gib[rows], surfaces)
+    if found is None:
         return None
-    near = rows[relaxed.neighbours(optimum, vcpus, memory)]
+    optimum, near = found[0], rows[found[1]]
     meet = near[choice.feasible[near]]
     best = int(meet[np.argmin(choice.objective[meet])]) if len(meet) else None
     return Relaxed(gpu, optimum.vcpus, optimum.memory_gib, int(near[0]), best)
+
+
+def relax(
+    rule: Rule, scale: Scale, vcpus: Floats, memory_gib: Floats, surfaces: Mapping[str, relaxed.Surface]
+) -> tuple[relaxed.Optimum, NDArray[np.intp]] | None:
+    """Return the continuous optimum over machines of one kind (n,), and its neighbours among them, the nearest first.
+
+    `surfaces` predict the latency and each metric from vCPUs and GiB; the price is a plane through the machines' prices. None
+    if no continuous machine meets the limits.
+    """
+    price = relaxed.price_surface(vcpus, memory_gib, rule.costs.price_usd_per_hour)
+
+    def at(c: Floats, m: Floats) -> tuple[Rule, Floats, dict[str, Floats]]:
+        usd = np.maximum(price(c, m), 1e-9)
+        costs = replace(rule.costs, price_usd_per_hour=usd, spot=np.zeros(usd.shape, dtype=bool))
+        metrics = {name: surface(c, m) for name, surface in surfaces.items() if name != "latency"}
+        return replace(rule, costs=costs), surfaces["latency"](c, m), metrics
+
+    def objective(c: Floats, m: Floats) -> Floats:
+        here, latency_s, metrics = at(c, m)
+        metric_value = metrics[rule.metric] if rule.metric else latency_s
+        return here.objective(metric_value, here.costs.per_request(latency_s), scale)
+
+    def feasible(c: Floats, m: Floats) -> NDArray[np.bool_]:
+        here, latency_s, metrics = at(c, m)
+        met = latency_s > 0
+        for name, values in here.limited(latency_s, metrics).items():
+            met &= values <= rule.bounds[name]
+        return np.asarray(met)
+
+    optimum = relaxed.minimise(objective, feasible, relaxed.box_of(vcpus, memory_gib))
+    return None if optimum is None else (optimum, relaxed.neighbours(optimum, vcpus, memory_gib))
 
 
 def _value(model: Model, vcpus: Floats, memory_gib: Floats) -> Floats:

@@ -13,19 +13,19 @@ from fogspec.spec.schema import Application
 LEVEL = 0.9
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Slack:
     """One limit at the choice.
 
-    `value` is predicted; `needs` is what the limit may be lowered to before the chosen machine no longer meets it with
-    the asked probability. `rules_out_alone` counts machines that only this limit rules out; `changes_at` is how far it
+    `value` is predicted; `required` is the lowest bound that the chosen machine meets with the required probability.
+    `rules_out_alone` counts machines that only this limit rules out; `changes_at` is how far it
     would have to be relaxed for a better one of these, `changes_to`, to be chosen; None if none is better.
     """
 
     limit: str
     bound: float
     value: float
-    needs: float
+    required: float
     rules_out_alone: int
     changes_at: float | None
     changes_to: str | None
@@ -60,35 +60,41 @@ def slacks(choice: Choice) -> list[Slack]:
     row = choice.chosen
     if row is None:
         return []
-    needs = choice.needs(choice.floor)
+    required = choice.required(choice.level)
     found = []
     for name, bound in choice.bounds.items():
         others = choice.eligible.copy()
         for other, limit in choice.bounds.items():
             if other != name:
-                others &= needs[other] <= limit
-        alone = others & ~(needs[name] <= bound)
+                others &= required[other] <= limit
+        alone = others & ~(required[name] <= bound)
         better = np.flatnonzero(alone & (choice.objective < choice.objective[row]))
-        nearest = int(better[np.argmin(needs[name][better])]) if len(better) else None
-        found.append(Slack(
-            name, bound, float(choice.values[name][row]), float(needs[name][row]), int(alone.sum()),
-            None if nearest is None else float(needs[name][nearest]),
-            None if nearest is None else str(choice.offers.instance[nearest]),
-        ))  # fmt: skip
+        next_row = int(better[np.argmin(required[name][better])]) if len(better) else None
+        found.append(
+            Slack(
+                limit=name,
+                bound=bound,
+                value=float(choice.values[name][row]),
+                required=float(required[name][row]),
+                rules_out_alone=int(alone.sum()),
+                changes_at=None if next_row is None else float(required[name][next_row]),
+                changes_to=None if next_row is None else str(choice.offers.instance[next_row]),
+            )
+        )
     return found
 
 
 def influences(
-    application: Application, models: Models, ground: PredictionSpace | None, choice: Choice
+    application: Application, models: Models, space: PredictionSpace | None, choice: Choice
 ) -> list[Influence]:
     """Each sample left out in turn, those that change the choice first, then those that move predictions most."""
     body = models.spec
-    if ground is None or len(body.known) < 2:
+    if space is None or len(body.known) < 2:
         return []
     found = []
     for left_out in body.known:
         others = [one for one in body.known if one is not left_out]
-        predicted = ground.predicted(others, body.unusable, targets(application))
+        predicted = space.predicted(others, body.unusable, targets(application))
         found.append(_influence(application, predicted, left_out, choice))
     return sorted(found, key=lambda one: (not one.changes, -round(one.moves, 6), one.id))
 
@@ -101,8 +107,8 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
     now = None if choice.chosen is None else str(choice.offers.instance[choice.chosen])
     missed, covered = float("nan"), False
     posterior = without.latency.posterior
-    if posterior is not None and predicted.ground is not None:
-        at, value = predicted.ground.place[left_out.machine.type_key], left_out.values["latency"]
+    if posterior is not None and predicted.space is not None:
+        at, value = predicted.space.place[left_out.machine.type_key], left_out.values["latency"]
         missed = abs(float(np.exp(posterior.mean[at])) / value - 1)
         low, high = (float(posterior.quantile(p)[at]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
         covered = low <= value <= high
@@ -115,8 +121,8 @@ def widest_intervals(choice: Choice, count: int = 3) -> list[WideInterval]:
     if posterior is None:
         return []
     low, high = (posterior.quantile(p) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    of = choice.latency.of
-    possible = choice.eligible & (low[of] <= choice.within_s)
+    of = choice.latency.type_index
+    possible = choice.eligible & (low[of] <= choice.latency_budget_s)
     found: list[WideInterval] = []
     seen: set[int] = set()
     for row in np.flatnonzero(possible)[np.argsort(-np.round(high[of] / low[of], 6)[possible], kind="stable")].tolist():
@@ -130,6 +136,6 @@ def parts(application: Application, choice: Choice, row: int) -> Sequence[tuple[
     """What an offer's objective is made of."""
     objective = application.spec.objective
     return (
-        (objective.metric or "latency", objective.alpha * float(choice.x[row]) / choice.scale.x),
+        (objective.metric or "latency", objective.alpha * float(choice.metric_value[row]) / choice.scale.metric),
         ("cost", (1 - objective.alpha) * float(choice.cost_usd_per_request[row]) / choice.scale.cost),
     )

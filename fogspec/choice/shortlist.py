@@ -30,7 +30,8 @@ def fallback_rows(choice: Choice, count: int) -> list[int]:
 
 def _second(choice: Choice) -> int | None:
     """The best feasible machine of another instance type than the chosen one."""
-    assert choice.chosen is not None
+    if choice.chosen is None:
+        return None
     other = choice.feasible & (choice.offers.instance != choice.offers.instance[choice.chosen])
     rows = other.nonzero()[0]
     return int(rows[choice.objective[rows].argmin()]) if len(rows) else None

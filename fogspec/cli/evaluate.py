@@ -10,7 +10,7 @@ from fogspec.base.errors import UsageError
 from fogspec.cli.options import CATALOG, OUTPUT, applications_of, catalogs_for
 
 if TYPE_CHECKING:
-    from fogspec.evaluation.running import Campaign
+    from fogspec.evaluation.campaign import Campaign
 
 SAMPLERS = ("adaptive", "grid", "random", "cherrypick", "full")
 METHODS = ("model", "verified", "r2", "paper", "measured")
@@ -52,7 +52,7 @@ def command(
 
     Either SPEC with a --sweep of its own, or a --suite of problems.
     """
-    from fogspec.evaluation.running import Campaign
+    from fogspec.evaluation.campaign import Campaign
 
     campaign = Campaign(sampler, ALIASES.get(method, method) if method else None, noise, seed)
     if spec and sweep and not suite:
@@ -73,15 +73,14 @@ def _of_suite(
     workers: int, output: str,
 ) -> None:  # fmt: skip
     from fogspec.base.files import write_bytes
-    from fogspec.evaluation.evaluate import evaluate
-    from fogspec.evaluation.running import by_kind
-    from fogspec.evaluation.suite import KINDS
+    from fogspec.evaluation.campaign import by_kind, evaluate
+    from fogspec.evaluation.suites import KINDS
 
     if unknown := set(kinds) - set(KINDS):
         raise UsageError(f"--kind is one of {', '.join(KINDS)}, got {min(unknown)!r}")
     done, digest = evaluate(suite, priors, kinds, campaigns, workers=workers)
     if choices:
-        told = [json.dumps(one.line(), ensure_ascii=False) + "\n" for ended in done for one in ended]
+        told = [json.dumps(one.as_dict(), ensure_ascii=False) + "\n" for ended in done for one in ended]
         write_bytes(choices, "".join(told).encode())
     reports = []
     for campaign, ended in zip(campaigns, done, strict=True):
@@ -99,11 +98,9 @@ def _of_suite(
 def _of_sweep(
     spec: str, sweep: Path, catalog_path: str | None, priors: Path | None, campaign: "Campaign", output: str
 ) -> None:
-    from fogspec.evaluation.replay import Case, Noise
-    from fogspec.evaluation.sweeping import replayed
+    from fogspec.evaluation.campaign import replay_sweep
     from fogspec.evaluation.sweeps import read_sweep
     from fogspec.model.priors import read_priors
-    from fogspec.numerics.priors import prior_for
 
     loaded = applications_of(spec)
     if len(loaded) != 1:
@@ -111,12 +108,8 @@ def _of_sweep(
     application = loaded[0].application
     read = read_sweep(sweep, application, catalogs_for(loaded, catalog_path)[0])
     library = read_priors(priors) if priors else None
-    prior = prior_for(library, read.names, read.machines) if library else None
-    noise = Noise.of(read.problem, "none", 0) if campaign.noise == "none" else read.repeats
-    case = Case.of(read.problem, read.machines, prior, noise)
-    found = replayed(case, read.names, application.spec.benchmark.stop.duration, campaign)
-    about = {"application": application.metadata.name, **_about(campaign, library.digest if prior and library else "")}
-    report = {**about, "not_admitted": list(read.left_out), **found}
+    found = replay_sweep(read, library, application.spec.benchmark.stop.duration, campaign)
+    report = {"application": application.metadata.name, **_about(campaign, ""), **found}
     if output == "json":
         click.echo(json.dumps(report, indent=2))
     else:

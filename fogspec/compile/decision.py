@@ -76,7 +76,7 @@ def choose_files(
 def decide(application: Application, models: Models, predicted: PredictionSet) -> tuple[Choice, Relaxed | None]:
     """The choice by the method that the spec asks for, and where the paper's method ends."""
     choice = choose(application, predicted)
-    relaxed = relaxed_optimum(application, models, choice)
+    relaxed = relaxed_optimum(models, choice)
     if application.spec.objective.method == "relaxed":
         choice = chosen_by_relaxing(choice, relaxed)
     return choice, relaxed
@@ -119,10 +119,10 @@ def caveats(models: Models, choice: Choice) -> list[str]:
 def _caveats(choice: Choice, row: int) -> list[str]:
     """What speaks against the chosen machine."""
     found, name = [], choice.offers.instance[row]
-    if choice.exhaustive is not None and choice.objective[row] > choice.objective[choice.exhaustive]:
-        best = choice.offers.instance[choice.exhaustive]
+    if choice.best is not None and choice.objective[row] > choice.objective[choice.best]:
+        best = choice.offers.instance[choice.best]
         found.append(f"the relaxed method ends at {name}; {best} meets the limits and is better: use exhaustive")
-    if not choice.sure:
+    if not choice.meets_confidence:
         found.append(
             f"no machine meets the limits with constraints.confidence {choice.confidence:g}: {name}, the best of those "
             f"more likely to meet them than not, does with probability {choice.probability(row) or 0:.2f}"

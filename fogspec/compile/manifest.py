@@ -11,9 +11,10 @@ from fogspec.base import units
 from fogspec.base.quantities import Cost, Duration, Memory, Price, Strict
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
-from fogspec.choice.choose import Choice, latency_limit_s
+from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL, Entry, entry_of, scale_texts, weights
 from fogspec.choice.relaxed import Relaxed
+from fogspec.choice.rule import latency_limit_s
 from fogspec.choice.shortlist import shortlist
 from fogspec.model.fit import Model, Models
 from fogspec.plan.schema import ApplicationRef, CatalogRef, PlanMetadata, TaskRef
@@ -259,7 +260,7 @@ def make_manifest(
             application=sources.application, catalog=sources.catalog, plan=sources.plan, results=sources.results,
             models=_model_ref(models, entry, sources.models), method=application.spec.objective.method,
             relaxed=None if relaxed is None or relaxed.row == choice.chosen else _paper_choice(choice, relaxed),
-            exhaustive=None if choice.exhaustive in (None, choice.chosen) else _best_of_all(choice, choice.exhaustive),
+            exhaustive=None if choice.best in (None, choice.chosen) else _best_of_all(choice, choice.best),
             builder=Builder(version=__version__),
         ),
     )  # fmt: skip
@@ -332,7 +333,7 @@ def _limits(choice: Choice, row: int) -> ExpectedLimits:
     met = choice.probability(row)
     return ExpectedLimits(
         confidence=choice.confidence, probability_met=None if met is None else round(met, 3),
-        meets_confidence=None if met is None else choice.sure, verified=bool(choice.latency.measured[row]),
+        meets_confidence=None if met is None else choice.meets_confidence, verified=bool(choice.latency.measured[row]),
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fogspec.numerics.acquisition import Objective
+from fogspec.choice.rule import Rule, Scale
 from fogspec.numerics.features import Floats, Machines, same, spread, stacked
 from fogspec.numerics.gaussian import normal_cdf
 
@@ -22,16 +22,24 @@ NOISE = 0.03
 
 
 def cherrypick(
-    machines: Machines, objective: Objective, sample: Callable[[int], float], random: np.random.Generator
+    machines: Machines,
+    rule: Rule,
+    scale: Scale,
+    sample: Callable[[int], float],
+    random: np.random.Generator,
 ) -> None:
     """Pay for samples through `sample` until the next one is not expected to gain 10 %."""
+    budget_s = rule.latency_budget_s
     features = _features(machines)
     distance = np.sqrt(((features[:, None, :] - features[None, :, :]) ** 2).sum(-1))
     at = _starts(distance, int(random.integers(len(machines))))
     log = [float(np.log(sample(i))) for i in at]
     while len(at) < min(MOST, len(machines)):
         mean, sd = _predict(distance, at, np.array(log))
-        gain = _gain(mean, sd, objective, at, np.array(log))
+        value = rule.value(np.exp(mean), scale)
+        seen = rule.take(np.array(at)).value(np.exp(log), scale)
+        feasible = np.exp(log) <= budget_s[at]
+        gain = _gain(mean, sd, budget_s, value, float(np.min(seen[feasible], initial=np.inf)))
         gain[at] = -1.0
         best = int(gain.argmax())
         if len(at) >= FEWEST and gain[best] < STOP_AT:
@@ -57,7 +65,7 @@ def _starts(distance: Floats, first: int) -> list[int]:
 
 def _predict(distance: Floats, at: list[int], log: Floats) -> tuple[Floats, Floats]:
     """Mean and standard deviation of log-latency with the length scale of the largest evidence."""
-    best: tuple[float, Floats, Floats] | None = None
+    best = -np.inf, np.empty(0), np.empty(0)
     level, amplitude = log.mean(), max(float(log.var()), 0.01)
     for length in LENGTHS:
         scaled = np.sqrt(5.0) * distance / length
@@ -65,22 +73,18 @@ def _predict(distance: Floats, at: list[int], log: Floats) -> tuple[Floats, Floa
         inner = kernel[np.ix_(at, at)] + NOISE**2 * np.eye(len(at))
         solved = np.linalg.solve(inner, np.column_stack([log - level, kernel[at]]))
         evidence = -0.5 * float((log - level) @ solved[:, 0]) - 0.5 * float(np.linalg.slogdet(inner)[1])
-        if best is None or evidence > best[0]:
+        if evidence > best[0]:
             variance = amplitude - (kernel[:, at] * solved[:, 1:].T).sum(1)
             best = evidence, level + kernel[:, at] @ solved[:, 0], np.sqrt(np.maximum(variance, 1e-9))
-    assert best is not None
     return best[1], best[2]
 
 
-def _gain(mean: Floats, sd: Floats, objective: Objective, at: list[int], log: Floats) -> Floats:
+def _gain(mean: Floats, sd: Floats, budget_s: Floats, value: Floats, best: float) -> Floats:
     """Expected improvement over the best feasible sample, relative, times the probability to meet the limits."""
-    seen = np.exp(log)
-    feasible = seen <= objective.limit_s[at]
-    met = normal_cdf((np.log(np.maximum(objective.limit_s, 1e-300)) - mean) / sd)
-    if not feasible.any():
+    met = normal_cdf((np.log(np.maximum(budget_s, 1e-300)) - mean) / sd)
+    if not np.isfinite(best):
         return met
-    best = float((objective.slope[at] * seen + objective.offset[at])[feasible].min())
-    centre = np.log(objective.slope * np.exp(mean) + objective.offset) - np.log(best)
+    centre = np.log(value) - np.log(best)
     z = -centre / sd
     density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
     return np.asarray((-centre * normal_cdf(z) + sd * density) * met)

@@ -1,28 +1,26 @@
-"""A problem to be replayed: its noise, the meter that is paid for each sample, and what a run ends with."""
+"""The replay of a problem: its noise, the meter that every sample is paid to, and the result of a run."""
 
 import hashlib
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from fogspec.evaluation.suite import Problem, Setting, objective_of
-from fogspec.numerics.acquisition import Objective
+from fogspec.evaluation.suites import Problem
 from fogspec.numerics.features import Floats, Machines
 from fogspec.numerics.surrogate import Prior, Space, prepare
 
-REPEATS = 8  # a machine's noise is drawn for so many samples of it; further ones start over
-TOLERANCE = 0.05  # how far the scores let a limit be broken
+REPEATS = 8  # noise is drawn for so many samples of each machine; further samples start over
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Multiplies a true latency: exp(e), e ~ N(0, s) with s per machine, lognormal (median 0.015, sigma 0.95)."""
+    """Factors (repeats, N) on the true latency: exp(e), e ~ N(0, s), s per machine lognormal (median 0.015, sigma 0.95)."""
 
     factor: Floats
 
     @classmethod
     def of(cls, problem: Problem, kind: str, seed: int) -> "Noise":
-        """`realistic` noise is seeded by the problem's id and `seed`; `none` is no noise."""
+        """Return `realistic` noise, seeded by the problem's id and `seed`, or `none`."""
         n = len(problem.rows)
         if kind == "none":
             return cls(np.ones((REPEATS, n)))
@@ -34,7 +32,7 @@ class Noise:
 
 @dataclass
 class Meter:
-    """The only way to a machine's latency: paying for a sample."""
+    """The only access to a machine's latency: a paid sample."""
 
     truth_s: Floats
     price: Floats
@@ -43,7 +41,7 @@ class Meter:
     latency_s: list[float] = field(default_factory=list)
 
     def sample(self, machine: int) -> float:
-        """Measure once more; drawn anew and paid again."""
+        """Pay for one more sample of a machine and return its latency; every repeat has noise of its own."""
         again = self.sampled.count(machine) % len(self.noise.factor)
         latency = float(self.truth_s[machine] * self.noise.factor[again, machine])
         self.sampled.append(machine)
@@ -56,9 +54,9 @@ class Meter:
         return float(self.price[self.sampled].sum())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """What a method ended with: its choice, predictions of log-latency and 90 % interval (N,), NaN where none."""
+    """The choice of a method, and its predictions of log-latency with their 90 % intervals (N,), NaN where it has none."""
 
     chosen: int | None
     sampled: tuple[int, ...]
@@ -71,23 +69,18 @@ class Run:
 
 @dataclass(frozen=True)
 class Case:
-    """A problem with its machines, what is known of them elsewhere, and its noise; prepared once for all settings."""
+    """A problem with its machines, its noise and the model's space, which all settings share."""
 
     problem: Problem
     machines: Machines
-    prior: Prior | None
     noise: Noise
     space: Space
 
     @classmethod
     def of(cls, problem: Problem, machines: Machines, prior: Prior | None, noise: Noise) -> "Case":
-        """Prepares the model's space."""
-        return cls(problem, machines, prior, noise, prepare(machines, prior))
+        """Prepare the model's space."""
+        return cls(problem, machines, noise, prepare(machines, prior))
 
     def meter(self) -> Meter:
-        """A fresh meter: nothing sampled, nothing paid."""
+        """Return a new meter: nothing sampled, nothing paid."""
         return Meter(self.problem.latency_s, self.machines.price_usd_per_hour, self.noise)
-
-    def objective(self, setting: Setting) -> Objective:
-        """The setting's objective over the machines."""
-        return objective_of(self.problem, setting, self.machines.price_usd_per_hour, TOLERANCE)

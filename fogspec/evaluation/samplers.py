@@ -1,37 +1,44 @@
-"""Samplers: which machines a campaign pays for. Each returns the meter that it paid with."""
+"""Samplers: the machines that a campaign pays for. Each returns the meter that it paid to."""
 
 import hashlib
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from fogspec.choice.rule import Rule, Selection
 from fogspec.evaluation.cherrypick import cherrypick
 from fogspec.evaluation.replay import Case, Meter
-from fogspec.evaluation.suite import Problem, Setting
+from fogspec.evaluation.suites import Problem
+from fogspec.model.predict import Predictions
 from fogspec.numerics.acquisition import Policy, next_wave
 from fogspec.numerics.design import edge_grid
 from fogspec.numerics.samples import observations
 
-Sampler = Callable[[Case, Setting, int], Meter]
+Sampler = Callable[[Case, Rule, int], Meter]
 RANDOM_SAMPLES = 9  # as many as the paper's grid has cells
 
 
-def adaptive(case: Case, setting: Setting, _seed: int) -> Meter:
-    """Ours: waves until another sample is not worth its money."""
-    meter, objective = case.meter(), case.objective(setting)
+def adaptive(case: Case, rule: Rule, _seed: int) -> Meter:
+    """Ours: batches until another sample is not worth its price and the choice was measured."""
+    meter, rule = case.meter(), replace(rule, measured_first=True)
     # A sweep without repeats has nothing more to say of a machine.
     policy = Policy(each=min(Policy().each, len(case.noise.factor)))
-    posterior = case.space.fit(observations([], []))
     while True:
-        wave = next_wave(posterior, objective, sample_cost=case.machines.price_usd_per_hour, policy=policy)
-        if not wave.machines:
-            return meter
-        for machine in wave.machines:
-            meter.sample(machine)
         posterior = case.space.fit(observations(meter.sampled, meter.latency_s))
+        selection = Selection(rule=rule, latency=Predictions.of_posterior(posterior))
+        wave = next_wave(
+            posterior, selection.utility(), sample_cost=case.machines.price_usd_per_hour, policy=policy
+        ).machines
+        if not wave and selection.unverified is not None:
+            wave = (selection.unverified,)
+        if not wave:
+            return meter
+        for machine in wave:
+            meter.sample(machine)
 
 
-def grid(case: Case, _setting: Setting, _seed: int) -> Meter:
+def grid(case: Case, _rule: Rule, _seed: int) -> Meter:
     """The paper's edge cases (section 2.A, Table I), a grid for each GPU type; the cheapest machine of each shape."""
     meter, machines = case.meter(), case.machines
     by_price = np.argsort(machines.price_usd_per_hour, kind="stable")
@@ -45,7 +52,7 @@ def grid(case: Case, _setting: Setting, _seed: int) -> Meter:
     return meter
 
 
-def random(case: Case, _setting: Setting, seed: int) -> Meter:
+def random(case: Case, _rule: Rule, seed: int) -> Meter:
     """As many machines as the grid has cells, drawn without replacement."""
     meter = case.meter()
     count = min(RANDOM_SAMPLES, len(case.machines))
@@ -54,7 +61,7 @@ def random(case: Case, _setting: Setting, seed: int) -> Meter:
     return meter
 
 
-def full(case: Case, _setting: Setting, _seed: int) -> Meter:
+def full(case: Case, _rule: Rule, _seed: int) -> Meter:
     """Every machine once, as noisy as the samples."""
     meter = case.meter()
     for machine in range(len(case.machines)):
@@ -62,9 +69,9 @@ def full(case: Case, _setting: Setting, _seed: int) -> Meter:
     return meter
 
 
-def _by_improvement(case: Case, setting: Setting, seed: int) -> Meter:
-    meter = case.meter()
-    cherrypick(case.machines, case.objective(setting), meter.sample, _generator(case.problem, seed))
+def _cherrypick(case: Case, rule: Rule, seed: int) -> Meter:
+    meter, truth = case.meter(), case.problem.truth(rule)
+    cherrypick(case.machines, rule, truth.scale, meter.sample, _generator(case.problem, seed))
     return meter
 
 
@@ -77,6 +84,6 @@ SAMPLERS: dict[str, Sampler] = {
     "grid": grid,
     "adaptive": adaptive,
     "random": random,
-    "cherrypick": _by_improvement,
+    "cherrypick": _cherrypick,
     "full": full,
 }

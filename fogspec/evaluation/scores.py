@@ -6,15 +6,16 @@ from typing import Any
 
 import numpy as np
 
+from fogspec.choice.rule import Rule
 from fogspec.evaluation.replay import Run
-from fogspec.numerics.acquisition import Objective
+from fogspec.evaluation.suites import Problem
 from fogspec.numerics.features import Floats
 
-TOLERANCE = 0.05  # a limit broken by less is not counted as broken
+TOLERANCE = 0.05  # a limit violated by less counts as met; the choice itself has no tolerance
 BINS = np.array([0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of stated probabilities
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
     """One problem and setting. `regret` is relative to the best feasible machine, NaN for none or an infeasible choice."""
 
@@ -31,20 +32,32 @@ class Score:
     hypervolume: float
     stated: Floats
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the scores of one run; None where a score is not defined."""
+        known = {"regret": self.regret, "mdape": self.mdape, "hypervolume": self.hypervolume}
+        return {
+            "bench": self.bench,
+            "ok1": self.ok[0],
+            "ok5": self.ok[1],
+            "ok10": self.ok[2],
+            "violation5": self.violation5,
+            "false_infeasible": self.false_infeasible,
+            **{name: float(value) if np.isfinite(value) else None for name, value in known.items()},
+            "coverage90": self.covered / self.predicted if self.predicted else None,
+        }
 
-def score(kind: str, run: Run, truth_s: Floats, price: Floats, objective: Objective) -> Score:
-    """Compare a run with the true latencies."""
-    value = objective.value(truth_s)
-    feasible = truth_s <= objective.limit_s
-    exists = bool(feasible.any())
-    best = float(value[feasible].min()) if exists else np.nan
+
+def score(problem: Problem, rule: Rule, price: Floats, run: Run) -> Score:
+    """Compare a run with the true latencies; a limit that is violated by less than `TOLERANCE` counts as met."""
+    truth_s, truth = problem.latency_s, problem.truth(rule)
+    exists = truth.best is not None
     ok, violated, regret = (False, False, False), False, np.nan
     if run.chosen is None:
         ok = (not exists,) * 3
     else:
-        violated = bool(truth_s[run.chosen] > objective.limit_s[run.chosen] * (1 + TOLERANCE))
-        if exists and not violated:
-            regret = float(value[run.chosen] / best - 1)
+        violated = bool(truth_s[run.chosen] > truth.latency_budget_s[run.chosen] * (1 + TOLERANCE))
+        if truth.best is not None and not violated:
+            regret = float(truth.objective[run.chosen] / truth.objective[truth.best] - 1)
             ok = (regret <= 0.01, regret <= 0.05, regret <= 0.10)
     unseen = np.ones(len(truth_s), dtype=bool)
     unseen[list(run.sampled)] = False
@@ -53,23 +66,31 @@ def score(kind: str, run: Run, truth_s: Floats, price: Floats, objective: Object
     inside = (run.low <= log) & (log <= run.high)
     error = np.abs(np.exp(run.log_latency[unseen]) / truth_s[unseen] - 1)
     return Score(
-        kind, ok, run.paid / float(price.sum()), len(run.sampled), violated, exists and run.chosen is None, regret,
-        float(np.nanmedian(error)) if np.isfinite(error).any() else np.nan,
-        int((inside & with_interval).sum()), int(with_interval.sum()),
-        _hypervolume_ratio(run, truth_s, price), _stated(run, truth_s, objective),
-    )  # fmt: skip
+        kind=problem.kind,
+        ok=ok,
+        bench=run.paid / float(price.sum()),
+        samples=len(run.sampled),
+        violation5=violated,
+        false_infeasible=exists and run.chosen is None,
+        regret=regret,
+        mdape=float(np.nanmedian(error)) if np.isfinite(error).any() else np.nan,
+        covered=int((inside & with_interval).sum()),
+        predicted=int(with_interval.sum()),
+        hypervolume=_hypervolume_ratio(run, truth_s, price),
+        stated=_stated(run, truth_s, truth.latency_budget_s),
+    )
 
 
-def _stated(run: Run, truth_s: Floats, objective: Objective) -> Floats:
-    """Stated probabilities to meet the limits, by bin: sums of p and of met, and machines (bins, 3)."""
-    limited = np.isfinite(objective.limit_s) & np.isfinite(run.probability_met)
-    stated, met = run.probability_met[limited], (truth_s <= objective.limit_s)[limited]
+def _stated(run: Run, truth_s: Floats, budget_s: Floats) -> Floats:
+    """Return the stated probabilities to meet the limits by bin: sums of p and of met, and machines (bins, 3)."""
+    limited = np.isfinite(budget_s) & np.isfinite(run.probability_met)
+    stated, met = run.probability_met[limited], (truth_s <= budget_s)[limited]
     which = np.clip(np.searchsorted(BINS, stated, side="right") - 1, 0, len(BINS) - 2)
     return np.column_stack([np.bincount(which, weights, len(BINS) - 1) for weights in (stated, met, np.ones(len(met)))])
 
 
 def front(latency_s: Floats, price: Floats) -> np.ndarray:
-    """Indices of machines that no other beats in both latency and price per hour, by price."""
+    """Return the indices of machines that no other beats in both latency and price per hour, by price."""
     order = np.lexsort((latency_s, price))
     best = np.minimum.accumulate(latency_s[order])
     keep = np.append(True, latency_s[order][1:] < best[:-1])
@@ -87,7 +108,7 @@ def _hypervolume(latency_s: Floats, price: Floats, corner: tuple[float, float]) 
 
 
 def _hypervolume_ratio(run: Run, truth_s: Floats, price: Floats) -> float:
-    """True hypervolume of the machines predicted to be on the front, over that of the true front (log scales)."""
+    """Return the true hypervolume of the machines predicted to be on the front, over that of the true front (log scales)."""
     if not np.isfinite(run.log_latency).any():
         return float("nan")
     log_truth, log_price = np.log(truth_s), np.log(price)
@@ -97,8 +118,30 @@ def _hypervolume_ratio(run: Run, truth_s: Floats, price: Floats) -> float:
     return _hypervolume(log_truth[predicted], log_price[predicted], corner) / whole
 
 
+def r2(run: Run, truth_s: Floats) -> float | None:
+    """Return the coefficient of determination over every machine with a prediction."""
+    known = np.isfinite(run.log_latency)
+    total = ((truth_s[known] - truth_s[known].mean()) ** 2).sum() if known.any() else 0.0
+    if not total > 0:
+        return None
+    return float(1 - ((np.exp(run.log_latency[known]) - truth_s[known]) ** 2).sum() / total)
+
+
+def staircase_deviation(run: Run, truth_s: Floats, price: Floats) -> float | None:
+    """Return by how much the machine that is predicted fastest within an hourly budget is slower, over all budgets at most."""
+    order = np.lexsort((truth_s, price))
+    predicted = np.where(np.isfinite(run.log_latency), run.log_latency, np.inf)[order]
+    if not np.isfinite(predicted).any():
+        return None
+    first = int(np.flatnonzero(np.isfinite(predicted))[0])
+    truth = truth_s[order]
+    fastest = np.minimum.accumulate(truth)
+    leader = np.array([int(predicted[: i + 1].argmin()) for i in range(len(order))])
+    return float((truth[leader] / fastest - 1)[first:].max())
+
+
 def summary(kind: str, problems: int, scores: Sequence[Score]) -> dict[str, Any]:
-    """The row of one kind of problem; shares are fractions, not per cent."""
+    """Return the row of one kind of problem; shares are fractions, not per cent."""
     regret = np.array([s.regret for s in scores])
     regret = regret[np.isfinite(regret)]
     predicted = sum(s.predicted for s in scores)
@@ -122,7 +165,7 @@ def summary(kind: str, problems: int, scores: Sequence[Score]) -> dict[str, Any]
 
 
 def calibration(scores: Sequence[Score]) -> list[dict[str, float]]:
-    """Of the machines said to meet the limits with probability about p, how many do: rows of {p, met, machines}."""
+    """Return rows of {p, met, machines}: the share that meets the limits, of the machines stated to do so with about p."""
     total = np.sum([s.stated for s in scores], axis=0)
     return [{"p": p / n, "met": met / n, "machines": int(n)} for p, met, n in total.tolist() if n]
 

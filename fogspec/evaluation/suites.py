@@ -1,24 +1,66 @@
-"""Reading the suite layout: machines.csv, latencies.csv[.gz], problems.jsonl[.gz]."""
+"""Suites of selection problems: machines.csv, latencies.csv[.gz] and problems.jsonl[.gz]."""
 
 import json
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from fogspec.evaluation.suite import KINDS, Problem, Setting, Suite
+from fogspec.catalog.cost import Costs
+from fogspec.choice.rule import Rule, Scale, Selection
+from fogspec.model.predict import Predictions
 from fogspec.model.tables import Measured, Table, found, problem, read_bytes, read_latencies, read_machines
+from fogspec.numerics.features import Floats
+from fogspec.spec.schema import Constraints
+
+KINDS = ("family", "catalog", "multicloud", "gpu")
+CONFIDENCE = Constraints().confidence  # suites do not say one
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One question about a problem: the rule of the choice over the problem's machines."""
+
+    name: str
+    rule: Rule
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """A choice among N machines, rows of the suite's table, whose latencies (N,) under a workload are known."""
+
+    id: str
+    kind: str
+    workload: str
+    suite: str
+    rows: np.ndarray
+    latency_s: Floats
+    settings: tuple[Setting, ...]
+
+    def truth(self, rule: Rule) -> Selection:
+        """Return the rule applied to the true latencies."""
+        return Selection(rule=rule, latency=Predictions.of_values(self.latency_s))
+
+
+@dataclass(frozen=True)
+class Suite:
+    """Machines and problems."""
+
+    table: Table
+    problems: tuple[Problem, ...]
 
 
 def read_suite(folder: Path) -> Suite:
-    """A whole suite; raises `DiagnosticError` for wrong rows and `InvalidInput` for a missing or unreadable file."""
+    """Return a whole suite; raise `DiagnosticError` for wrong rows, `InvalidInput` for missing or unreadable files."""
     table = read_machines(found(folder, "machines.csv"))
     measured = read_latencies(found(folder, "latencies.csv"), table)
     return Suite(table, tuple(read_problems(found(folder, "problems.jsonl"), table, measured)))
 
 
 def read_problems(path: Path, table: Table, measured: Measured) -> Iterator[Problem]:
-    """The problems, one JSON object a line."""
+    """Yield the problems, one JSON object a line."""
     for line, text in enumerate(read_bytes(path).split(b"\n"), start=1):
         if text.strip():
             yield _problem_of(path, line, text, table, measured)
@@ -27,13 +69,11 @@ def read_problems(path: Path, table: Table, measured: Measured) -> Iterator[Prob
 def _problem_of(path: Path, line: int, text: bytes, table: Table, measured: Measured) -> Problem:
     try:
         raw = json.loads(text)
-        settings = tuple(
-            Setting(s["name"], float(s["alpha"]), s["max_latency_s"], s["max_cost_usd_per_request"])
-            for s in raw["settings"]
-        )
-        kind, workload, names = raw["kind"], raw["workload"], raw["machines"]
-        scale = (float(raw["scale"]["latency_s"]), float(raw["scale"]["cost_usd_per_request"]))
-        identifier = raw["id"]
+        scale = Scale(float(raw["scale"]["latency_s"]), float(raw["scale"]["cost_usd_per_request"]))
+        settings = [
+            (s["name"], float(s["alpha"]), s["max_latency_s"], s["max_cost_usd_per_request"]) for s in raw["settings"]
+        ]
+        kind, workload, names, identifier = raw["kind"], raw["workload"], raw["machines"], raw["id"]
     except (ValueError, KeyError, TypeError) as wrong:
         raise problem(path, line, f"not a problem: {type(wrong).__name__} {wrong}") from None
     if kind not in KINDS:
@@ -47,6 +87,24 @@ def _problem_of(path: Path, line: int, text: bytes, table: Table, measured: Meas
     latency = measured.latency_s[workload][at]
     if np.isnan(latency).any():
         raise problem(path, line, f"{workload} was not measured on {names[int(np.flatnonzero(np.isnan(latency))[0])]}")
-    if not (min(scale) > 0 and all(0 <= s.alpha <= 1 for s in settings)):
+    if not (min(scale.metric, scale.cost) > 0 and all(0 <= alpha <= 1 for _, alpha, _, _ in settings)):
         raise problem(path, line, "scales must be positive and alpha between 0 and 1")
-    return Problem(identifier, kind, workload, measured.suites[workload], at, latency, *scale, settings)
+    shared: dict[str, Any] = {
+        "costs": Costs.busy(table.machines.price_usd_per_hour[at]),
+        "names": np.array(names, dtype=object),
+        "confidence": CONFIDENCE,
+        "metric_scale": scale.metric,
+        "cost_scale": scale.cost,
+    }
+    return Problem(
+        id=identifier,
+        kind=kind,
+        workload=workload,
+        suite=measured.suites[workload],
+        rows=at,
+        latency_s=latency,
+        settings=tuple(
+            Setting(name, Rule(alpha=alpha, max_latency_s=max_latency_s, max_cost_usd=max_cost_usd, **shared))
+            for name, alpha, max_latency_s, max_cost_usd in settings
+        ),
+    )

@@ -9,11 +9,11 @@ from fogspec.base.errors import InvalidInput, UsageError
 from fogspec.catalog.filters import filter_offers, matches_infra
 from fogspec.catalog.instance_types import machines_of
 from fogspec.catalog.table import Catalog
-from fogspec.choice.choose import latency_limit_s
+from fogspec.choice.rule import Rule
 from fogspec.evaluation.replay import Noise
-from fogspec.evaluation.suite import Problem, Setting
+from fogspec.evaluation.suites import Problem, Setting
 from fogspec.model.tables import read_table
-from fogspec.numerics.features import Floats, Machines
+from fogspec.numerics.features import Machines
 from fogspec.spec.schema import Application
 
 COLUMNS = ("instance_type", "latency_s")
@@ -22,7 +22,7 @@ FEWEST = 2
 
 @dataclass(frozen=True)
 class Sweep:
-    """The problem that a sweep poses: its machines, what each repeat measured over their mean, and what was left out."""
+    """The problem of a sweep: its machines, the repeats over their mean, and the machines that the spec does not admit."""
 
     problem: Problem
     machines: Machines
@@ -32,11 +32,11 @@ class Sweep:
 
 
 def read_sweep(path: Path, application: Application, catalog: Catalog) -> Sweep:
-    """The sweep's machines that the spec admits; several rows of one machine are repeats, the truth their mean.
+    """Return the sweep's machines that the spec admits; several rows of one machine are repeats, the truth their mean.
 
     Columns: instance_type and latency_s; infra (`aws/us-east-1`) where a type is on offer in several places, else its
-    cheapest offer counts; anything else is not read. Raises DiagnosticError for rows that are wrong or name no machine of
-    the catalog, InvalidInput where fewer than two admissible machines are left.
+    cheapest offer counts; other columns are ignored. Raise DiagnosticError for wrong rows and machines that are not in the
+    catalog, InvalidInput if fewer than two admissible machines are left.
     """
     spec = application.spec
     if spec.objective.metric:
@@ -66,9 +66,18 @@ def read_sweep(path: Path, application: Application, catalog: Catalog) -> Sweep:
     truth = np.array([float(np.mean(one)) for one in measured])
     count = max(len(one) for one in measured)
     again = np.array([[one[i % len(one)] for one in measured] for i in range(count)]) / truth
-    machines = machines_of(offers.take(at))
-    names = tuple(f"{offers.cloud[row]}/{offers.instance[row]}" for row in at)
-    return Sweep(_posed(application, truth, machines), machines, names, Noise(again), tuple(left_out))
+    swept = offers.take(at)
+    posed = Problem(
+        id=application.metadata.name,
+        kind="sweep",
+        workload=application.metadata.name,
+        suite="",
+        rows=np.arange(len(truth)),
+        latency_s=truth,
+        settings=(Setting("spec", Rule.of(application, swept)),),
+    )
+    names = tuple(f"{swept.cloud[row]}/{swept.instance[row]}" for row in range(len(truth)))
+    return Sweep(posed, machines_of(swept), names, Noise(again), tuple(left_out))
 
 
 def _cheapest(offers: Catalog, name: str, infra: str) -> int | None:
@@ -77,24 +86,3 @@ def _cheapest(offers: Catalog, name: str, infra: str) -> int | None:
         there &= matches_infra(offers, infra)
     found = np.flatnonzero(there)
     return int(found[np.argmin(offers.price_usd_per_hour[found])]) if len(found) else None
-
-
-def _posed(application: Application, truth_s: Floats, machines: Machines) -> Problem:
-    """The spec's objective and limits; a scale that it does not give is its limit, else the best attainable.
-
-    Data transfer costs the same on every machine: it is taken off the limit on the cost.
-    """
-    objective, limits = application.spec.objective, application.spec.constraints
-    rate = objective.rate if objective.billing == "provisioned" else None
-    hourly = machines.price_usd_per_hour / 3600
-    cost = hourly / rate if rate else hourly * truth_s
-    latency_limit = latency_limit_s(application)
-    data = objective.transfer.per_request * objective.transfer.price
-    cost_limit = None if limits.cost is None else limits.cost - data
-    setting = Setting("spec", objective.alpha, latency_limit, cost_limit, rate, limits.confidence)
-    return Problem(
-        id=application.metadata.name, kind="sweep", workload=application.metadata.name, suite="",
-        rows=np.arange(len(truth_s)), latency_s=truth_s,
-        scale_latency_s=objective.scale.latency or latency_limit or float(truth_s.min()),
-        scale_cost_usd=objective.scale.cost or limits.cost or float(cost.min()), settings=(setting,),
-    )  # fmt: skip

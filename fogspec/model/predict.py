@@ -7,7 +7,7 @@ elsewhere are: from them the families' curves are read, marked as extrapolated a
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,34 +25,67 @@ from fogspec.numerics.surrogate import Posterior, Space, prepare
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Predictions:
-    """One target for each of n offers: value (n,), NaN where none; `of` is each offer's type in the posterior.
+    """Predictions of one target for each of n offers.
 
-    `measured`: a machine of this type was measured; `extrapolated`: it lies outside what was sampled; `unfit`: a machine
-    of this type failed when it was measured, or one with as much memory had too little. Without a posterior there are
-    values alone.
+    `value` (n,) is NaN where nothing can be predicted; `type_index` (n,) is the place of each offer's type in the posterior.
+    Types are `measured` if a machine of the type was measured, `extrapolated` outside of the sampled range, and `unfit` if a
+    machine of the type failed, or one with at least as much memory ran out of it. Without a posterior there are only values.
     """
 
     value: Floats
     measured: Mask
     extrapolated: Mask
     unfit: Mask
-    of: NDArray[np.intp]
+    type_index: NDArray[np.intp]
     posterior: Posterior | None
+
+    @classmethod
+    def of_values(cls, value: Floats) -> "Predictions":
+        """Return predictions without probabilities."""
+        none = np.zeros(len(value), dtype=bool)
+        return cls(
+            value=value,
+            measured=none,
+            extrapolated=~none,
+            unfit=none,
+            type_index=np.zeros(len(value), dtype=np.intp),
+            posterior=None,
+        )
+
+    @classmethod
+    def of_posterior(
+        cls, posterior: Posterior, unfit: Mask | None = None, type_index: NDArray[np.intp] | None = None
+    ) -> "Predictions":
+        """Return the predictions of a posterior over N types for n offers; `unfit` is (N,).
+
+        Without `type_index` (n,) the offers are the types.
+        """
+        at = np.arange(len(posterior.machines)) if type_index is None else type_index
+        # Within what an exponential can hold: a lower bound alone may leave nearly everything open.
+        value = np.exp(np.clip(posterior.mean, -600, 600))
+        return cls(
+            value=value[at],
+            measured=posterior.measured[at],
+            extrapolated=posterior.extrapolated[at],
+            unfit=np.zeros(len(at), dtype=bool) if unfit is None else unfit[at],
+            type_index=at,
+            posterior=posterior,
+        )
 
     def interval(self, row: int, level: float) -> tuple[float, float] | None:
         """Two-sided prediction interval of one offer, None where the model cannot say."""
         if self.posterior is None or not math.isfinite(self.value[row]):
             return None
-        low, high = (self.posterior.quantile(p)[self.of[row]] for p in ((1 - level) / 2, (1 + level) / 2))
+        low, high = (self.posterior.quantile(p)[self.type_index[row]] for p in ((1 - level) / 2, (1 + level) / 2))
         return float(low), float(high)
 
     def probability_below(self, row: int, bound: float) -> float | None:
         """Probability that one offer's true value is at most `bound`, None where the model cannot say."""
         if self.posterior is None or not math.isfinite(self.value[row]):
             return None
-        return float(self.posterior.probability_below(bound)[self.of[row]])
+        return float(self.posterior.probability_below(bound)[self.type_index[row]])
 
 
 @dataclass(frozen=True)
@@ -91,18 +124,18 @@ class PredictionSpace:
         of = self.types.of[: len(self.offers)]
         found = {name: _conditioned(self.space, self.place, known, unusable, name) for name in targets}
         return PredictionSet(
-            self.offers, self.types, {name: _broadcast(one, unfit, of) for name, one in found.items()}, self
+            self.offers, self.types, {name: _predictions(one, unfit, of) for name, one in found.items()}, self
         )
 
 
 @dataclass(frozen=True)
 class PredictionSet:
-    """Predictions of every target for the offers; no `ground` where the families' curves predict."""
+    """Predictions of every target for the offers; no `space` where the families' curves predict."""
 
     offers: Catalog
     types: InstanceTypes
     targets: Mapping[str, Predictions]
-    ground: PredictionSpace | None = None
+    space: PredictionSpace | None = None
 
 
 def predict(
@@ -152,28 +185,23 @@ def _conditioned(
     ))  # fmt: skip
 
 
-def _broadcast(posterior: Posterior | None, unfit: Mask, of: NDArray[np.intp]) -> Predictions:
-    n = len(of)
-    if posterior is None:
-        none = np.zeros(n, dtype=bool)
-        return Predictions(np.full(n, np.nan), none, ~none, unfit[of], of, None)
-    # Within what an exponential can hold: a lower bound alone may leave nearly everything open.
-    value = np.exp(np.clip(posterior.mean, -600, 600))
-    return Predictions(value[of], posterior.measured[of], posterior.extrapolated[of], unfit[of], of, posterior)
+def _predictions(posterior: Posterior | None, unfit: Mask, type_index: NDArray[np.intp]) -> Predictions:
+    if posterior is not None:
+        return Predictions.of_posterior(posterior, unfit, type_index)
+    none = Predictions.of_values(np.full(len(type_index), np.nan))
+    return replace(none, unfit=unfit[type_index], type_index=type_index)
 
 
 def _by_curves(models: Models, offers: Catalog, target: str) -> Predictions:
     """The families' curves, for shapes of one host."""
-    n = len(offers)
-    value = np.full(n, np.nan)
+    value = np.full(len(offers), np.nan)
     for model in models.spec.models:
         if model.target == target:
             rows = _with_gpu(offers, model)
             coefficients = list(model.coefficients.values())
             value[rows] = curves.predict(model.shape, coefficients, offers.vcpus[rows], offers.memory_gib[rows])
     value[~(np.isfinite(value) & (value > 0))] = np.nan
-    none = np.zeros(n, dtype=bool)
-    return Predictions(value, none, ~none, none, np.zeros(n, dtype=np.intp), None)
+    return Predictions.of_values(value)
 
 
 def _with_gpu(offers: Catalog, model: Model) -> NDArray[np.intp]:

@@ -1,4 +1,4 @@
-"""Which machines to measure next, when to stop, and which one to choose."""
+"""Which machines to measure next, and when to stop. The rule of the choice is the caller's: `fogspec.choice.rule`."""
 
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -10,91 +10,16 @@ from fogspec.numerics.repeats import after_one_more
 from fogspec.numerics.samples import DEFAULT_NOISE
 from fogspec.numerics.surrogate import Posterior
 
-SURE = 0.9  # share of draws within the limits from which on a machine counts as one to be chosen
-
 
 class Question(Protocol):
-    """What the sampler asks for."""
+    """The objective and limits that the sampler serves."""
+
+    @property
+    def confidence(self) -> float:
+        """The probability with which a machine must meet the limits to be chosen."""
 
     def drawn(self, posterior: Posterior) -> Floats:
         """What each machine is worth in each joint draw (S, N), small being good; infinite where it breaks a limit."""
-
-
-@dataclass(frozen=True, slots=True)
-class Objective:
-    """What is minimised, `slope * latency_s + offset` per machine (N,), and the latency each machine may have.
-
-    Latency and cost are both linear in latency, so every limit becomes one on latency: `limit_s` (N,), infinite
-    where nothing limits. `confidence` is the probability with which the limits must be met; with a `tolerance`
-    above 0 that is asked of limits wider by that share.
-    """
-
-    slope: Floats
-    offset: Floats
-    limit_s: Floats
-    confidence: float = 0.9
-    tolerance: float = 0.0
-
-    def value(self, latency_s: Floats) -> Floats:
-        """The objective at these latencies, (..., N)."""
-        return np.asarray(self.slope * latency_s + self.offset)
-
-    def drawn(self, posterior: Posterior) -> Floats:
-        """What each machine is worth in each joint draw (S, N); a measured one may use the limits' tolerance."""
-        limit = self.limit_s * np.where(posterior.measured, 1 + self.tolerance, 1.0)
-        latency = np.exp(posterior.draws)
-        return np.where(latency <= limit, self.value(latency), np.inf)
-
-
-def busy(
-    price_usd_per_hour: Floats,
-    *,
-    alpha: float,
-    scale_latency_s: float,
-    scale_cost_usd: float,
-    max_latency_s: float | None = None,
-    max_cost_usd: float | None = None,
-    confidence: float = 0.9,
-    tolerance: float = 0.0,
-) -> Objective:
-    """alpha * L / scale_L + (1 - alpha) * C / scale_C with C = price / 3600 * L: only busy seconds are paid."""
-    if not 0 <= alpha <= 1:
-        raise ValueError(f"alpha lies between 0 and 1, got {alpha}")
-    if not (scale_latency_s > 0 and scale_cost_usd > 0):
-        raise ValueError("scales must be positive")
-    per_second = price_usd_per_hour / 3600
-    limit = np.full(len(per_second), np.inf if max_latency_s is None else max_latency_s)
-    if max_cost_usd is not None:
-        limit = np.minimum(limit, max_cost_usd / per_second)
-    slope = alpha / scale_latency_s + (1 - alpha) * per_second / scale_cost_usd
-    return Objective(slope, np.zeros(len(slope)), limit, confidence, tolerance)
-
-
-def provisioned(
-    price_usd_per_hour: Floats,
-    *,
-    requests_per_second: float,
-    alpha: float,
-    scale_latency_s: float,
-    scale_cost_usd: float,
-    max_latency_s: float | None = None,
-    max_cost_usd: float | None = None,
-    confidence: float = 0.9,
-    tolerance: float = 0.0,
-) -> Objective:
-    """The same with C = price / 3600 / rate: the whole hour is paid, and a request may take at most 1 / rate."""
-    if not requests_per_second > 0:
-        raise ValueError("provisioned billing needs a positive request rate")
-    cost = price_usd_per_hour / 3600 / requests_per_second
-    base = busy(
-        price_usd_per_hour, alpha=alpha, scale_latency_s=scale_latency_s, scale_cost_usd=scale_cost_usd,
-        max_latency_s=max_latency_s, confidence=confidence,
-    )  # fmt: skip
-    limit = np.minimum(base.limit_s, 1 / requests_per_second)
-    if max_cost_usd is not None:
-        limit = np.where(cost <= max_cost_usd, limit, 0.0)
-    slope = np.full(len(cost), alpha / scale_latency_s)
-    return Objective(slope, (1 - alpha) * cost / scale_cost_usd, limit, confidence, tolerance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,40 +53,6 @@ class Wave:
     worth: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Chosen:
-    """The chosen machine, or None.
-
-    `probability_met` is the stated probability that it meets every limit; `verified` says whether it was measured,
-    `sure` whether the asked confidence is reached (for None: that none meets them).
-    """
-
-    machine: int | None
-    probability_met: float
-    verified: bool
-    sure: bool
-
-
-def choose(posterior: Posterior, objective: Objective, *, measured_only: bool = True) -> Chosen:
-    """The best machine by expected objective among those that meet the limits with the asked confidence.
-
-    Where none reaches it, the best of those that are more likely than not to meet them. With `measured_only` a
-    machine that was never measured is not chosen while a measured one qualifies.
-    """
-    met = posterior.probability_below(objective.limit_s)
-    within = posterior.probability_below(objective.limit_s * (1 + objective.tolerance))
-    value = objective.value(np.exp(posterior.mean))
-    pools = (posterior.measured, ~posterior.measured) if measured_only else (np.ones(len(met), bool),)
-    for floor in (objective.confidence, 0.5):
-        for pool in pools:
-            good = pool & (within >= floor)
-            if good.any():
-                best = int(np.argmin(np.where(good, value, np.inf)))
-                sure = bool(within[best] >= objective.confidence)
-                return Chosen(best, float(met[best]), bool(posterior.measured[best]), sure)
-    return Chosen(None, float(met.max()), False, bool(met.max() < 1 - objective.confidence))
-
-
 def next_wave(
     posterior: Posterior,
     question: Question,
@@ -188,17 +79,35 @@ def next_wave(
     untried = allowed.copy()
     untried[tried] = False
     if not posterior.measured.any() and len(tried) < 2 * policy.first:
-        if not untried.any():
-            return Wave((), "every machine was measured")
-        if sample_cost[untried].min() > left:
-            return _too_dear(sample_cost, untried, left)
-        return _spread(posterior, sample_cost, left, untried, min(policy.first, room))
+        return initial_wave(
+            posterior, sample_cost=sample_cost, left=left, count=min(policy.first, room), untried=untried
+        )
     usable = untried | (allowed & posterior.measured & (posterior.samples < policy.each))
     if not usable.any():
         return Wave((), "every machine was measured")
     if sample_cost[usable].min() > left:
         return _too_dear(sample_cost, usable, left)
     return _improving(posterior, question, sample_cost, left, usable, policy, min(policy.wave, room))
+
+
+def initial_wave(
+    posterior: Posterior,
+    *,
+    sample_cost: Floats,
+    left: float = np.inf,
+    count: int | None = None,
+    untried: np.ndarray | None = None,
+) -> Wave:
+    """Return the first machines to measure: those that take most variance off all machines for their price.
+
+    Only `untried` (N,) machines are measured, all of them if None.
+    """
+    untried = np.ones(len(sample_cost), dtype=bool) if untried is None else untried.copy()
+    if not untried.any():
+        return Wave((), "every machine was measured")
+    if sample_cost[untried].min() > left:
+        return _too_dear(sample_cost, untried, left)
+    return _spread(posterior, sample_cost, left, untried, count or Policy().first)
 
 
 def _too_dear(cost: Floats, usable: np.ndarray, left: float) -> Wave:
@@ -276,7 +185,7 @@ def _again(posterior: Posterior, question: Question, value: Floats) -> Floats:
     shaken = posterior.draws.copy()
     shaken[:, at] = after.log_latency
     then = question.drawn(replace(posterior, draw=lambda: shaken))[:, at]
-    now = _expected(value[:, at])
+    now = _expected(value[:, at], question.confidence)
     leader = int(np.argmin(now))
     if not np.isfinite(now[leader]):
         found[at] = (probability * np.isfinite(then)).sum(0)
@@ -289,11 +198,11 @@ def _again(posterior: Posterior, question: Question, value: Floats) -> Floats:
     return found
 
 
-def _expected(value: Floats) -> Floats:
-    """The mean over draws (S, M) of what meets the limits, infinite for machines that mostly do not."""
+def _expected(value: Floats, confidence: float) -> Floats:
+    """Return the mean over the draws (S, M) that meet the limits, infinite for machines that meet them in too few."""
     met = np.isfinite(value)
     mean = np.where(met, value, 0.0).sum(0) / np.maximum(met.sum(0), 1)
-    return np.where(met.mean(0) >= SURE, mean, np.inf)
+    return np.where(met.mean(0) >= confidence, mean, np.inf)
 
 
 def _first(score: Floats, cost: Floats) -> int:

@@ -9,7 +9,7 @@ The small, stable interface that everything else calls::
     posterior.probability_below(limit_s)        # (N,), limit_s a number or (N,)
     posterior.measured, posterior.extrapolated  # masks (N,)
     posterior.draws                             # joint draws of log-latency (S, N)
-    acquisition.next_wave(posterior, objective, ...) and acquisition.choose(posterior, objective)
+    acquisition.next_wave(posterior, question, ...)
 
 Model: log-latency = level + mean curve + Gaussian process, averaged over a grid of mean curves and
 hyper-parameters by their evidence instead of picking one (Rasmussen and Williams, Gaussian Processes for Machine

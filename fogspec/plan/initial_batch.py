@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.instance_types import InstanceTypes, instance_types
 from fogspec.catalog.table import Catalog, Floats
-from fogspec.numerics.acquisition import Objective, Wave, next_wave
+from fogspec.numerics.acquisition import Wave, initial_wave
 from fogspec.numerics.priors import Library, prior_for
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import prepare
@@ -47,9 +47,7 @@ def initial_batch(
     bill = SampleCosts.of(types, usd_per_sample)
     prior = None if library is None else prior_for(library, types.names, types.machines)
     posterior = prepare(types.machines, prior).fit(observations([], []))
-    free = np.zeros(len(types))
-    anything = Objective(slope=free + 1, offset=free, limit_s=free + np.inf)
-    wave = next_wave(posterior, anything, sample_cost=bill.usd, left=left_usd)
+    wave = initial_wave(posterior, sample_cost=bill.usd, left=left_usd)
     reasons = ["one of the first: together they say most about all machines for their price"] * len(wave.machines)
     return next_batch(wave, bill, reasons, left_usd)
 

@@ -36,7 +36,7 @@ class Analysis:
         failed = [one.machine for one in chosen.models.spec.unusable]
         return cls(
             slacks(chosen.choice),
-            influences(app, chosen.models, chosen.predicted.ground, chosen.choice),
+            influences(app, chosen.models, chosen.predicted.space, chosen.choice),
             best_next_sample(app, chosen.predicted, failed, usd) if len(offers) else None,
         )
 
@@ -76,15 +76,15 @@ def facts(compiled: Artifacts) -> dict[str, Any]:
         return found
     chosen, worked = compiled.chosen, Analysis.of(compiled)
     choice, menu = chosen.choice, chosen.menu.spec.model_dump(mode="json")
-    likeliest = choice.likeliest
+    most_probable = choice.most_probable
     return {
         **found,
         **{key: menu[key] for key in ("objective", "balanced", "cheapest", "fastest", "nearest", "missed", "warnings")},
         "confidence": choice.confidence,
         "probability_met": None if choice.chosen is None else choice.probability(choice.chosen),
-        "sure": choice.sure,
-        "likeliest": None if likeliest is None else {
-            "instance": str(choice.offers.instance[likeliest]), "probability_met": choice.probability(likeliest)
+        "sure": choice.meets_confidence,
+        "likeliest": None if most_probable is None else {
+            "instance": str(choice.offers.instance[most_probable]), "probability_met": choice.probability(most_probable)
         },
         "limits": [_binding_facts(b) for b in worked.bindings],
         "samples": [asdict(one) for one in worked.influences],
@@ -103,7 +103,7 @@ def facts(compiled: Artifacts) -> dict[str, Any]:
 def _binding_facts(b: Slack) -> dict[str, Any]:
     return {
         "limit": b.limit, "bound": limit_text(b.limit, b.bound), "value": limit_text(b.limit, b.value),
-        "needs": limit_text(b.limit, b.needs), "rules_out_alone": b.rules_out_alone, "changes_to": b.changes_to,
+        "needs": limit_text(b.limit, b.required), "rules_out_alone": b.rules_out_alone, "changes_to": b.changes_to,
         "changes_at": None if b.changes_at is None else limit_text(b.limit, b.changes_at),
     }  # fmt: skip
 
@@ -112,7 +112,7 @@ def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
     row = choice.chosen
     assert row is not None
     terms = " and ".join(f"{name} / {divisor}" for name, divisor in scale.items())
-    pool, meet = int(choice.pool.sum()), int(choice.feasible.sum())
+    pool, meet = int(choice.candidates.sum()), int(choice.feasible.sum())
     among = f"the {meet} machines that meet all limits"
     if pool < meet:
         among = f"the {pool} measured machines of {meet} that meet all limits"
@@ -130,7 +130,7 @@ def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
 
 
 def _infeasible(choice: Choice) -> list[str]:
-    row = choice.likeliest
+    row = choice.most_probable
     if row is None:
         return []
     probability = choice.probability(row) or 0.0
@@ -156,7 +156,7 @@ def _binding_words(binding: Slack) -> str:
     name = binding.limit
     room = (1 - binding.value / binding.bound) if binding.bound else 0.0
     words = f"{name}: {limit_text(name, binding.value)} of at most {limit_text(name, binding.bound)}, {room:.0%} room"
-    words += f"; the choice holds down to {limit_text(name, binding.needs)}"
+    words += f"; the choice holds down to {limit_text(name, binding.required)}"
     words += f"; alone it rules out {binding.rules_out_alone} machines"
     if binding.changes_at is not None:
         words += f"; at {limit_text(name, binding.changes_at)} it would let in {binding.changes_to}, which is better"
@@ -231,7 +231,7 @@ def _others(compiled: Artifacts) -> list[str]:
     assert compiled.chosen is not None
     chosen = compiled.chosen
     if chosen.manifest is None:
-        nearest = chosen.choice.nearest
+        nearest = chosen.choice.least_infeasible
         return [] if nearest is None else [f"  nearest   {entry_words(entry_of(chosen.choice, nearest))}"]
     rows = shortlist(chosen.choice)
     return [
@@ -249,7 +249,7 @@ def _rival(compiled: Artifacts, row: int) -> str:
         return ""
     both = zip(parts(app, choice, row), parts(app, choice, choice.chosen), strict=True)
     words = ", ".join(f"{name} {own - best:+.3f}" for (name, own), (_, best) in both)
-    better = probability_better(app, compiled.chosen.predicted, choice, row)
+    better = probability_better(compiled.chosen.predicted, choice, row)
     return f" ({words})" + ("" if better is None else f"; better after all with probability {better:.2f}")
 
 

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.units import rounded
-from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Floats
-from fogspec.choice.choose import Choice, levels, required_latency
+from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL
-from fogspec.numerics import select
+from fogspec.choice.rule import TIE, best_attainable
 from fogspec.spec.schema import Application
 
 MOST = 1500
@@ -31,10 +30,10 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
     is computed in the page. `needs` is what a limit would have to be where nothing meets them all.
     `faint` are points of offers that are not there, for the picture.
     """
-    spec, costs = application.spec, Costs.of(application.spec, choice.offers.price_usd_per_hour, choice.offers.spot)
-    needed, needs = _needed(choice), choice.needs(levels(choice.confidence)[-1])
-    types = cheapest_of_types(choice, costs)
-    rows = types if len(types) <= MOST else undominated(choice, costs, needed, types)
+    spec, costs = application.spec, choice.rule.costs
+    needed, needs = _needed(choice), choice.required(choice.rule.levels[-1])
+    types = cheapest_of_types(choice)
+    rows = types if len(types) <= MOST else undominated(choice, needed, types)
     offers = choice.offers
     metric, given = spec.objective.metric, spec.objective.scale
     fixed = {name: (values, choice.bounds[name]) for name, values in choice.values.items()
@@ -45,14 +44,14 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
         "metric": metric, "unit": (spec.metrics[metric].unit or "") if metric else "s", "level": LEVEL,
         "limits": {"latency": spec.constraints.latency, "cost": spec.constraints.cost},
         "network": spec.constraints.network_allowance,
-        "confidence": choice.confidence, "floors": list(levels(choice.confidence)),
+        "confidence": choice.confidence, "floors": list(choice.rule.levels),
         "probabilities": choice.latency.posterior is not None, "adaptive": spec.benchmark.sampler == "adaptive",
-        "tie": select.TIE, "relaxed": spec.objective.method == "relaxed",
+        "tie": TIE, "relaxed": spec.objective.method == "relaxed",
         "scale": {
             "x": (given.metric or spec.constraints.metrics.get(metric)) if metric else given.latency,
             "cost": given.cost,
-            "best_x": select.best_attainable(choice.x, choice.eligible),
-            "best_cost": select.best_attainable(choice.cost_usd_per_request, choice.eligible),
+            "best_x": best_attainable(choice.metric_value, choice.eligible),
+            "best_cost": best_attainable(choice.cost_usd_per_request, choice.eligible),
         },
         "costs": {
             "transfer": costs.transfer_usd, "requests_per_s": costs.requests_per_s,
@@ -70,9 +69,9 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
             "vcpus": offers.vcpus[rows].tolist(), "memory": offers.memory_gib[rows].tolist(),
             "gpu": [f"{offers.gpu_count[row]:g} {offers.gpu[row]}" if offers.gpu[row] else "" for row in rows],
             "price": offers.price_usd_per_hour[rows].tolist(), "usd_per_s": costs.usd_per_s[rows].tolist(),
-            "x": choice.x[rows].tolist(), "latency": choice.latency.value[rows].tolist(),
+            "x": choice.metric_value[rows].tolist(), "latency": choice.latency.value[rows].tolist(),
             "cost": choice.cost_usd_per_request[rows].tolist(), "low": low, "high": high,
-            "needed": [_numbers(column[rows]) for column in needed], "needs": _numbers(choice.latency_needs[rows]),
+            "needed": [_numbers(column[rows]) for column in needed], "needs": _numbers(choice.lenient_latency_s[rows]),
         },
         "faint": _faint(choice, types, rows),
     }  # fmt: skip
@@ -81,10 +80,10 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
 def _needed(choice: Choice) -> list[Floats]:
     if choice.latency.posterior is None:
         return []
-    return [required_latency(choice.latency, choice.metrics, choice.bounds, one) for one in levels(choice.confidence)]
+    return [choice.required_latency_s(level) for level in choice.rule.levels]
 
 
-def cheapest_of_types(choice: Choice, costs: Costs) -> Rows:
+def cheapest_of_types(choice: Choice) -> Rows:
     """For each type and price kind the offer with the lowest cost, the first of equals; in the offers' order.
 
     Predictions are a type's, so that among its offers this one wins whatever is weighed.
@@ -95,7 +94,7 @@ def cheapest_of_types(choice: Choice, costs: Costs) -> Rows:
     offers = choice.offers
     kind = {key: i for i, key in enumerate(dict.fromkeys(_keys(choice, rows)))}
     key = np.fromiter((kind[one] for one in _keys(choice, rows)), np.int64, len(rows))
-    order = np.lexsort((rows, offers.price_usd_per_hour[rows], costs.usd_per_s[rows], key))
+    order = np.lexsort((rows, offers.price_usd_per_hour[rows], choice.rule.costs.usd_per_s[rows], key))
     first = np.append(True, key[order][1:] != key[order][:-1])
     return np.sort(rows[order[first]])
 
@@ -106,12 +105,12 @@ def _keys(choice: Choice, rows: Rows) -> list[tuple[object, ...]]:
     return list(zip(*(column[rows].tolist() for column in columns), strict=True))
 
 
-def undominated(choice: Choice, costs: Costs, needed: list[Floats], rows: Rows) -> Rows:
+def undominated(choice: Choice, needed: list[Floats], rows: Rows) -> Rows:
     """The rows that no other beats or equals in all that a choice can turn on, ties in cost, latency and name included."""
     measured = choice.latency.measured[rows]
-    columns = [choice.x, choice.latency.value, choice.cost_usd_per_request, costs.usd_per_s,
-               choice.offers.price_usd_per_hour, *needed, choice.latency_needs, *choice.values.values(),
-               *choice.needs(levels(choice.confidence)[-1]).values()]  # fmt: skip
+    columns = [choice.metric_value, choice.latency.value, choice.cost_usd_per_request, choice.rule.costs.usd_per_s,
+               choice.offers.price_usd_per_hour, *needed, choice.lenient_latency_s, *choice.values.values(),
+               *choice.required(choice.rule.levels[-1]).values()]  # fmt: skip
     table = np.column_stack([column[rows] for column in columns])
     names = choice.offers.instance[rows].tolist()
     order = sorted(range(len(rows)), key=lambda i: (*table[i, [2, 1]].tolist(), names[i], int(rows[i])))
@@ -130,7 +129,9 @@ def _ends(choice: Choice, rows: Rows, metric: str | None) -> tuple[list[float | 
     predictions = choice.metrics[metric] if metric else choice.latency
     if predictions.posterior is None:
         return [None] * len(rows), [None] * len(rows)
-    low, high = (predictions.posterior.quantile(p)[predictions.of][rows] for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    low, high = (
+        predictions.posterior.quantile(p)[predictions.type_index][rows] for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
+    )
     return _numbers(low), _numbers(high)
 
 
@@ -140,7 +141,7 @@ def _faint(choice: Choice, types: Rows, rows: Rows) -> dict[str, list[float]]:
     rest = rest[np.argsort(choice.cost_usd_per_request[rest], kind="stable")]
     if len(rest) > FAINT:
         rest = rest[np.linspace(0, len(rest) - 1, FAINT).astype(int)]
-    columns = {"x": choice.x, "cost": choice.cost_usd_per_request, "price": choice.offers.price_usd_per_hour}
+    columns = {"x": choice.metric_value, "cost": choice.cost_usd_per_request, "price": choice.offers.price_usd_per_hour}
     return {name: [rounded(value) for value in column[rest].tolist()] for name, column in columns.items()}
 
 

@@ -104,7 +104,7 @@ def residual_rows(compiled: Artifacts) -> Sequence[tuple[str, ...]]:
 def _without(compiled: Artifacts, one: Observation) -> tuple[str, str, str]:
     """What all other samples say of a sample's machine: prediction, interval, and how far off it is."""
     assert compiled.chosen is not None
-    ground, body = compiled.chosen.predicted.ground, compiled.chosen.models.spec
+    ground, body = compiled.chosen.predicted.space, compiled.chosen.models.spec
     others = [other for other in body.known if other.machine.type_key != one.machine.type_key]
     if ground is None or not others:
         return "", "", ""

@@ -14,9 +14,7 @@ import pytest
 
 from fogspec.base.files import write_yaml
 from fogspec.base.layout import Layout
-from fogspec.catalog.cost import Costs
 from fogspec.catalog.sources import load_catalog
-from fogspec.choice.choose import levels, required_latency
 from fogspec.compile.compiler import Artifacts, compile_application
 from fogspec.compile.decision import decide
 from fogspec.plan.schema import PlanMetadata
@@ -101,10 +99,10 @@ def same_as_menu(browser, one: LoadedSpec, made: Artifacts, to: Path, limits, al
         choice, _ = decide(changed(one.application, float(alpha), *texts), made.chosen.models, made.chosen.predicted)
         if choice.chosen is None:
             assert answer == {}, (alpha, latency, cost)
-            if not choice.misses:
+            if not choice.violations:
                 assert verdict == "No machine is likely enough to meet the limits."
                 continue
-            worst = choice.misses[0]
+            worst = choice.violations[0]
             said = re.search(r"limits: (\S+) would have to be (\S+) times", verdict)
             assert said[1] == worst.limit
             assert float(said[2]) == pytest.approx(worst.factor, rel=0.01)
@@ -173,13 +171,12 @@ def test_every_rule_of_the_choice_is_in_the_page(browser, checkout, tmp_path, mo
 def narrow_limits(one: LoadedSpec, made: Artifacts) -> tuple[list[str | None], list[str | None]]:
     """Limits on latency and cost that some machine just meets and just misses with each of the asked probabilities."""
     choice, spec = made.chosen.choice, one.application.spec
-    costs = Costs.of(spec, choice.offers.price_usd_per_hour, choice.offers.spot)
     found: tuple[list[str | None], list[str | None]] = [None], [None]
-    for floor in levels(choice.confidence):
-        needed = required_latency(choice.latency, choice.metrics, choice.bounds, floor)
+    for level in choice.rule.levels:
+        needed = choice.required_latency_s(level)
         for column, texts, more in (
             (needed, found[0], spec.constraints.network_allowance),
-            (costs.per_request(needed), found[1], 0.0),
+            (choice.rule.costs.per_request(needed), found[1], 0.0),
         ):
             for value in np.quantile(column, (0, 0.4), method="nearest").tolist():
                 texts += [f"{value * share + more:.9f}" for share in (0.999, 1.001)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from fogspec.evaluation.running import Campaign, by_kind, run
+from fogspec.evaluation.campaign import Campaign, by_kind, run
 from fogspec.evaluation.suites import read_suite
 from fogspec.model.priors import read_priors
 from tests.conftest import PUBLIC_SUITE, SHARED
@@ -94,7 +94,7 @@ def test_the_target_s_own_suite_is_left_out_of_the_library(data):
     )  # fmt: skip
     unrecognised = replace(library, suites=tuple(f"{name} of others" for name in library.suites))
     lines = [
-        [one.line() for one in run(problem, suite.table, one_library, Campaign())]
+        [one.as_dict() for one in run(problem, suite.table, one_library, Campaign())]
         for one_library in (library, without, unrecognised)
     ]
     assert lines[0] == lines[1]

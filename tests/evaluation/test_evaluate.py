@@ -9,7 +9,6 @@ import sys
 import pytest
 
 from fogspec.catalog.sources import load_catalog
-from fogspec.evaluation.replay import Case
 from fogspec.evaluation.sweeps import read_sweep
 from fogspec.spec.loader import load
 from tests.conftest import ROOT
@@ -102,9 +101,9 @@ def test_a_sweep_is_judged_by_the_limits_and_the_confidence_of_its_spec(tmp_path
     )
     (one,) = load([tmp_path / "spec.yaml"])
     read = read_sweep(tmp_path / "sweep.csv", one.application, load_catalog(None, ["aws"]))
-    asked = Case.of(read.problem, read.machines, None, read.repeats).objective(read.problem.settings[0])
-    assert asked.confidence == 0.97
-    assert asked.limit_s.tolist() == pytest.approx([0.75, 0.75])
+    rule = read.problem.settings[0].rule
+    assert rule.confidence == 0.97
+    assert rule.latency_budget_s.tolist() == pytest.approx([0.75, 0.75])
 
 
 @pytest.mark.parametrize(

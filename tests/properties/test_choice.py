@@ -62,7 +62,7 @@ def test_the_choice_meets_every_limit_and_nothing_feasible_is_better(seed, laten
     found = choose(with_limits(latency, cost, alpha), models, among(seed))
     if found.chosen is None:
         assert not found.feasible.any()
-        assert found.misses or not found.eligible.any()
+        assert found.violations or not found.eligible.any()
         return
     assert latency is None or found.latency.value[found.chosen] <= latency
     assert cost is None or found.cost_usd_per_request[found.chosen] <= cost
@@ -74,8 +74,8 @@ def test_the_choice_meets_every_limit_and_nothing_feasible_is_better(seed, laten
 def test_the_choice_is_on_the_front(seed, latency, cost, alpha):
     found = choose(with_limits(latency, cost, alpha), MODELS, among(seed))
     if found.chosen is not None:
-        on_front = {(found.x[r], found.cost_usd_per_request[r]) for r in found.front}
-        assert (found.x[found.chosen], found.cost_usd_per_request[found.chosen]) in on_front
+        on_front = {(found.metric_value[r], found.cost_usd_per_request[r]) for r in found.front}
+        assert (found.metric_value[found.chosen], found.cost_usd_per_request[found.chosen]) in on_front
 
 
 @given(seeds, limits, costs, alphas, alphas)
@@ -91,8 +91,8 @@ def test_a_tighter_limit_never_gives_a_better_score(seed, latency, wider, cost, 
     tight, loose = (choose(with_limits(x, cost, alpha), MODELS, among(seed)) for x in (latency, latency * wider))
     if tight.chosen is not None:
         assert loose.chosen is not None
-        assert loose.sure or not tight.sure
-    if tight.chosen is not None and tight.sure == loose.sure:
+        assert loose.meets_confidence or not tight.meets_confidence
+    if tight.chosen is not None and tight.meets_confidence == loose.meets_confidence:
         assert tight.objective[tight.chosen] >= loose.objective[loose.chosen] * (1 - 1e-9)
 
 
@@ -146,8 +146,8 @@ def test_less_confidence_never_gives_a_worse_score(seed, latency, cost, alpha, o
         for app, c in zip(apps, (low, high), strict=True)
     ]  # fmt: skip
     less, more = (choose(app, MODELS, among(seed)) for app in apps)
-    if more.sure:
-        assert less.sure
+    if more.meets_confidence:
+        assert less.meets_confidence
         assert less.objective[less.chosen] <= more.objective[more.chosen] * (1 + 1e-9)
         assert (more.probability(more.chosen) or 0) >= high - 1e-6
 

@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.numerics.acquisition import Policy, busy, choose, next_wave
+from fogspec.numerics.acquisition import Policy, next_wave
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import prepare
-from tests.support.machines import family
+from tests.support.machines import family, rule_over, selected
 
 MACHINES = family()
 SPACE = prepare(MACHINES, draws=64)
@@ -50,12 +50,12 @@ def test_the_unit_of_time_does_not_matter(rows, factor):
 @given(samples, st.floats(0, 1), st.floats(1e-4, 1e4))
 def test_what_is_chosen_meets_the_limits_more_likely_than_not(rows, alpha, limit_s):
     posterior = fitted(rows)
-    objective = busy(PRICE, alpha=alpha, scale_latency_s=1.0, scale_cost_usd=1.0, max_latency_s=limit_s)
-    chosen = choose(posterior, objective)
-    if chosen.machine is not None:
-        assert chosen.probability_met >= 0.5 - 1e-9
-        assert not chosen.sure or chosen.probability_met >= objective.confidence
-    wave = next_wave(posterior, objective, sample_cost=PRICE)
+    rule = rule_over(MACHINES, alpha=alpha, metric_scale=1.0, cost_scale=1.0, max_latency_s=limit_s)
+    chosen = selected(posterior, rule)
+    if chosen.best is not None:
+        assert chosen.probability(chosen.best) >= 0.5 - 1e-6
+        assert chosen.level < 0.9 or chosen.probability(chosen.best) >= 0.9 - 1e-6
+    wave = next_wave(posterior, chosen.utility(), sample_cost=PRICE)
     times = Counter(at for at, _, bound in rows if not bound)
     tried = {at for at, _, _ in rows}
     assert all(at not in tried or 0 < times[at] < Policy().each for at in wave.machines)

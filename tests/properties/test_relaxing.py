@@ -11,7 +11,7 @@ from tests.properties.test_choice import HURT, MODELS, alphas, among, choose, co
 def test_relaxing_never_beats_the_exhaustive_choice_and_never_breaks_a_limit(seed, latency, cost, alpha, models):
     app = with_limits(latency, cost, alpha)
     every = choose(app, models, among(seed))
-    found = relaxed_optimum(app, models, every)
+    found = relaxed_optimum(models, every)
     chosen = chosen_by_relaxing(every, found).chosen
     if chosen is None:
         return
@@ -24,6 +24,6 @@ def test_relaxing_never_beats_the_exhaustive_choice_and_never_breaks_a_limit(see
 def test_without_limits_relaxing_ends_somewhere(seed, alpha):
     app = with_limits(None, None, alpha)
     every = choose(app, MODELS, among(seed))
-    found = relaxed_optimum(app, MODELS, every)
+    found = relaxed_optimum(MODELS, every)
     assert found is not None
     assert found.row is not None

@@ -68,7 +68,7 @@ def test_a_campaign_ends_with_the_best_machine_measured(family, alpha):
     assert choice.latency.measured[choice.chosen]
     truth = 0.2 + 8 / family.vcpus + 0.004 * family.vcpus
     cost = truth * family.price_usd_per_hour / 3600
-    value = np.where(truth <= 2.0, alpha * truth / choice.scale.x + (1 - alpha) * cost / choice.scale.cost, np.inf)
+    value = np.where(truth <= 2.0, alpha * truth / choice.scale.metric + (1 - alpha) * cost / choice.scale.cost, np.inf)
     assert value[choice.chosen] <= value.min() * 1.05
 
 

@@ -35,21 +35,21 @@ def test_the_choice_changes_where_the_limit_is_said_to(latency):
         assert str(wider.offers.instance[wider.chosen]) != str(chosen.offers.instance[chosen.chosen])
     for name, tight in (("latency", 0.999), ("cost", 0.999)):
         bound = first if name == "latency" else second
-        limits = {"latency": latency, "cost": 1e-3} | {name: bound.needs * tight}
+        limits = {"latency": latency, "cost": 1e-3} | {name: bound.required * tight}
         narrower = choose(limited(**limits), predicted())
-        assert narrower.chosen != chosen.chosen or not narrower.sure
-    assert first.value <= first.needs <= latency
+        assert narrower.chosen != chosen.chosen or not narrower.meets_confidence
+    assert first.value <= first.required <= latency
 
 
 def test_leaving_a_sample_out_is_the_choice_without_it():
     app = limited()
     found = predicted()
     choice = choose(app, found)
-    told = influences(app, MODELS, found.ground, choice)
+    told = influences(app, MODELS, found.space, choice)
     assert {one.id for one in told} == {one.id for one in MODELS.spec.known}
     for one in told[:3]:
         others = [known for known in MODELS.spec.known if known.id != one.id]
-        without = choose(app, found.ground.predicted(others, [], targets(app)))
+        without = choose(app, found.space.predicted(others, [], targets(app)))
         assert one.changes_to == str(without.offers.instance[without.chosen])
         assert one.changes == (one.changes_to != str(choice.offers.instance[choice.chosen]))
     assert [one.changes for one in told] == sorted((one.changes for one in told), reverse=True)

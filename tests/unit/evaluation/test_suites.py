@@ -22,7 +22,7 @@ def test_reads_machines_latencies_and_problems(suite):
     assert len(read.table.names) == 21
     (problem, *_) = read.problems
     assert problem.kind == "family"
-    assert problem.settings[0].alpha == 0.0
+    assert problem.settings[0].rule.alpha == 0.0
     assert len(problem.latency_s) == 21
 
 

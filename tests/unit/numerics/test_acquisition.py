@@ -5,10 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from fogspec.numerics.acquisition import Policy, busy, choose, next_wave, provisioned
+from fogspec.choice.rule import Scale
+from fogspec.numerics.acquisition import Policy, next_wave
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import fit, prepare
-from tests.support.machines import amdahl, family
+from tests.support.machines import amdahl, family, rule_over, selected
 from tests.support.relative import work_of
 
 MACHINES = family()
@@ -16,15 +17,16 @@ TRUTH = amdahl(MACHINES, 0.05)
 PRICE = MACHINES.price_usd_per_hour
 
 
-def objective(alpha=0.5, **limits):
-    return busy(PRICE, alpha=alpha, scale_latency_s=1.0, scale_cost_usd=1e-4, **limits)
+def asked(alpha=0.5, **more):
+    return rule_over(MACHINES, alpha=alpha, metric_scale=1.0, cost_scale=1e-4, **more)
 
 
-def campaign(wanted, policy=None, left=np.inf):
+def campaign(rule, policy=None, left=np.inf):
     space, at, latencies = prepare(MACHINES), [], []
     while True:
         posterior = space.fit(observations(at, latencies))
-        wave = next_wave(posterior, wanted, sample_cost=PRICE, left=left - PRICE[at].sum(), policy=policy)
+        utility = selected(posterior, rule).utility()
+        wave = next_wave(posterior, utility, sample_cost=PRICE, left=left - PRICE[at].sum(), policy=policy)
         if not wave.machines:
             return posterior, at, wave.reason
         at += wave.machines
@@ -34,69 +36,75 @@ def campaign(wanted, policy=None, left=np.inf):
 @pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("limit_s", [None, 0.9])
 def test_a_campaign_ends_beside_the_best_machine(alpha, limit_s):
-    wanted = objective(alpha, max_latency_s=limit_s)
-    posterior, at, reason = campaign(wanted)
-    value = np.where(wanted.limit_s >= TRUTH, wanted.value(TRUTH), np.inf)
-    chosen = choose(posterior, wanted)
-    assert chosen.verified
-    assert chosen.machine in at
-    assert value[chosen.machine] <= 1.05 * value.min()
+    rule = asked(alpha, max_latency_s=limit_s)
+    posterior, at, reason = campaign(rule)
+    chosen = selected(posterior, rule)
+    value = np.where(rule.latency_budget_s >= TRUTH, rule.value(TRUTH, chosen.scale), np.inf)
+    assert chosen.unverified is None
+    assert chosen.best in at
+    assert value[chosen.best] <= 1.05 * value.min()
     assert len(at) < 12
     assert reason
 
 
 def test_no_more_than_the_budget_is_spent():
     left = float(np.sort(PRICE)[:2].sum() + 0.01)
-    _, at, reason = campaign(objective(1.0), left=left)
+    _, at, reason = campaign(asked(1.0), left=left)
     assert PRICE[at].sum() <= left
     assert "is left" in reason
 
 
 def test_no_more_than_the_most_samples_and_none_twice():
-    _, at, reason = campaign(objective(1.0), Policy(worth=0.0, most=5))
+    _, at, reason = campaign(asked(1.0), Policy(worth=0.0, most=5))
     assert len(at) == len(set(at)) == 5
     assert "most allowed" in reason
-    _, at, reason = campaign(objective(1.0), Policy(worth=0.0, most=1000))
+    _, at, reason = campaign(asked(1.0), Policy(worth=0.0, most=1000))
     assert len(set(at)) == len(at) <= len(PRICE)
 
 
 def test_waves_measure_several_machines_at_once():
     posterior = fit(MACHINES, observations([0, 3], TRUTH[[0, 3]]))
-    wave = next_wave(posterior, objective(1.0), sample_cost=PRICE, policy=Policy(wave=3))
+    wave = next_wave(posterior, selected(posterior, asked(1.0)).utility(), sample_cost=PRICE, policy=Policy(wave=3))
     assert len(set(wave.machines)) == 3
     assert len(wave.worth) == 3
 
 
 def test_none_is_chosen_where_none_can_meet_the_limit():
-    posterior, _, _ = campaign(objective(max_latency_s=1e-3))
-    chosen = choose(posterior, objective(max_latency_s=1e-3))
-    assert chosen.machine is None
-    assert chosen.sure
-    assert chosen.probability_met < 0.01
+    posterior, _, _ = campaign(asked(max_latency_s=1e-3))
+    chosen = selected(posterior, asked(max_latency_s=1e-3))
+    assert chosen.best is None
+    assert chosen.probability(chosen.most_probable) < 0.01
 
 
 def test_a_failed_run_is_not_chosen():
     bound = [False, False, True]
     posterior = fit(MACHINES, observations([0, 3, 6], [*TRUTH[[0, 3]], 1000.0], None, bound))
-    assert choose(posterior, objective(1.0)).machine in (0, 3)
+    assert selected(posterior, asked(1.0)).best in (0, 3)
 
 
 def test_all_failed_is_no_confident_answer():
     posterior = fit(MACHINES, observations([0, 3], [30.0, 30.0], None, [True, True]))
-    chosen = choose(posterior, objective(max_latency_s=1.0))
-    assert not chosen.verified
-    assert not (chosen.sure and chosen.machine is not None)
+    chosen = selected(posterior, asked(max_latency_s=1.0))
+    assert chosen.best is None or (chosen.unverified == chosen.best and chosen.level < 0.9)
 
 
 def test_provisioned_billing_pays_the_hour_and_bounds_the_rate():
-    wanted = provisioned(PRICE, requests_per_second=2.0, alpha=0.0, scale_latency_s=1.0, scale_cost_usd=1e-4)
-    assert wanted.value(TRUTH) == pytest.approx(PRICE / 7200 / 1e-4)
-    assert (wanted.limit_s == 0.5).all()
+    rule = asked(alpha=0.0, requests_per_s=2.0)
+    assert rule.value(TRUTH, Scale(1.0, 1e-4)) == pytest.approx(PRICE / 7200 / 1e-4)
+    assert (rule.latency_budget_s == 0.5).all()
+    assert rule.bounds == {"rate": 0.5}
+
+
+def test_a_rule_without_sense_is_refused():
+    with pytest.raises(ValueError, match="alpha"):
+        asked(alpha=1.1)
+    with pytest.raises(ValueError, match="positive"):
+        rule_over(MACHINES, cost_scale=0.0)
 
 
 def test_other_limits_on_a_fitted_model_are_little_work():
-    """About 0.03 when this was written; a millisecond is a quarter."""
-    posterior, _, _ = campaign(objective())
-    choose(posterior, objective())
+    """About 0.08 when this was written; a millisecond is a quarter."""
+    posterior, _, _ = campaign(asked())
+    assert selected(posterior, asked(max_latency_s=1.0)).best is not None
     alphas = itertools.cycle(np.linspace(0, 1, 20))
-    assert work_of(lambda: choose(posterior, objective(float(next(alphas)), max_latency_s=1.0)), 20) < 0.25
+    assert work_of(lambda: selected(posterior, asked(float(next(alphas)), max_latency_s=1.0)).best, 20) < 0.25

@@ -1,0 +1,170 @@
+"""Campaigns over problems: every setting once, scored, in a few processes, and summed up by kind."""
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from fogspec.evaluation.methods import METHODS, OWN_METHOD
+from fogspec.evaluation.replay import Case, Noise
+from fogspec.evaluation.samplers import SAMPLERS
+from fogspec.evaluation.scores import Score, calibration, r2, score, staircase_deviation, summary
+from fogspec.evaluation.suites import KINDS, Problem, Suite, read_suite
+from fogspec.evaluation.sweeps import Sweep
+from fogspec.model.priors import read_priors
+from fogspec.model.tables import Table
+from fogspec.numerics.priors import Library, prior_for
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """Sampler and method; `method` None is the sampler's own."""
+
+    sampler: str = "adaptive"
+    method: str | None = None
+    noise: str = "realistic"
+    seed: int = 0
+
+    @property
+    def reads_with(self) -> str:
+        """The method's name."""
+        return self.method or OWN_METHOD[self.sampler]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One problem and setting: the sampled and chosen machines by name, and the score."""
+
+    id: str
+    setting: str
+    chosen: str | None
+    sampled: tuple[str, ...]
+    score: Score
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all that is needed to score the choice again."""
+        return {"id": self.id, "setting": self.setting, "chosen": self.chosen, "sampled": list(self.sampled)}
+
+
+def run(problem: Problem, table: Table, library: Library | None, campaign: Campaign) -> list[Result]:
+    """Return the results of all settings of one problem; the problem's own suite is left out of the library."""
+    machines = table.machines.take(problem.rows)
+    names = [table.names[row] for row in problem.rows]
+    prior = None if library is None else prior_for(library, names, machines, leave_out=[problem.suite])
+    case = Case.of(problem, machines, prior, Noise.of(problem, campaign.noise, campaign.seed))
+    sample, answer = SAMPLERS[campaign.sampler], METHODS[campaign.reads_with]
+    results = []
+    for setting in problem.settings:
+        done = answer(case, setting.rule, sample(case, setting.rule, campaign.seed))
+        scored = score(problem, setting.rule, machines.price_usd_per_hour, done)
+        chosen = None if done.chosen is None else names[done.chosen]
+        results.append(Result(problem.id, setting.name, chosen, tuple(names[i] for i in done.sampled), scored))
+    return results
+
+
+def replay_sweep(sweep: Sweep, library: Library | None, window_s: float, campaign: Campaign) -> dict[str, Any]:
+    """Return the scores of one campaign on a sweep (the paper, section 4); a sample is paid for `window_s` seconds.
+
+    `priors` is the library's digest if it says anything of the machines.
+    """
+    problem, names = sweep.problem, sweep.names
+    prior = prior_for(library, names, sweep.machines) if library else None
+    noise = Noise.of(problem, "none", 0) if campaign.noise == "none" else sweep.repeats
+    case = Case.of(problem, sweep.machines, prior, noise)
+    rule = problem.settings[0].rule
+    done = METHODS[campaign.reads_with](case, rule, SAMPLERS[campaign.sampler](case, rule, campaign.seed))
+    price = sweep.machines.price_usd_per_hour
+    scored, best = score(problem, rule, price, done), problem.truth(rule).best
+    usd = window_s / 3600
+    return {
+        "priors": library.digest if prior and library else None,
+        "not_admitted": list(sweep.left_out),
+        "machines": len(names),
+        "chosen": None if done.chosen is None else names[done.chosen],
+        "best": None if best is None else names[best],
+        "sampled": [names[i] for i in done.sampled],
+        "samples": scored.samples,
+        "cost_usd": done.paid * usd,
+        "full_sweep_usd": float(price.sum()) * usd,
+        **scored.as_dict(),
+        "r2": r2(done, problem.latency_s),
+        "frontier_deviation": staircase_deviation(done, problem.latency_s, price),
+    }
+
+
+def by_kind(results: Iterable[Result]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return a row of scores and one of calibration for each kind of problem."""
+    rows: list[dict[str, Any]] = []
+    calibrations: list[dict[str, Any]] = []
+    everything: Sequence[Result] = list(results)
+    for kind in KINDS:
+        mine = [one for one in everything if one.score.kind == kind]
+        if mine:
+            scores = [one.score for one in mine]
+            rows.append(summary(kind, len({one.id for one in mine}), scores))
+            calibrations.append({"kind": kind, "bins": calibration(scores)})
+    return rows, calibrations
+
+
+def evaluate(
+    suite: Path, priors: Path | None, kinds: Sequence[str], campaigns: Sequence[Campaign], *, workers: int = 2
+) -> tuple[list[list[Result]], str]:
+    """Return the results of each campaign on the problems of these kinds (all if empty), and the priors' digest or ''.
+
+    The numbers do not depend on the number of workers. Linear algebra runs in one thread a process: two processes of two
+    threads are slower than two of one, and sums would depend on the machine. Raise DiagnosticError and InvalidInput for
+    errors in the files.
+    """
+    data = _Data.read(suite, priors)
+    wanted = [i for i, problem in enumerate(data.suite.problems) if not kinds or problem.kind in kinds]
+    # The longest first: the other process does not wait for one at the end.
+    order = sorted(wanted, key=lambda i: -len(data.suite.problems[i].rows))
+    jobs = [(campaign, i) for campaign in campaigns for i in order]
+    with _one_thread(), ProcessPoolExecutor(workers, get_context("spawn"), _start, (suite, priors)) as pool:
+        found = dict(zip(jobs, pool.map(_run, *zip(*jobs, strict=True)), strict=True)) if jobs else {}
+    results = [[one for i in wanted for one in found[campaign, i]] for campaign in campaigns]
+    return results, data.library.digest if data.library else ""
+
+
+@dataclass
+class _Data:
+    """The files that each process reads once."""
+
+    suite: Suite
+    library: Library | None
+
+    @classmethod
+    def read(cls, suite: Path, priors: Path | None) -> "_Data":
+        return cls(read_suite(suite), read_priors(priors) if priors else None)
+
+
+_data: list[_Data] = []  # of this process
+
+
+def _start(suite: Path, priors: Path | None) -> None:
+    _data[:] = [_Data.read(suite, priors)]
+
+
+def _run(campaign: Campaign, index: int) -> list[Result]:
+    (data,) = _data
+    return run(data.suite.problems[index], data.suite.table, data.library, campaign)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
