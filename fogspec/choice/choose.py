@@ -12,7 +12,6 @@ from fogspec.model.predict import PredictionSet
 from fogspec.spec.schema import Application
 
 
-
 @dataclass(frozen=True, kw_only=True)
 class Choice(Selection):
     """The rule applied to the offers of a catalog.

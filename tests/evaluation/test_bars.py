@@ -1,7 +1,8 @@
 """The bars of choosing well from few samples, on the public suite, and on part of the development set where that is.
 
-A bar on the public suite is two standard errors of the share below what was measured when it was set (ok5 of 216 family,
-40 GPU and 32 catalog choices), or a fifth above it (bench). `make evaluation` prints all scores.
+The rule is the one that ships: hard limits, met with a confidence of 0.9. A bar is two standard errors of the share below what
+was measured when it was set (public suite: ok5 of 216 family, 40 GPU and 32 catalog choices), or a fifth above it (bench).
+`make evaluation` prints all scores.
 """
 
 from dataclasses import dataclass, replace
@@ -34,17 +35,17 @@ class Bar:
     coverage90: tuple[float, float] = (0.8, 0.98)
 
 
-BARS = [  # public bars: in comments, what was measured
-    Bar("public", "family", "adaptive", True, 1, 0.84, 0.24, 0.02),  # 0.889, 0.198, 0, 0.92
-    Bar("public", "family", "adaptive", False, 1, 0.84, 0.23, 0.02),  # 0.884, 0.195, 0, 0.90
-    Bar("public", "family", "grid", False, 1, 0.72, 0.54, 0.02),  # 0.778, 0.528 (always), 0, 0.94
-    Bar("public", "gpu", "adaptive", False, 1, 0.92, 0.18, 0.02),  # 0.975, 0.148, 0, 0.96
+BARS = [  # in comments: ok5, bench, violation5 and coverage90 as measured
+    Bar("public", "family", "adaptive", True, 1, 0.70, 0.32, 0.02),  # 0.764, 0.264, 0, 0.92
+    Bar("public", "family", "adaptive", False, 1, 0.71, 0.30, 0.02),  # 0.769, 0.247, 0, 0.89
+    Bar("public", "family", "grid", False, 1, 0.62, 0.54, 0.02),  # 0.690, 0.528 (always), 0, 0.93
+    Bar("public", "gpu", "adaptive", False, 1, 0.84, 0.19, 0.02),  # 0.925, 0.155, 0, 0.96
     # Here intervals are too wide, other programs by the same rule being more alike than real ones: no upper bar.
     Bar("public", "catalog", "adaptive", True, 1, 0.90, 0.05, 0.02, (0.8, 1.0)),  # 0.969, 0.040, 0, 0.99
-    Bar("development", "family", "adaptive", True, 6, 0.90, 0.22, 0.03),
-    Bar("development", "family", "adaptive", False, 6, 0.88, 0.20, 0.03),
-    Bar("development", "family", "grid", False, 8, 0.78, 0.54, 0.04),
-    Bar("development", "gpu", "adaptive", True, 4, 0.90, 0.13, 0.0),
+    Bar("development", "family", "adaptive", True, 6, 0.87, 0.23, 0.03),  # 0.903, 0.193, 0, 0.90
+    Bar("development", "family", "adaptive", False, 6, 0.88, 0.19, 0.03),  # 0.916, 0.159, 0, 0.93
+    Bar("development", "family", "grid", False, 8, 0.75, 0.54, 0.04),  # 0.800, 0.487, 0.004, 0.91
+    Bar("development", "gpu", "adaptive", True, 4, 0.82, 0.13, 0.0),  # 0.938, 0.095, 0, 0.94
 ]
 
 

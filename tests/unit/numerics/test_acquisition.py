@@ -103,7 +103,7 @@ def test_a_rule_without_sense_is_refused():
 
 
 def test_other_limits_on_a_fitted_model_are_little_work():
-    """About 0.08 when this was written; a millisecond is a quarter."""
+    """About 0.05 when this was written; a millisecond is a quarter."""
     posterior, _, _ = campaign(asked())
     assert selected(posterior, asked(max_latency_s=1.0)).best is not None
     alphas = itertools.cycle(np.linspace(0, 1, 20))
