@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from fogspec.audit import attest
 from fogspec.audit.verify import Check
 from fogspec.base.errors import InvalidInput, UsageError
-from fogspec.base.regular import read_file
+from fogspec.base.files import read_file
 from fogspec.compile.bundle import ManifestBundle
 
 PAYLOAD = "application/vnd.in-toto+json"

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeGuard, get_args
 
 from fogspec.backends.protocol import DeploymentStatus
 from fogspec.backends.skypilot.errors import plain
-from fogspec.base.regular import open_untrusted
+from fogspec.base.files import open_untrusted
 from fogspec.results.schema import Reason
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from fogspec.base.errors import InvalidInput, Refused
-from fogspec.base.file_kinds import not_a_file
+from fogspec.base.files import not_a_file
 
 
 def start_ticks(pid: int) -> int | None:

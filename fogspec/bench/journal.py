@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.base.errors import OutOfDate
-from fogspec.base.regular import check_file
+from fogspec.base.files import check_file
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from fogspec.base import digest
 from fogspec.base.errors import OutOfDate, UsageError
+from fogspec.base.files import read_file
 from fogspec.base.layout import Layout
-from fogspec.base.regular import read_file
 from fogspec.plan.schema import Plan, Sample
 from fogspec.results.io import read_results
 from fogspec.results.schema import Results, completed

@@ -9,7 +9,7 @@ from typing import Any, Protocol, Self
 
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base import units
-from fogspec.base.regular import open_untrusted
+from fogspec.base.files import open_untrusted
 from fogspec.base.units import rounded
 from fogspec.bench.types import Event
 from fogspec.plan.schema import Sample

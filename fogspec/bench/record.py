@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base import digest
-from fogspec.base.regular import open_untrusted
+from fogspec.base.files import open_untrusted
 from fogspec.base.units import format_duration
 from fogspec.plan.schema import Sample
 from fogspec.results.hangs import detect_hang

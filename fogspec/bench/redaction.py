@@ -5,8 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from fogspec.agent.secrecy import Secrets
-from fogspec.base.files import write_bytes
-from fogspec.base.regular import open_untrusted
+from fogspec.base.files import open_untrusted, write_bytes
 from fogspec.bench.progress import ProgressReporter
 from fogspec.bench.types import Event, EventKind
 

@@ -41,8 +41,8 @@ def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, ou
 
 
 def _lines(loaded: "LoadedSpec", origins: bool) -> Iterator[str]:
-    from fogspec.base.yaml.flow import block
     from fogspec.base.yaml.positions import find
+    from fogspec.base.yaml.writer import block
     from fogspec.spec.render import render_document
 
     lines = list(block(render_document(loaded.application)))

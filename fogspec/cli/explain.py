@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 def _completions(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[str]:
     """Fields and codes that begin like this, for the shell."""
-    from fogspec.spec.codebook import CODES
+    from fogspec.spec.codes import codes
     from fogspec.spec.field_docs import pages
     from fogspec.spec.schema import Application
 
-    return [one for one in (*(page.path for page in pages(Application)), *CODES) if one.startswith(begun)]
+    return [one for one in (*(page.path for page in pages(Application)), *codes()) if one.startswith(begun)]
 
 
 @click.command()
@@ -65,16 +65,16 @@ def _choices(what: str, catalog_path: str | None, priors: Path | None, output: s
 
 
 def _code(name: str, output: str) -> None:
-    from fogspec.spec.codebook import CODES
+    from fogspec.spec.codes import codes
     from fogspec.spec.reference import code_text
     from fogspec.spec.suggest import closest
 
-    if name not in CODES:
-        near = closest(name, CODES)
+    if name not in codes():
+        near = closest(name, codes())
         raise UsageError(
-            f"there is no code {name}", *([f"did you mean {near}?"] if near else []), f"codes: {', '.join(CODES)}"
+            f"there is no code {name}", *([f"did you mean {near}?"] if near else []), f"codes: {', '.join(codes())}"
         )
-    click.echo(json.dumps({"code": name, **CODES[name]._asdict()}, indent=2) if output == "json" else code_text(name))
+    click.echo(json.dumps({"code": name, **codes()[name]._asdict()}, indent=2) if output == "json" else code_text(name))
 
 
 def _field(name: str, spec: str | None, output: str) -> bool:

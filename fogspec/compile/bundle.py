@@ -6,8 +6,8 @@ from pathlib import Path
 
 from fogspec.base import digest
 from fogspec.base.errors import InvalidInput
+from fogspec.base.files import read_file
 from fogspec.base.layout import Layout
-from fogspec.base.regular import read_file
 from fogspec.compile.manifest import Manifest
 from fogspec.plan.schema import TaskRef
 from fogspec.spec.loader import LoadedSpec, load, read_document

@@ -13,10 +13,11 @@ import fogspec.agent
 from fogspec.base import digest, units
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import Refused
-from fogspec.base.files import write_bytes, yaml_text
+from fogspec.base.files import write_bytes
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
 from fogspec.base.units import dollars
+from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.table import Catalog
 from fogspec.compile.tasks import left_out, measured_processes, ros_environment, sample_task

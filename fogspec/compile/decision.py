@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.base import digest
-from fogspec.base.files import yaml_text
 from fogspec.base.layout import Layout
+from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered
 from fogspec.catalog.table import Catalog
 from fogspec.charts.drawing import charts

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.base import digest
-from fogspec.base.files import yaml_text
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
+from fogspec.base.yaml.writer import yaml_text
 from fogspec.choice.choose import Choice
 from fogspec.choice.shortlist import fallback_rows
 from fogspec.compile.launch_files import launch_files, link_of_machine, robot_launch

@@ -9,7 +9,7 @@ from fogspec.audit.status import interval_words
 from fogspec.audit.verify import remedy, verify
 from fogspec.base import digest, units
 from fogspec.base.errors import OutOfDate
-from fogspec.base.regular import read_file
+from fogspec.base.files import read_file
 from fogspec.base.units import rounded
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Machine

@@ -11,7 +11,7 @@ import numpy as np
 from fogspec.base.csv_table import CsvTable, parse_csv
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
-from fogspec.base.regular import decompress, read_file
+from fogspec.base.files import decompress, read_file
 from fogspec.numerics.features import Floats, Machines, codes
 
 MACHINE_COLUMNS = ("Cloud", "InstanceType", "vCPUs", "MemoryGiB", "Price")

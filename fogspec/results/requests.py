@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, TypeGuard
 
-from fogspec.base.regular import open_untrusted
+from fogspec.base.files import open_untrusted
 from fogspec.base.units import format_duration
 from fogspec.results.join import Request, Value, join
 from fogspec.spec.probe import name_of

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 
 from fogspec.base.errors import InvalidInput
-from fogspec.base.regular import read_file
+from fogspec.base.files import read_file
 from fogspec.spec.loader import check_file
 
 

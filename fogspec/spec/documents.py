@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from fogspec.base.diagnostics import Diagnostic, Span
-from fogspec.base.regular import read_file
+from fogspec.base.files import read_file
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import Node
 

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from fogspec.base.quantities import Cost, CountRange, Duration, MemoryRange, Money, Percent, Price, Rate
-from fogspec.base.yaml.flow import flow
+from fogspec.base.yaml.writer import flow
 from fogspec.spec.introspect import part
 
 QUANTITIES = (

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from fogspec.base import digest
 from fogspec.base.errors import InvalidInput
-from fogspec.base.files import yaml_text
 from fogspec.base.layout import Layout
+from fogspec.base.yaml.writer import yaml_text
 from fogspec.spec.loader import read_document
 from fogspec.spec.lockfile import Lock, Pins, files_needed, paths_deployed, paths_named
 from fogspec.spec.schema import Application

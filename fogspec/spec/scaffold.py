@@ -3,7 +3,7 @@
 import re
 from typing import Any
 
-from fogspec.base.yaml.flow import block, flow
+from fogspec.base.yaml.writer import block, flow
 from fogspec.spec.field_docs import FieldPage, pages
 from fogspec.spec.launch_import.found import LaunchImport
 from fogspec.spec.rules.benchmark import PLACEHOLDER_TOPICS

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from fogspec.base.units import Range
 from fogspec.base.yaml import reader
-from fogspec.base.yaml.flow import block, flow
 from fogspec.base.yaml.positions import plain
+from fogspec.base.yaml.writer import block, flow
 from fogspec.spec.loader import check_text
 from fogspec.spec.render import render_document
 from fogspec.spec.schema import (

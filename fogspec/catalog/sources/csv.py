@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fogspec.base.clouds import CLOUDS
 from fogspec.base.errors import InvalidInput
-from fogspec.base.regular import decompress, read_file
+from fogspec.base.files import decompress, read_file
 from fogspec.catalog.sources.cache import cached
 from fogspec.catalog.sources.parse import read
 from fogspec.catalog.table import About, Catalog

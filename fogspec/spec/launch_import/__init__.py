@@ -3,7 +3,7 @@
 import os
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
-from fogspec.base.regular import read_file
+from fogspec.base.files import read_file
 from fogspec.base.yaml import reader
 from fogspec.spec.launch_import.found import LaunchImport
 

@@ -15,8 +15,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
+from fogspec.base.files import read_file
 from fogspec.base.layout import Layout
-from fogspec.base.regular import read_file
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import Node, Path, dotted, find, span_of
 from fogspec.spec.documents import SourceMap

@@ -11,8 +11,8 @@ import pytest
 
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate
-from fogspec.base.files import yaml_text
 from fogspec.base.layout import Layout
+from fogspec.base.yaml.writer import yaml_text
 from fogspec.bench.journal import Journal
 from fogspec.catalog.machine import Machine
 from fogspec.deploy.schema import DeployedMachine

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.files import yaml_text
+from fogspec.base.yaml.writer import yaml_text
 from fogspec.cli import main
 from fogspec.results.schema import Results, with_checksum
 from fogspec.spec import fingerprints
