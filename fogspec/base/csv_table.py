@@ -83,7 +83,7 @@ class CsvTable:
     def check(self) -> None:
         """Raise DiagnosticError for the problems so far, the first `SHOWN` of them."""
         if self.problems:
-            raise DiagnosticError(sorted(self.problems, key=lambda one: (one.place.line, one.place.column))[:SHOWN])
+            raise DiagnosticError(sorted(self.problems, key=lambda one: (one.span.line, one.span.column))[:SHOWN])
 
 
 def parse_csv(content: bytes, path: str, required: Sequence[str], *, code: str, what: str) -> CsvTable:

@@ -1,13 +1,13 @@
-"""Mistakes are data: a `Diagnostic` says what must hold, where, and how to mend it."""
+"""Diagnostics: what must hold, where it does not, and how to repair it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Where in a file: 1-based line and column, and the width of what is underlined, in characters."""
+    """A place in a file: line and column from 1, and the number of characters to underline."""
 
     path: str
     line: int
@@ -17,18 +17,22 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """One mistake or warning about a file; `fix` says how to mend it, in words or as the text to write."""
+    """One error or warning about a file; `fix` is how to repair it, in words or as the text to write.
+
+    `source_line` is the line at `span`, once a `SourceMap` has added it.
+    """
 
     code: str
     message: str
-    place: Span
+    span: Span
     fix: str | None = None
+    _: KW_ONLY
     severity: Literal["error", "warning"] = "error"
     source_line: str | None = None
 
 
 class DiagnosticError(Exception):
-    """A file is wrong: carries every diagnostic found, errors first in their files' order. Exit code 1."""
+    """A file is wrong: carries every diagnostic found, in the order of files and lines. Exit code 1."""
 
     def __init__(self, diagnostics: Sequence[Diagnostic]) -> None:
         super().__init__("; ".join(f"{d.code}: {d.message}" for d in diagnostics))

@@ -1,21 +1,38 @@
-"""Secrets: that they are there, and out of what is printed: named environment variables, and values whose key says so."""
+"""Secrets: recognize them by key or by form, require them in the environment, keep them out of what is printed."""
 
 import os
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from fogspec.agent.secrecy import Secrets
 from fogspec.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from fogspec.agent.secrecy import Secrets
 
 HIDDEN = "(redacted)"
 SECRET_KEY = re.compile(
     r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_?KEY|PRIVATE_?KEY|(^|_)PSK$|(^|_)AUTH$", re.IGNORECASE
 )
 
+# Prefixes that issuers put at the start of their keys, so that leaks can be found.
+PRIVATE_KEY = re.compile(
+    r"-----BEGIN [A-Z0-9 ]*PRIVATE KEY|AGE-SECRET-KEY-1|\b(?:AKIA|ASIA)[0-9A-Z]{16}\b|\bgh[pousr]_[A-Za-z0-9]{36}"
+    r"|\bgithub_pat_[A-Za-z0-9_]{22}|\bglpat-[A-Za-z0-9_-]{20}|\bxox[abprs]-[A-Za-z0-9-]{10}|\bAIza[0-9A-Za-z_-]{35}"
+    r"|\bhf_[A-Za-z]{30}"
+)
+NAMED_PRIVATE = re.compile(r"private_?key|preshared_?key", re.IGNORECASE)
+WIREGUARD_KEY = re.compile(r"[A-Za-z0-9+/]{42}[AEIMQUYcgkosw048]=")
+
+
+def looks_private(text: str, key: str) -> bool:
+    """Return whether the value of `key` looks like a private key or a credential."""
+    named = NAMED_PRIVATE.search(key) is not None and WIREGUARD_KEY.fullmatch(text.strip()) is not None
+    return PRIVATE_KEY.search(text) is not None or named
+
 
 def check_set(names: Iterable[str]) -> None:
-    """Raises UsageError for secrets that the environment does not have: before anything is started, not after."""
+    """Raise UsageError for secrets missing from the environment, before anything is started."""
     if missing := sorted(name for name in names if name not in os.environ):
         raise UsageError(
             f"spec.secrets: the environment does not have {', '.join(missing)}, so nothing was started",
@@ -24,15 +41,17 @@ def check_set(names: Iterable[str]) -> None:
 
 
 def redacted(value: Any, names: Iterable[str] = (), key: str = "") -> Any:
-    """The value, a tree of mappings, lists and scalars, without secrets.
+    """Return the value, a tree of mappings, lists and scalars, without secrets.
 
-    `names` are environment variables whose values are secrets; what stands under a key that sounds like a secret is
-    hidden whatever it is, unless nothing stands there.
+    `names` are environment variables whose values are secrets. A non-empty string under a key that names a secret is
+    always hidden.
     """
+    from fogspec.agent.secrecy import Secrets
+
     return _redacted(value, Secrets.of(names), key)
 
 
-def _redacted(value: Any, known: Secrets, key: str) -> Any:
+def _redacted(value: Any, known: "Secrets", key: str) -> Any:
     if isinstance(value, Mapping):
         return {name: _redacted(one, known, str(name)) for name, one in value.items()}
     if isinstance(value, (list, tuple)):

@@ -47,11 +47,11 @@ def _lines(loaded: "LoadedSpec", origins: bool) -> Iterator[str]:
 
     lines = list(block(render_document(loaded.application)))
     width = min(60, max(len(line) for line, _ in lines))
-    places = loaded.places
+    spans = loaded.spans
     for line, path in lines:
         if not origins or line.endswith(":"):
             yield line
             continue
         node = find(loaded.node, path)
-        origin = f"{places[path].path}:{places[path].line}" if node is not None else "default"
+        origin = f"{spans[path].path}:{spans[path].line}" if node is not None else "default"
         yield f"{line:<{width}}  # {origin}"

@@ -87,14 +87,14 @@ def _field(name: str, spec: str | None, output: str) -> bool:
 
     known = pages(Application)
     found = matching(known, name)
-    places = locate(spec_of(spec) or spec, [page.path for page in found]) if spec and found else {}
+    spans = locate(spec_of(spec) or spec, [page.path for page in found]) if spec and found else {}
     if found and output == "json":
         click.echo(
-            json.dumps([field_data(page, places.get(page.path, [])) for page in found], indent=2, ensure_ascii=False)
+            json.dumps([field_data(page, spans.get(page.path, [])) for page in found], indent=2, ensure_ascii=False)
         )
     elif found:
         click.echo(
-            "\n\n".join([*(field_text(page, places.get(page.path, [])) for page in found), *_below(known, found)])
+            "\n\n".join([*(field_text(page, spans.get(page.path, [])) for page in found), *_below(known, found)])
         )
     return bool(found)
 

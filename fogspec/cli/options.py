@@ -25,8 +25,13 @@ def _color(_context: click.Context, _parameter: click.Parameter, when: str) -> b
     return {"always": True, "never": False}.get(when)
 
 
-COLOR = click.option("--color", type=click.Choice(["auto", "always", "never"]), default="auto", callback=_color,
-                     help="auto: on a terminal, unless NO_COLOR is set")  # fmt: skip
+COLOR = click.option(
+    "--color",
+    type=click.Choice(["auto", "always", "never"]),
+    default="auto",
+    callback=_color,
+    help="auto: on a terminal, unless NO_COLOR is set",
+)
 
 
 def _manifest(_context: click.Context, _parameter: click.Parameter, given: str) -> str:
@@ -38,18 +43,26 @@ def _manifest(_context: click.Context, _parameter: click.Parameter, given: str) 
 MANIFEST = click.argument("manifest", type=click.Path(path_type=str), callback=_manifest)
 OUTPUT = click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="form of the answer")
 CATALOG = click.option(
-    "--catalog", "catalog_path", type=click.Path(path_type=str), metavar="FROM",
+    "--catalog",
+    "catalog_path",
+    type=click.Path(path_type=str),
+    metavar="FROM",
     help="machines and prices: snapshot (bundled), skypilot (SkyPilot's own, as it fetched them), a folder in "
     "SkyPilot's layout, or a CSV file in its columns; otherwise what fogspec.lock says, or the snapshot",
-)  # fmt: skip
+)
 POLICIES = click.option(
-    "--policy", "policies", multiple=True, metavar="FILE",
+    "--policy",
+    "policies",
+    multiple=True,
+    metavar="FILE",
     help="a JSON Schema that must be met too, besides policies/*.schema.json next to specs/",
-)  # fmt: skip
+)
 PRIORS = click.option(
-    "--priors", type=click.Path(path_type=Path), metavar="DIR|FILE",
+    "--priors",
+    type=click.Path(path_type=Path),
+    metavar="DIR|FILE",
     help="a machine library (fogspec priors build): with one, fewer samples suffice; otherwise what fogspec.lock says",
-)  # fmt: skip
+)
 
 
 def applications_of(what: str, name: str | None = None) -> list["LoadedSpec"]:

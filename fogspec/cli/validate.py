@@ -15,7 +15,7 @@ from fogspec.cli.options import COLOR, POLICIES
 @COLOR
 def command(
     files: tuple[str, ...], overlays: tuple[str, ...], output: str, policies: tuple[str, ...], color: bool | None
-) -> None:  # fmt: skip
+) -> None:
     """Check FILES, or the specs in folders, or those that patterns match; without any, those in specs/."""
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import find_specs

@@ -29,7 +29,7 @@ def layout_of(spec_or_name: str) -> Layout:
         except DiagnosticError as wrong:
             what = wrong.diagnostics[0]
             raise InvalidInput(
-                f"{what.place.path}:{what.place.line}:{what.place.column}: {what.message}",
+                f"{what.span.path}:{what.span.line}:{what.span.column}: {what.message}",
                 f"what runs is ended by its application's name too: fogspec down {Path(spec_or_name).stem}",
             ) from None
         if len(found) > 1:

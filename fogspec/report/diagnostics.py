@@ -46,19 +46,19 @@ def show_diagnostics(diagnostics: Sequence[Diagnostic], output: str = "text", co
 
 def as_text(one: Diagnostic, color: bool = False) -> str:
     """The diagnostic with its line and a caret under what is meant; the message alone says it all."""
-    place, hue = one.place, "red" if one.severity == "error" else "yellow"
+    span, hue = one.span, "red" if one.severity == "error" else "yellow"
 
     def paint(text: str, **style: Any) -> str:
         return click.style(text, **style) if color else text
 
     head = paint(f"{one.severity}[{one.code}]", fg=hue, bold=True) + paint(f": {_clean(one.message)}", bold=True)
-    where = f"{_clean(place.path)}:{place.line}:{place.column}"
+    where = f"{_clean(span.path)}:{span.line}:{span.column}"
     if one.source_line is None:
         tail = [f" = {_clean(one.fix)}"] if one.fix else []
         return "\n".join([head, f" --> {where}", *tail])
-    number = str(place.line)
+    number = str(span.line)
     gutter = " " * len(number)
-    line, before, width = _window(one.source_line, place.column - 1, place.width)
+    line, before, width = _window(one.source_line, span.column - 1, span.width)
     carets = paint("^" * width + (f" {_clean(one.fix)}" if one.fix else ""), fg=hue)
     return "\n".join(
         [
@@ -74,16 +74,16 @@ def as_text(one: Diagnostic, color: bool = False) -> str:
 def as_data(one: Diagnostic) -> dict[str, Any]:
     """The diagnostic as JSON has it; lines and columns count from 1."""
     return {
-        "severity": one.severity, "code": one.code, "message": one.message, "fix": one.fix, "path": one.place.path,
-        "line": one.place.line, "column": one.place.column, "width": one.place.width,
+        "severity": one.severity, "code": one.code, "message": one.message, "fix": one.fix, "path": one.span.path,
+        "line": one.span.line, "column": one.span.column, "width": one.span.width,
     }  # fmt: skip
 
 
 def annotation(one: Diagnostic) -> str:
     """A GitHub workflow command, which marks the line in a pull request."""
-    place = one.place
-    end = place.column + place.width - 1
-    where = f"file={_property(place.path)},line={place.line},endLine={place.line},col={place.column},endColumn={end}"
+    span = one.span
+    end = span.column + span.width - 1
+    where = f"file={_property(span.path)},line={span.line},endLine={span.line},col={span.column},endColumn={end}"
     said = f"{one.message}; {one.fix}" if one.fix else one.message
     return f"::{one.severity} {where},title={_property(one.code)}::{_data(said)}"
 
@@ -91,7 +91,7 @@ def annotation(one: Diagnostic) -> str:
 def summary(diagnostics: Sequence[Diagnostic]) -> str:
     """`2 errors, 1 warning in 1 file; `fogspec explain FS201` says more`."""
     count = Counter(one.severity for one in diagnostics)
-    files = len({one.place.path for one in diagnostics})
+    files = len({one.span.path for one in diagnostics})
     said = [f"{number} {word}{'' if number == 1 else 's'}" for word, number in sorted(count.items())]
     return f"{', '.join(said)} in {files} file{'' if files == 1 else 's'}; `fogspec explain {diagnostics[0].code}` says more"
 

@@ -23,18 +23,18 @@ class SourceMap:
     def shown(self, diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
         """The diagnostics with their source lines, each file's in the order of its lines, errors first at a place."""
         found = [
-            one if one.code in NOT_SHOWN else dataclasses.replace(one, source_line=self.line(one.place))
+            one if one.code in NOT_SHOWN else dataclasses.replace(one, source_line=self.line(one.span))
             for one in diagnostics
         ]
         files = list(self.lines)
         return sorted(
-            found, key=lambda one: (_rank(files, one.place.path), one.place.line, one.place.column, one.severity)
+            found, key=lambda one: (_rank(files, one.span.path), one.span.line, one.span.column, one.severity)
         )
 
-    def line(self, place: Span) -> str | None:
+    def line(self, span: Span) -> str | None:
         """The line that a place is on, where its file was read."""
-        lines = self.lines.get(place.path, [])
-        return lines[place.line - 1] if 0 < place.line <= len(lines) else None
+        lines = self.lines.get(span.path, [])
+        return lines[span.line - 1] if 0 < span.line <= len(lines) else None
 
     def last_line(self, path: str) -> int:
         """The last line of a file that says anything, from 1."""
@@ -46,13 +46,13 @@ class SourceMap:
         return [self._at_the_cut(one) for one in diagnostics]
 
     def _at_the_cut(self, one: Diagnostic) -> Diagnostic:
-        lines = self.lines.get(one.place.path, [])
+        lines = self.lines.get(one.span.path, [])
         if one.code not in MISSING or not lines or not lines[-1]:
             return one
-        last = self.last_line(one.place.path)
-        place = Span(one.place.path, last, 1, len(lines[last - 1]))
+        last = self.last_line(one.span.path)
+        span = Span(one.span.path, last, 1, len(lines[last - 1]))
         return dataclasses.replace(
-            one, place=place, fix=f"{one.fix}; the file ends here without a line feed: was it cut?"
+            one, span=span, fix=f"{one.fix}; the file ends here without a line feed: was it cut?"
         )
 
 

@@ -19,39 +19,39 @@ KINDS = {"string_type": "a text", "int_type": "a whole number", "int_from_float"
 def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
     """The diagnostic for one of pydantic's errors at `path`, in the document under `node`."""
     kind, context = error["type"], error.get("ctx", {})
-    name, place = dotted(path) or "the document", span_of(node, path)
+    name, span = dotted(path) or "the document", span_of(node, path)
     found = find(node, path)
     if kind == "missing":
-        return Diagnostic("FS302", f"{name} is missing", place, f"add '{path[-1]}: …'")
+        return Diagnostic("FS302", f"{name} is missing", span, f"add '{path[-1]}: …'")
     if kind == "value_error" and isinstance(context.get("error"), UnitError):
         wrong = context["error"]
-        return Diagnostic(wrong.code, f"{name} {wrong.message}", place, f"write '{wrong.fix}'" if wrong.fix else None)
+        return Diagnostic(wrong.code, f"{name} {wrong.message}", span, f"write '{wrong.fix}'" if wrong.fix else None)
     if kind == "literal_error":
-        return _choice(model, path, name, place, found)
+        return _choice(model, path, name, span, found)
     if kind in LIMITS:
-        return Diagnostic("FS206", f"{name} must be {_limit(model, path, kind, context)}", place)
+        return Diagnostic("FS206", f"{name} must be {_limit(model, path, kind, context)}", span)
     if kind == "string_pattern_mismatch":
         return Diagnostic(
-            "FS305", f"{name} must {_pattern(context['pattern'])}", place, _legal_name(context["pattern"], found)
+            "FS305", f"{name} must {_pattern(context['pattern'])}", span, _legal_name(context["pattern"], found)
         )
     if kind in ("too_short", "too_long"):
         return Diagnostic(
-            "FS306", f"{name} must have at least {context.get('min_length')} entry", place, "add one, or remove the key"
+            "FS306", f"{name} must have at least {context.get('min_length')} entry", span, "add one, or remove the key"
         )
     if kind in KINDS:
-        return Diagnostic("FS303", f"{name} must be {KINDS[kind]}, not {_what(found)}", place, _retyped(kind, found))
-    return Diagnostic("FS303", f"{name}: {error['msg'].lower()}", place)
+        return Diagnostic("FS303", f"{name} must be {KINDS[kind]}, not {_what(found)}", span, _retyped(kind, found))
+    return Diagnostic("FS303", f"{name}: {error['msg'].lower()}", span)
 
 
-def _choice(model: Any, path: Path, name: str, place: Any, found: Node | None) -> Diagnostic:
+def _choice(model: Any, path: Path, name: str, span: Any, found: Node | None) -> Diagnostic:
     kind = part(annotation_at(model, path))[0]
     known = [str(one) for one in get_args(kind)] if get_origin(kind) is Literal else []
     near = closest(str(found.value), known) if found else None
     fix = f"write '{near}'" if near else None
     if len(known) == 1:
         code = "FS307" if path[-1] in ("apiVersion", "kind") else "FS304"
-        return Diagnostic(code, f"{name} must be {known[0]}", place, f"write '{known[0]}'")
-    return Diagnostic("FS304", f"{name} must be one of {', '.join(known)}", place, fix)
+        return Diagnostic(code, f"{name} must be {known[0]}", span, f"write '{known[0]}'")
+    return Diagnostic("FS304", f"{name} must be one of {', '.join(known)}", span, fix)
 
 
 def _limit(model: Any, path: Path, kind: str, context: Any) -> str:

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
-from fogspec.base.yaml.positions import Node, key_span, places, plain, span_of
+from fogspec.base.yaml.positions import Node, key_span, plain, span_of, spans
 from fogspec.base.yaml.positions import Path as Steps
 from fogspec.spec import rules
 from fogspec.spec.documents import SourceMap, documents_in, documents_of
@@ -39,16 +39,16 @@ class LoadedSpec:
     warnings: tuple[Diagnostic, ...]
 
     @property
-    def places(self) -> dict[Steps, Span]:
+    def spans(self) -> dict[Steps, Span]:
         """What to underline for every path in the document."""
-        return places(self.node)
+        return spans(self.node)
 
     def diagnostic(
         self, code: str, path: Steps, message: str, fix: str | None = None, *, at_key: bool = False
     ) -> Diagnostic:
         """A mistake at a path of this document, found later than when it was read."""
-        place = (key_span(self.node, path) if at_key else None) or span_of(self.node, path)
-        return self.texts.shown([Diagnostic(code, message, place, fix)])[0]
+        span = (key_span(self.node, path) if at_key else None) or span_of(self.node, path)
+        return self.texts.shown([Diagnostic(code, message, span, fix)])[0]
 
 
 def load(paths: Sequence[str | os.PathLike[str]], overlays: Sequence[str | os.PathLike[str]] = ()) -> list[LoadedSpec]:
@@ -85,21 +85,21 @@ def _checked(
     wrong: list[Diagnostic],
 ) -> tuple[list[LoadedSpec], list[Diagnostic]]:
     found: list[tuple[str, int, Node, Validation[Application]]] = []
-    refused = {one.place for one in wrong}
+    refused = {one.span for one in wrong}
     for path, nodes, clean in files:
         if not nodes and clean:
             wrong.append(Diagnostic("FS114", "the file must have a document", Span(path, texts.last_line(path), 1)))
         for index, node in enumerate(nodes):
             merged = merge(node, layers)
             checked = validate(Application, merged)
-            said = [one for one in (*checked.wrong, *rules.run_rules(checked)) if one.place not in refused]
+            said = [one for one in (*checked.wrong, *rules.run_rules(checked)) if one.span not in refused]
             wrong.extend(texts.at_the_cut(said) if index == len(nodes) - 1 else said)
             found.append((path, index, merged, checked))
     wrong.extend(rules.run_rules_together([(node, checked) for _, _, node, checked in found]))
     shown = texts.shown(wrong)
     warnings = [one for one in shown if one.severity == "warning"]
     loaded = [
-        LoadedSpec(checked.value, path, index, node, texts, tuple(one for one in warnings if one.place.path == path))
+        LoadedSpec(checked.value, path, index, node, texts, tuple(one for one in warnings if one.span.path == path))
         for path, index, node, checked in found
         if checked.value is not None
     ]
@@ -147,6 +147,6 @@ def read_plain(path: str | os.PathLike[str], content: bytes | None = None) -> An
 
 def _recompiled(one: Diagnostic, texts: SourceMap) -> Diagnostic:
     """The diagnostic of a generated file: it is mended by making the file again, not by hand."""
-    first = next(iter(texts.lines.get(one.place.path, [])), "")
+    first = next(iter(texts.lines.get(one.span.path, [])), "")
     command = first.partition("Make it again: ")[2].strip()
     return dataclasses.replace(one, fix=f"make it again: {command}") if command else one

@@ -14,17 +14,17 @@ def locate(spec: str | os.PathLike[str], fields: Sequence[str]) -> dict[str, lis
 
     The file need not be right; raises DiagnosticError when it cannot be read as YAML.
     """
-    from fogspec.base.yaml.positions import places
+    from fogspec.base.yaml.positions import spans
 
     found: dict[str, list[tuple[Span, str]]] = {}
     nodes, texts = read_nodes(spec)
     patterns = {field: _pattern(field) for field in fields}
     for node in nodes:
-        for path, place in places(node).items():
+        for path, span in spans(node).items():
             name = dotted(path)
             for field, pattern in patterns.items():
                 if path and pattern.fullmatch(name):
-                    found.setdefault(field, []).append((place, texts.line(place) or ""))
+                    found.setdefault(field, []).append((span, texts.line(span) or ""))
     return found
 
 

@@ -106,12 +106,12 @@ def is_pinned(image: str) -> bool:
 
 def pinned(application: Application, pins: Pins | None) -> Application:
     """The application with its image named by digest, where the lock has one for it."""
-    image = image_named(application)
-    if image is None or is_pinned(image) or pins is None or pins.image is None or pins.image.image != image:
-        return application
     ros = application.spec.ros
-    assert ros is not None
-    exact = ros.model_copy(update={"image": f"{image_of(image).name}@{pins.image.digest}"})
+    if ros is None or ros.image is None or is_pinned(ros.image):
+        return application
+    if pins is None or pins.image is None or pins.image.image != ros.image:
+        return application
+    exact = ros.model_copy(update={"image": f"{image_of(ros.image).name}@{pins.image.digest}"})
     return application.model_copy(update={"spec": application.spec.model_copy(update={"ros": exact})})
 
 

@@ -25,26 +25,34 @@ def code_text(name: str) -> str:
     return "\n\n".join(parts)
 
 
-def field_text(page: FieldPage, places: Sequence[tuple[Span, str]] = ()) -> str:
+def field_text(page: FieldPage, spans: Sequence[tuple[Span, str]] = ()) -> str:
     """The page of a field, for the terminal, with the places that set it."""
     rows = [
-        ("meaning", page.meaning), ("type", page.type), ("range", page.limits), ("unit", page.unit), ("default", page.default),
+        ("meaning", page.meaning),
+        ("type", page.type),
+        ("range", page.limits),
+        ("unit", page.unit),
+        ("default", page.default),
         ("example", f"{_key(page)}: {flow(page.example)}" if page.example is not None else ""),
-    ]  # fmt: skip
-    rows += [("set at", f"{place.path}:{place.line}:{place.column}  {line.strip()}") for place, line in places]
+    ]
+    rows += [("set at", f"{span.path}:{span.line}:{span.column}  {line.strip()}") for span, line in spans]
     return "\n".join([page.path, *(f"  {name:<8} {text}" for name, text in rows if text)])
 
 
-def field_data(page: FieldPage, places: Sequence[tuple[Span, str]] = ()) -> dict[str, Any]:
+def field_data(page: FieldPage, spans: Sequence[tuple[Span, str]] = ()) -> dict[str, Any]:
     """The page of a field as JSON has it."""
-    set_at = [{"path": place.path, "line": place.line, "column": place.column} for place, _ in places]
+    set_at = [{"path": span.path, "line": span.line, "column": span.column} for span, _ in spans]
     return {**dataclasses.asdict(page), "set_at": set_at}
 
 
 def fields_page() -> str:
     """docs/reference/fields.md."""
-    parts = [NOTE, "# Fields of the language\n", "`kind: Application`, apiVersion fogspec.dev/v1alpha1. "
-             "`fogspec explain FIELD` prints the same. Keys that start with `x-` are yours and are ignored.\n"]  # fmt: skip
+    parts = [
+        NOTE,
+        "# Fields of the language\n",
+        "`kind: Application`, apiVersion fogspec.dev/v1alpha1. "
+        "`fogspec explain FIELD` prints the same. Keys that start with `x-` are yours and are ignored.\n",
+    ]
     for page in pages(Application):
         example = f"`{_key(page)}: {flow(page.example)}`" if page.example is not None else ""
         facts = [

@@ -118,9 +118,10 @@ class Probe(Strict):
     )
     timeout: Duration | None = Field(None, gt=0, description="a request that takes longer has failed", examples=["10s"])
     success: Condition | None = Field(
-        None, description="condition on a field of the response: a request without it has failed",
+        None,
+        description="condition on a field of the response: a request without it has failed",
         examples=["len(poses) > 0", "error_code.val == 1"],
-    )  # fmt: skip
+    )
 
 
 class Metric(Strict):
@@ -301,9 +302,11 @@ class CatalogAge(Strict):
     """What is asked of the catalog."""
 
     max_age: Duration = Field(
-        365 * 86400.0, gt=0, description="a catalog that is older makes every command that reads it say so",
+        365 * 86400.0,
+        gt=0,
+        description="a catalog that is older makes every command that reads it say so",
         examples=["30d"],
-    )  # fmt: skip
+    )
 
 
 class Connectivity(Strict):
@@ -315,9 +318,12 @@ class Connectivity(Strict):
         examples=["zenoh"],
     )
     port: int | None = Field(
-        None, ge=1, le=65535, description="port of the cloud machine; 7448 (TCP) for zenoh, 51820 (UDP) for wireguard",
+        None,
+        ge=1,
+        le=65535,
+        description="port of the cloud machine; 7448 (TCP) for zenoh, 51820 (UDP) for wireguard",
         examples=[7448],
-    )  # fmt: skip
+    )
     topics: list[str] = Field([], description="further topics that pass", examples=[["/tf", "/tf_static"]])
     services: list[str] = Field([], description="further services that pass", examples=[["/planner/get_parameters"]])
     actions: list[str] = Field([], description="further actions that pass", examples=[["/navigate_to_pose"]])
@@ -330,16 +336,21 @@ class Deployment(Strict):
     """How the cloud nodes are kept running once a manifest is approved."""
 
     ready: list[str] | None = Field(
-        None, min_length=1, examples=[["python3", "answers.py"]],
+        None,
+        min_length=1,
+        examples=[["python3", "answers.py"]],
         description="a command on the machine that succeeds once the nodes answer; without it they must stay alive",
-    )  # fmt: skip
+    )
     ready_timeout: Duration = Field(
         1800.0, gt=0, description="longest time from the launch until the nodes answer", examples=["20min"]
     )
     fallbacks: int = Field(
-        0, ge=0, le=5, examples=[2],
+        0,
+        ge=0,
+        le=5,
+        examples=[2],
         description="how many other machines may take its place, best first, when the chosen one cannot be had",
-    )  # fmt: skip
+    )
 
 
 class Spec(Strict):

@@ -21,7 +21,7 @@ M = TypeVar("M", bound=BaseModel)
 class Validation(Generic[M]):
     """The document as far as it is right: `value` is None as soon as anything is wrong, `broken` says where.
 
-    `node` is the document as it was meant, with misspelt keys mended, and `data` its values.
+    `node` is the document as it was meant, with misspelt keys repaired, and `data` its values.
     """
 
     value: M | None
@@ -33,16 +33,16 @@ class Validation(Generic[M]):
 
 def validate(model: type[M], node: Node, strict: bool = True) -> Validation[M]:
     """The typed document, or every field that is wrong."""
-    mended = repair(model, node)
-    wrong, broken = mended.wrong, mended.broken
-    data, value = plain(mended.node), None
+    repaired = repair(model, node)
+    wrong, broken = repaired.wrong, repaired.broken
+    data, value = plain(repaired.node), None
     try:
         value = model.model_validate(data, strict=strict)
     except ValidationError as problems:
         for error in problems.errors(include_url=False):
             path = tuple(step for step in error["loc"] if step != "[key]")
-            echo = error["type"] == "missing" and path in mended.meant
+            echo = error["type"] == "missing" and path in repaired.meant
             if path not in broken and not echo:
-                wrong.append(diagnose(model, mended.node, path, error))
+                wrong.append(diagnose(model, repaired.node, path, error))
             broken.add(path)
-    return Validation(None if wrong else value, mended.node, data, wrong, broken)
+    return Validation(None if wrong else value, repaired.node, data, wrong, broken)

@@ -43,11 +43,11 @@ class Survey:
                 self.bad.append((mutant, "neither applications nor errors"))
             return
         lines = mutant.content.decode().count("\n") + 1
-        if any(not 1 <= one.place.line <= lines or one.place.column < 1 for one in errors):
+        if any(not 1 <= one.span.line <= lines or one.span.column < 1 for one in errors):
             self.bad.append((mutant, "a diagnostic is outside of the file"))
         first = errors[0]
         near = (mutant.line, mutant.line - 1) if kind in ("line repeated", "line dropped") else (mutant.line,)
-        if first.place.line in near:
+        if first.span.line in near:
             self.at_line[kind] += 1
         else:
             self.missed[kind].append((mutant, first))

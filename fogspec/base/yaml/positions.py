@@ -1,7 +1,7 @@
-"""A YAML document as a tree of values that know where they stand."""
+"""A YAML document as a tree of values with their spans in the source."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 from fogspec.base.diagnostics import Span
@@ -12,21 +12,22 @@ Scalar = str | int | float | bool | None
 
 @dataclass(slots=True)
 class Node:
-    """A value and its place; `keys` are the places of a mapping's keys, `text` how a scalar was written.
+    """A value and its span; `keys` are the spans of a mapping's keys, `text` is a scalar as it was written.
 
-    `empty` marks a value that is not there at all (`key:`), `quoted` a text in quotes or in a block.
+    `empty` marks a key without a value (`key:`), `quoted` a string in quotes or in a block, `size` counts the values below.
     """
 
     value: "Scalar | dict[str, Node] | list[Node]"
-    place: Span
+    span: Span
     keys: dict[str, Span] = field(default_factory=dict)
+    _: KW_ONLY
     text: str = ""
     quoted: bool = False
     empty: bool = False
     size: int = 1
 
     def children(self) -> "Iterator[tuple[str | int, Node]]":
-        """The key or index of each value in a mapping or list."""
+        """Yield each value of a mapping or list with its key or index."""
         if isinstance(self.value, dict):
             yield from self.value.items()
         elif isinstance(self.value, list):
@@ -34,7 +35,7 @@ class Node:
 
 
 def plain(node: Node) -> Any:
-    """The values alone: dicts, lists and scalars."""
+    """Return the values without spans: dicts, lists and scalars."""
     if isinstance(node.value, dict):
         return {key: plain(child) for key, child in node.value.items()}
     if isinstance(node.value, list):
@@ -43,7 +44,7 @@ def plain(node: Node) -> Any:
 
 
 def find(node: Node, path: Path) -> Node | None:
-    """The node at a path, or None."""
+    """Return the node at a path, or None."""
     for step in path:
         found: Node | None = None
         if isinstance(node.value, dict) and isinstance(step, str):
@@ -57,33 +58,33 @@ def find(node: Node, path: Path) -> Node | None:
 
 
 def key_span(node: Node, path: Path) -> Span | None:
-    """Where the key that ends the path is written; None for an item of a list or a path that is not there."""
+    """Return the span of the key that ends the path; None for a list item or a path that does not exist."""
     parent = find(node, path[:-1]) if path else None
     return parent.keys.get(str(path[-1])) if parent else None
 
 
 def span_of(node: Node, path: Path) -> Span:
-    """What to underline for a path: the value where it is a scalar, its key where it is a block of lines.
+    """Return what to underline for a path: the value if it is a scalar, its key if it is a block of lines.
 
-    For a path that is not there, the nearest thing around it that is.
+    For a path that does not exist, return the span of its nearest existing parent.
     """
     found = find(node, path)
     if found is None:
         return span_of(node, path[:-1])
     if path and (isinstance(found.value, (dict, list)) or found.empty):
-        return key_span(node, path) or found.place
-    return found.place
+        return key_span(node, path) or found.span
+    return found.span
 
 
-def places(node: Node) -> dict[Path, Span]:
-    """What to underline for every path in the document."""
-    found: dict[Path, Span] = {(): node.place}
+def spans(node: Node) -> dict[Path, Span]:
+    """Return what to underline for every path in the document."""
+    found: dict[Path, Span] = {(): node.span}
 
     def walk(parent: Node, path: Path) -> None:
         for step, child in parent.children():
             whole = isinstance(child.value, (dict, list)) or child.empty
             key = parent.keys.get(step) if isinstance(step, str) else None
-            found[(*path, step)] = key if whole and key else child.place
+            found[(*path, step)] = key if whole and key else child.span
             walk(child, (*path, step))
 
     walk(node, ())
@@ -91,7 +92,7 @@ def places(node: Node) -> dict[Path, Span]:
 
 
 def dotted(path: Path) -> str:
-    """`spec.cloud[0].package`."""
+    """Return a path in dotted form, such as `spec.cloud[0].package`."""
     text = ""
     for step in path:
         text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step

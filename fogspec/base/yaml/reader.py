@@ -32,19 +32,19 @@ def decode(content: bytes, path: str, most_bytes: int = MOST_BYTES) -> tuple[str
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as wrong:
         before = content[: wrong.start].decode("utf-8", "replace")
-        place = Span(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
+        span = Span(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
         fix = "save the file as UTF-8"
         if content[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in content[:64]:
-            return "", [Diagnostic("FS102", "the file must be in UTF-8, this looks like UTF-16", place, fix)]
+            return "", [Diagnostic("FS102", "the file must be in UTF-8, this looks like UTF-16", span, fix)]
         message = f"the file must be in UTF-8, byte 0x{content[wrong.start]:02x} is not"
-        return "", [Diagnostic("FS102", message, place, fix)]
+        return "", [Diagnostic("FS102", message, span, fix)]
     text = text.replace("\r\n", "\n")
     found = HIDDEN.search(text)
     if not found:
         return text, []
     before, character = text[: found.start()], ord(found[0])
-    place = Span(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
-    return text, [Diagnostic("FS103", f"the control character U+{character:04X} is not text", place, "remove it")]
+    span = Span(path, before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1)
+    return text, [Diagnostic("FS103", f"the control character U+{character:04X} is not text", span, "remove it")]
 
 
 def documents(text: str, path: str) -> tuple[list[Node], list[Diagnostic]]:
@@ -96,10 +96,10 @@ class _Composer:
             found.code, found.message, Span(self.path, found.line + 1, found.column + 1, found.width), found.fix
         )
 
-    def _refuse(self, code: str, message: str, place: Span, fix: str | None = None) -> None:
-        self.wrong.append(Diagnostic(code, message, place, fix))
+    def _refuse(self, code: str, message: str, span: Span, fix: str | None = None) -> None:
+        self.wrong.append(Diagnostic(code, message, span, fix))
 
-    def _place(self, event: Any) -> Span:
+    def _span(self, event: Any) -> Span:
         start, end = event.start_mark, event.end_mark
         end_of_line = self.text.find("\n", start.index)
         width = (end.index if end.line == start.line else end_of_line) - start.index
@@ -108,93 +108,93 @@ class _Composer:
     def _node(self, event: Any, depth: int) -> Node:
         from ruamel.yaml.events import AliasEvent, MappingStartEvent, ScalarEvent
 
-        place = self._place(event)
+        span = self._span(event)
         if isinstance(event, AliasEvent):
-            return self._alias(event, place)
+            return self._alias(event, span)
         if depth > DEEPEST:
-            self._refuse("FS112", f"a file may be nested at most {DEEPEST} deep", place)
+            self._refuse("FS112", f"a file may be nested at most {DEEPEST} deep", span)
             raise _Stop
-        self._count(1, place)
+        self._count(1, span)
         if event.ctag is not None:
             tag = str(event.ctag).replace("tag:yaml.org,2002:", "!!")
-            self._refuse("FS109", f"the tag {tag} is not part of the language", place, "remove it")
+            self._refuse("FS109", f"the tag {tag} is not part of the language", span, "remove it")
         if isinstance(event, ScalarEvent):
-            node = self._scalar(event, place)
+            node = self._scalar(event, span)
         elif isinstance(event, MappingStartEvent):
-            node = self._mapping(place, depth)
+            node = self._mapping(span, depth)
         else:
-            node = self._sequence(place, depth)
+            node = self._sequence(span, depth)
         if event.anchor is not None:
             self.anchors[event.anchor] = node
         return node
 
-    def _count(self, nodes: int, place: Span) -> None:
+    def _count(self, nodes: int, span: Span) -> None:
         self.nodes += nodes
         if self.nodes > MOST_NODES:
-            self._refuse("FS107", f"a file may have at most {MOST_NODES} values, aliases counted each time", place)
+            self._refuse("FS107", f"a file may have at most {MOST_NODES} values, aliases counted each time", span)
             raise _Stop
 
-    def _alias(self, event: Any, place: Span) -> Node:
+    def _alias(self, event: Any, span: Span) -> Node:
         node = self.anchors.get(event.anchor)
         if node is None:
-            self._refuse("FS107", f"the anchor &{event.anchor} must be complete before *{event.anchor}", place)
-            return Node(None, place)
-        self._count(node.size, place)
+            self._refuse("FS107", f"the anchor &{event.anchor} must be complete before *{event.anchor}", span)
+            return Node(None, span)
+        self._count(node.size, span)
         return node
 
-    def _scalar(self, event: Any, place: Span) -> Node:
+    def _scalar(self, event: Any, span: Span) -> Node:
         if found := UNUSABLE.search(event.value):
             self._refuse(
-                "FS103", f"the character U+{ord(found[0]):04X} is not text", place, "remove its escape sequence"
+                "FS103", f"the character U+{ord(found[0]):04X} is not text", span, "remove its escape sequence"
             )
-            return Node("", place, quoted=True)
+            return Node("", span, quoted=True)
         if event.style is not None or not event.implicit[0]:
-            return Node(event.value, place, text=event.value, quoted=True)
+            return Node(event.value, span, text=event.value, quoted=True)
         value = resolve(event.value)
         if isinstance(value, Refusal):
-            self._refuse(value.code, value.message, place, value.fix)
+            self._refuse(value.code, value.message, span, value.fix)
             value = event.value
-        return Node(value, place, text=event.value, empty=event.value == "")
+        return Node(value, span, text=event.value, empty=event.value == "")
 
-    def _mapping(self, place: Span, depth: int) -> Node:
+    def _mapping(self, span: Span, depth: int) -> Node:
         from ruamel.yaml.events import MappingEndEvent
 
         values: dict[str, Node] = {}
-        node = Node(values, place)
+        node = Node(values, span)
         while not isinstance(event := next(self.events), MappingEndEvent):
             key = self._node(event, depth + 1)
             value = self._node(next(self.events), depth + 1)
             name = self._key(key, values, node)
             if name is not None:
                 values[name] = value
-                node.keys[name] = key.place
+                node.keys[name] = key.span
             node.size += key.size + value.size
         return node
 
     def _key(self, key: Node, values: dict[str, Node], node: Node) -> str | None:
         if isinstance(key.value, (dict, list)) or key.empty or (not key.quoted and key.value is None):
-            self._refuse("FS113", "a key must be a text", key.place)
+            self._refuse("FS113", "a key must be a text", key.span)
             return None
         if key.text == "<<" and not key.quoted:
             self._refuse(
-                "FS108", "merge keys are not part of YAML 1.2", key.place, "write the keys out, or use an overlay"
+                "FS108", "merge keys are not part of YAML 1.2", key.span, "write the keys out, or use an overlay"
             )
             return None
         if key.text in values:
             self._refuse(
                 "FS106",
                 f"{key.text} is already set on line {node.keys[key.text].line}",
-                key.place,
+                key.span,
                 "remove one of the two",
             )
             return None
         return key.text
 
-    def _sequence(self, place: Span, depth: int) -> Node:
+    def _sequence(self, span: Span, depth: int) -> Node:
         from ruamel.yaml.events import SequenceEndEvent
 
         items: list[Node] = []
-        node = Node(items, place)
+        node = Node(items, span)
         while not isinstance(event := next(self.events), SequenceEndEvent):
             items.append(self._node(event, depth + 1))
             node.size += items[-1].size

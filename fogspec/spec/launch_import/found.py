@@ -43,8 +43,8 @@ class LaunchImport:
         source = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
         if column == 1:
             column = len(source) - len(source.lstrip()) + 1
-        place = Span(self.path, line, column, width or max(1, len(source.rstrip()) - column + 1))
-        self.notes.append(Diagnostic("FS802", message, place, severity="warning", source_line=source))
+        span = Span(self.path, line, column, width or max(1, len(source.rstrip()) - column + 1))
+        self.notes.append(Diagnostic("FS802", message, span, severity="warning", source_line=source))
 
 
 def tidy_node(raw: dict[str, Any]) -> dict[str, Any]:

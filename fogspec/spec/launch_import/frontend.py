@@ -51,9 +51,12 @@ def _node(found: LaunchImport, action: Action, defaults: dict[str, str]) -> None
         return _text(found, of, name, defaults)
 
     raw: dict[str, Any] = {
-        "package": text(action, "pkg"), "executable": text(action, "exec"), "name": text(action, "name"),
-        "namespace": text(action, "namespace"), "arguments": words(text(action, "args") or ""),
-    }  # fmt: skip
+        "package": text(action, "pkg"),
+        "executable": text(action, "exec"),
+        "name": text(action, "name"),
+        "namespace": text(action, "namespace"),
+        "arguments": words(text(action, "args") or ""),
+    }
     if action.attributes.keys() & {"if", "unless"}:
         found.note(action.line, "a condition decides whether this node starts: taken as if it does")
     for one in action.below.get("remap", []):

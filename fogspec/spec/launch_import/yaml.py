@@ -38,7 +38,7 @@ def _action(tag: str, node: Node, line: int) -> Action:
     below: dict[str, list[Action]] = {}
     for key, child in node.value.items() if isinstance(node.value, dict) else ():
         if isinstance(child.value, list):
-            below[key] = [_action(key, item, item.place.line) for item in child.value]
+            below[key] = [_action(key, item, item.span.line) for item in child.value]
         elif not isinstance(child.value, dict):
             attributes[key] = child.value
     return Action(tag, attributes, below, line, _actions(node) if isinstance(node.value, list) else [])

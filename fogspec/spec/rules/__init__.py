@@ -15,12 +15,7 @@ from fogspec.spec.rules import benchmark, link, machines, nodes
 from fogspec.spec.schema import Application
 from fogspec.spec.validate import Validation
 
-RULES = (
-    *nodes.RULES,
-    *benchmark.RULES,
-    *machines.RULES,
-    *link.RULES,
-)  # fmt: skip
+RULES = (*nodes.RULES, *benchmark.RULES, *machines.RULES, *link.RULES)
 
 STAND_INS: dict[Path, Any] = {
     ("apiVersion",): "fogspec.dev/v1alpha1",
@@ -41,8 +36,8 @@ def run_rules(checked: Validation[Application]) -> Iterator[Diagnostic]:
     for rule in RULES:
         for one in rule(application):
             if not any(_touches(path, checked.broken) for path in (one.path, *one.about)):
-                place = (key_span(node, one.path) if one.at_key else None) or span_of(node, one.path)
-                yield Diagnostic(one.code, one.message, place, one.fix, one.severity)
+                span = (key_span(node, one.path) if one.at_key else None) or span_of(node, one.path)
+                yield Diagnostic(one.code, one.message, span, one.fix, severity=one.severity)
 
 
 def run_rules_together(documents: Sequence[tuple[Node, Validation[Application]]]) -> Iterator[Diagnostic]:
@@ -54,9 +49,9 @@ def run_rules_together(documents: Sequence[tuple[Node, Validation[Application]]]
         if name is None or not isinstance(name.value, str) or _touches(path, checked.broken):
             continue
         if name.value in first:
-            there = first[name.value].place
+            there = first[name.value].span
             message = f"metadata.name {name.value} is taken by {there.path}:{there.line}"
-            yield Diagnostic("FS510", message, name.place, "give each application a name of its own")
+            yield Diagnostic("FS510", message, name.span, "give each application a name of its own")
         first.setdefault(name.value, name)
 
 

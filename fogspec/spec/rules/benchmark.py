@@ -21,11 +21,21 @@ def kind_of_probe(application: Application) -> Iterator[Finding]:
     if topics and (probe.request is None or probe.response is None):
         missing, other = ("request", "response") if probe.request is None else ("response", "request")
         other = other if getattr(probe, other) is not None else "bag"
-        yield Finding("FS512", (*at, other), f"spec.probe.{other} needs spec.probe.{missing}", f"add '{missing}: /topic'",
-                      ((*at, missing),))  # fmt: skip
+        yield Finding(
+            "FS512",
+            (*at, other),
+            f"spec.probe.{other} needs spec.probe.{missing}",
+            f"add '{missing}: /topic'",
+            ((*at, missing),),
+        )
     if topics and probe.request is not None and probe.request == probe.response:
-        yield Finding("FS513", (*at, "response"), "spec.probe.response must be another topic than the request",
-                      "name the topic that carries the answer", ((*at, "request"),))  # fmt: skip
+        yield Finding(
+            "FS513",
+            (*at, "response"),
+            "spec.probe.response must be another topic than the request",
+            "name the topic that carries the answer",
+            ((*at, "request"),),
+        )
     if probe.match is not None and not topics:
         yield Finding(
             "FS514", (*at, "match"), "spec.probe.match is for topics, and this probe has none", "remove it", at_key=True
@@ -49,25 +59,48 @@ def ways_to_watch(application: Application) -> Iterator[Finding]:
     probe, at = application.spec.probe, ("spec", "probe")
     kind, via = kind_of(probe), probe.via
     if via is not None and kind in ("callback", "bag"):
-        yield Finding("FS525", (*at, "via"), f"spec.probe.via is not for a {kind}, which is read as it is", "remove it",
-                      ((*at, kind),), at_key=True)  # fmt: skip
+        yield Finding(
+            "FS525",
+            (*at, "via"),
+            f"spec.probe.via is not for a {kind}, which is read as it is",
+            "remove it",
+            ((*at, kind),),
+            at_key=True,
+        )
     if via == "rclpy" and kind == "service":
-        yield Finding("FS525", (*at, "via"), "what a service is asked does not show outside its node", "write 'preload'",
-                      ((*at, "service"),))  # fmt: skip
+        yield Finding(
+            "FS525",
+            (*at, "via"),
+            "what a service is asked does not show outside its node",
+            "write 'preload'",
+            ((*at, "service"),),
+        )
     if via == "preload" and probe.match in ("first_request", "last_response"):
-        yield Finding("FS525", (*at, "match"), f"spec.probe.match {probe.match} is for subscribers", "write 'stamp' or 'order'",
-                      ((*at, "via"),))  # fmt: skip
+        yield Finding(
+            "FS525",
+            (*at, "match"),
+            f"spec.probe.match {probe.match} is for subscribers",
+            "write 'stamp' or 'order'",
+            ((*at, "via"),),
+        )
     played = kind == "service" and application.spec.benchmark.workload.bag is not None
     if probe.success is not None and not played and (kind not in ("topics", "bag") or via == "preload"):
         message = (
             "spec.probe.success is judged by who hears the response: a subscriber, or the player of a service's bag"
         )
         fixes = {
-            "topics": "remove 'via: preload'", "service": "add a bag to spec.benchmark.workload",
+            "topics": "remove 'via: preload'",
+            "service": "add a bag to spec.benchmark.workload",
             "callback": "remove it, and call stop(..., ok=False) for an answer that is wrong",
-        }  # fmt: skip
-        yield Finding("FS525", (*at, "success"), message, fixes.get(kind, "remove it: a goal that is not reached has failed"),
-                      ((*at, "via"), (*at, kind), ("spec", "benchmark", "workload", "bag")), at_key=True)  # fmt: skip
+        }
+        yield Finding(
+            "FS525",
+            (*at, "success"),
+            message,
+            fixes.get(kind, "remove it: a goal that is not reached has failed"),
+            ((*at, "via"), (*at, kind), ("spec", "benchmark", "workload", "bag")),
+            at_key=True,
+        )
 
 
 def workload(application: Application) -> Iterator[Finding]:
@@ -92,22 +125,38 @@ def kind_of_metric(application: Application) -> Iterator[Finding]:
         path: Path = ("spec", "metrics", name)
         if metric.callback is not None and (metric.topic is not None or metric.field is not None):
             extra = "topic" if metric.topic is not None else "field"
-            yield Finding("FS515", (*path, extra), f"{dotted(path)} must have callback or topic and field, not both",
-                          f"remove callback or {extra}", ((*path, "callback"),), at_key=True)  # fmt: skip
+            yield Finding(
+                "FS515",
+                (*path, extra),
+                f"{dotted(path)} must have callback or topic and field, not both",
+                f"remove callback or {extra}",
+                ((*path, "callback"),),
+                at_key=True,
+            )
         elif metric.callback is None and (metric.topic is None or metric.field is None):
             missing = "field" if metric.topic else "topic" if metric.field else "topic and field, or callback"
             yield Finding("FS515", path, f"{dotted(path)} must say {missing}", f"add {missing}")
         elif metric.callback is not None and application.spec.probe.callback is None:
-            yield Finding("FS516", (*path, "callback"), f"{dotted((*path, 'callback'))} needs a callback probe",
-                          "add a callback to spec.probe", (("spec", "probe"),))  # fmt: skip
+            yield Finding(
+                "FS516",
+                (*path, "callback"),
+                f"{dotted((*path, 'callback'))} needs a callback probe",
+                "add a callback to spec.probe",
+                (("spec", "probe"),),
+            )
 
 
 def scenarios(application: Application) -> Iterator[Finding]:
     """Kinds of request are told apart by the workload's own code."""
     spec, at = application.spec, ("spec", "benchmark", "scenarios")
     if spec.benchmark.scenarios and spec.probe.callback is None:
-        yield Finding("FS524", at, "spec.benchmark.scenarios needs a callback probe", "add a callback to spec.probe",
-                      (("spec", "probe"),))  # fmt: skip
+        yield Finding(
+            "FS524",
+            at,
+            "spec.benchmark.scenarios needs a callback probe",
+            "add a callback to spec.probe",
+            (("spec", "probe"),),
+        )
 
 
 def metrics_that_exist(application: Application) -> Iterator[Finding]:
@@ -130,8 +179,14 @@ def metrics_that_exist(application: Application) -> Iterator[Finding]:
             yield Finding("FS517", path, f"spec.metrics has no {name}", fix, (("spec", "metrics"),), at_key=at_key)
     if spec.objective.scale.metric is not None and spec.objective.metric is None:
         path = ("spec", "objective", "scale", "metric")
-        yield Finding("FS517", path, f"{dotted(path)} needs spec.objective.metric", "remove it, or name the metric",
-                      (("spec", "objective", "metric"),), at_key=True)  # fmt: skip
+        yield Finding(
+            "FS517",
+            path,
+            f"{dotted(path)} needs spec.objective.metric",
+            "remove it, or name the metric",
+            (("spec", "objective", "metric"),),
+            at_key=True,
+        )
 
 
 def billing(application: Application) -> Iterator[Finding]:
@@ -147,8 +202,14 @@ def billing(application: Application) -> Iterator[Finding]:
             both,
         )
     if objective.billing == "busy" and objective.rate is not None:
-        yield Finding("FS518", (*at, "rate"), "spec.objective.rate counts only for billing: provisioned",
-                      "remove it, or add 'billing: provisioned'", both, at_key=True)  # fmt: skip
+        yield Finding(
+            "FS518",
+            (*at, "rate"),
+            "spec.objective.rate counts only for billing: provisioned",
+            "remove it, or add 'billing: provisioned'",
+            both,
+            at_key=True,
+        )
 
 
 def extra_costs(application: Application) -> Iterator[Finding]:
@@ -161,12 +222,23 @@ def extra_costs(application: Application) -> Iterator[Finding]:
             if transfer.per_request
             else ("price", "per_request", "add 'per_request: 2MB'")
         )
-        yield Finding("FS527", (*at, "transfer", given), f"spec.objective.transfer costs nothing without {missing}",
-                      fix, ((*at, "transfer"),), at_key=True)  # fmt: skip
+        yield Finding(
+            "FS527",
+            (*at, "transfer", given),
+            f"spec.objective.transfer costs nothing without {missing}",
+            fix,
+            ((*at, "transfer"),),
+            at_key=True,
+        )
     if spec.objective.interruption != Interruption() and not spec.hardware.spot:
-        yield Finding("FS527", (*at, "interruption"), "spec.objective.interruption counts only for spot machines",
-                      "remove it, or allow them: hardware: {spot: true}", (("spec", "hardware", "spot"),),
-                      at_key=True)  # fmt: skip
+        yield Finding(
+            "FS527",
+            (*at, "interruption"),
+            "spec.objective.interruption counts only for spot machines",
+            "remove it, or allow them: hardware: {spot: true}",
+            (("spec", "hardware", "spot"),),
+            at_key=True,
+        )
 
 
 def latency_limit(application: Application) -> Iterator[Finding]:
@@ -206,11 +278,21 @@ def budget(application: Application) -> Iterator[Finding]:
     local = bool(benchmark.machines) and all(machine.startswith("local/") for machine in benchmark.machines)
     path: Path = ("spec", "benchmark", "budget")
     if benchmark.budget is None and not local:
-        yield Finding("FS522", path, "spec.benchmark.budget is missing, and measuring costs money", "add 'budget: $2.50'",
-                      (("spec", "benchmark", "machines"),))  # fmt: skip
+        yield Finding(
+            "FS522",
+            path,
+            "spec.benchmark.budget is missing, and measuring costs money",
+            "add 'budget: $2.50'",
+            (("spec", "benchmark", "machines"),),
+        )
     elif benchmark.budget == 0 and not local:
-        yield Finding("FS522", path, "spec.benchmark.budget must be more than nothing", "write what it may cost, such as $2.50",
-                      (("spec", "benchmark", "machines"),))  # fmt: skip
+        yield Finding(
+            "FS522",
+            path,
+            "spec.benchmark.budget must be more than nothing",
+            "write what it may cost, such as $2.50",
+            (("spec", "benchmark", "machines"),),
+        )
 
 
 def placeholders(application: Application) -> Iterator[Finding]:
@@ -218,9 +300,13 @@ def placeholders(application: Application) -> Iterator[Finding]:
     probe = application.spec.probe
     if (probe.request, probe.response) == PLACEHOLDER_TOPICS:
         yield Finding(
-            "FS523", ("spec", "probe", "request"), "spec.probe still has the topics that init made up",
-            "name the topics of your own nodes", (("spec", "probe", "response"),), severity="warning",
-        )  # fmt: skip
+            "FS523",
+            ("spec", "probe", "request"),
+            "spec.probe still has the topics that init made up",
+            "name the topics of your own nodes",
+            (("spec", "probe", "response"),),
+            severity="warning",
+        )
 
 
 RULES = (

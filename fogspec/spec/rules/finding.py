@@ -1,7 +1,7 @@
-"""What a rule finds."""
+"""The result of a rule."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
 from fogspec.base.yaml.positions import Path
@@ -10,13 +10,14 @@ from fogspec.spec.schema import Application
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A mistake at `path`; `about` are the other fields that it depends on. `at_key` underlines the key."""
+    """A broken rule at `path`; `about` are the other fields that it depends on. `at_key` underlines the key."""
 
     code: str
     path: Path
     message: str
     fix: str | None = None
     about: tuple[Path, ...] = ()
+    _: KW_ONLY
     at_key: bool = False
     severity: Literal["error", "warning"] = "error"
 

@@ -1,10 +1,10 @@
 """Rules about the link between robot and cloud, and about keys, which are in no spec."""
 
-import re
 from collections.abc import Iterator
 from typing import Any
 
 from fogspec.base.clouds import cloud_of
+from fogspec.base.redaction import looks_private
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.graph_names import exposed, resolve
 from fogspec.spec.rules.finding import Finding
@@ -12,14 +12,6 @@ from fogspec.spec.schema import Application
 
 LINK: Path = ("spec", "connectivity", "link")
 KINDS = ("topics", "services", "actions")
-# What the makers of keys put at their start, so that leaks can be found.
-PRIVATE = re.compile(
-    r"-----BEGIN [A-Z0-9 ]*PRIVATE KEY|AGE-SECRET-KEY-1|\b(?:AKIA|ASIA)[0-9A-Z]{16}\b|\bgh[pousr]_[A-Za-z0-9]{36}"
-    r"|\bgithub_pat_[A-Za-z0-9_]{22}|\bglpat-[A-Za-z0-9_-]{20}|\bxox[abprs]-[A-Za-z0-9-]{10}|\bAIza[0-9A-Za-z_-]{35}"
-    r"|\bhf_[A-Za-z]{30}"
-)
-NAMED_PRIVATE = re.compile(r"private_?key|preshared_?key", re.IGNORECASE)
-WIREGUARD_KEY = re.compile(r"[A-Za-z0-9+/]{42}[AEIMQUYcgkosw048]=")
 
 
 def what_a_link_needs(application: Application) -> Iterator[Finding]:
@@ -87,8 +79,7 @@ def names_that_pass(application: Application) -> Iterator[Finding]:
 def no_private_keys(application: Application) -> Iterator[Finding]:
     """Nothing in a spec is a private key or a credential."""
     for path, key, text in _texts((), application.model_dump(mode="json")):
-        named = NAMED_PRIVATE.search(key) and WIREGUARD_KEY.fullmatch(text.strip())
-        if named or PRIVATE.search(text):
+        if looks_private(text, key):
             fix = "make a new one, and name it in spec.secrets or leave it where it was made"
             yield Finding("FS509", path, f"{dotted(path)} looks like a private key or a credential", fix)
 

@@ -65,8 +65,13 @@ def gpus(application: Application) -> Iterator[Finding]:
                 "FS532", path, f"{dotted(path)} must name a GPU as SkyPilot does, and '{name}' names none", fix
             )
         else:
-            yield Finding("FS532", path, f"'{name}' names no GPU that fogspec knows", "check it against the catalog",
-                          severity="warning")  # fmt: skip
+            yield Finding(
+                "FS532",
+                path,
+                f"'{name}' names no GPU that fogspec knows",
+                "check it against the catalog",
+                severity="warning",
+            )
 
 
 def listed_once(application: Application) -> Iterator[Finding]:
@@ -105,8 +110,12 @@ def sampled_machines(application: Application) -> Iterator[Finding]:
             shape = f"local/{numbers[0]}cpu-{numbers[1]}gib" if len(numbers) == 2 else "local/2cpu-4gib"
             yield Finding("FS534", path, f"{dotted(path)} must look like local/<n>cpu-<m>gib", f"write '{shape}'")
         elif not name.startswith("local") and not INSTANCE.fullmatch(name):
-            yield Finding("FS534", path, f"{dotted(path)} must be one instance type, such as c6i.large, or local/2cpu-4gib",
-                          "name each machine; patterns belong into spec.hardware.machines")  # fmt: skip
+            yield Finding(
+                "FS534",
+                path,
+                f"{dotted(path)} must be one instance type, such as c6i.large, or local/2cpu-4gib",
+                "name each machine; patterns belong into spec.hardware.machines",
+            )
 
 
 def shapes(application: Application) -> Iterator[Finding]:

@@ -133,10 +133,22 @@ def secrets(application: Application) -> Iterator[Finding]:
         for name in node.env:
             if name in application.spec.secrets:
                 message = f"{dotted((*path, 'env', name))} writes down the value of a secret"
-                yield Finding("FS508", (*path, "env", name), message, "remove it: the value comes from your environment",
-                              (("spec", "secrets"),), at_key=True)  # fmt: skip
+                yield Finding(
+                    "FS508",
+                    (*path, "env", name),
+                    message,
+                    "remove it: the value comes from your environment",
+                    (("spec", "secrets"),),
+                    at_key=True,
+                )
 
 
 RULES = (
-    kind_of_node, environment_of_nodes, unique_names, graph_names, parameter_values, paths, secrets,
-)  # fmt: skip
+    kind_of_node,
+    environment_of_nodes,
+    unique_names,
+    graph_names,
+    parameter_values,
+    paths,
+    secrets,
+)

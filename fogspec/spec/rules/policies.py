@@ -144,8 +144,8 @@ def _schema_of(text: str, path: str) -> Policy | list[Diagnostic]:
     try:
         schema = json.loads(text, parse_constant=_no_number)
     except json.JSONDecodeError as problem:
-        place = Span(path, problem.lineno, problem.colno)
-        return wrong(f"the policy must be JSON: {problem.msg.lower()}", place)
+        span = Span(path, problem.lineno, problem.colno)
+        return wrong(f"the policy must be JSON: {problem.msg.lower()}", span)
     except (ValueError, RecursionError) as problem:
         return wrong(f"the policy must be JSON: {problem}", Span(path, 1, 1))
     if repeated := [one for one in reader.documents(text, path)[1] if one.code == "FS106"]:
@@ -218,12 +218,12 @@ def _unknown_fields(policy: Policy, schema: Any, annotation: Any, at: Path, path
     required = schema.get("required", [])
     named: list[tuple[Path, str]] = [(("properties", name), name) for name in _part(schema, "properties")]
     named += [(("required", index), name) for index, name in enumerate(required)]
-    for place, name in named:
+    for step, name in named:
         if fields and name not in fields and not name.startswith("x-"):
             near = closest(name, fields)
             fix = f"write '{near}'" if near else f"known here: {', '.join(fields)}"
             message = f"{dotted(at) or 'the document'} has no {name}, so the policy would never be broken"
-            yield policy.diagnostic(message, (*path, *place), fix)
+            yield policy.diagnostic(message, (*path, *step), fix)
     for name, child in _part(schema, "properties").items():
         if (inner := fields.get(name, items)) is not None:
             yield from _unknown_fields(policy, child, inner, (*at, name), (*path, "properties", name))
@@ -266,8 +266,8 @@ def _located(policy: Policy, error: Any, node: Node) -> Diagnostic:
     value = error.instance
     default = not _is_written(node, path) and not isinstance(value, (dict, list))
     origin = f"; {name} is {json.dumps(value, ensure_ascii=False)} by default" if default else ""
-    place = span_of(node, path)
-    return Diagnostic("FS601", f"{message} ({policy.path}{origin})", place, fix if isinstance(fix, str) else None)
+    span = span_of(node, path)
+    return Diagnostic("FS601", f"{message} ({policy.path}{origin})", span, fix if isinstance(fix, str) else None)
 
 
 def _is_written(node: Node, path: Path) -> bool:

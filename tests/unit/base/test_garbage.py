@@ -75,7 +75,7 @@ def test_a_live_state_with_any_value_changed_is_read_or_refused(live: Deployment
         found = answer(lambda: DeploymentState.read(layout, live.times))
         if isinstance(found, DiagnosticError):
             refused += 1
-            assert {one.place.path for one in found.diagnostics} == {str(path)}, where
+            assert {one.span.path for one in found.diagnostics} == {str(path)}, where
             assert "fogspec down tiny" in str(found.diagnostics[0].fix)
             continue
         read += 1

@@ -39,8 +39,8 @@ def test_a_wrong_file_is_located(tmp_path: Path, content: bytes, line: int, colu
     with pytest.raises(DiagnosticError) as caught:
         load(tmp_path, content)
     [found] = caught.value.diagnostics
-    assert (found.place.line, found.place.column) == (line, column)
-    assert found.place.path.endswith("aws.csv")
+    assert (found.span.line, found.span.column) == (line, column)
+    assert found.span.path.endswith("aws.csv")
     assert says in found.message
 
 
@@ -48,7 +48,7 @@ def test_all_mistakes_are_told_at_once_in_order(tmp_path: Path) -> None:
     rows = ["a.large,,,x,4,0.1,,r,", "b.large,,,2,y,z,,r,"]
     with pytest.raises(DiagnosticError) as caught:
         load(tmp_path, "\n".join([HEAD, *rows]).encode())
-    assert [(d.place.line, d.place.column) for d in caught.value.diagnostics] == [(2, 11), (3, 13), (3, 15)]
+    assert [(d.span.line, d.span.column) for d in caught.value.diagnostics] == [(2, 11), (3, 13), (3, 15)]
 
 
 def test_a_truncated_gzip_a_missing_file_and_a_folder_are_no_traceback(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def test_says_what_is_wrong_and_where(suite, file, old, new, says):
     with pytest.raises(DiagnosticError, match=says) as wrong:
         read_suite(suite)
     (found,) = wrong.value.diagnostics
-    assert found.place.line >= 1
+    assert found.span.line >= 1
 
 
 def test_a_missing_file_is_named(suite):

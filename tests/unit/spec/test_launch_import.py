@@ -33,7 +33,7 @@ def test_the_papers_python_launch_file() -> None:
     assert found.hardware == {"cpus": "2..64"}
     assert (found.objective, found.stop) == ({"alpha": 0.7}, {"requests": 100})
     said = [
-        (one.place.line, one.source_line[one.place.column - 1 :][: one.place.width])
+        (one.span.line, one.source_line[one.span.column - 1 :][: one.span.width])
         for one in found.notes
         if one.source_line
     ]
@@ -79,7 +79,7 @@ def test_what_is_no_launch_file_is_refused_at_its_place(tmp_path: Path, name: st
     with pytest.raises(DiagnosticError) as problems:
         read_launch(path)
     assert problems.value.diagnostics[0].code in ("FS801", "FS104", "FS103")
-    assert problems.value.diagnostics[0].place.path == str(path)
+    assert problems.value.diagnostics[0].span.path == str(path)
 
 
 @pytest.mark.parametrize(

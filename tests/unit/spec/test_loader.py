@@ -63,7 +63,7 @@ def test_scalars_mean_what_yaml_1_2_says(text: str, value: object) -> None:
 )  # fmt: skip
 def test_scalars_that_readers_take_differently_are_refused(text: str, code: str, fix: str) -> None:
     _, wrong = check_text(SPEC.replace("VALUE", text).encode(), "spec.yaml")
-    assert [(one.code, one.fix, one.place.line) for one in wrong] == [(code, fix, 5)]
+    assert [(one.code, one.fix, one.span.line) for one in wrong] == [(code, fix, 5)]
 
 
 def test_encodings() -> None:
@@ -83,7 +83,7 @@ def test_encodings() -> None:
 
 def test_a_forbidden_character_is_located_behind_wide_ones() -> None:
     _, wrong = check_text(SPEC.replace("VALUE", "'日本\u202e'").encode(), "spec.yaml")
-    assert (wrong[0].place.line, wrong[0].place.column) == (5, SPEC.split("\n")[4].index("VALUE") + 4)
+    assert (wrong[0].span.line, wrong[0].span.column) == (5, SPEC.split("\n")[4].index("VALUE") + 4)
 
 
 BOMB = "b: &b0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
@@ -137,7 +137,7 @@ def test_all_mistakes_come_at_once_sorted_by_line_fields_and_rules_alike(tmp_pat
     first.write_text(spec)
     second.write_text(SPEC.replace("VALUE", "1").replace("infra: [aws]", "infra: aws"))
     _, wrong = check_file([first, second])
-    said = [(Path(one.place.path).name, one.place.line, one.code) for one in wrong]
+    said = [(Path(one.span.path).name, one.span.line, one.code) for one in wrong]
     assert said == [
         ("b.yaml", 7, "FS514"), ("b.yaml", 8, "FS301"), ("b.yaml", 8, "FS202"), ("b.yaml", 9, "FS206"),
         ("b.yaml", 9, "FS518"), ("a.yaml", 3, "FS510"), ("a.yaml", 8, "FS303"),
@@ -156,10 +156,10 @@ def test_a_place_has_line_column_and_width(tmp_path: Path) -> None:
     path = tmp_path / "spec.yaml"
     path.write_text(SPEC.replace("VALUE", "1"))
     (loaded,) = load([path])
-    place = loaded.places[("spec", "benchmark", "budget")]
-    assert (place.line, place.column, place.width) == (9, 24, 5)
+    span = loaded.spans[("spec", "benchmark", "budget")]
+    assert (span.line, span.column, span.width) == (9, 24, 5)
     late = loaded.diagnostic("FS517", ("spec", "benchmark", "budget"), "said later")
-    assert (late.place, late.source_line) == (place, "  benchmark: { budget: $2.50 }")
+    assert (late.span, late.source_line) == (span, "  benchmark: { budget: $2.50 }")
 
 
 def test_a_file_that_is_not_there_or_named_twice(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_our_own_files_that_were_edited_or_cut_short_say_how_to_make_them_again(
         with pytest.raises(DiagnosticError) as problems:
             read_document(path, Results)
         assert all(one.fix == f"make it again: {command}" for one in problems.value.diagnostics)
-        assert all(one.place.line >= 1 and one.source_line is not None for one in problems.value.diagnostics)
+        assert all(one.span.line >= 1 and one.source_line is not None for one in problems.value.diagnostics)
 
 
 def test_our_own_files_have_one_document(tmp_path: Path) -> None:
@@ -230,4 +230,4 @@ def test_a_wrong_suite_is_located(tmp_path: Path) -> None:
     with pytest.raises(DiagnosticError) as problems:
         read_suite(tmp_path)
     (one,) = problems.value.diagnostics
-    assert (one.code, one.place.path, one.place.line) == ("FS402", str(tmp_path / "machines.csv"), 2)
+    assert (one.code, one.span.path, one.span.line) == ("FS402", str(tmp_path / "machines.csv"), 2)

@@ -67,7 +67,7 @@ def test_quantities_are_numbers_in_base_units() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "schema", "place"),
+    ("path", "schema", "span"),
     [
         ("spec.benchmark.budget", {"maximum": 10}, None),
         ("spec.benchmark.budget", {"maximum": 2}, (10, 24)),
@@ -82,10 +82,10 @@ def test_quantities_are_numbers_in_base_units() -> None:
         ("spec.ros.image", {"pattern": "@sha256:"}, None),
     ],
 )
-def test_a_value_is_shown_or_what_is_around_it(path: str, schema: Any, place: tuple[int, int] | None) -> None:
+def test_a_value_is_shown_or_what_is_around_it(path: str, schema: Any, span: tuple[int, int] | None) -> None:
     policy(about(path, schema))
-    found = [(one.place.line, one.place.column) for one in broken()]
-    assert found == ([place] if place else [])
+    found = [(one.span.line, one.span.column) for one in broken()]
+    assert found == ([span] if span else [])
 
 
 def test_the_message_is_the_nearest_description_and_its_fix() -> None:
@@ -110,7 +110,7 @@ def test_a_named_policy_is_read_besides_the_folder_and_once() -> None:
     assert sorted(one.message.partition("(")[2] for one in broken("elsewhere.json", inside)) == [
         "elsewhere.json)", "policies/team.schema.json)",
     ]  # fmt: skip
-    assert next((one.code, one.place.path) for one in broken("missing.json")) == ("FS101", "missing.json")
+    assert next((one.code, one.span.path) for one in broken("missing.json")) == ("FS101", "missing.json")
 
 
 @pytest.mark.parametrize(
@@ -133,13 +133,13 @@ def test_a_policy_that_is_wrong_is_an_error_at_its_place(
     monkeypatch.setattr(socket, "socket", no_network)
     path = policy(content)
     found = broken()
-    assert [(one.code, one.place.path, one.place.line) for one in found] == [("FS602", path, line)]
+    assert [(one.code, one.span.path, one.span.line) for one in found] == [("FS602", path, line)]
     assert found[0].source_line is not None
 
 
 def test_a_repeated_key_and_another_encoding_have_codes_of_their_own() -> None:
     policy('{"maximum": 1,\n"maximum": 2}')
-    assert [(one.code, one.place.line) for one in broken()] == [("FS106", 2)]
+    assert [(one.code, one.span.line) for one in broken()] == [("FS106", 2)]
     Path("policies/team.schema.json").write_bytes(b"\xff{}")
     assert [one.code for one in broken()] == ["FS102"]
     Path("policies/team.schema.json").write_bytes(b'\xef\xbb\xbf\t{"properties": {}}')
@@ -168,7 +168,7 @@ def test_a_manifest_is_checked_by_policies_of_its_kind() -> None:
     written = Path("compiled/arm/manifest.yaml")
     written.write_text("kind: DeploymentManifest\nspec:\n  image_pinned: false\n  price: $1.50/h\n", "utf-8")
     found = Policies().check_manifests(loaded, _Manifest)
-    assert [(one.place.path, one.place.line) for one in found] == [(str(written), 3), (str(written), 4)]
+    assert [(one.span.path, one.span.line) for one in found] == [(str(written), 3), (str(written), 4)]
     with pytest.raises(DiagnosticError, match="images are pinned"):
         Policies().require_manifests(loaded, _Manifest)
     policy({"properties": {"kind": kind, "spec": {"properties": {"image_pined": pinned}}}})
