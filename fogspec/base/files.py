@@ -7,13 +7,11 @@ import contextlib
 import errno
 import os
 import stat
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from fogspec.base.errors import InvalidInput
-from fogspec.base.yaml.writer import yaml_text
 
 KINDS = (
     (stat.S_ISDIR, "it is a folder"),
@@ -64,6 +62,8 @@ def decompress(content: bytes, path: str | os.PathLike[str]) -> bytes:
 
 def write_yaml(path: Path, data: Mapping[str, Any], made: str, source: str | None = None) -> None:
     """Write `yaml_text` to a file; see `write_bytes`."""
+    from fogspec.base.yaml.writer import yaml_text  # most commands only read
+
     write_bytes(path, yaml_text(data, made, source).encode())
 
 
@@ -72,6 +72,8 @@ def write_bytes(path: Path, content: bytes) -> None:
 
     Raises InvalidInput, naming the path, when that cannot be done; what stood there before stays as it was.
     """
+    import tempfile  # most commands only read
+
     temporary = None
     try:
         if path.exists():
