@@ -26,14 +26,14 @@ POSITIVE = "(?=[^eE/]*[1-9])"  # a quantity above zero, before its exponent and 
 
 
 def model_of(kind: str) -> type[BaseModel]:
-    """The type of a kind of document, imported when it is asked for."""
+    """Return the type of a kind of document, imported on demand."""
     module, _, name = KINDS[kind].partition(":")
     found: type[BaseModel] = getattr(importlib.import_module(module), name)
     return found
 
 
 def schema_of(kind: str) -> dict[str, Any]:
-    """The JSON Schema of a kind of document, as a YAML reader of version 1.2 sees it."""
+    """Return the JSON Schema of a kind of document, as a YAML 1.2 reader sees it."""
     model = model_of(kind)
     schema = model.model_json_schema(by_alias=True)
     _with_defaults(model, schema)
@@ -48,7 +48,7 @@ def schema_of(kind: str) -> dict[str, Any]:
 
 
 def _models(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """Every model that a model is made of, by name."""
+    """Return every model that a model contains, by name."""
     from fogspec.spec.introspect import part
 
     found: dict[str, type[BaseModel]] = {}
@@ -79,7 +79,7 @@ def _with_defaults(model: type[BaseModel], definition: dict[str, Any]) -> None:
 
 
 def _tidy(node: Any) -> None:
-    """Merge `X or null` into one type, and turn limits on quantities, which are texts, into patterns."""
+    """Merge `X or null` into one type, and turn limits on quantities, which are strings, into patterns."""
     for child in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
         _tidy(child)
     if not isinstance(node, dict):
@@ -107,7 +107,7 @@ def _tidy(node: Any) -> None:
 
 
 def generated() -> dict[Path, str]:
-    """Every file that is made from the types, with its text."""
+    """Return every file that is made from the types, with its text."""
     from fogspec.spec.reference import codes_page, fields_page
 
     files = {

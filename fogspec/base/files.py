@@ -68,9 +68,9 @@ def write_yaml(path: Path, data: Mapping[str, Any], made: str, source: str | Non
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file whole: to a temporary file in its folder, then renamed over it.
+    """Write a file atomically: to a temporary file in its directory, then renamed over it.
 
-    Raises InvalidInput, naming the path, when that cannot be done; what stood there before stays as it was.
+    Raise InvalidInput, naming the path, if that fails; the previous content then stays as it was.
     """
     import tempfile  # most commands only read
 

@@ -12,9 +12,9 @@ from fogspec.base.files import not_a_file
 
 
 def start_ticks(pid: int) -> int | None:
-    """When a living process was started, in clock ticks since boot; None when there is no such process.
+    """Return when a living process was started, in clock ticks since boot; None if there is no such process.
 
-    Together with the pid this names a process: pids are used again.
+    Together with the pid this identifies a process, since pids are reused.
     """
     try:
         fields = Path("/proc", str(pid), "stat").read_bytes().rsplit(b")", 1)[1].split()
@@ -25,7 +25,7 @@ def start_ticks(pid: int) -> int | None:
 
 @contextlib.contextmanager
 def application_lock(path: Path, what: str, remove: bool = False) -> Iterator[None]:
-    """Hold the lock at `path` for `what`; raises Refused, naming what holds it, when another process does.
+    """Hold the lock at `path` for `what`; raise Refused, naming the holder, if another process has it.
 
     Raises InvalidInput for what is no file.
 

@@ -17,7 +17,7 @@ class Strict(BaseModel):
     if not TYPE_CHECKING:
 
         def __init__(self, **values: Any) -> None:
-            """Made by the program, a quantity is a float in base units; read from a document, it is a text."""
+            """Take quantities as floats in base units, unlike documents, which write them as text."""
             self.__pydantic_validator__.validate_python(values, self_instance=self, context=BASE_UNITS)
 
         # Without this mark pydantic would read documents through __init__ too, and bare numbers would pass.

@@ -22,7 +22,7 @@ class Interrupt:
 
     @contextmanager
     def question(self) -> Iterator[None]:
-        """While somebody is asked for an answer, the first Ctrl-C is one."""
+        """Treat the first Ctrl-C during a prompt as its answer."""
         self.answering = True
         try:
             yield
@@ -32,7 +32,7 @@ class Interrupt:
 
 @contextmanager
 def interruptible() -> Iterator[Interrupt]:
-    """Ctrl-C and TERM ask first, then insist."""
+    """Stop gracefully at the first Ctrl-C or TERM, at once at the second."""
     interrupt = Interrupt()
     before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

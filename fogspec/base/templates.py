@@ -11,7 +11,7 @@ from markupsafe import escape
 
 
 def shipped(kind: str) -> Path:
-    """The folder of shipped `templates`, `schemas` or `specs`: in the wheel, or beside the package in a checkout."""
+    """Return the directory of shipped `templates`, `schemas` or `specs`: in the wheel, or next to the package in a checkout."""
     package = Path(__file__).resolve().parents[1]
     inside = package / "_shipped" / kind
     return inside if inside.is_dir() else package.parent / kind
@@ -36,7 +36,7 @@ def _environment() -> jinja2.Environment:
 
 
 def python(value: Any, indent: int = 0) -> str:
-    """The value as a Python expression: on one line if it fits, else a line an entry, set in by `indent` spaces."""
+    """Return the value as a Python expression: on one line if it fits, else one line per entry, indented by `indent` spaces."""
     text = repr(value)
     if len(text) + indent <= 100 or not isinstance(value, (dict, list)):
         return text
@@ -48,5 +48,5 @@ def python(value: Any, indent: int = 0) -> str:
 
 
 def render(template: str, /, **values: Any) -> str:
-    """The template's text; raises jinja2.UndefinedError when a value is missing."""
+    """Return the rendered template; raise jinja2.UndefinedError if a value is missing."""
     return _environment().get_template(template).render(**values)

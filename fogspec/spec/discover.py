@@ -1,4 +1,4 @@
-"""Which files a command line means: files, folders and patterns."""
+"""Find the spec files that a command line names: files, directories and patterns."""
 
 import glob
 import os
@@ -10,11 +10,11 @@ from fogspec.spec.loader import check_file
 
 
 def find_specs(arguments: Sequence[str] = ()) -> list[str]:
-    """The files named, those in folders (`*.yaml`, `*.yml`, at any depth), and those that patterns match, each once.
+    """Return the files named, those in directories (`*.yaml`, `*.yml`, at any depth), and those that patterns match, each once.
 
-    A bare word that is no file is the name of an application in specs/. Without arguments those in specs/. In a folder,
-    hidden files, files without a word of fogspec, and files that fogspec wrote are left out. Raises InvalidInput when an
-    argument leads to nothing.
+    A bare word that is not a file is the name of an application in specs/. Without arguments, return those in specs/. In
+    a directory, hidden files, files that do not mention fogspec, and files that fogspec wrote are left out. Raise
+    InvalidInput if an argument leads to nothing.
     """
     if not arguments and not os.path.isdir("specs"):
         raise InvalidInput(
@@ -37,12 +37,12 @@ def find_specs(arguments: Sequence[str] = ()) -> list[str]:
 
 
 def is_name(argument: str) -> bool:
-    """Whether an argument looks like the name of an application and like no path."""
+    """Return whether an argument looks like the name of an application rather than a path."""
     return not (os.path.lexists(argument) or "/" in argument or argument.endswith((".yaml", ".yml")))
 
 
 def spec_of(name: str) -> str | None:
-    """The spec in specs/ that has an application of this name; None for what is no name, or no application's."""
+    """Return the spec in specs/ with an application of this name; None if there is none or it is not a name."""
     if not is_name(name) or not os.path.isdir("specs"):
         return None
     guess = os.path.join("specs", f"{name}.yaml")
@@ -62,7 +62,7 @@ def _specs_in(folder: str) -> list[str]:
 
 
 def _is_application(path: str) -> bool:
-    """Whether the file is meant to be a spec: other YAML files and those that fogspec wrote may stand beside specs."""
+    """Return whether the file is meant to be a spec, not another YAML file or one that fogspec wrote."""
     try:
         content = read_file(path, 1 << 20)
     except OSError:

@@ -1,4 +1,4 @@
-"""Reading files into trees of values, with every refusal at its place."""
+"""Read files into trees of values; every error has its span."""
 
 import dataclasses
 import os
@@ -16,12 +16,12 @@ MISSING = ("FS302", "FS501", "FS503", "FS512", "FS522")
 
 @dataclass
 class SourceMap:
-    """The lines of every file that was read, so that a diagnostic can show them."""
+    """The source map: lines of every file that was read, so that a diagnostic can show them."""
 
     lines: dict[str, list[str]] = field(default_factory=dict)
 
     def shown(self, diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
-        """The diagnostics with their source lines, each file's in the order of its lines, errors first at a place."""
+        """Return the diagnostics with their source lines, by file and line, errors first at a span."""
         found = [
             one if one.code in NOT_SHOWN else dataclasses.replace(one, source_line=self.line(one.span))
             for one in diagnostics
@@ -32,17 +32,17 @@ class SourceMap:
         )
 
     def line(self, span: Span) -> str | None:
-        """The line that a place is on, where its file was read."""
+        """Return the source line of a span if its file was read."""
         lines = self.lines.get(span.path, [])
         return lines[span.line - 1] if 0 < span.line <= len(lines) else None
 
     def last_line(self, path: str) -> int:
-        """The last line of a file that says anything, from 1."""
+        """Return the number of the last line of a file that is not blank, from 1."""
         lines = self.lines.get(path, [])
         return max((i for i, line in enumerate(lines, start=1) if line.strip()), default=1)
 
     def at_the_cut(self, diagnostics: Sequence[Diagnostic]) -> list[Diagnostic]:
-        """What is missing from a file's last document is missing at its end, where the file looks cut off."""
+        """Move errors about missing fields to the end of a file that looks cut off."""
         return [self._at_the_cut(one) for one in diagnostics]
 
     def _at_the_cut(self, one: Diagnostic) -> Diagnostic:
@@ -59,7 +59,7 @@ class SourceMap:
 def documents_of(
     path: str | os.PathLike[str], texts: SourceMap, wrong: list[Diagnostic], most_bytes: int = reader.MOST_BYTES
 ) -> tuple[list[Node], bool]:
-    """The documents of a file, and whether the file could be read to its end."""
+    """Return the documents of a file, and whether it could be read to its end."""
     name = os.fspath(path)
     if name in texts.lines:
         wrong.append(Diagnostic("FS101", "the file must be named only once", Span(name, 1, 1)))
@@ -77,7 +77,7 @@ def documents_of(
 def documents_in(
     content: bytes, name: str, texts: SourceMap, wrong: list[Diagnostic], most_bytes: int = reader.MOST_BYTES
 ) -> tuple[list[Node], bool]:
-    """The documents of a file's bytes, and whether they could be read to their end."""
+    """Return the documents of a file's bytes, and whether they could be read to their end."""
     text, problems = reader.decode(content, name, most_bytes)
     texts.lines[name] = text.split("\n")
     nodes: list[Node] = []

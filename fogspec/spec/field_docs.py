@@ -46,14 +46,14 @@ class FieldPage:
 
 
 def pages(model: type[BaseModel]) -> list[FieldPage]:
-    """All fields of a kind of document, in the order of the language."""
+    """Return all fields of a kind of document, in the order of the schema."""
     found: list[FieldPage] = []
     _collect(model, "", found)
     return found
 
 
 def matching(known: list[FieldPage], name: str) -> list[FieldPage]:
-    """The fields that a name means: a whole path, a path without `spec.`, or any path that ends in it."""
+    """Return the fields that a name means: a full path, a path without `spec.`, or the end of a path."""
     tidy = re.sub(r"\[\d*\]", "[]", name).strip(".")
     for path in (tidy, f"spec.{tidy}"):
         if exact := [page for page in known if page.path == path or page.path.replace("[]", "") == path]:
@@ -94,7 +94,7 @@ def _default(value: Any) -> str:
 
 
 def _type(annotation: Any, metadata: list[Any]) -> tuple[str, str]:
-    """What may be written, in words, and the units it may have."""
+    """Return what may be written, in words, with the units allowed."""
     for quantity, words, unit in QUANTITIES:
         marks = get_args(quantity)[1:]
         if any(mark in metadata for mark in marks) or _has(annotation, quantity):
@@ -113,7 +113,7 @@ def _type(annotation: Any, metadata: list[Any]) -> tuple[str, str]:
 
 
 def _has(annotation: Any, quantity: Any) -> bool:
-    """Whether the quantity is the annotation, or stands in it beside None."""
+    """Return whether the annotation is the quantity, or the quantity or None."""
     if get_origin(annotation) is Annotated:
         return bool(annotation == quantity)
     return any(_has(one, quantity) for one in get_args(annotation) if get_origin(annotation) not in (list, dict))

@@ -1,4 +1,4 @@
-"""What is wrong with one field, in the language's own words: a pydantic error becomes a `Diagnostic`."""
+"""Errors of single fields: a pydantic error becomes a `Diagnostic` in the words of the schema."""
 
 from typing import Any, Literal, get_args, get_origin
 
@@ -17,7 +17,7 @@ KINDS = {"string_type": "a text", "int_type": "a whole number", "int_from_float"
 
 
 def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
-    """The diagnostic for one of pydantic's errors at `path`, in the document under `node`."""
+    """Return the diagnostic for one of pydantic's errors at `path`, in the document under `node`."""
     kind, context = error["type"], error.get("ctx", {})
     name, span = dotted(path) or "the document", span_of(node, path)
     found = find(node, path)
@@ -69,7 +69,7 @@ def _pattern(pattern: str) -> str:
 
 
 def _legal_name(pattern: str, found: Node | None) -> str | None:
-    """A name like the one found that the pattern accepts."""
+    """Return a name similar to the one found that the pattern accepts."""
     joint = "-" if "-a-z0-9" in pattern else "_"
     text = str(found.value).strip() if found else ""
     text = text.lower() if joint == "-" else text
@@ -100,7 +100,7 @@ def _short(text: str) -> str:
 
 
 def _retyped(kind: str, found: Node | None) -> str | None:
-    """What to write where only the type is wrong."""
+    """Return what to write if only the type is wrong."""
     if found is None or isinstance(found.value, (dict, list)) or found.value is None:
         return None
     text = _short(found.text)

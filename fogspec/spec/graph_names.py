@@ -17,10 +17,10 @@ class AllowedNames:
 
 
 def exposed(spec: Spec) -> AllowedNames:
-    """What the spec's probe, metrics, connectivity and the remappings of its cloud nodes name.
+    """Return the names in the spec's probe, metrics, connectivity and remappings of cloud nodes.
 
-    A name that is relative to a node's own (`~`) or has a substitution in it is left out: rules refuse those that
-    were asked for by name.
+    A name that is relative to a node's own (`~`) or has a substitution in it is left out: rules reject those that
+    are listed explicitly.
     """
     probe, listed = spec.probe, spec.connectivity
     topics = [probe.request, probe.response, *(metric.topic for metric in spec.metrics.values()), *listed.topics]
@@ -43,7 +43,7 @@ def _full(names: Sequence[str | None]) -> tuple[str, ...]:
 
 
 def resolve(name: str, namespace: str = "", node: str | None = None) -> str | None:
-    """The full name that ROS 2 makes of a name in a node's words; None where only running the node would tell."""
+    """Return the full ROS 2 name of a node's name for it; None if only running the node would determine it."""
     space = "/" + namespace.strip("/") if namespace.strip("/") else ""
     if name.startswith("~"):
         if node is None:

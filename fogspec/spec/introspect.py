@@ -1,4 +1,4 @@
-"""Walking the types of the language: which keys a mapping may have, and what type stands at a path."""
+"""Introspection of the schema's types: the keys that a mapping may have, and the type at a path."""
 
 import types
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -8,7 +8,7 @@ from fogspec.base.yaml.positions import Path
 
 
 def part(annotation: Any) -> tuple[Any, Any]:
-    """What an annotation is without `None` and `Annotated`, and the type of its items or values."""
+    """Return an annotation without `None` and `Annotated`, and the type of its items or values."""
     while True:
         origin = get_origin(annotation)
         if origin is Annotated:
@@ -23,7 +23,7 @@ def part(annotation: Any) -> tuple[Any, Any]:
 
 
 def fields_of(annotation: Any) -> dict[str, Any]:
-    """The keys that a mapping of the language may have, with their annotations; empty for anything else."""
+    """Return the keys of a mapping of the schema with their annotations; empty for any other type."""
     kind = part(annotation)[0]
     if not (isinstance(kind, type) and issubclass(kind, Strict)):
         return {}
@@ -31,7 +31,7 @@ def fields_of(annotation: Any) -> dict[str, Any]:
 
 
 def annotation_at(model: Any, path: Path) -> Any:
-    """The annotation at a path of a document of this type; None where the language says nothing."""
+    """Return the annotation at a path of a document of this type; None if the schema has none."""
     for step in path:
         fields, items = fields_of(model), part(model)[1]
         model = fields.get(step) if isinstance(step, str) and fields else items
@@ -41,7 +41,7 @@ def annotation_at(model: Any, path: Path) -> Any:
 
 
 def home_of(model: Any, key: str, here: Path) -> Path | None:
-    """The place nearest to `here` in the language where a field of this name belongs, lists left out."""
+    """Return the path nearest to `here` in the schema that has a field of this name, lists left out."""
     found: list[Path] = []
     queue: list[tuple[Path, Any]] = [((), model)]
     while queue:

@@ -1,4 +1,4 @@
-"""Loading specs and fogspec's own files: every mistake at once, each at its place, or the typed documents."""
+"""Load specs and fogspec's own files: the typed documents, or every error at once, each with its span."""
 
 import dataclasses
 import os
@@ -25,7 +25,7 @@ MOST_BYTES_OF_OUR_OWN = 64 << 20
 
 @dataclass(frozen=True)
 class LoadedSpec:
-    """One `Application` document that is right, and where its values stand.
+    """One valid `Application` document, and the spans of its values.
 
     `path` is the file as given, `document` counts the file's documents from 0, `places` maps the path of a value
     such as `("spec", "constraints", "cost")` to its place.
@@ -40,21 +40,21 @@ class LoadedSpec:
 
     @property
     def spans(self) -> dict[Steps, Span]:
-        """What to underline for every path in the document."""
+        """Return what to underline for every path in the document."""
         return spans(self.node)
 
     def diagnostic(
         self, code: str, path: Steps, message: str, fix: str | None = None, *, at_key: bool = False
     ) -> Diagnostic:
-        """A mistake at a path of this document, found later than when it was read."""
+        """Return an error at a path of this document that was found after loading."""
         span = (key_span(self.node, path) if at_key else None) or span_of(self.node, path)
         return self.texts.shown([Diagnostic(code, message, span, fix)])[0]
 
 
 def load(paths: Sequence[str | os.PathLike[str]], overlays: Sequence[str | os.PathLike[str]] = ()) -> list[LoadedSpec]:
-    """All applications of the files, each merged with the overlays.
+    """Return all applications of the files, each merged with the overlays.
 
-    Raises DiagnosticError with every mistake in any of the files.
+    Raise DiagnosticError with every error in any of the files.
     """
     found, wrong = check_file(paths, overlays)
     if any(one.severity == "error" for one in wrong):
@@ -65,7 +65,7 @@ def load(paths: Sequence[str | os.PathLike[str]], overlays: Sequence[str | os.Pa
 def check_file(
     paths: Sequence[str | os.PathLike[str]], overlays: Sequence[str | os.PathLike[str]] = ()
 ) -> tuple[list[LoadedSpec], list[Diagnostic]]:
-    """The applications that are right, and every mistake and warning about those that are not."""
+    """Return the valid applications, and all errors and warnings."""
     texts, wrong = SourceMap(), list[Diagnostic]()
     layers = [documents_of(path, texts, wrong)[0] for path in overlays]
     files = [(os.fspath(path), *documents_of(path, texts, wrong)) for path in paths]
@@ -73,7 +73,7 @@ def check_file(
 
 
 def check_text(content: bytes, path: str) -> tuple[list[LoadedSpec], list[Diagnostic]]:
-    """The same of a file's content that is not, or not yet, at `path`."""
+    """Return the same for content that is not, or not yet, in the file at `path`."""
     texts, wrong = SourceMap(), list[Diagnostic]()
     return _checked([(path, *documents_in(content, path, texts, wrong))], [], texts, wrong)
 
@@ -107,9 +107,9 @@ def _checked(
 
 
 def read_document(path: str | os.PathLike[str], model: type[M]) -> M:
-    """One of fogspec's own files, such as a plan or results.
+    """Return one of fogspec's own files, such as a plan or results, checked against its types.
 
-    Raises DiagnosticError when it was edited or cut short, InvalidInput when it is not there.
+    Raise DiagnosticError if it was edited or cut short, InvalidInput if it does not exist.
     """
     name, texts, wrong = os.fspath(path), SourceMap(), list[Diagnostic]()
     if not os.path.lexists(path):
@@ -125,9 +125,9 @@ def read_document(path: str | os.PathLike[str], model: type[M]) -> M:
 
 
 def read_nodes(path: str | os.PathLike[str], content: bytes | None = None) -> tuple[list[Node], SourceMap]:
-    """The documents of a file as trees, right or wrong; raises DiagnosticError when it is no YAML.
+    """Return the documents of a file as trees, valid or not; raise DiagnosticError if it is not YAML.
 
-    `content` is what the file will be, where that is not what it is.
+    `content` replaces the content of the file.
     """
     texts, wrong = SourceMap(), list[Diagnostic]()
     if content is None:
@@ -140,13 +140,13 @@ def read_nodes(path: str | os.PathLike[str], content: bytes | None = None) -> tu
 
 
 def read_plain(path: str | os.PathLike[str], content: bytes | None = None) -> Any:
-    """The first document of a file in plain values, None where there is none; raises DiagnosticError when it is no YAML."""
+    """Return the first document of a file as plain values, None if there is none; raise DiagnosticError if it is not YAML."""
     nodes, _ = read_nodes(path, content)
     return plain(nodes[0]) if nodes else None
 
 
 def _recompiled(one: Diagnostic, texts: SourceMap) -> Diagnostic:
-    """The diagnostic of a generated file: it is mended by making the file again, not by hand."""
+    """Return the diagnostic of a generated file, which is repaired by generating it again."""
     first = next(iter(texts.lines.get(one.span.path, [])), "")
     command = first.partition("Make it again: ")[2].strip()
     return dataclasses.replace(one, fix=f"make it again: {command}") if command else one

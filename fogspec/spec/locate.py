@@ -1,4 +1,4 @@
-"""Where a user's own spec sets a field."""
+"""Find where a user's own spec sets a field."""
 
 import os
 import re
@@ -10,9 +10,9 @@ from fogspec.spec.loader import read_nodes
 
 
 def locate(spec: str | os.PathLike[str], fields: Sequence[str]) -> dict[str, list[tuple[Span, str]]]:
-    """For each field that the file sets: the places, with the source lines.
+    """Return for each field that the file sets its spans, with the source lines.
 
-    The file need not be right; raises DiagnosticError when it cannot be read as YAML.
+    The file need not be valid; raise DiagnosticError if it cannot be read as YAML.
     """
     from fogspec.base.yaml.positions import spans
 
@@ -29,5 +29,5 @@ def locate(spec: str | os.PathLike[str], fields: Sequence[str]) -> dict[str, lis
 
 
 def _pattern(field: str) -> re.Pattern[str]:
-    """`spec.cloud[].package` for any index, `spec.metrics.<name>.unit` for any name."""
+    """Return a pattern for `spec.cloud[].package` with any index, `spec.metrics.<name>.unit` with any name."""
     return re.compile(re.escape(field).replace(r"\[\]", r"\[\d+\]").replace("<name>", r"[^.\[]+"))

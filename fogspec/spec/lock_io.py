@@ -19,18 +19,18 @@ ANYWHERE = {"__pycache__", ".git", ".pytest_cache"}
 
 
 def read_lock(path: Path) -> Lock | None:
-    """The lock, None where there is none; raises DiagnosticError for one that is damaged."""
+    """Return the lock, None if there is none; raise DiagnosticError if it is damaged."""
     return read_document(path, Lock) if os.path.lexists(path) else None
 
 
 def read_pins(layout: Layout) -> Pins | None:
-    """What the lock says of this application."""
+    """Return the lock's pins for this application."""
     lock = read_lock(layout.lock)
     return None if lock is None else lock.spec.applications.get(layout.name)
 
 
 def lock_text(lock: Lock) -> str:
-    """The file, applications in the order of their names."""
+    """Return the file's text, applications ordered by name."""
     data = lock.model_dump(mode="json")
     applications = data["spec"]["applications"]
     data["spec"]["applications"] = {name: applications[name] for name in sorted(applications)}
@@ -38,12 +38,12 @@ def lock_text(lock: Lock) -> str:
 
 
 def files_beside(application: Application, layout: Layout) -> dict[str, str]:
-    """The digest of every file and folder that the spec names and that is there, by name."""
+    """Return the digest of each existing file and directory that the spec names, by name."""
     return _digests(paths_named(application), layout)
 
 
 def files_deployed(application: Application, layout: Layout) -> dict[str, str]:
-    """The same of those that run when the application is deployed."""
+    """Return the same for those that a deployment needs."""
     return _digests(paths_deployed(application), layout)
 
 
@@ -54,7 +54,7 @@ def _digests(words: Iterable[str], layout: Layout) -> dict[str, str]:
 
 
 def check_files(application: Application, layout: Layout, measured: bool) -> None:
-    """Raises InvalidInput where something that the spec names is missing: each machine would be paid to find that out."""
+    """Raise InvalidInput if something that the spec names is missing, before a machine is paid for."""
     folder = layout.spec.parent
     absent = [(field, name) for field, name in files_needed(application, measured) if not (folder / name).exists()]
     if absent:
@@ -66,9 +66,9 @@ def check_files(application: Application, layout: Layout, measured: bool) -> Non
 
 
 def tree_digest(path: Path) -> str:
-    """sha256 over a file's bytes, or over a folder's files: their names, whether they are executable, their bytes.
+    """Return the sha256 of a file's bytes, or of a directory's files: their names, executable bits and bytes.
 
-    Times, owners and the order of the file system do not count, nor does what building leaves behind.
+    Times, owners, the order of the file system and build outputs do not count.
     """
     if not path.is_dir():
         return digest.of_value(_entry(path))
@@ -97,7 +97,7 @@ def _entry(path: Path) -> list[str]:
 
 
 def lock_drift(application: Application, layout: Layout, pins: Pins | None) -> list[str]:
-    """Which files and folders beside the spec are not what the lock says, by name."""
+    """Return the names of files and directories next to the spec that differ from the lock."""
     if pins is None:
         return []
     now = files_beside(application, layout)

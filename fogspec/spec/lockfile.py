@@ -79,7 +79,7 @@ class Image:
 
 
 def image_of(text: str) -> Image:
-    """`ros:jazzy` is `docker.io/library/ros`, tag `jazzy`; raises ValueError for what is no image's name."""
+    """Parse an image reference: `ros:jazzy` is `docker.io/library/ros`, tag `jazzy`; raise ValueError if it is not one."""
     before, _, digest = text.partition("@")
     name, tag = before, "latest"
     if ":" in before.rpartition("/")[2]:
@@ -95,17 +95,17 @@ def image_of(text: str) -> Image:
 
 
 def image_named(application: Application) -> str | None:
-    """The image that the spec names."""
+    """Return the image that the spec names."""
     return application.spec.ros.image if application.spec.ros else None
 
 
 def is_pinned(image: str) -> bool:
-    """Whether the image is named by its content."""
+    """Return whether the image is named by its digest."""
     return bool(DIGEST.fullmatch(image.partition("@")[2]))
 
 
 def pinned(application: Application, pins: Pins | None) -> Application:
-    """The application with its image named by digest, where the lock has one for it."""
+    """Return the application with its image named by digest if the lock has one for it."""
     ros = application.spec.ros
     if ros is None or ros.image is None or is_pinned(ros.image):
         return application
@@ -116,7 +116,7 @@ def pinned(application: Application, pins: Pins | None) -> Application:
 
 
 def pins_of_measurement(application: Application, pins: Pins | None) -> dict[str, str]:
-    """What a measurement depends on beyond the spec's text: the image's digest, and that of each file beside the spec."""
+    """Return what a measurement depends on outside the spec: the image's digest and that of each file next to the spec."""
     if pins is None:
         return {}
     image = image_named(pinned(application, pins))
@@ -125,7 +125,7 @@ def pins_of_measurement(application: Application, pins: Pins | None) -> dict[str
 
 
 def paths_named(application: Application) -> Iterator[str]:
-    """Every word of a spec that names a file or folder beside it, and words of commands, which may name one."""
+    """Return every string of a spec that names a file next to it, and words of commands, which may name one."""
     yield from paths_deployed(application)
     workload = application.spec.benchmark.workload
     # The probe's bag is what a sample records, not what it reads.
@@ -135,7 +135,7 @@ def paths_named(application: Application) -> Iterator[str]:
 
 
 def paths_deployed(application: Application) -> Iterator[str]:
-    """Those of them that what is deployed needs: not what a benchmark alone plays."""
+    """Return those of `paths_named` that a deployment needs, without what only a benchmark plays."""
     spec = application.spec
     if spec.ros is not None and spec.ros.workspace is not None:
         yield spec.ros.workspace
@@ -144,7 +144,7 @@ def paths_deployed(application: Application) -> Iterator[str]:
 
 
 def files_needed(application: Application, measured: bool) -> Iterator[tuple[str, str]]:
-    """What must be there beside the spec before a machine is started: the field and what it names.
+    """Return what must exist next to the spec before a machine is started: the field and what it names.
 
     `measured` says whether requests are sent to it too.
     """

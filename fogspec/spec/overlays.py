@@ -6,9 +6,9 @@ from fogspec.base.yaml.positions import Node, find
 
 
 def merge(node: Node, overlays: Sequence[Sequence[Node]]) -> Node:
-    """The document under every overlay that is meant for it, later ones on top.
+    """Return the document merged with every overlay that applies to it, later ones on top.
 
-    An overlay's document with a `metadata.name` is meant for the application of that name, one without for all.
+    An overlay's document with a `metadata.name` applies to the application of that name, one without to all.
     """
     name = find(node, ("metadata", "name"))
     for documents in overlays:
@@ -32,7 +32,7 @@ def _over(below: Node, above: Node) -> Node:
 
 
 def _named(node: Node) -> bool:
-    """Whether every item of a list is a map with a name."""
+    """Return whether every item of a list is a map with a name."""
     items = node.value if isinstance(node.value, list) else []
     return bool(items) and all(_name(item) is not None for item in items)
 

@@ -29,7 +29,7 @@ class ProbeParts:
 
 
 def kind_of(probe: Probe) -> Kind:
-    """The kind of a probe that breaks no rule."""
+    """Return the kind of a valid probe."""
     if probe.bag is not None:
         return "bag"
     if probe.service is not None:
@@ -40,7 +40,7 @@ def kind_of(probe: Probe) -> Kind:
 
 
 def via(probe: Probe) -> Literal["rclpy", "preload"] | None:
-    """How topics, services and actions are watched; what a service is asked never shows outside its node."""
+    """Return how topics, services and actions are watched; requests to a service are visible only inside its node."""
     kind = kind_of(probe)
     if kind in ("callback", "bag"):
         return None
@@ -48,13 +48,13 @@ def via(probe: Probe) -> Literal["rclpy", "preload"] | None:
 
 
 def name_of(probe: Probe) -> str:
-    """The name that the probe's records bear; a node's own calls of start and stop may write others into the same file."""
+    """Return the name in the probe's records; a node's own calls of start and stop may write others into the same file."""
     name = probe.callback or probe.service or probe.action or str(probe.response)
     return name if probe.callback else absolute(name)
 
 
 def probe_parts(spec: Spec) -> ProbeParts:
-    """What runs on the machine for the spec's probe and metrics."""
+    """Return what runs on the machine for the spec's probe and metrics."""
     probe, kind = spec.probe, kind_of(spec.probe)
     metrics = tuple(
         word
@@ -73,12 +73,12 @@ def probe_parts(spec: Spec) -> ProbeParts:
 
 
 def optional(inside: tuple[str, ...], argv: list[str]) -> list[str]:
-    """The command with its words in front, which starts without what they add where that cannot be had."""
+    """Return the command with a prefix, without which it starts if the prefix is unavailable."""
     return [*inside[:-1], "--optional", *inside[-1:], *argv] if inside else argv
 
 
 def player(spec: Spec) -> list[list[str]]:
-    """The process that sends the requests of a recorded bag, where there is one."""
+    """Return the process that sends the requests of a recorded bag, if there is one."""
     workload, probe = spec.benchmark.workload, spec.probe
     if workload.bag is None:
         return []
@@ -89,12 +89,12 @@ def player(spec: Spec) -> list[list[str]]:
 
 
 def absolute(name: str) -> str:
-    """A name of the graph as the graph says it."""
+    """Return a graph name in absolute form."""
     return name if name.startswith(("/", "~")) else f"/{name}"
 
 
 def module(name: str, *words: str) -> tuple[str, ...]:
-    """The argv of an on-machine half."""
+    """Return the argv of an on-machine module."""
     return ("python3", "-m", f"{PACKAGE}.{name}", *words)
 
 

@@ -1,4 +1,4 @@
-"""A typed document as a person would write it in full: units in texts, defaults filled in, nothing that is not set."""
+"""Render a typed document in full: quantities with units or as numbers, defaults filled in, unset fields left out."""
 
 from typing import Any
 

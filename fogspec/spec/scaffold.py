@@ -14,7 +14,7 @@ COLUMN = 48
 
 
 def first_data(name: str, found: LaunchImport | None = None) -> dict[str, Any]:
-    """The values of a first spec, taken from a launch file where there is one."""
+    """Return the values of a first spec, taken from a launch file if there is one."""
     cloud: list[dict[str, Any]] = [{"package": "my_package", "executable": "my_node"}]
     robot: list[dict[str, Any]] = [{"package": "my_package", "executable": "my_client"}]
     if found is not None:
@@ -40,7 +40,7 @@ def first_data(name: str, found: LaunchImport | None = None) -> dict[str, Any]:
 
 
 def _over(spec: dict[str, Any], found: LaunchImport) -> None:
-    """What the launch file says takes the place of what a first spec proposes."""
+    """Replace what a first spec proposes by what the launch file has."""
     if found.constraints:
         spec["constraints"] = found.constraints
     spec["objective"] |= found.objective
@@ -49,7 +49,7 @@ def _over(spec: dict[str, Any], found: LaunchImport) -> None:
 
 
 def first_text(data: dict[str, Any], schema: str, notes: list[str]) -> str:
-    """The spec as text: every field's meaning behind its first line, fields that are left out as hints at the end."""
+    """Return the spec as text: each field's meaning after its first line, omitted fields as hints at the end."""
     book = {page.path: page for page in pages(Application)}
     lines = [f"# yaml-language-server: $schema={schema}", *(f"# {note}" for note in notes)]
     said: set[str] = set()
@@ -74,6 +74,6 @@ def _hint(page: FieldPage) -> str:
 
 
 def name_from(text: str) -> str:
-    """An application's name from a file's or folder's name."""
+    """Return an application's name made from the name of a file or directory."""
     stem = re.sub(r"(\.launch)?(\.sky)?\.(py|xml|ya?ml|launch)$", "", text.lower())
     return re.sub(r"[^a-z0-9]+", "-", stem).strip("-")[:63].strip("-") or "my-application"

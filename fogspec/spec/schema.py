@@ -424,6 +424,6 @@ LOCAL_SHAPE = re.compile(r"^local/(?P<cpus>[1-9]\d*)cpu-(?P<memory_gib>[1-9]\d*)
 
 
 def local_shape(text: str) -> tuple[int, int] | None:
-    """vCPUs and GiB of `local/<n>cpu-<m>gib`; None for any other machine."""
+    """Return vCPUs and GiB of `local/<n>cpu-<m>gib`; None for any other machine."""
     match = LOCAL_SHAPE.match(text)
     return (int(match["cpus"]), int(match["memory_gib"])) if match else None

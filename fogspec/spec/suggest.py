@@ -1,4 +1,4 @@
-"""Did you mean: the known word nearest to one that is not known."""
+"""Did you mean: the known word closest to an unknown one."""
 
 import difflib
 import re
@@ -15,7 +15,7 @@ SYNONYMS = {
 
 
 def closest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that was most likely meant, or None."""
+    """Return the known word that was most likely meant, or None."""
     plain = {_plain(one): one for one in known}
     meant = _plain(word)
     if meant in plain:

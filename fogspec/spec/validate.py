@@ -1,7 +1,7 @@
-"""From a tree of values to a typed document: the first of two passes, one mistake a field.
+"""From a tree of values to a typed document: the first of two passes, one error per field.
 
-The types say what is right (pydantic); `fogspec.spec.field_errors` says what is wrong in the language's own words, each
-time at its place in the file. Rules that concern several fields are `fogspec.spec.rules`.
+The types define what is valid (pydantic); `fogspec.spec.field_errors` words the errors and locates them in the file.
+Rules between fields are `fogspec.spec.rules`.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ M = TypeVar("M", bound=BaseModel)
 
 @dataclass
 class Validation(Generic[M]):
-    """The document as far as it is right: `value` is None as soon as anything is wrong, `broken` says where.
+    """The document as far as it is valid: `value` is None if there is any error, `broken` are the paths of errors.
 
     `node` is the document as it was meant, with misspelt keys repaired, and `data` its values.
     """
@@ -32,7 +32,7 @@ class Validation(Generic[M]):
 
 
 def validate(model: type[M], node: Node, strict: bool = True) -> Validation[M]:
-    """The typed document, or every field that is wrong."""
+    """Return the typed document, or every field error."""
     repaired = repair(model, node)
     wrong, broken = repaired.wrong, repaired.broken
     data, value = plain(repaired.node), None

@@ -1,4 +1,4 @@
-"""Which line to blame when a text is no YAML: the parser stops where it cannot go on, often after the mistake."""
+"""Hints for syntax errors: the likely cause, since a YAML parser often stops only after it."""
 
 import re
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ class SyntaxHint:
 
 
 def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
-    """What the parser's error (ruamel.yaml's MarkedYAMLError) most likely comes from."""
+    """Return the most likely cause of the parser's error (ruamel.yaml's MarkedYAMLError)."""
     problem, context = str(wrong.problem or wrong.context or ""), str(wrong.context or "")
     mark = wrong.problem_mark or wrong.context_mark
     if mark is None:
@@ -62,9 +62,9 @@ def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
 
 
 def misplaced(lines: Sequence[str], stop: int) -> tuple[int, str, str] | None:
-    """The line above `stop` (from 0) that explains why the parser could not go on there, what must hold, and the fix.
+    """Return the line above `stop` (from 0) that explains why the parser stopped there, what must hold, and the fix.
 
-    None when the line at `stop` itself is to blame.
+    Return None if the line at `stop` itself is the cause.
     """
     before = _before(lines, stop)
     if before is None or _blank(lines[stop]):
@@ -86,7 +86,7 @@ def misplaced(lines: Sequence[str], stop: int) -> tuple[int, str, str] | None:
 
 
 def _odd_one(lines: Sequence[str], stop: int, above: int, first: int, before: int) -> int | None:
-    """Of the lines around a break in indentation, the one that does not fit.
+    """Return the line around a break in indentation that does not fit.
 
     `above` is the nearest line that is indented less than `stop`, `first` the first line of the block under it.
     """
@@ -107,7 +107,7 @@ def _odd_one(lines: Sequence[str], stop: int, above: int, first: int, before: in
 
 
 def _step(lines: Sequence[str]) -> int:
-    """By how many spaces the file indents."""
+    """Return the number of spaces by which the file indents."""
     return min((_indent(line) for line in lines if not _blank(line) and _indent(line) > 1), default=2)
 
 
@@ -116,13 +116,13 @@ def _dash(line: str) -> int:
 
 
 def _opens_text(lines: Sequence[str], line: int) -> bool:
-    """Whether a line without a key is not the continuation of a text that began above."""
+    """Return whether a line without a key is not the continuation of a string that began above."""
     above = _before(lines, line)
     return above is None or not re.search(r"[|>][-+]?\s*(#.*)?$", lines[above])
 
 
 def _before(lines: Sequence[str], line: int) -> int | None:
-    """The line before that says something."""
+    """Return the previous line that is not blank."""
     return next((i for i in range(line - 1, -1, -1) if not _blank(lines[i])), None)
 
 

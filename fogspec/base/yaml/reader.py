@@ -24,7 +24,7 @@ class _Stop(Exception):
 
 
 def decode(content: bytes, path: str, most_bytes: int = MOST_BYTES) -> tuple[str, list[Diagnostic]]:
-    """The text of a file in UTF-8, or why it is none; line ends become LF."""
+    """Return the text of a UTF-8 file with LF line ends, or the reason why it is not one."""
     if len(content) > most_bytes:
         fix = "keep data in files of their own"
         return "", [Diagnostic("FS112", f"a file may have at most {most_bytes >> 20} MiB", Span(path, 1, 1), fix)]
@@ -48,7 +48,7 @@ def decode(content: bytes, path: str, most_bytes: int = MOST_BYTES) -> tuple[str
 
 
 def documents(text: str, path: str) -> tuple[list[Node], list[Diagnostic]]:
-    """The documents of a text, as far as it can be read, and everything wrong with it as YAML."""
+    """Return the documents of a text, as far as it can be read, and all errors in it as YAML."""
     composer = _Composer(text, path)
     try:
         found = list(composer.documents())

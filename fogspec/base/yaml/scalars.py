@@ -1,4 +1,4 @@
-"""What a plain YAML scalar means: the core schema of YAML 1.2, minus what other readers take differently.
+"""Values of plain YAML scalars: the core schema of YAML 1.2, minus what other readers take differently.
 
 ROS 2 and SkyPilot read YAML 1.1, where `no` is false, `010` is 8 and `5:00` is 300. A scalar that the two versions
 take for different values is refused with what to write instead, so that no file means two things.
@@ -35,7 +35,7 @@ class Refusal:
 
 
 def resolve(text: str) -> str | int | float | bool | Refusal | None:
-    """The value of a plain scalar, or why it is refused."""
+    """Return the value of a plain scalar, or the reason why it is rejected."""
     if text in NULL:
         return None
     if text in TRUE or text in FALSE:

@@ -9,9 +9,9 @@ from fogspec.spec.launch_import.found import LaunchImport
 
 
 def read_launch(path: str | os.PathLike[str]) -> LaunchImport:
-    """What a Python, XML or YAML launch file starts.
+    """Return what a Python, XML or YAML launch file starts.
 
-    Raises DiagnosticError when the file cannot be read at all; what is beyond reading stands in `notes`.
+    Raise DiagnosticError if the file cannot be read at all; what cannot be imported is in `notes`.
     """
     name = os.fspath(path)
     try:

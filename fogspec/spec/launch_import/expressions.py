@@ -38,7 +38,7 @@ class Expressions:
                     self.defaults[str(node.args[0].value)] = default
 
     def value(self, node: ast.expr) -> Any:
-        """The value of an expression that can be told without running anything."""
+        """Return the value of an expression that can be evaluated without running anything."""
         self.depth += 1
         try:
             if self.depth > 50:
@@ -86,7 +86,7 @@ class Expressions:
         raise Unknown(call)
 
     def follow(self, node: ast.expr) -> ast.expr:
-        """What a name stands for, followed a few steps."""
+        """Return what a name is bound to, followed a few steps."""
         for _ in range(10):
             if not (isinstance(node, ast.Name) and node.id in self.names):
                 break
@@ -95,7 +95,7 @@ class Expressions:
 
 
 def name_of(call: ast.Call) -> str:
-    """The last word of what is called."""
+    """Return the last name of the callee."""
     return (
         call.func.attr
         if isinstance(call.func, ast.Attribute)
@@ -106,12 +106,12 @@ def name_of(call: ast.Call) -> str:
 
 
 def keyword_of(call: ast.Call, name: str) -> ast.expr | None:
-    """A keyword argument."""
+    """Return a keyword argument."""
     return next((one.value for one in call.keywords if one.arg == name), None)
 
 
 def place_of(node: ast.expr, found: LaunchImport) -> tuple[int, int, int]:
-    """Line, column and width of an expression's first line, in characters; Python counts columns in bytes."""
+    """Return line, column and width of an expression's first line, in characters; Python counts bytes."""
     line = found.lines[node.lineno - 1] if node.lineno <= len(found.lines) else ""
     start = len(line.encode()[: node.col_offset].decode("utf-8", "ignore"))
     if node.end_lineno == node.lineno and node.end_col_offset is not None:

@@ -39,7 +39,7 @@ class LaunchImport:
     notes: list[Diagnostic] = field(default_factory=list)
 
     def note(self, line: int, message: str, column: int = 1, width: int | None = None) -> None:
-        """Say what was not taken over, and where it stands."""
+        """Report what was not imported, and where it is."""
         source = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
         if column == 1:
             column = len(source) - len(source.lstrip()) + 1
@@ -48,12 +48,12 @@ class LaunchImport:
 
 
 def tidy_node(raw: dict[str, Any]) -> dict[str, Any]:
-    """The node with the words in the language's order, without those that say nothing."""
+    """Return the node with its keys in the order of the schema, without empty ones."""
     return {word: raw[word] for word in NODE_WORDS if raw.get(word) not in (None, "", [], {})}
 
 
 def typed(text: str) -> Any:
-    """A parameter's value as ROS 2 would take it from a text; a text where readers would differ."""
+    """Return a parameter's value as ROS 2 would read it from a string; the string if readers would differ."""
     stripped = text.strip()
     if stripped.startswith("[") and stripped.endswith("]"):
         return [typed(part.strip(" '\"")) for part in stripped[1:-1].split(",") if part.strip()]
@@ -62,7 +62,7 @@ def typed(text: str) -> Any:
 
 
 def words(text: str) -> list[str]:
-    """A command line as a list of arguments."""
+    """Return a command line as a list of arguments."""
     try:
         return shlex.split(text)
     except ValueError:
@@ -72,7 +72,7 @@ def words(text: str) -> list[str]:
 def take_constraint(
     found: LaunchImport, key: str, value: Any, line: int, column: int = 1, width: int | None = None
 ) -> None:
-    """One entry of the paper's `constraint={...}`; numbers without units are taken only where no reader could differ."""
+    """Import one entry of the paper's `constraint={...}`; numbers without units only if they are unambiguous."""
     name = re.sub(r"[^a-z]", "", key.lower())
     if not isinstance(value, (int, float, str)) or isinstance(value, bool):
         found.note(line, f"constraint {key} cannot be read", column, width)

@@ -22,7 +22,7 @@ class Action:
 
 
 def take_actions(found: LaunchImport, actions: list[Action]) -> None:
-    """Take over what starts; everything goes to the robot, because these files cannot say otherwise."""
+    """Import what starts; all nodes go to the robot, because these files cannot say otherwise."""
     defaults: dict[str, str] = {}
     _take(found, actions, defaults)
 
@@ -94,7 +94,7 @@ def _parameters(
 
 
 def _text(found: LaunchImport, action: Action, name: str, defaults: dict[str, str]) -> str | None:
-    """An attribute with launch arguments' defaults put in; None where only launching would tell."""
+    """Return an attribute with the defaults of launch arguments filled in; None if only launching determines it."""
     value = action.attributes.get(name)
     if value is None:
         return None

@@ -23,7 +23,7 @@ UNUSED = {"workdir", "mode", "ami", "num_replicas", "manifest"}
 
 
 def read_python(text: str, path: str) -> LaunchImport:
-    """What the file starts; raises DiagnosticError when it is no Python."""
+    """Return what the file starts; raise DiagnosticError if it is not Python."""
     try:
         tree = ast.parse(text, path)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as wrong:
@@ -59,7 +59,7 @@ class _Reader:
                 self._note(call, f"{NOT_READ[name]}: not taken over")
 
     def _description(self, call: ast.Call) -> None:
-        """The paper's SkyLaunchDescription: its nodes go to the cloud, its constraint into the spec."""
+        """Import the paper's SkyLaunchDescription: its nodes go to the cloud, its constraint into the spec."""
         for name, value in [("nodes", one) for one in call.args[:1]] + [(k.arg, k.value) for k in call.keywords]:
             if name == "nodes":
                 for item in self._items(value):
@@ -77,7 +77,7 @@ class _Reader:
                 self._note(value, f"{name} of SkyLaunchDescription is not taken over")
 
     def _items(self, value: ast.expr) -> list[ast.Call]:
-        """The calls in a list, also where each is a name."""
+        """Return the calls in a list, also if each is a name."""
         value = self.told.follow(value)
         if not isinstance(value, (ast.List, ast.Tuple)):
             self._note(value, "the list of nodes cannot be read")

@@ -17,7 +17,7 @@ class _Element:
 
 
 def read_xml(text: str, path: str) -> LaunchImport:
-    """What the file starts; raises DiagnosticError when it is no launch file in XML."""
+    """Return what the file starts; raise DiagnosticError if it is not an XML launch file."""
     try:
         root = _parsed(text)
     except xml.parsers.expat.ExpatError as wrong:
@@ -53,7 +53,7 @@ def _parsed(text: str) -> _Element | None:
 
 
 def _action(element: _Element) -> Action:
-    """The element as the YAML front end would write it: children of one name are a list."""
+    """Return the element as the YAML front end would write it: children of one name are a list."""
     below: dict[str, list[Action]] = {}
     for child in element.children:
         below.setdefault(child.tag, []).append(_action(child))

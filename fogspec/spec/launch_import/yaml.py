@@ -10,7 +10,7 @@ from fogspec.spec.launch_import.frontend import Action, take_actions
 
 
 def read_yaml(text: str, path: str) -> LaunchImport:
-    """What the file starts; raises DiagnosticError when it is no launch file in YAML."""
+    """Return what the file starts; raise DiagnosticError if it is not a YAML launch file."""
     nodes, wrong = reader.documents(text, path)
     if wrong:
         raise DiagnosticError(wrong)
@@ -25,7 +25,7 @@ def read_yaml(text: str, path: str) -> LaunchImport:
 
 
 def _actions(node: Node) -> list[Action]:
-    """The actions of a list of one-key maps."""
+    """Return the actions of a list of one-key maps."""
     found = []
     for item in node.value if isinstance(node.value, list) else []:
         if isinstance(item.value, dict):

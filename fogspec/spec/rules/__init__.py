@@ -1,7 +1,6 @@
-"""Rules that concern several fields: the second of two passes, run on whatever the first found right.
+"""Rules between fields: the second of two passes, run on the fields that the first one found valid.
 
-Fields that are wrong by themselves are left out, and a finding that is about one of them is not made: each mistake
-is said once.
+Invalid fields are skipped and rules touching them stay silent, so that each error is reported once.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,7 +28,7 @@ STAND_INS: dict[Path, Any] = {
 
 
 def run_rules(checked: Validation[Application]) -> Iterator[Diagnostic]:
-    """What is wrong with one document beyond its single fields."""
+    """Yield the broken rules of one document beyond its single fields."""
     application, node = checked.value or _lenient(checked), checked.node
     if application is None:
         return
@@ -41,7 +40,7 @@ def run_rules(checked: Validation[Application]) -> Iterator[Diagnostic]:
 
 
 def run_rules_together(documents: Sequence[tuple[Node, Validation[Application]]]) -> Iterator[Diagnostic]:
-    """What is wrong with documents beside one another."""
+    """Yield the broken rules between documents."""
     path = ("metadata", "name")
     first: dict[str, Node] = {}
     for node, checked in documents:
@@ -56,12 +55,12 @@ def run_rules_together(documents: Sequence[tuple[Node, Validation[Application]]]
 
 
 def _touches(path: Path, broken: set[Path]) -> bool:
-    """Whether something at, around or under the path is wrong by itself."""
+    """Return whether something at, around or under the path is wrong by itself."""
     return any(path[: len(one)] == one or one[: len(path)] == path for one in broken)
 
 
 def _lenient(checked: Validation[Application]) -> Application | None:
-    """The application without its broken fields; None when too little is left of it."""
+    """Return the application without its broken fields; None if too little is left of it."""
     data = checked.data
     if not isinstance(data, dict) or not isinstance(data.get("spec"), dict):
         return None
@@ -79,7 +78,7 @@ def _lenient(checked: Validation[Application]) -> Application | None:
 
 
 def _drop(data: Any, path: Path) -> None:
-    """Take a field out; an item of a list takes the whole list with it, so that no index moves."""
+    """Remove a field; remove the whole list for an item of one, so that no index moves."""
     while path and isinstance(path[-1], int):
         path = path[:-1]
     for step in path[:-1]:

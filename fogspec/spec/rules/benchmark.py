@@ -14,7 +14,7 @@ PROBES = ("request and response", "service", "action", "callback")
 
 
 def kind_of_probe(application: Application) -> Iterator[Finding]:
-    """Exactly one kind of probe measures the latency; a bag is one that holds request and response."""
+    """Require exactly one kind of probe; a bag must contain request and response."""
     probe, at = application.spec.probe, ("spec", "probe")
     kinds = [kind for kind in ("service", "action", "callback") if getattr(probe, kind) is not None]
     topics = probe.request is not None or probe.response is not None or (probe.bag is not None and not kinds)
@@ -55,7 +55,7 @@ def kind_of_probe(application: Application) -> Iterator[Finding]:
 
 
 def ways_to_watch(application: Application) -> Iterator[Finding]:
-    """What a way of watching cannot see must not be asked of it."""
+    """Reject what the chosen way of watching cannot observe."""
     probe, at = application.spec.probe, ("spec", "probe")
     kind, via = kind_of(probe), probe.via
     if via is not None and kind in ("callback", "bag"):
@@ -104,7 +104,7 @@ def ways_to_watch(application: Application) -> Iterator[Finding]:
 
 
 def workload(application: Application) -> Iterator[Finding]:
-    """Requests come from a bag or from a node, and a bag's must be known among its topics."""
+    """Require one sender, a bag or a node; a bag must hold what the probe names."""
     spec, at = application.spec, ("spec", "benchmark", "workload")
     work, kind = spec.benchmark.workload, kind_of(spec.probe)
     about = (("spec", "probe"),)
@@ -120,7 +120,7 @@ def workload(application: Application) -> Iterator[Finding]:
 
 
 def kind_of_metric(application: Application) -> Iterator[Finding]:
-    """A metric is read off a topic's field, or reported by the node's own code."""
+    """Require a metric to come from a topic's field or from the node's own code."""
     for name, metric in application.spec.metrics.items():
         path: Path = ("spec", "metrics", name)
         if metric.callback is not None and (metric.topic is not None or metric.field is not None):
@@ -147,7 +147,7 @@ def kind_of_metric(application: Application) -> Iterator[Finding]:
 
 
 def scenarios(application: Application) -> Iterator[Finding]:
-    """Kinds of request are told apart by the workload's own code."""
+    """Require a callback probe for scenarios, which the workload's own code names."""
     spec, at = application.spec, ("spec", "benchmark", "scenarios")
     if spec.benchmark.scenarios and spec.probe.callback is None:
         yield Finding(
@@ -160,7 +160,7 @@ def scenarios(application: Application) -> Iterator[Finding]:
 
 
 def metrics_that_exist(application: Application) -> Iterator[Finding]:
-    """Objective and limits name metrics that the spec has."""
+    """Require metrics named by objective and limits to exist."""
     spec, known = application.spec, list(application.spec.metrics)
     named: list[tuple[Path, str, bool]] = [
         (("spec", "constraints", "metrics", name), name, True) for name in spec.constraints.metrics
@@ -190,7 +190,7 @@ def metrics_that_exist(application: Application) -> Iterator[Finding]:
 
 
 def billing(application: Application) -> Iterator[Finding]:
-    """Provisioned billing divides the hour by the request rate; busy billing has no use for one."""
+    """Require a request rate for provisioned billing, and none for per-use billing."""
     objective, at = application.spec.objective, ("spec", "objective")
     both = ((*at, "rate"), (*at, "billing"))
     if objective.billing == "provisioned" and objective.rate is None:
@@ -213,7 +213,7 @@ def billing(application: Application) -> Iterator[Finding]:
 
 
 def extra_costs(application: Application) -> Iterator[Finding]:
-    """Half of a cost is none: data without a price, a price without data, interruptions of machines that have none."""
+    """Reject half of a cost: data without a price, a price without data, interruptions without spot machines."""
     spec, at = application.spec, ("spec", "objective")
     transfer = spec.objective.transfer
     if bool(transfer.per_request) != bool(transfer.price):
@@ -242,7 +242,7 @@ def extra_costs(application: Application) -> Iterator[Finding]:
 
 
 def latency_limit(application: Application) -> Iterator[Finding]:
-    """What the network takes must leave something of the latency, and a sample must outlast one request."""
+    """Require time for the request besides the network's, and samples that outlast one request."""
     spec, latency = application.spec, application.spec.constraints.latency
     at: Path = ("spec", "constraints", "latency")
     network: Path = ("spec", "constraints", "network_allowance")
@@ -263,7 +263,7 @@ def latency_limit(application: Application) -> Iterator[Finding]:
 
 
 def stop(application: Application) -> Iterator[Finding]:
-    """A sample must measure more requests than it throws away."""
+    """Require a sample to measure more requests than its warm-up discards."""
     steps, warmup = application.spec.benchmark.stop.requests, application.spec.benchmark.warmup
     if steps is not None and warmup >= steps:
         path: Path = ("spec", "benchmark", "warmup")
@@ -273,7 +273,7 @@ def stop(application: Application) -> Iterator[Finding]:
 
 
 def budget(application: Application) -> Iterator[Finding]:
-    """Measuring on machines that cost money needs a budget."""
+    """Require a budget if measuring costs money."""
     benchmark = application.spec.benchmark
     local = bool(benchmark.machines) and all(machine.startswith("local/") for machine in benchmark.machines)
     path: Path = ("spec", "benchmark", "budget")
@@ -296,7 +296,7 @@ def budget(application: Application) -> Iterator[Finding]:
 
 
 def placeholders(application: Application) -> Iterator[Finding]:
-    """Topics that `init` made up would be waited for in vain, at a price."""
+    """Warn about the topics that `init` wrote as placeholders."""
     probe = application.spec.probe
     if (probe.request, probe.response) == PLACEHOLDER_TOPICS:
         yield Finding(

@@ -15,7 +15,7 @@ KINDS = ("topics", "services", "actions")
 
 
 def what_a_link_needs(application: Application) -> Iterator[Finding]:
-    """Each link works with some ROS 2 environments."""
+    """Require a ROS 2 environment that the link works with."""
     spec, ros = application.spec, ("spec", "ros")
     if spec.connectivity.link == "zenoh" and spec.ros is None:
         message = "spec.connectivity.link zenoh joins ROS 2 graphs, and spec.ros is missing"
@@ -31,7 +31,7 @@ def what_a_link_needs(application: Application) -> Iterator[Finding]:
 
 
 def port_that_nobody_opens(application: Application) -> Iterator[Finding]:
-    """WireGuard's port on machines that SkyPilot starts, where the link is possible at all."""
+    """Warn that SkyPilot does not open WireGuard's port."""
     spec = application.spec
     elsewhere = any(cloud_of(entry).on_skypilot for entry in spec.infra)
     if spec.connectivity.link == "wireguard" and elsewhere and not any(what_a_link_needs(application)):
@@ -43,7 +43,7 @@ def port_that_nobody_opens(application: Application) -> Iterator[Finding]:
 
 
 def words_of_a_link(application: Application) -> Iterator[Finding]:
-    """What passes is said for a link that is there."""
+    """Reject settings of a link that does not exist."""
     joined = application.spec.connectivity
     said = [word for word in (*KINDS, "port") if getattr(joined, word)]
     if joined.link == "none" and not joined.sros2:
@@ -59,7 +59,7 @@ def words_of_a_link(application: Application) -> Iterator[Finding]:
 
 
 def names_that_pass(application: Application) -> Iterator[Finding]:
-    """A name that passes is whole: which node it would be relative to is not known to a router."""
+    """Require absolute names for what passes the link: a router does not know which node a name is relative to."""
     joined, probe = application.spec.connectivity, application.spec.probe
     if joined.link == "none" and not joined.sros2:
         return
@@ -77,7 +77,7 @@ def names_that_pass(application: Application) -> Iterator[Finding]:
 
 
 def no_private_keys(application: Application) -> Iterator[Finding]:
-    """Nothing in a spec is a private key or a credential."""
+    """Reject private keys and credentials anywhere in a spec."""
     for path, key, text in _texts((), application.model_dump(mode="json")):
         if looks_private(text, key):
             fix = "make a new one, and name it in spec.secrets or leave it where it was made"

@@ -22,7 +22,7 @@ INSTANCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+:-]*")  # of Slurm and Kubernete
 
 
 def places(application: Application) -> Iterator[Finding]:
-    """Infra is written cloud, cloud/region or cloud/region/zone."""
+    """Require infra in the form cloud, cloud/region or cloud/region/zone."""
     for i, text in enumerate(application.spec.infra):
         path, cloud = ("spec", "infra", i), cloud_name(text)
         if not INFRA.fullmatch(text):
@@ -48,7 +48,7 @@ def _cloud_with_region(text: str) -> str | None:
 
 
 def gpus(application: Application) -> Iterator[Finding]:
-    """A GPU that names nothing would silently rule out every machine that has one."""
+    """Require known GPU names: an unknown one would silently exclude every machine that has one."""
     for i, name in enumerate(application.spec.hardware.gpus):
         if name in GPUS:
             continue
@@ -75,7 +75,7 @@ def gpus(application: Application) -> Iterator[Finding]:
 
 
 def listed_once(application: Application) -> Iterator[Finding]:
-    """An entry that is there twice was meant to be something else."""
+    """Reject repeated entries."""
     spec = application.spec
     lists: tuple[tuple[Path, Sequence[str]], ...] = (
         (("spec", "infra"), spec.infra),
@@ -102,7 +102,7 @@ def listed_once(application: Application) -> Iterator[Finding]:
 
 
 def sampled_machines(application: Application) -> Iterator[Finding]:
-    """What is sampled is an instance type, or a shape of this host."""
+    """Require sampled machines to be instance types or shapes of this host."""
     for i, name in enumerate(application.spec.benchmark.machines):
         path = ("spec", "benchmark", "machines", i)
         if name.startswith("local") and not LOCAL_SHAPE.fullmatch(name):
@@ -119,7 +119,7 @@ def sampled_machines(application: Application) -> Iterator[Finding]:
 
 
 def shapes(application: Application) -> Iterator[Finding]:
-    """CPUs, memory and memory per vCPU must leave some machine possible, and none may be zero."""
+    """Require ranges of CPUs, memory and memory per vCPU that leave some machine possible."""
     hardware = application.spec.hardware
     at: Path = ("spec", "hardware")
     for name in ("cpus", "memory", "memory_per_cpu"):

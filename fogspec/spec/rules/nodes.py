@@ -14,7 +14,7 @@ GRAPH_NAME = re.compile(r"(~/|/)?([A-Za-z_{][A-Za-z0-9_{}]*)(/[A-Za-z_{][A-Za-z0
 
 
 def all_nodes(spec: Spec) -> Iterator[tuple[Path, Node]]:
-    """Every node of the spec with its path."""
+    """Return every node of the spec with its path."""
     for where, some in (("cloud", spec.cloud), ("robot", spec.robot)):
         for i, node in enumerate(some):
             yield ("spec", where, i), node
@@ -23,7 +23,7 @@ def all_nodes(spec: Spec) -> Iterator[tuple[Path, Node]]:
 
 
 def kind_of_node(application: Application) -> Iterator[Finding]:
-    """A node is a package and its executable, or a plain process."""
+    """Require package and executable, or a plain process."""
     for path, node in all_nodes(application.spec):
         said = [word for word in ROS_WORDS if getattr(node, word)]
         if node.cmd is not None:
@@ -40,7 +40,7 @@ def kind_of_node(application: Application) -> Iterator[Finding]:
 
 
 def environment_of_nodes(application: Application) -> Iterator[Finding]:
-    """ROS 2 nodes on the cloud need a ROS 2 environment there."""
+    """Require a ROS 2 environment for ROS 2 nodes on the cloud."""
     path: Path = ("spec", "ros")
     if application.spec.ros is None and any(node.package and node.executable for node in application.spec.cloud):
         message = "spec.ros is missing, and spec.cloud has ROS 2 nodes"
@@ -48,7 +48,7 @@ def environment_of_nodes(application: Application) -> Iterator[Finding]:
 
 
 def unique_names(application: Application) -> Iterator[Finding]:
-    """Two nodes must not have the same full name."""
+    """Reject two nodes with the same full name."""
     seen: dict[str, Path] = {}
     for path, node in all_nodes(application.spec):
         if node.name is None:
@@ -63,7 +63,7 @@ def unique_names(application: Application) -> Iterator[Finding]:
 
 
 def graph_names(application: Application) -> Iterator[Finding]:
-    """Topics, services and namespaces have names that ROS 2 accepts."""
+    """Require names of topics, services and namespaces that ROS 2 accepts."""
     spec = application.spec
     named: list[tuple[Path, str | None]] = [
         (("spec", "probe", kind), getattr(spec.probe, kind)) for kind in ("request", "response", "service", "action")
@@ -83,7 +83,7 @@ def graph_names(application: Application) -> Iterator[Finding]:
 
 
 def parameter_values(application: Application) -> Iterator[Finding]:
-    """A ROS 2 parameter is true or false, a number, a text, or a list of one of these; maps nest."""
+    """Require ROS 2 parameter values: booleans, numbers, strings, lists of one of these; maps nest."""
     for path, node in all_nodes(application.spec):
         yield from _parameters((*path, "parameters"), node.parameters)
 
@@ -105,7 +105,7 @@ def _parameters(path: Path, values: dict[str, Any]) -> Iterator[Finding]:
 
 
 def paths(application: Application) -> Iterator[Finding]:
-    """Files are in the spec's folder, named relative to it: that folder is what a machine gets."""
+    """Require files inside the spec's directory, named relative to it: that directory is sent to the machine."""
     spec = application.spec
     named: list[tuple[Path, str | None]] = [
         (("spec", "ros", "workspace"), spec.ros.workspace if spec.ros else None),
@@ -128,7 +128,7 @@ def paths(application: Application) -> Iterator[Finding]:
 
 
 def secrets(application: Application) -> Iterator[Finding]:
-    """A secret's value is in no file."""
+    """Reject values of secrets in the spec."""
     for path, node in all_nodes(application.spec):
         for name in node.env:
             if name in application.spec.secrets:
