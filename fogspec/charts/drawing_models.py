@@ -29,12 +29,12 @@ def interval_of(predictions: Predictions, row: int) -> tuple[float, float] | Non
 def latency_chart(application: Application, choice: Choice, models: Models) -> LatencyChart:
     """Latency by vCPUs for each GPU type that was sampled."""
     statistic = application.spec.constraints.statistic
-    gpus = sorted({_gpu_of(one.machine) for one in models.spec.known}, key=lambda gpu: gpu or ("", 0.0))
+    gpus = sorted({_gpu_of(one.machine) for one in models.spec.observations}, key=lambda gpu: gpu or ("", 0.0))
     panels = [_panel(choice, models, gpu) for gpu in gpus]
     how = "shapes of one host" if models.spec.measured_on_local else "machines"
     return LatencyChart(
         title=f"{application.metadata.name}: latency by vCPUs",
-        subtitle=f"{statistic} latency of one request; {len(models.spec.known)} {how} measured",
+        subtitle=f"{statistic} latency of one request; {len(models.spec.observations)} {how} measured",
         y_label=f"{statistic} latency", panels=panels, level=LEVEL,
     )  # fmt: skip
 
@@ -43,7 +43,9 @@ def _panel(choice: Choice, models: Models, gpu: tuple[str, float] | None) -> Pan
     offers, value = choice.offers, choice.latency.value
     name, count = gpu or ("", 0.0)
     rows = np.flatnonzero((offers.gpu == name) & (offers.gpu_count == count) & choice.eligible)
-    samples = [_sample(one) for one in models.spec.known if _gpu_of(one.machine) == gpu and "latency" in one.values]
+    samples = [
+        _sample(one) for one in models.spec.observations if _gpu_of(one.machine) == gpu and "latency" in one.values
+    ]
     others = np.unique(np.column_stack([offers.vcpus[rows], value[rows]]), axis=0).tolist()
     heading = "machines without GPU" if gpu is None else f"machines with {count:g} {name}"
     curve, words = _curve(models, gpu, offers.vcpus[rows], offers.memory_gib[rows])

@@ -89,12 +89,12 @@ def influences(
 ) -> list[Influence]:
     """Each sample left out in turn, those that change the choice first, then those that move predictions most."""
     body = models.spec
-    if space is None or len(body.known) < 2:
+    if space is None or len(body.observations) < 2:
         return []
     found = []
-    for left_out in body.known:
-        others = [one for one in body.known if one is not left_out]
-        predicted = space.predicted(others, body.unusable, targets(application))
+    for left_out in body.observations:
+        others = [one for one in body.observations if one is not left_out]
+        predicted = space.predicted(others, body.rejected, targets(application))
         found.append(_influence(application, predicted, left_out, choice))
     return sorted(found, key=lambda one: (not one.changes, -round(one.moves, 6), one.id))
 

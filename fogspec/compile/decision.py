@@ -88,7 +88,7 @@ def warnings_for(application: Application, models: Models, choice: Choice) -> li
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
         found += [f"curve of {model.target}{beside}: {text}" for text in model.warnings]
-    found += [f"sample {one.id} does not count: {one.why}" for one in models.spec.unusable]
+    found += [f"sample {one.id} does not count: {one.reason}" for one in models.spec.rejected]
     image = image_named(application)
     if image is not None and not is_pinned(image):
         found.append(f"image {image} is not pinned to a digest: what is deployed may differ from what was measured")

@@ -369,7 +369,7 @@ def _model_ref(models: Models, entry: Entry, file: FileRef) -> ModelRef:
     )  # fmt: skip
     return ModelRef(
         path=file.path, digest=file.digest, surrogate=None if body.measured_on_local else body.predictor.surrogate,
-        priors=body.predictor.priors, samples=len(body.known), curve=curve,
+        priors=body.predictor.priors, samples=len(body.observations), curve=curve,
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """What was measured, as the models take it, and the curves of the paper's families over it.
 
-Predictions come from the surrogate (`fogspec.model.predict`, ADR 0020), which is conditioned on `known` and `unusable`. The
-families of section 2.C are fitted beside it, one for each GPU type and target (the latency, or a metric of the
+Predictions come from the surrogate (`fogspec.model.predict`, ADR 0020), which is conditioned on `observations` and
+`rejected`. The families of section 2.C are fitted beside it, one for each GPU type and target (the latency, or a metric of the
 application), chosen by leave-one-out error (ADR 0008): for comparison, for the relaxed method, and for shapes of one host.
 """
 
@@ -77,16 +77,16 @@ class Observation(Strict):
 class RejectedSample(Strict):
     """A sample without a value, and why.
 
-    `unfit` says that the machine itself was seen to fail, `short_of_memory` that it had too little memory, as any machine
-    with as little has; `at_least` is a lower bound on its latency, from a run that was given up in its first request.
+    `excludes_machine`: the machine itself failed; `out_of_memory`: it ran out of memory, so machines with no more memory are
+    ruled out too; `latency_lower_bound` comes from a run that was given up in its first request.
     """
 
     id: str
     machine: Machine
-    why: str
-    unfit: bool
-    short_of_memory: bool = False
-    at_least: Duration | None = None
+    reason: str
+    excludes_machine: bool
+    out_of_memory: bool = False
+    latency_lower_bound: Duration | None = None
 
 
 class Predictor(Strict):
@@ -103,8 +103,8 @@ class ModelsBody(Strict):
     measured_on_local: bool
     predictor: Predictor
     models: list[Model]
-    known: list[Observation]
-    unusable: list[RejectedSample]
+    observations: list[Observation]
+    rejected: list[RejectedSample]
 
 
 class Models(Strict):
@@ -134,7 +134,7 @@ def fit(application: Application, results: Results, priors: str | None = None) -
     ]
     body = ModelsBody(
         statistic=statistic, measured_on_local=is_proxy(application, known),
-        predictor=Predictor(surrogate=VERSION, priors=priors), models=models, known=known, unusable=unusable,
+        predictor=Predictor(surrogate=VERSION, priors=priors), models=models, observations=known, rejected=unusable,
     )  # fmt: skip
     return Models(metadata=PlanMetadata(name=application.metadata.name), spec=body)
 
@@ -164,8 +164,8 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
 
     def unusable(why: str, unfit: bool) -> RejectedSample:
         return RejectedSample(
-            id=record.id, machine=record.machine, why=why, unfit=unfit, at_least=waited,
-            short_of_memory=record.reason == "out_of_memory",
+            id=record.id, machine=record.machine, reason=why, excludes_machine=unfit, latency_lower_bound=waited,
+            out_of_memory=record.reason == "out_of_memory",
         )  # fmt: skip
 
     if record.state != "ok" or record.latency is None:

@@ -118,9 +118,9 @@ class PredictionSpace:
         """Predictions of these targets for every offer, from this evidence."""
         known = [one for one in known if counts(one.machine, self.offers)]
         unusable = [one for one in unusable if counts(one.machine, self.offers)]
-        little = max((one.machine.memory for one in unusable if one.short_of_memory), default=0.0)
+        little = max((one.machine.memory for one in unusable if one.out_of_memory), default=0.0)
         unfit = self.types.machines.memory_gib <= little
-        unfit[[self.place[one.machine.type_key] for one in unusable if one.unfit]] = True
+        unfit[[self.place[one.machine.type_key] for one in unusable if one.excludes_machine]] = True
         of = self.types.of[: len(self.offers)]
         found = {name: _conditioned(self.space, self.place, known, unusable, name) for name in targets}
         return PredictionSet(
@@ -148,7 +148,7 @@ def predict(
         return PredictionSet(
             offers, instance_types(offers), {name: _by_curves(models, offers, name) for name in targets}
         )
-    return predict_from(body.known, body.unusable, offers, targets, catalog, library)
+    return predict_from(body.observations, body.rejected, offers, targets, catalog, library)
 
 
 def predict_from(
@@ -176,10 +176,10 @@ def _conditioned(
     values = [one for one in known if one.values.get(target, 0.0) > 0]
     if not values:
         return None
-    bounds = [one for one in unusable if one.at_least] if target == "latency" else []
+    bounds = [one for one in unusable if one.latency_lower_bound] if target == "latency" else []
     return space.fit(observations(
         [place[one.type_key] for one in (*(v.machine for v in values), *(b.machine for b in bounds))],
-        [*(one.values[target] for one in values), *(one.at_least or 0.0 for one in bounds)],
+        [*(one.values[target] for one in values), *(one.latency_lower_bound or 0.0 for one in bounds)],
         [*(one.error if target == "latency" else math.nan for one in values), *(math.nan for _ in bounds)],
         [*(False for _ in values), *(True for _ in bounds)],
     ))  # fmt: skip

@@ -33,7 +33,7 @@ class Analysis:
         chosen, offers = compiled.chosen, compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
         usd = offers.price_usd_per_hour * lifetime_s(body.duration, body.setup_timeout) / 3600
-        failed = [one.machine for one in chosen.models.spec.unusable]
+        failed = [one.machine for one in chosen.models.spec.rejected]
         return cls(
             slacks(chosen.choice),
             influences(app, chosen.models, chosen.predicted.space, chosen.choice),
@@ -171,7 +171,7 @@ def _model(compiled: Artifacts, found: Analysis) -> list[str]:
     lines = []
     if not body.measured_on_local:
         beside = f" and machine library {body.predictor.priors}" if body.predictor.priors else ""
-        lines.append(f"  surrogate on {len(body.known)} samples{beside}{_foretold(found.influences)}")
+        lines.append(f"  surrogate on {len(body.observations)} samples{beside}{_foretold(found.influences)}")
     for one in widest_intervals(choice):
         interval = choice.latency.interval(one.row, LEVEL) or (0.0, 0.0)
         low, high = (units.format_duration(rounded(end)) for end in interval)

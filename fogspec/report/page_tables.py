@@ -88,7 +88,7 @@ def residual_rows(compiled: Artifacts) -> Sequence[tuple[str, ...]]:
     models = compiled.chosen.models
     fitted = {model.gpu: model for model in models.spec.models if model.target == "latency"}
     rows = []
-    for one in models.spec.known:
+    for one in models.spec.observations:
         model = fitted.get(one.machine.gpu_key)
         latency = one.values["latency"]
         curve = None
@@ -105,10 +105,10 @@ def _without(compiled: Artifacts, one: Observation) -> tuple[str, str, str]:
     """What all other samples say of a sample's machine: prediction, interval, and how far off it is."""
     assert compiled.chosen is not None
     ground, body = compiled.chosen.predicted.space, compiled.chosen.models.spec
-    others = [other for other in body.known if other.machine.type_key != one.machine.type_key]
+    others = [other for other in body.observations if other.machine.type_key != one.machine.type_key]
     if ground is None or not others:
         return "", "", ""
-    posterior = ground.predicted(others, body.unusable, ["latency"]).targets["latency"].posterior
+    posterior = ground.predicted(others, body.rejected, ["latency"]).targets["latency"].posterior
     if posterior is None:
         return "", "", ""
     at = [ground.place[one.machine.type_key]]

@@ -28,7 +28,7 @@ def summary(compiled: Artifacts) -> str:
     chosen = compiled.chosen
     results = compiled.results
     assert results is not None
-    usable, all_of = len(chosen.models.spec.known), len(results.spec.samples)
+    usable, all_of = len(chosen.models.spec.observations), len(results.spec.samples)
     lines.append(
         _row(
             "results",

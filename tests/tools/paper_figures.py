@@ -107,7 +107,7 @@ def _page(title: str, frames: list[Frame], legend: list[tuple[str, str]]) -> str
 
 def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
     """Latency or cost of every sample by vCPUs, and the family with the largest R² for each GPU type (2.C, 2.D)."""
-    known = case.models.spec.known
+    known = case.models.spec.observations
     factor = 1e6 / 3600 if of_cost else 1.0
     values = np.array([k.values["latency"] * (k.machine.price * factor if of_cost else 1) for k in known])
     vcpus, memory = (np.array([getattr(k.machine, name) for k in known]) for name in ("cpus", "memory"))

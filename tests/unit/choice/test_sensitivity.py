@@ -46,9 +46,9 @@ def test_leaving_a_sample_out_is_the_choice_without_it():
     found = predicted()
     choice = choose(app, found)
     told = influences(app, MODELS, found.space, choice)
-    assert {one.id for one in told} == {one.id for one in MODELS.spec.known}
+    assert {one.id for one in told} == {one.id for one in MODELS.spec.observations}
     for one in told[:3]:
-        others = [known for known in MODELS.spec.known if known.id != one.id]
+        others = [known for known in MODELS.spec.observations if known.id != one.id]
         without = choose(app, found.space.predicted(others, [], targets(app)))
         assert one.changes_to == str(without.offers.instance[without.chosen])
         assert one.changes == (one.changes_to != str(choice.offers.instance[choice.chosen]))

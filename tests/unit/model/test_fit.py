@@ -58,14 +58,14 @@ def test_failed_samples_are_named_and_the_machine_that_failed_is_no_candidate():
     bad = record(float(catalog.vcpus[0]), float(catalog.memory_gib[0]), None, instance=failing, state="failed",
                  reason="out_of_memory", detail="needs more")  # fmt: skip
     models = fit(application(), results(*good, bad))
-    assert [(one.unfit, one.why) for one in models.spec.unusable] == [(True, "out of memory: needs more")]
+    assert [(one.excludes_machine, one.reason) for one in models.spec.rejected] == [(True, "out of memory: needs more")]
     assert predict(models, catalog).unfit[0]
 
 
 def test_a_sample_that_the_cloud_refused_says_nothing_of_the_machine():
     bad = record(2.0, 4.0, None, state="failed", reason="capacity")
-    [one] = fit(application(), results(bad)).spec.unusable
-    assert not one.unfit
+    [one] = fit(application(), results(bad)).spec.rejected
+    assert not one.excludes_machine
 
 
 @pytest.mark.parametrize("statistic", ["p95", "p99"])
@@ -76,7 +76,7 @@ def test_a_statistic_that_was_not_measured_is_not_made_up(statistic):
     app = app.model_copy(update={"spec": spec.model_copy(update={"constraints": wanted})})
     models = fit(app, results(record(2.0, 4.0, 1.0)))
     assert models.spec.models == []
-    assert statistic in models.spec.unusable[0].why
+    assert statistic in models.spec.rejected[0].reason
 
 
 def test_a_measured_machine_is_its_measurement_and_others_are_predicted():
