@@ -1,8 +1,8 @@
-"""Makes the bundled catalog: `python -m tools.build_snapshot [--check]`.
+"""Make the bundled catalog: `python -m tools.build_snapshot [--check]`.
 
 EC2's instance facts and offerings are moto's, on-demand Linux prices are apache-libcloud's (see `tenancy` for how
 its shared-tenancy prices are told from others). Both are packages of the extra `fogspec[snapshot]` and are read as
-data, not run. What they disagree about, and what has no price that can be trusted, is no candidate: it is counted.
+data, not run. What they disagree about, and what has no trustworthy price, is not a candidate: it is counted.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from fogspec.catalog.sources.parse import digest
 from fogspec.catalog.sources.snapshot import ABOUT, TABLE
 from tools.ec2_prices import Price, by_region, by_size
 
-# The regions that every AWS account has without asking (docs.aws.amazon.com/global-infrastructure).
+# The regions that are enabled in every AWS account (docs.aws.amazon.com/global-infrastructure).
 REGIONS = (
     "ap-northeast-1", "ap-northeast-2", "ap-northeast-3", "ap-south-1", "ap-southeast-1", "ap-southeast-2",
     "ca-central-1", "eu-central-1", "eu-north-1", "eu-west-1", "eu-west-2", "eu-west-3", "sa-east-1",
@@ -46,9 +46,9 @@ Key = tuple[str, str]
 
 
 def main() -> None:
-    """Write the snapshot, or with --check say whether it is what would be written."""
+    """Write the snapshot, or with --check report whether it would change."""
     parser = argparse.ArgumentParser(prog="python -m tools.build_snapshot", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit 3 where a file would change")
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 3 if a file would change")
     check = parser.parse_args().check
     try:
         table, about = build()
@@ -64,21 +64,27 @@ def main() -> None:
 
 
 def build() -> tuple[bytes, str]:
-    """The table as CSV and what is known about it as JSON; raises ModuleNotFoundError without the two packages."""
+    """Return the table as CSV and its provenance as JSON; raises ModuleNotFoundError without the two packages."""
     moto, libcloud = files("moto"), files("libcloud")
     resources = moto / "ec2" / "resources"
     facts: dict[str, Facts] = _json_gz(resources / "instance_types.json.gz")
     pricing = json.loads((libcloud / "data" / "pricing.json").read_text(encoding="utf-8"))
     described = import_module("libcloud.compute.constants.ec2_instance_types").INSTANCE_TYPES
-    listed = {(kind, region): price for kind, prices in pricing["compute"]["ec2_linux"].items()
-              for region, price in prices.items() if "." in kind}  # fmt: skip
-    offered = {(row["InstanceType"], region) for region in REGIONS
-               for row in _json_gz(resources / "instance_type_offerings" / "region" / f"{region}.json.gz")}  # fmt: skip
+    listed = {
+        (kind, region): price
+        for kind, prices in pricing["compute"]["ec2_linux"].items()
+        for region, price in prices.items()
+        if "." in kind
+    }
+    offered = {
+        (row["InstanceType"], region)
+        for region in REGIONS
+        for row in _json_gz(resources / "instance_type_offerings" / "region" / f"{region}.json.gz")
+    }
     counts: Counter[str] = Counter()
     known = {kind: fact for kind, fact in facts.items() if _is_candidate(kind, fact, described.get(kind), counts)}
     prices = _prices(listed, known)
-    rows = [_row(kind, region, known[kind], prices[kind, region])
-            for kind, region in sorted(offered & prices.keys())]  # fmt: skip
+    rows = [_row(kind, region, known[kind], prices[kind, region]) for kind, region in sorted(offered & prices.keys())]
     _count(counts, offered, listed, prices, known)
     table = _csv(rows)
     dated = datetime.fromtimestamp(pricing["updated"], UTC).date().isoformat()
@@ -86,7 +92,7 @@ def build() -> tuple[bytes, str]:
 
 
 def _is_candidate(kind: str, fact: Facts, described: Facts | None, counts: Counter[str]) -> bool:
-    """Whether it is a machine for SkyPilot whose shape the packages agree on."""
+    """Return whether it is a machine for SkyPilot with a shape that the packages agree on."""
     if kind.split(".")[1].startswith("metal") or not set(_arch(fact)) & {"x86_64", "arm64"}:
         counts["types left out: bare metal or macOS"] += 1
     elif any(name in fact for name in SPECIAL):
@@ -99,17 +105,22 @@ def _is_candidate(kind: str, fact: Facts, described: Facts | None, counts: Count
 
 
 def _prices(listed: Mapping[Key, float], known: Mapping[str, Facts]) -> dict[Key, Price]:
-    with_chips = {kind.split(".")[0] for kind, fact in known.items() if _chips(fact)}
-    plain = {key: price for key, price in listed.items() if key[0] in known and key[0].split(".")[0] not in with_chips}
-    chips = {key: price for key, price in listed.items() if key[0].split(".")[0] in with_chips}
+    with_accelerators = {kind.split(".")[0] for kind, fact in known.items() if _accelerators(fact)}
+    plain = {
+        key: price for key, price in listed.items() if key[0] in known and key[0].split(".")[0] not in with_accelerators
+    }
+    chips = {key: price for key, price in listed.items() if key[0].split(".")[0] in with_accelerators}
     return {key: price for key, price in (by_size(plain) | by_region(chips)).items() if key[0] in known}
 
 
 def _count(
-    counts: Counter[str], offered: set[Key], listed: Mapping[Key, float], prices: Mapping[Key, Price],
+    counts: Counter[str],
+    offered: set[Key],
+    listed: Mapping[Key, float],
+    prices: Mapping[Key, Price],
     known: Mapping[str, Facts],
-) -> None:  # fmt: skip
-    """What became of the offers that moto knows."""
+) -> None:
+    """Count the offers that moto knows by what became of them."""
     for key in offered:
         if key[0] not in known:
             continue
@@ -124,20 +135,33 @@ def _count(
 
 
 def _row(kind: str, region: str, fact: Facts, price: Price) -> list[str]:
-    chips = _chips(fact)
+    chips = _accelerators(fact)
     name, count, memory_mib = chips[0] if chips else ("", 0, 0)
     info = {"Gpus": [{"Name": name, "Count": count, "MemoryInfo": {"SizeInMiB": memory_mib}}]} if name else ""
     clock = fact["ProcessorInfo"].get("SustainedClockSpeedInGhz")
     return [
-        "aws", kind, name, f"{count:g}" if name else "", str(_vcpus(fact)), f"{_memory_mib(fact) / 1024:g}", str(info),
-        f"{price.usd_per_hour:.10g}", "", region, "", _arch(fact)[-1], kind.split(".")[0],
-        str(fact["VCpuInfo"]["DefaultCores"]), f"{clock:g}" if clock else "",
-        str(int(fact["BurstablePerformanceSupported"])), price.basis,
-    ]  # fmt: skip
+        "aws",
+        kind,
+        name,
+        f"{count:g}" if name else "",
+        str(_vcpus(fact)),
+        f"{_memory_mib(fact) / 1024:g}",
+        str(info),
+        f"{price.usd_per_hour:.10g}",
+        "",
+        region,
+        "",
+        _arch(fact)[-1],
+        kind.split(".")[0],
+        str(fact["VCpuInfo"]["DefaultCores"]),
+        f"{clock:g}" if clock else "",
+        str(int(fact["BurstablePerformanceSupported"])),
+        price.basis,
+    ]
 
 
-def _chips(fact: Facts) -> list[tuple[str, float, int]]:
-    """Accelerators as SkyPilot names them, how many (or what share of one), and the memory of one in MiB."""
+def _accelerators(fact: Facts) -> list[tuple[str, float, int]]:
+    """Return accelerators under SkyPilot's names, their number (or the fraction of one), and the memory of one in MiB."""
     found = [*fact.get("GpuInfo", {}).get("Gpus", []), *fact.get("NeuronInfo", {}).get("NeuronDevices", [])]
     chips = [
         (chip["Name"], chip["Count"] or chip["GpuPartitionSize"], chip["MemoryInfo"]["SizeInMiB"]) for chip in found

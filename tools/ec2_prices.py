@@ -1,6 +1,6 @@
-"""Which of many listed EC2 prices are on-demand prices of shared tenancy.
+"""Cleaning of listed EC2 prices: which of them are on-demand prices of shared tenancy.
 
-apache-libcloud's table holds one price an instance type and region, taken at random from those of shared tenancy,
+apache-libcloud's table holds one price per instance type and region, taken at random from those of shared tenancy,
 of dedicated tenancy (6 to 10 % higher) and of reserved hosts ($0). Two laws of EC2's price list tell them apart;
 both compare the prices of one family, and a price counts only where another one confirms it:
 
@@ -28,14 +28,14 @@ DEDICATED = (1.05, 1.12)  # price of dedicated tenancy by that of shared tenancy
 
 @dataclass(frozen=True, slots=True)
 class Price:
-    """USD per hour; `basis` says whether it is listed as it stands or follows from the family's other prices."""
+    """USD per hour; `basis` tells a listed price from one that follows from the family's other prices."""
 
     usd_per_hour: float
     basis: Literal["listed", "family"]
 
 
 def by_size(listed: Mapping[Key, float]) -> dict[Key, Price]:
-    """Prices by the law of size; `listed` is in USD per hour, 0 where the price is unknown.
+    """Return prices by the law of size; `listed` is in USD per hour, 0 where the price is unknown.
 
     Families and regions without two prices that confirm each other are left out.
     """
@@ -54,7 +54,7 @@ def by_size(listed: Mapping[Key, float]) -> dict[Key, Price]:
 
 
 def by_region(listed: Mapping[Key, float]) -> dict[Key, Price]:
-    """Prices by the law of regions; `listed` is in USD per hour, 0 where the price is unknown.
+    """Return prices by the law of regions; `listed` is in USD per hour, 0 where the price is unknown.
 
     Sizes and regions without two prices that keep the law are left out.
     """
@@ -70,8 +70,9 @@ def by_region(listed: Mapping[Key, float]) -> dict[Key, Price]:
         decimals = max((len(f"{prices[key]:.10g}".partition(".")[2]) for key in kept), default=0)
         found |= {
             (instance, region): _lawful(price, sizes[instance] * regions[region], decimals)
-            for (instance, region), price in family.items() if min(confirmed[instance], confirmed[region]) > 1
-        }  # fmt: skip
+            for (instance, region), price in family.items()
+            if min(confirmed[instance], confirmed[region]) > 1
+        }
     return found
 
 
@@ -86,7 +87,7 @@ def _factor(instance: str) -> float | None:
 
 
 def _unit_price(candidates: Iterable[tuple[float, float]]) -> float | None:
-    """The lowest price per unit of size that a second size confirms, by the same or by a dedicated price.
+    """Return the lowest price per unit of size that a second size confirms, by the same or by a dedicated price.
 
     `candidates` are unit prices with their sizes; a larger size's price has more digits of the unit price.
     """
@@ -99,7 +100,7 @@ def _unit_price(candidates: Iterable[tuple[float, float]]) -> float | None:
 
 
 def _product(prices: Mapping[Key, float]) -> tuple[dict[str, float], dict[str, float]]:
-    """The prices as size x region, fitted by turns with modes, which prices of another kind do not move."""
+    """Return the prices as size x region, fitted alternately by modes, which outliers do not move."""
     sizes = {instance: 1.0 for instance, _ in prices}
     regions = {region: 1.0 for _, region in prices}
     for _ in range(20):
@@ -111,7 +112,7 @@ def _product(prices: Mapping[Key, float]) -> tuple[dict[str, float], dict[str, f
 
 
 def _mode(values: Iterable[float]) -> float:
-    """The middle of the most values that are the same, the lowest such where several groups are as large."""
+    """Return the middle of the largest group of equal values, the lowest such group if several are as large."""
     ordered = sorted(values)
     groups = [
         ordered[bisect_left(ordered, x * (1 - SAME / 2)) : bisect_right(ordered, x * (1 + SAME / 2))] for x in ordered

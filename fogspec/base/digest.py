@@ -1,4 +1,4 @@
-"""Digests over values, not over their spelling: the same content gives the same digest."""
+"""Digests of values, whatever their spelling: the same content gives the same digest."""
 
 import hashlib
 import json
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def of_bytes(content: bytes) -> str:
-    """`sha256:<hex>` of the bytes."""
+    """Return `sha256:<hex>` of the bytes."""
     return f"sha256:{hashlib.sha256(content).hexdigest()}"
 
 
@@ -16,9 +16,9 @@ def shorten(digest: str, length: int = 12) -> str:
 
 
 def of_value(value: Any) -> str:
-    """`sha256:<hex>` of a JSON-able value's canonical form: sorted keys, no spaces, no NaN.
+    """Return `sha256:<hex>` of a JSON-able value's canonical form: sorted keys, no spaces, no NaN.
 
-    Raises ValueError for a value that JSON cannot carry exactly.
+    Raises ValueError for a value that JSON cannot represent exactly.
     """
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return of_bytes(text.encode())

@@ -32,7 +32,7 @@ class Range:
     high: float | None
 
     def holds(self, value: float) -> bool:
-        """Whether `value` lies in the interval, ends included."""
+        """Return whether `value` lies in the interval, ends included."""
         return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
 
 
@@ -46,7 +46,7 @@ MEMORY_GIB = {
     "MB": 1e6 / 2**30, "GB": 1e9 / 2**30, "TB": 1e12 / 2**30,
 }  # fmt: skip
 
-# What people write for a unit, in small letters; where two quantities know a word, each has its own.
+# Other spellings of units, in lower case; a word that two quantities share has an entry in each.
 SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms",
     "m": "min", "mins": "min", "minute": "min", "minutes": "min", "hour": "h", "hours": "h", "hr": "h",
@@ -59,17 +59,17 @@ MEMORY_SPELLINGS = {
 
 
 def parse_duration_s(text: Any) -> float:
-    """Seconds from `1.5s`, `50ms`, `5min`, `2h`."""
+    """Return seconds from `1.5s`, `50ms`, `5min`, `2h`."""
     return _parse_scaled(text, DURATION_S, SPELLINGS, "a duration", "s")
 
 
 def parse_memory_gib(text: Any) -> float:
-    """GiB from `64GiB`, `512MiB`, `16GB`."""
+    """Return GiB from `64GiB`, `512MiB`, `16GB`."""
     return _parse_scaled(text, MEMORY_GIB, MEMORY_SPELLINGS, "a memory size", "GiB")
 
 
 def parse_money_usd(text: Any) -> float:
-    """USD from `$2.50` or `40 cent`."""
+    """Return USD from `$2.50` or `40 cent`."""
     body = _body(text)
     if match := re.fullmatch(rf"\$\s*({NUMBER})", body):
         return _finite(match[1])
@@ -82,7 +82,7 @@ def parse_money_usd(text: Any) -> float:
 
 
 def parse_cost_usd_per_request(text: Any) -> float:
-    """USD per request from `$0.001/request`, `$2/1000 requests`, `0.01 cent/request`."""
+    """Return USD per request from `$0.001/request`, `$2/1000 requests`, `0.01 cent/request`."""
     amount, slash, per = _body(text).partition("/")
     amount = f"${amount.strip()}" if re.fullmatch(NUMBER, amount.strip()) else amount.strip()
     match = re.fullmatch(rf"\s*({NUMBER})?\s*requests?\s*", per)
@@ -102,7 +102,7 @@ def parse_cost_usd_per_request(text: Any) -> float:
 
 
 def parse_price_usd_per_hour(text: Any) -> float:
-    """USD per hour from `$0.526/h`."""
+    """Return USD per hour from `$0.526/h`."""
     amount, slash, per = _body(text).partition("/")
     if not slash or per.strip() not in {"h", "hour"}:
         number, unit = re.search(NUMBER, amount), _close(per.strip().lower() or "h", {"h": 1.0}, SPELLINGS)
@@ -114,7 +114,7 @@ def parse_price_usd_per_hour(text: Any) -> float:
 
 
 def parse_transfer_usd_per_gib(text: Any) -> float:
-    """USD per GiB from `$0.09/GiB`, `$0.09/GB`."""
+    """Return USD per GiB from `$0.09/GiB`, `$0.09/GB`."""
     amount, slash, per = _body(text).partition("/")
     scale = MEMORY_GIB.get(per.strip())
     if not slash or scale is None:
@@ -128,7 +128,7 @@ def parse_transfer_usd_per_gib(text: Any) -> float:
 
 
 def parse_rate_per_s(text: Any) -> float:
-    """Requests per second from `10/s`, `6/min`, `1000/h`, or `2Hz`."""
+    """Return requests per second from `10/s`, `6/min`, `1000/h`, or `2Hz`."""
     body = _body(text)
     if match := re.fullmatch(rf"({NUMBER})\s*Hz", body):
         return _finite(match[1])
@@ -140,7 +140,7 @@ def parse_rate_per_s(text: Any) -> float:
 
 
 def parse_percent(text: Any) -> float:
-    """A fraction from `5%`."""
+    """Return a fraction from `5%`."""
     body = _body(text)
     if match := re.fullmatch(rf"({NUMBER})\s*%", body):
         return _finite(str(Decimal(match[1]) / 100))
@@ -151,7 +151,7 @@ def parse_percent(text: Any) -> float:
 
 
 def parse_range(text: Any, parse: Callable[[Any], float]) -> Range:
-    """A closed interval from `2..64`, `2..`, `..64` or one value `4`; each end read by `parse`."""
+    """Return a closed interval from `2..64`, `2..`, `..64` or one value `4`; each end read by `parse`."""
     body = _body(text)
     if ".." not in body:
         value = parse(text)
@@ -170,7 +170,7 @@ def parse_range(text: Any, parse: Callable[[Any], float]) -> Range:
 
 
 def parse_count(text: Any) -> float:
-    """A positive number without a unit, such as a vCPU count."""
+    """Return a positive number without a unit, such as a vCPU count."""
     body = _body(text)
     if not re.fullmatch(NUMBER, body):
         number = re.match(NUMBER, body)
@@ -179,12 +179,12 @@ def parse_count(text: Any) -> float:
 
 
 def _unsaid(message: str, fix: str | None, example: str) -> UnitError:
-    """What an amount is per is missing, or is of another quantity: then no fix is guessed."""
+    """Return the error of an amount without its denominator; without a fix if it seems to be another quantity."""
     return UnitError(message if fix else f"{message}, such as {example}", fix, "FS201")
 
 
 def _end(text: str, parse: Callable[[Any], float]) -> tuple[float | None, str | None, UnitError | None]:
-    """One end of a range: its value, how it should be written, and what is wrong with it."""
+    """Return one end of a range: its value, its text or the fix of it, and its error."""
     try:
         return (parse(text) if text else None), text, None
     except UnitError as wrong:
@@ -192,7 +192,7 @@ def _end(text: str, parse: Callable[[Any], float]) -> tuple[float | None, str | 
 
 
 def _body(text: Any) -> str:
-    """The text of a scalar; a number is written as it was most likely typed."""
+    """Return the text of a scalar; a number is written as it was most likely typed."""
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
         raise UnitError("must be written as one text, such as 2s, 4GiB or $2.50", None, "FS303")
     if not isinstance(text, str) and not math.isfinite(text):
@@ -213,7 +213,7 @@ def rounded(value: float, digits: int = 4) -> float:
 
 
 def format_number(value: float) -> str:
-    """The shortest decimal text that reads back to the same float, without an exponent where that is short."""
+    """Return the shortest decimal text that reads back to the same float, without an exponent if that is short."""
     if value == int(value) and abs(value) < 1e15:
         return str(int(value))
     text = repr(float(value))
@@ -221,7 +221,7 @@ def format_number(value: float) -> str:
 
 
 def format_duration(seconds: float) -> str:
-    """`1.5s`, `50ms`, `5min`: seconds are split where they are below one, gathered where that is shorter."""
+    """Return `1.5s`, `50ms`, `5min`: in smaller units below one second, in larger ones if that is shorter."""
     if 0 < seconds < 1:
         unit, places = ("ms", 3) if seconds >= 1e-3 else ("us", 6)
         text = format(Decimal(repr(float(seconds))).scaleb(places), "f")
@@ -230,57 +230,57 @@ def format_duration(seconds: float) -> str:
 
 
 def format_memory(gib: float) -> str:
-    """`64GiB`, `512MiB`."""
+    """Return `64GiB`, `512MiB`."""
     return _format_scaled(gib, {"GiB": 1.0, "MiB": 2.0**-10}, "GiB")
 
 
 def format_money(usd: float) -> str:
-    """`$2.5`."""
+    """Return `$2.5`."""
     return f"${format_number(usd)}"
 
 
 def dollars(usd: float) -> str:
-    """`$12.34`, for people; below one dollar to a hundredth of a cent: `$0.0123`."""
+    """Return `$12.34`, for people; below one dollar to a hundredth of a cent: `$0.0123`."""
     return f"${usd:.2f}" if usd >= 1 or usd == 0 else f"${usd:.4f}"
 
 
 def short_dollars(usd: float) -> str:
-    """`$0.0015`, with three significant digits and no exponent."""
+    """Return `$0.0015`, with three significant digits and no exponent."""
     digits = max(0, 2 - math.floor(math.log10(usd))) if usd > 0 else 0
     text = f"{usd:.{digits}f}"
     return "$" + (text.rstrip("0").rstrip(".") if "." in text else text)
 
 
 def format_cost(usd_per_request: float) -> str:
-    """`$0.001/request`."""
+    """Return `$0.001/request`."""
     return f"${format_number(usd_per_request)}/request"
 
 
 def format_price(usd_per_hour: float) -> str:
-    """`$0.526/h`."""
+    """Return `$0.526/h`."""
     return f"${format_number(usd_per_hour)}/h"
 
 
 def format_rate(per_s: float) -> str:
-    """`10/s`, or per hour where that is shorter: `0.05/h`."""
+    """Return `10/s`, or per hour if that is shorter: `0.05/h`."""
     texts = [f"{format_number(per_s * scale)}/{unit}" for unit, scale in (("s", 1.0), ("h", 3600.0))]
     return min((text for text in texts if parse_rate_per_s(text) == per_s), key=len, default=texts[0])
 
 
 def format_transfer(usd_per_gib: float) -> str:
-    """`$0.09/GiB`."""
+    """Return `$0.09/GiB`."""
     return f"${format_number(usd_per_gib)}/GiB"
 
 
 def format_percent(share: float) -> str:
-    """`5%`."""
+    """Return `5%`."""
     percent = Decimal(repr(float(share))) * 100
     text = format(percent, "f")
     return f"{text.rstrip('0').rstrip('.') if '.' in text else text}%"
 
 
 def format_range(value: Range, fmt: Callable[[float], str]) -> str:
-    """`2..64`, with each end written by `fmt`."""
+    """Return `2..64`, with each end written by `fmt`."""
     low = "" if value.low is None else fmt(value.low)
     high = "" if value.high is None else fmt(value.high)
     return low if low and low == high else f"{low}..{high}"
@@ -301,7 +301,7 @@ def _parse_scaled(text: Any, units: Mapping[str, float], spellings: Mapping[str,
 
 
 def _close(name: str, units: Mapping[str, float], spellings: Mapping[str, str]) -> str | None:
-    """The unit that a word stands for, written otherwise or mistyped by a letter; None where it could be any."""
+    """Return the unit that a word means, in another spelling or with a typo; None if it could be any."""
     known = {**{unit.lower(): unit for unit in units}, **spellings}
     if name in known or len(name) < 4:
         return known.get(name)
@@ -310,11 +310,14 @@ def _close(name: str, units: Mapping[str, float], spellings: Mapping[str, str]) 
 
 
 def _format_scaled(value: float, units: Mapping[str, float], usual: str) -> str:
-    texts = [f"{format_number(value / scale)}{unit}" for unit, scale in units.items()
-             if value and _exactly(format_number(value / scale), scale) == value]  # fmt: skip
+    texts = [
+        f"{format_number(value / scale)}{unit}"
+        for unit, scale in units.items()
+        if value and _exactly(format_number(value / scale), scale) == value
+    ]
     return min(texts, key=len, default=f"{format_number(value)}{usual}")
 
 
 def _exactly(number: str, scale: float) -> float:
-    """number x scale without binary rounding in between, so that 41.3ms is the same float as 0.0413s."""
+    """Return number x scale without binary rounding in between, so that 41.3ms is the same float as 0.0413s."""
     return float(Decimal(number) * Decimal(repr(float(scale))))

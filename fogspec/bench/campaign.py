@@ -16,8 +16,7 @@ from fogspec.bench.journal import Journal, LaunchRecord
 from fogspec.bench.record import make_record, within_attempt
 from fogspec.bench.retry import RetryPolicy, overdrawn
 from fogspec.bench.types import CampaignConfig, Event, EventKind, Queued, ResultsSink
-from fogspec.plan.design import replicate
-from fogspec.plan.schema import Sample
+from fogspec.plan.schema import Sample, replicate
 from fogspec.results.schema import Measured
 
 IDLE_S = 0.5

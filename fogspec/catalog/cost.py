@@ -1,4 +1,4 @@
-"""What one request costs on a machine, and which latency a limit on the cost leaves.
+"""The cost of one request on a machine, and the latency that a limit on the cost allows.
 
 Busy billing pays the seconds of a request at the exact price (FogROS2-Config, section 2.D); provisioned billing shares
 the whole hour among its requests. Data transfer is added to both. On a spot machine interruptions come at random
@@ -18,9 +18,9 @@ from fogspec.spec.schema import Spec
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Costs:
-    """The cost of a request on each of n machines: price in USD per hour, whether it is a spot machine.
+    """The cost model of n machines: price in USD per hour (n,), and the mask of spot machines (n,).
 
     `requests_per_s` is None for busy billing.
     """
@@ -34,33 +34,44 @@ class Costs:
 
     @classmethod
     def of(cls, spec: Spec, price_usd_per_hour: Floats, spot: NDArray[np.bool_]) -> "Costs":
-        """As the spec bills."""
+        """Return the cost model of a spec for machines with these prices."""
         objective, data = spec.objective, spec.objective.transfer
         return cls(
-            price_usd_per_hour, spot, objective.interruption.rate, objective.interruption.recovery_time,
-            data.per_request * data.price, objective.rate if objective.billing == "provisioned" else None,
-        )  # fmt: skip
+            price_usd_per_hour=price_usd_per_hour,
+            spot=spot,
+            interruptions_per_s=objective.interruption.rate,
+            restart_s=objective.interruption.recovery_time,
+            transfer_usd=data.per_request * data.price,
+            requests_per_s=objective.rate if objective.billing == "provisioned" else None,
+        )
 
     @classmethod
     def busy(cls, price_usd_per_hour: Floats) -> "Costs":
         """Return busy billing on on-demand machines, without data transfer."""
         spot = np.zeros(len(price_usd_per_hour), dtype=bool)
-        return cls(price_usd_per_hour, spot, 0.0, 0.0, transfer_usd=0.0, requests_per_s=None)
+        return cls(
+            price_usd_per_hour=price_usd_per_hour,
+            spot=spot,
+            interruptions_per_s=0.0,
+            restart_s=0.0,
+            transfer_usd=0.0,
+            requests_per_s=None,
+        )
 
     @property
     def usd_per_s(self) -> Floats:
-        """What a second costs, restarts included: exact for provisioned billing and for short requests."""
+        """Return the cost of a second (n,), restarts included: exact for provisioned billing and for short requests."""
         extra = np.where(self.spot, self.interruptions_per_s * self.restart_s, 0.0)
         return np.asarray(self.price_usd_per_hour / 3600 * (1 + extra))
 
     def per_request(self, latency_s: Floats) -> Floats:
-        """USD per request (n,); NaN where the latency is."""
+        """Return USD per request (n,); NaN where the latency is NaN."""
         if self.requests_per_s:
             return self.usd_per_s / self.requests_per_s + self.transfer_usd + 0 * latency_s
         return self.usd_per_s * self._paid(latency_s) + self.transfer_usd
 
     def latency_within(self, usd_per_request: float) -> Floats:
-        """The largest latency (n,) whose request costs at most so much; 0 where none does."""
+        """Return the largest latency (n,) whose request costs at most so much; 0 if there is none."""
         left = usd_per_request - self.transfer_usd
         if self.requests_per_s:
             return np.where(self.usd_per_s / self.requests_per_s <= left, np.inf, 0.0)
@@ -69,7 +80,7 @@ class Costs:
         return np.where(self.spot & (rate > 0), np.log1p(rate * seconds) / (rate or 1.0), seconds)
 
     def _paid(self, latency_s: Floats) -> Floats:
-        """Paid seconds of a request, without restarts."""
+        """Return the paid seconds of a request, without restarts."""
         rate = self.interruptions_per_s
         if not rate or not self.spot.any():
             return latency_s

@@ -1,4 +1,4 @@
-"""The funnel: from every machine on offer to those that a spec admits, each filter with a count of what it removed."""
+"""Filters from every machine on offer to those that a spec admits, each with a count of the offers that it removed."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ PLACES_IN_ZONES = {cloud.name for cloud in CLOUDS.values() if cloud.places_in_zo
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """One filter of the funnel: the field of the spec, how many offers it removed and how many it left."""
+    """One filter: the field of the spec, and the number of offers that it removed and left."""
 
     name: str
     removed: int
@@ -28,34 +28,34 @@ class Filter:
 
 @dataclass(frozen=True, slots=True)
 class FilterCounts:
-    """What became of `offered` offers, filter by filter; `admitted` is what is left."""
+    """The counts of all filters over `offered` offers."""
 
     offered: int
     filters: tuple[Filter, ...]
 
     @property
     def admitted(self) -> int:
-        """How many offers are left."""
+        """Return the number of offers left."""
         return self.filters[-1].left if self.filters else self.offered
 
     def line(self) -> str:
-        """`94,800 offers -> 6,306 infra -> ... -> 312 admissible`."""
+        """Return the counts in one line: `94,800 offers -> 6,306 after infra -> ...`."""
         steps = [f"{f.left:,} after {f.name}" for f in self.filters if f.removed]
         return " -> ".join([f"{self.offered:,} offers", *steps])
 
 
 @dataclass(frozen=True, slots=True)
 class Filtered:
-    """The admissible offers, one a machine, place and price kind, and the funnel they came through."""
+    """The admissible offers, one for each machine, place and kind of price, and the counts of the filters."""
 
     offers: Catalog
     funnel: FilterCounts
 
 
 def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Filtered:
-    """The offers that `hardware` and `infra` admit, in the catalog's order.
+    """Return the offers that `hardware` and `infra` admit, in the order of the catalog.
 
-    Zones of one region are merged into one offer at the highest of their prices, for a task pins the region and
+    Zones of one region are merged into one offer at the highest of their prices, because a task pins the region and
     may be given any zone of it; an `infra` that names a zone keeps its offers apart.
     """
     filters: list[Filter] = []
@@ -72,7 +72,7 @@ def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) ->
 
 
 def matches_infra(catalog: Catalog, entry: str) -> Mask:
-    """Which offers are in `cloud`, `cloud/region` or `cloud/region/zone`; `*` stands for any."""
+    """Return the mask of offers in `cloud`, `cloud/region` or `cloud/region/zone`; `*` matches any."""
     mask = np.ones(len(catalog), dtype=np.bool_)
     for column, part in zip((catalog.cloud, catalog.region, catalog.zone), split_infra(entry), strict=False):
         if part != "*":
@@ -81,7 +81,7 @@ def matches_infra(catalog: Catalog, entry: str) -> Mask:
 
 
 def gpu_type(text: str) -> Gpu | None:
-    """`T4` and `T4:1` are machines with one T4, `T4:4` those with four, `none` those without accelerator."""
+    """Return the accelerators that a spec names: one T4 for `T4` and `T4:1`, four for `T4:4`, None for `none`."""
     if text.strip().lower() == "none":
         return None
     name, _, count = text.partition(":")
@@ -89,7 +89,7 @@ def gpu_type(text: str) -> Gpu | None:
 
 
 def matches_gpu(catalog: Catalog, text: str) -> Mask:
-    """Which offers have exactly these accelerators; case does not count."""
+    """Return the mask of offers with exactly these accelerators, ignoring case."""
     gpu = gpu_type(text)
     if gpu is None:
         return _equal(catalog.gpu, "")
@@ -122,7 +122,7 @@ def _filters(hardware: Hardware, infra: Sequence[str]) -> list[tuple[str, Callab
 
 
 def before_empty(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> str | None:
-    """What the machines have that the last filter was left with, where it removed all: what could be asked for instead."""
+    """Return the values available just before the filter that removed the last offers, as a hint; None without one."""
     offers = catalog
     for name, mask in _filters(hardware, infra):
         kept = offers.take(mask(offers))
@@ -137,8 +137,8 @@ def before_empty(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> 
     return None
 
 
-def _shortened(words: list[str]) -> str:
-    return ", ".join(words if len(words) <= 16 else [*words[:8], "...", *words[-4:]])
+def _shortened(names: list[str]) -> str:
+    return ", ".join(names if len(names) <= 16 else [*names[:8], "...", *names[-4:]])
 
 
 def price_now(machine: Machine, catalog: Catalog) -> float | None:
@@ -149,10 +149,10 @@ def price_now(machine: Machine, catalog: Catalog) -> float | None:
 
 
 def merge_zones(offers: Catalog, infra: Sequence[str]) -> Catalog:
-    """One offer for all zones of a region that `infra` does not name, at the highest of their prices.
+    """Return one offer for all zones of a region that `infra` does not name, at the highest of their prices.
 
-    `offers` are in the catalog's order, which puts the zones of one machine and region together. A partition of a
-    Slurm cluster, which SkyPilot calls its zone, is a place with machines and a price of its own: it stays.
+    `offers` are in the order of the catalog, which puts the zones of one machine and region together. Zones that have
+    machines and prices of their own, such as the partitions of a Slurm cluster, stay apart.
     """
     pinned = _any(offers, [matches_infra(offers, entry) for entry in infra if len(split_infra(entry)) == 3])
     whole = _any(offers, [matches_infra(offers, entry) for entry in infra if len(split_infra(entry)) < 3])
@@ -172,12 +172,12 @@ def _equal(column: Strings, text: str) -> Mask:
     return np.asarray(column == text, dtype=np.bool_)
 
 
-def _within(column: Strings, words: set[str]) -> Mask:
-    return np.fromiter(map(words.__contains__, column.tolist()), np.bool_, len(column))
+def _within(column: Strings, names: set[str]) -> Mask:
+    return np.fromiter(map(names.__contains__, column.tolist()), np.bool_, len(column))
 
 
 def _inside(values: Floats, bounds: Range | None) -> Mask:
-    """Ends included; a relative 1e-9 is forgiven, for 16 GiB may have been written in MB."""
+    """Return the mask of values within the bounds, both ends included, to a relative 1e-9: 16 GiB may be given in MB."""
     found = np.ones(len(values), dtype=np.bool_)
     if bounds is not None and bounds.low is not None:
         found &= values >= bounds.low * (1 - 1e-9)
@@ -187,5 +187,5 @@ def _inside(values: Floats, bounds: Range | None) -> Mask:
 
 
 def _pattern(patterns: Sequence[str]) -> re.Pattern[str]:
-    """Only `*` is special: fnmatch's brackets and question mark are no part of the language."""
+    """Return the expression of patterns in which only `*` is special, unlike in fnmatch."""
     return re.compile("|".join(".*".join(map(re.escape, pattern.split("*"))) for pattern in patterns))

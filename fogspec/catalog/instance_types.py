@@ -1,4 +1,4 @@
-"""Instance types: the offers of a catalog without place and price kind, as the models read them."""
+"""Instance types: the offers of a catalog without place and kind of price, as the models read them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -28,12 +28,12 @@ class InstanceTypes:
 
     @property
     def names(self) -> list[str]:
-        """`cloud/instance` of each, as machine libraries have them."""
+        """Return `cloud/instance` of each, as in performance priors."""
         return [f"{cloud}/{instance}" for cloud, instance, _, _ in self.keys]
 
 
 def instance_types(offers: Catalog) -> InstanceTypes:
-    """The types of these offers."""
+    """Return the types of these offers."""
     key = np.zeros(len(offers), dtype=np.int64)
     for column in (offers.cloud, offers.instance, offers.gpu, offers.gpu_count):
         rank = ranks(column)
@@ -47,30 +47,41 @@ def instance_types(offers: Catalog) -> InstanceTypes:
 
 
 def machines_of(offers: Catalog) -> Machines:
-    """The offers as the models read them; what a catalog does not say is unknown.
+    """Return the offers as the models read them; values that the catalog lacks are unknown.
 
-    Catalogs do not name the CPU. Machines of one cloud, architecture, clock rate and number of vCPUs a core mostly have
-    the same one: on the development set that is nearly as good as its name, and much better than nothing.
+    Catalogs do not name the CPU. Machines of one cloud, architecture, clock rate and number of vCPUs per core mostly
+    have the same one: on the development set that is nearly as good as its name, and much better than no CPU at all.
     """
     about = zip(
-        offers.cloud.tolist(), offers.arch.tolist(), offers.clock_ghz.tolist(),
-        (offers.vcpus / offers.physical_cores).tolist(), strict=True,
-    )  # fmt: skip
+        offers.cloud.tolist(),
+        offers.arch.tolist(),
+        offers.clock_ghz.tolist(),
+        (offers.vcpus / offers.physical_cores).tolist(),
+        strict=True,
+    )
     cpu = [f"{cloud} {arch} {ghz:g} {smt:g}" if ghz == ghz else "" for cloud, arch, ghz, smt in about]
     return Machines(
-        vcpus=offers.vcpus, memory_gib=offers.memory_gib, price_usd_per_hour=offers.price_usd_per_hour,
-        family=_codes(offers.family), arch=_codes(offers.arch), cloud=_codes(offers.cloud),
-        cpu_model=codes(cpu), gpu=_codes(offers.gpu), gpu_count=offers.gpu_count,
-        gpu_memory_gib=offers.gpu_memory_gib, physical_cores=offers.physical_cores, clock_ghz=offers.clock_ghz,
+        vcpus=offers.vcpus,
+        memory_gib=offers.memory_gib,
+        price_usd_per_hour=offers.price_usd_per_hour,
+        family=_codes(offers.family),
+        arch=_codes(offers.arch),
+        cloud=_codes(offers.cloud),
+        cpu_model=codes(cpu),
+        gpu=_codes(offers.gpu),
+        gpu_count=offers.gpu_count,
+        gpu_memory_gib=offers.gpu_memory_gib,
+        physical_cores=offers.physical_cores,
+        clock_ghz=offers.clock_ghz,
         burstable=offers.burstable,
-    )  # fmt: skip
+    )
 
 
 def with_measured(offers: Catalog, measured: Sequence[Machine], catalog: Catalog | None = None) -> Catalog:
-    """The offers, and after them a row for each measured machine that is not among them.
+    """Return the offers followed by a row for each measured machine that is not among them.
 
-    What `catalog` says of it is taken from there; without it, family, architecture and the rest are unknown. Its price
-    is of no account, for it cannot be chosen.
+    Its row is taken from `catalog` if it is there; otherwise family, architecture and the rest are unknown. Its price
+    does not matter, because it cannot be chosen.
     """
     there = set(zip(offers.cloud, offers.instance, offers.gpu, offers.gpu_count, strict=True))
     missing = {machine.type_key: machine for machine in measured if machine.type_key not in there}
@@ -89,16 +100,28 @@ def _row(machine: Machine, offers: Catalog, catalog: Catalog | None) -> Catalog:
             return catalog.take(found[:1])
     unknown, (gpu, gpu_count) = np.array([np.nan]), machine.accelerators
     return replace(
-        offers.take(np.array([0])), cloud=_text(machine.cloud_name), instance=_text(machine.instance), gpu=_text(gpu),
-        gpu_count=np.array([gpu_count]), vcpus=np.array([machine.cpus]), memory_gib=np.array([machine.memory]),
-        region=_text(""), zone=_text(""), arch=_text(""), family=_text(""), gpu_memory_gib=unknown,
-        physical_cores=unknown, clock_ghz=unknown, burstable=np.array([False]), spot=np.array([False]),
-    )  # fmt: skip
+        offers.take(np.array([0])),
+        cloud=_text(machine.cloud_name),
+        instance=_text(machine.instance),
+        gpu=_text(gpu),
+        gpu_count=np.array([gpu_count]),
+        vcpus=np.array([machine.cpus]),
+        memory_gib=np.array([machine.memory]),
+        region=_text(""),
+        zone=_text(""),
+        arch=_text(""),
+        family=_text(""),
+        gpu_memory_gib=unknown,
+        physical_cores=unknown,
+        clock_ghz=unknown,
+        burstable=np.array([False]),
+        spot=np.array([False]),
+    )
 
 
-def _text(word: str) -> Strings:
-    return np.array([word], dtype=np.object_)
+def _text(text: str) -> Strings:
+    return np.array([text], dtype=np.object_)
 
 
 def _codes(column: Strings) -> NDArray[np.int64]:
-    return codes([str(word) for word in column])
+    return codes([str(text) for text in column])

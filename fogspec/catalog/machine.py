@@ -14,12 +14,12 @@ class Gpu(Strict):
 
     @property
     def key(self) -> str:
-        """`T4:1`, as SkyPilot and the files name accelerators."""
+        """Return `T4:1`, as SkyPilot and the files name accelerators."""
         return f"{self.name}:{self.count:g}"
 
     @property
     def label(self) -> str:
-        """`1 T4`, for people."""
+        """Return `1 T4`, for people."""
         return f"{self.count:g} {self.name}"
 
 
@@ -39,7 +39,7 @@ class Machine(Strict):
 
     @property
     def cloud_name(self) -> str:
-        """The first part of its infra."""
+        """Return the first part of its infra."""
         return cloud_name(self.infra)
 
     @property
@@ -49,17 +49,17 @@ class Machine(Strict):
 
     @property
     def accelerators(self) -> tuple[str, float]:
-        """Name and count as the columns of a catalog have them: `("", 0.0)` without any."""
+        """Return name and count as in the columns of a catalog: `("", 0.0)` without accelerators."""
         return (self.gpu.name, self.gpu.count) if self.gpu else ("", 0.0)
 
     @property
     def gpu_key(self) -> str | None:
-        """`T4:1`; None without accelerators."""
+        """Return `T4:1`; None without accelerators."""
         return self.gpu.key if self.gpu else None
 
     @property
     def type_key(self) -> TypeKey:
-        """What makes it one instance type, wherever and however it is rented."""
+        """Return the key of its instance type, whatever its place and kind of price."""
         return self.cloud_name, self.instance, *self.accelerators
 
 
@@ -71,5 +71,5 @@ class ListedMachine(Machine):
 
     @property
     def machine(self) -> Machine:
-        """The machine alone, without what its file adds."""
+        """Return the machine without the fields that its file adds."""
         return Machine(**{name: getattr(self, name) for name in Machine.model_fields})

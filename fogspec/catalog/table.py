@@ -1,4 +1,4 @@
-"""The catalog: every machine on offer, column by column, and where the table came from."""
+"""The catalog: every machine on offer, column by column, and the provenance of the table."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from fogspec.catalog.machine import Gpu, Machine
 
 Floats = NDArray[np.float64]
-Strings = NDArray[np.object_]  # of str: one pointer a row, equal texts shared, so that 500,000 rows fit in memory
+Strings = NDArray[np.object_]  # of str: one pointer per row, equal texts shared, so that 500,000 rows fit in memory
 
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """Provenance of a catalog: `digest` is over the bytes that were read, `notes` say what was left out."""
+    """Provenance of a catalog: `digest` covers the bytes that were read, `notes` report what was left out."""
 
     source: str
     revision: str
@@ -29,7 +29,7 @@ class Catalog:
 
     Prices are USD per hour of the whole machine, accelerators included, and positive. Unknown numbers are NaN; a
     machine without accelerator has an empty `gpu` and a `gpu_count` of 0. Rows are in the order of `in_order`,
-    so that nothing depends on the order of the file they were read from.
+    so that nothing depends on the order of the source file.
     """
 
     about: About
@@ -54,20 +54,27 @@ class Catalog:
         return len(self.instance)
 
     def in_order(self) -> "Catalog":
-        """Sorted by spot, cloud, region, instance, accelerators, zone, and what is left of a row."""
+        """Return the catalog sorted by spot, cloud, region, instance, accelerators, zone, and the rest of a row."""
         return self.take(self.order())
 
     def order(self) -> NDArray[np.intp]:
-        """The rows' numbers as `in_order` has them."""
+        """Return the row numbers in the order of `in_order`."""
         key = self._names()
         order = np.argsort(key, kind="stable")
         same = key[order][1:] == key[order][:-1]
         if same.any():
             tied = np.flatnonzero(np.append(same, False) | np.append(False, same))
             rest = (
-                "family", "arch", "clock_ghz", "physical_cores", "gpu_memory_gib", "burstable", "memory_gib", "vcpus",
+                "family",
+                "arch",
+                "clock_ghz",
+                "physical_cores",
+                "gpu_memory_gib",
+                "burstable",
+                "memory_gib",
+                "vcpus",
                 "price_usd_per_hour",
-            )  # fmt: skip
+            )
             rows = order[tied]
             columns = [getattr(self, name)[rows] for name in rest]
             within = np.lexsort([*(ranks(one) if one.dtype == object else one for one in columns), key[rows]])
@@ -75,7 +82,7 @@ class Catalog:
         return order
 
     def _names(self) -> NDArray[np.int64]:
-        """One number a row that sorts as spot, cloud, region, instance, accelerators and zone do."""
+        """Return one number per row that sorts as spot, cloud, region, instance, accelerators and zone do."""
         key = self.spot.astype(np.int64)
         for column in (self.cloud, self.region, self.instance, self.gpu, self.gpu_count, self.zone):
             rank = ranks(column)
@@ -85,12 +92,12 @@ class Catalog:
         return key
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> "Catalog":
-        """The catalog of some of the rows: indices or a mask."""
+        """Return the catalog of some of the rows: indices or a mask."""
         columns = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "about"}
         return Catalog(about=self.about, **columns)
 
     def merged(self) -> "Catalog":
-        """One row for neighbours that differ in price alone (and in what their type says), at the highest price."""
+        """Return one row for neighbours of the same machine, place and kind of price, at the highest price."""
         key = (self.spot, self.cloud, self.region, self.instance, self.gpu, self.gpu_count, self.zone)
         new = np.ones(len(self), dtype=np.bool_)
         new[1:] = False
@@ -103,7 +110,7 @@ class Catalog:
         return replace(self.take(first), price_usd_per_hour=price)
 
     def machine(self, row: int) -> Machine:
-        """The machine of one row."""
+        """Return the machine of one row."""
         gpu = Gpu(name=str(self.gpu[row]), count=float(self.gpu_count[row])) if self.gpu[row] else None
         return Machine(
             infra=self.infra(row),
@@ -116,28 +123,28 @@ class Catalog:
         )
 
     def infra(self, row: int) -> str:
-        """Where one row's machine is: `cloud/region`, with the zone where the table has one."""
+        """Return the place of one row: `cloud/region`, with the zone if the table has one."""
         return "/".join(part for part in (self.cloud[row], self.region[row], self.zone[row]) if part)
 
     def carries(self, machine: Machine) -> NDArray[np.bool_]:
-        """Which rows have exactly the accelerators of this machine."""
+        """Return the mask of rows with exactly the accelerators of this machine."""
         name, count = machine.accelerators
         return np.asarray((self.gpu == name) & (self.gpu_count == count), dtype=np.bool_)
 
 
 def strings(values: Iterable[str]) -> Strings:
-    """A column of texts."""
+    """Return a column of texts."""
     return np.fromiter(values, dtype=np.object_)
 
 
 def concatenated(catalogs: Sequence[Catalog], about: About) -> Catalog:
-    """Catalogs one after the other, where those are in order and their clouds too: on-demand rows of all, then spot."""
+    """Return the catalogs, ordered and with ordered clouds, as one: the on-demand rows of all, then the spot rows."""
     parts = [*(one.take(~one.spot) for one in catalogs), *(one.take(one.spot) for one in catalogs)]
     names = [f.name for f in fields(Catalog) if f.name != "about"]
     return Catalog(about=about, **{name: np.concatenate([getattr(one, name) for one in parts]) for name in names})
 
 
 def ranks(column: Strings | Floats) -> NDArray[np.int32]:
-    """Each row's rank among the column's distinct texts, in code point order, or numbers, none of them NaN."""
+    """Return each row's rank among the distinct texts, in code point order, or numbers, none NaN, of the column."""
     rank = {word: i for i, word in enumerate(sorted(set(column.tolist())))}
     return np.fromiter(map(rank.__getitem__, column.tolist()), np.int32, len(column))

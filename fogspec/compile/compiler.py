@@ -22,8 +22,9 @@ from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.table import Catalog
 from fogspec.compile.tasks import left_out, measured_processes, ros_environment, sample_task
 from fogspec.plan.budget import ceil_cents, cheapest_options, estimate_cost, within_budget
+from fogspec.plan.design import make_plan
 from fogspec.plan.reuse import plan_from_campaign, reuse_plan
-from fogspec.plan.schema import Plan, Sample, TaskRef, digest_without_budget, lifetime_s, make_plan
+from fogspec.plan.schema import Plan, Sample, TaskRef, digest_without_budget, lifetime_s
 from fogspec.plan.substitutes import substitutes
 from fogspec.results.io import read_results
 from fogspec.results.schema import Results, completed
@@ -103,7 +104,7 @@ def compile_application(
     if bare is None:
         bare = _reusable_plan(application, layout, catalog, depends, results)
     if bare is None:
-        bare = make_plan(application, source, catalog, depends, admissible, library)
+        bare = make_plan(application, source, catalog, pins=depends, admissible=admissible, library=library)
     check_budget(application, bare, admissible, results)
     sent = dict(_agent_files(layout))
     files = dict(sent)

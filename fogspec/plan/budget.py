@@ -1,4 +1,4 @@
-"""Whether a plan fits its budget, and if not, the ways of making it fit that lose least."""
+"""The budget check, and the changes of a spec that make its plan fit with the least loss."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -8,35 +8,36 @@ from fogspec.base import units
 from fogspec.base.errors import Infeasible, InvalidInput
 from fogspec.catalog.filters import Filtered
 from fogspec.catalog.table import Catalog
-from fogspec.plan.schema import Estimate, Plan, Sample, estimate, make_plan
-from fogspec.spec.schema import Application
+from fogspec.plan.design import make_plan
+from fogspec.plan.schema import Estimate, Plan, Sample, estimate
+from fogspec.spec.schema import Application, Hardware
 
-WAYS = 3
-LEAST_MEASURING_S = 10.0
+OPTIONS = 3
+MIN_MEASURING_S = 10.0
+MIN_SETUP_S = 30.0
 NAMED = 4
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetOption:
-    """A change of the spec after which the plan fits.
+    """A change of the spec after which the plan fits, described by `change`, and what it `loses`.
 
-    `loss` is what is given up as a share of what there was: measuring time, samples, or candidates. `words` say the
-    change, `loses` what is given up.
+    `loss` is the fraction that is lost: of measuring time, samples, or candidates.
     """
 
     loss: float
-    words: str
+    change: str
     total_usd: float
     loses: str
 
     def line(self) -> str:
-        """The way in one line."""
-        return f"{self.words}: at most ${ceil_cents(self.total_usd):.2f}; {self.loses}"
+        """Return the option in one line."""
+        return f"{self.change}: at most ${ceil_cents(self.total_usd):.2f}; {self.loses}"
 
 
 @dataclass(frozen=True, slots=True)
 class CostEstimate:
-    """What a plan may still cost in USD: `todo` are the samples that are not measured yet, `spent_usd` what is gone."""
+    """The maximum cost of a plan in USD: `spent_usd` so far, and the estimate for the samples left `todo`."""
 
     todo: tuple[Sample, ...]
     spent_usd: float
@@ -44,31 +45,31 @@ class CostEstimate:
 
     @property
     def total_usd(self) -> float:
-        """All of it."""
+        """Return the sum of both."""
         return self.spent_usd + self.estimate.total
 
 
 def estimate_cost(plan: Plan, done: frozenset[str] = frozenset(), spent_usd: float = 0.0) -> CostEstimate:
-    """The bill of a plan of which the samples `done` are measured, at `spent_usd` so far."""
+    """Return the cost estimate of a plan whose samples `done` are measured, at `spent_usd` so far."""
     todo = tuple(sample for sample in plan.spec.samples if sample.id not in done)
     return CostEstimate(todo, spent_usd, estimate(todo, plan.spec.duration, plan.spec.setup_timeout))
 
 
 def within_budget(plan: Plan, due: CostEstimate) -> bool:
-    """Whether the bill is within the plan's budget; what is measured already needs none."""
+    """Return whether the plan's budget covers the cost; a plan that is fully measured needs none."""
     return plan.spec.budget is None or due.total_usd <= plan.spec.budget or not due.todo
 
 
 def cheapest_options(
     application: Application, plan: Plan, due: CostEstimate, admissible: Filtered
 ) -> list[BudgetOption]:
-    """The `WAYS` changes with the least loss, least first, among: less time, fewer machines, a smaller box."""
-    found = [*_less_time(plan, due), *_fewer_machines(plan, due), *_smaller_box(application, plan, due, admissible)]
-    return sorted(found, key=lambda way: (way.loss, way.words))[:WAYS]
+    """Return the `OPTIONS` changes with the least loss, least first: less time, fewer machines, a narrower search space."""
+    found = [*_less_time(plan, due), *_fewer_machines(plan, due), *_narrower_space(application, plan, due, admissible)]
+    return sorted(found, key=lambda option: (option.loss, option.change))[:OPTIONS]
 
 
 def ceil_cents(usd: float) -> float:
-    """Rounded up to whole cents."""
+    """Return the amount rounded up to whole cents."""
     return math.ceil(round(usd * 100, 6)) / 100
 
 
@@ -76,36 +77,31 @@ def _less_time(plan: Plan, due: CostEstimate) -> Iterator[BudgetOption]:
     body = plan.spec
     usd_per_s = math.fsum(sample.machine.price for sample in due.todo) / 3600
     left_s = ((body.budget or 0.0) - due.spent_usd) / usd_per_s
-    for name, old, other, least, loses in (
-        (
-            "spec.benchmark.stop.duration",
-            body.duration,
-            body.setup_timeout,
-            LEAST_MEASURING_S,
-            "requests of each sample after that",
-        ),
-        (
-            "spec.benchmark.setup_timeout",
-            body.setup_timeout,
-            body.duration,
-            30.0,
-            "every machine that takes longer to be ready",
-        ),
-    ):
-        new = _round_down(left_s - other)
-        if least <= new < old:
-            words = f"lower {name} from {units.format_duration(old)} to {units.format_duration(new)}"
-            yield BudgetOption(1 - new / old, words, due.spent_usd + usd_per_s * (new + other), f"loses {loses}")
+    shorter = _round_down(left_s - body.setup_timeout)
+    if MIN_MEASURING_S <= shorter < body.duration:
+        change = _lower("spec.benchmark.stop.duration", body.duration, shorter)
+        total_usd = due.spent_usd + usd_per_s * (shorter + body.setup_timeout)
+        yield BudgetOption(1 - shorter / body.duration, change, total_usd, "loses requests of each sample after that")
+    sooner = _round_down(left_s - body.duration)
+    if MIN_SETUP_S <= sooner < body.setup_timeout:
+        change = _lower("spec.benchmark.setup_timeout", body.setup_timeout, sooner)
+        total_usd = due.spent_usd + usd_per_s * (sooner + body.duration)
+        loses = "loses every machine that takes longer to be ready"
+        yield BudgetOption(1 - sooner / body.setup_timeout, change, total_usd, loses)
+
+
+def _lower(name: str, old_s: float, new_s: float) -> str:
+    return f"lower {name} from {units.format_duration(old_s)} to {units.format_duration(new_s)}"
 
 
 def _round_down(seconds: float) -> float:
-    """To whole minutes, tens of seconds or seconds, whichever takes off at most a tenth."""
+    """Round to whole minutes, tens of seconds or seconds, the coarsest that takes off at most a tenth."""
     steps = (step for step in (60, 10, 1) if seconds > 0 and seconds // step * step >= 0.9 * seconds)
     return float(seconds // (step := next(steps, 1)) * step)
 
 
 def _fewer_machines(plan: Plan, due: CostEstimate) -> Iterator[BudgetOption]:
-    """Leave out the dearest samples, as few as it takes."""
+    """Leave out the most expensive samples, as few as it takes."""
     kept = sorted(due.todo, key=lambda sample: (sample.machine.price, sample.id))
     lost: list[Sample] = []
     body = plan.spec
@@ -125,19 +121,19 @@ def _named(words: Sequence[str]) -> str:
     return "; ".join(words[:NAMED]) + (f"; and {len(words) - NAMED} more" if len(words) > NAMED else "")
 
 
-def _smaller_box(
+def _narrower_space(
     application: Application, plan: Plan, due: CostEstimate, admissible: Filtered
 ) -> Iterator[BudgetOption]:
-    """A lower limit on vCPUs, the highest that fits; or one GPU type less."""
+    """Lower the limit on vCPUs to the highest that fits, or leave out one GPU type."""
     if application.spec.benchmark.machines:
         return
-    offers = admissible.offers
+    offers, hardware = admissible.offers, application.spec.hardware
     sizes = sorted(set(offers.vcpus.tolist()))
     low, high = 0, len(sizes) - 1
     best: tuple[float, float] | None = None
     while low < high:
         middle = (low + high) // 2
-        total = _replanned(application, offers, due, cpus=units.Range(None, sizes[middle]))
+        total = _total_usd(application, offers, due, _with_cpus(hardware, sizes[middle]))
         if total is not None and total <= (plan.spec.budget or 0.0):
             best, low = (sizes[middle], total), middle + 1
         else:
@@ -145,24 +141,25 @@ def _smaller_box(
     if best is not None:
         lost = float((offers.vcpus > best[0]).mean())
         words = f"lower spec.hardware.cpus to at most {units.format_number(best[0])}"
-        yield BudgetOption(lost, words, best[1], f"loses {_share(lost)} of the candidates, those with more vCPUs")
-    for gpu in application.spec.hardware.gpus if len(application.spec.hardware.gpus) > 1 else ():
-        others = [one for one in application.spec.hardware.gpus if one != gpu]
-        total = _replanned(application, offers, due, gpus=others)
+        yield BudgetOption(lost, words, best[1], f"loses {_percent(lost)} of the candidates, those with more vCPUs")
+    for gpu in hardware.gpus if len(hardware.gpus) > 1 else ():
+        others = [one for one in hardware.gpus if one != gpu]
+        total = _total_usd(application, offers, due, hardware.model_copy(update={"gpus": others}))
         if total is not None and total <= (plan.spec.budget or 0.0):
             lost = float((offers.gpu == ("" if gpu == "none" else gpu.partition(":")[0])).mean())
             what = "machines without a GPU" if gpu == "none" else f"machines with {gpu}"
             words = f"take {gpu} out of spec.hardware.gpus"
-            yield BudgetOption(lost, words, total, f"loses {_share(lost)} of the candidates, {what}")
+            yield BudgetOption(lost, words, total, f"loses {_percent(lost)} of the candidates, {what}")
 
 
-def _replanned(application: Application, offers: Catalog, due: CostEstimate, **hardware: object) -> float | None:
-    """What the plan costs with other hardware, in USD; None when nothing is left."""
-    narrowed = application.spec.hardware
-    if (cpus := hardware.get("cpus")) is not None and narrowed.cpus is not None:
-        assert isinstance(cpus, units.Range)
-        hardware["cpus"] = units.Range(narrowed.cpus.low, cpus.high)
-    spec = application.spec.model_copy(update={"hardware": narrowed.model_copy(update=hardware)})
+def _with_cpus(hardware: Hardware, high: float) -> Hardware:
+    low = None if hardware.cpus is None else hardware.cpus.low
+    return hardware.model_copy(update={"cpus": units.Range(low, high)})
+
+
+def _total_usd(application: Application, offers: Catalog, due: CostEstimate, hardware: Hardware) -> float | None:
+    """Return the cost of the plan for this hardware, in USD; None if no machine is left."""
+    spec = application.spec.model_copy(update={"hardware": hardware})
     try:
         plan = make_plan(application.model_copy(update={"spec": spec}), "", offers)
     except (Infeasible, InvalidInput):
@@ -170,5 +167,5 @@ def _replanned(application: Application, offers: Catalog, due: CostEstimate, **h
     return due.spent_usd + plan.spec.estimate.total
 
 
-def _share(lost: float) -> str:
+def _percent(lost: float) -> str:
     return f"{lost:.0%}" if lost >= 0.01 else "less than 1%"

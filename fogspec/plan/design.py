@@ -1,9 +1,8 @@
-"""Which machines are measured, and why: the grid of section 2.A per infra and GPU type, or an explicit list."""
+"""The design of a benchmark: the grid of section 2.A for each infra and GPU type, a first batch, or a list of machines."""
 
 import difflib
 import math
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,69 +10,124 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base import units
-from fogspec.base.clouds import LOCAL, cloud_name, cloud_of
+from fogspec.base.clouds import LOCAL, cloud_name
 from fogspec.base.errors import Infeasible, InvalidInput
-from fogspec.catalog.filters import Filtered, before_empty, gpu_type, matches_gpu, matches_infra, merge_zones
+from fogspec.catalog.filters import (
+    Filtered,
+    before_empty,
+    filter_offers,
+    gpu_type,
+    matches_gpu,
+    matches_infra,
+    merge_zones,
+)
 from fogspec.catalog.machine import Machine
-from fogspec.catalog.table import Catalog, Floats, ranks
+from fogspec.catalog.table import About, Catalog, Floats, ranks
 from fogspec.numerics.design import Cell, Grid, edge_grid
-from fogspec.spec.schema import Spec, local_shape
+from fogspec.plan.schema import (
+    NO_PINS,
+    ApplicationRef,
+    CatalogRef,
+    Plan,
+    PlanBody,
+    PlanMetadata,
+    Sample,
+    Sampler,
+    estimate,
+    sample_on,
+)
+from fogspec.spec import fingerprints
+from fogspec.spec.lockfile import image_named
+from fogspec.spec.schema import Application, Spec, local_shape
 
 if TYPE_CHECKING:
     from fogspec.numerics.priors import Library
 
 
 @dataclass(frozen=True, slots=True)
-class DesignPoint:
-    """A machine to measure, and why."""
-
-    machine: Machine
-    reason: str
-
-    @property
-    def id(self) -> str:
-        """Names the sample everywhere; it depends on the machine alone, so that a wider plan keeps it."""
-        return sample_id(self.machine)
-
-
-@dataclass(frozen=True, slots=True)
 class Design:
-    """The machines, and what people should know of how they were found."""
+    """The samples, and notes on how they were chosen."""
 
-    picks: tuple[DesignPoint, ...]
+    samples: tuple[Sample, ...]
     notes: tuple[str, ...]
 
 
-def sample_id(machine: Machine, nth: int = 1) -> str:
-    """The id of a machine's sample, or of the `nth` one of the same machine."""
-    words = [machine.infra, machine.instance]
-    if machine.gpu and cloud_of(machine.infra).attaches_gpus:
-        words.append(machine.gpu.key)  # one host, several accelerators
-    if machine.spot:
-        words.append("spot")
-    if nth > 1:
-        words.append(f"repeat-{nth}")
-    return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
+def make_plan(
+    application: Application,
+    path: str,
+    catalog: Catalog,
+    *,
+    pins: Mapping[str, str] = NO_PINS,
+    admissible: Filtered | None = None,
+    library: "Library | None" = None,
+) -> Plan:
+    """Return the sampling plan of a spec at `path` (as written into the plan), without its tasks.
+
+    Pure: it depends on the values of the spec and the content of the catalog, not on the order of either. Raises
+    Infeasible if no machine on offer is admissible, InvalidInput for a listed machine that is not on offer. The budget is
+    checked where money would be spent.
+    """
+    spec = application.spec
+    if admissible is None:
+        admissible = filter_offers(catalog, spec.hardware, spec.infra)
+    found = design(spec, catalog, admissible, library)
+    sampler: Sampler = "list" if spec.benchmark.machines else spec.benchmark.sampler
+    return plan_of(application, path, catalog.about, sampler=sampler, design=found, pins=pins)
 
 
-def replicate(sample_id: str) -> int:
-    """Which sample of its machine this is: 1 for the first."""
-    found = re.search(r"-repeat-([0-9]+)$", sample_id)
-    return int(found[1]) if found else 1
+def plan_of(
+    application: Application,
+    path: str,
+    about: About,
+    *,
+    sampler: Sampler,
+    design: Design,
+    pins: Mapping[str, str] = NO_PINS,
+) -> Plan:
+    """Return a plan of these samples, with its maximum cost."""
+    spec, benchmark = application.spec, application.spec.benchmark
+    stop = benchmark.stop
+    body = PlanBody(
+        application=ApplicationRef(
+            path=path,
+            digest=fingerprints.planned_digest(application),
+            field_digests=fingerprints.measured_fields(application),
+        ),
+        pins=dict(pins),
+        catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
+        design_catalog=about.digest,
+        hardware=spec.hardware,
+        infra=spec.infra,
+        sampler=sampler,
+        requests=stop.requests,
+        duration=stop.duration,
+        warmup=benchmark.warmup,
+        setup_timeout=benchmark.setup_timeout,
+        budget=benchmark.budget,
+        estimate=estimate(design.samples, stop.duration, benchmark.setup_timeout),
+        samples=list(design.samples),
+        notes=[*design.notes, *_unpinned(application, pins)],
+    )
+    return Plan(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+
+
+def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
+    image = image_named(application)
+    return [] if image is None or "image" in pins else [f"image {image} is not pinned to a digest: fogspec lock"]
 
 
 def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "Library | None" = None) -> Design:
-    """The sampler's machines, an adaptive one's with what the library knows of them.
+    """Return the samples of the spec's sampler; the adaptive one uses the performance priors in `library`.
 
-    Raises Infeasible when there are none, InvalidInput for an unknown instance type.
+    Raises Infeasible if there are none, InvalidInput for an unknown instance type.
     """
-    named = spec.benchmark.machines
-    found = (
-        _listed(spec, catalog, admissible) if named
-        else _adaptive(spec, admissible, library) if spec.benchmark.sampler == "adaptive"
-        else _grid(spec, admissible)
-    )  # fmt: skip
-    if not found.picks:
+    if spec.benchmark.machines:
+        found = _listed(spec, catalog, admissible)
+    elif spec.benchmark.sampler == "adaptive":
+        found = _adaptive(spec, admissible, library)
+    else:
+        found = _grid(spec, admissible)
+    if not found.samples:
         instead = before_empty(catalog, spec.hardware, spec.infra)
         hints = [admissible.funnel.line(), *_unknown_places(spec.infra, catalog), *([instead] if instead else [])]
         raise Infeasible("no machine on offer is admissible", *hints)
@@ -81,18 +135,18 @@ def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "Library
 
 
 def cheapest_first(offers: Catalog) -> NDArray[np.intp]:
-    """Row numbers by price, then by instance, region and zone."""
+    """Return row numbers in the order of price, then of instance, region and zone."""
     names = (offers.gpu, offers.zone, offers.region, offers.cloud, offers.instance)
     return np.lexsort((offers.spot, *(ranks(name) for name in names), offers.price_usd_per_hour))
 
 
 def max_cost_usd(spec: Spec, price_usd_per_hour: Floats) -> Floats:
-    """What one sample of each machine may cost: set-up and measuring, for as long as the spec allows."""
+    """Return the maximum cost in USD of one sample of each machine: set-up and measuring, as long as the spec allows."""
     return price_usd_per_hour * (spec.benchmark.setup_timeout + spec.benchmark.stop.duration) / 3600
 
 
 def _adaptive(spec: Spec, admissible: Filtered, library: "Library | None") -> Design:
-    """The first wave; the next ones are asked for when it is measured (`fogspec.choice.next_samples`)."""
+    """Return the first batch; `fogspec.choice.next_samples` chooses the next ones after it was measured."""
     from fogspec.numerics.acquisition import Policy
     from fogspec.plan.initial_batch import initial_batch
 
@@ -100,17 +154,18 @@ def _adaptive(spec: Spec, admissible: Filtered, library: "Library | None") -> De
     if not len(offers):
         return Design((), ())
     usd = max_cost_usd(spec, offers.price_usd_per_hour)
-    asked = initial_batch(offers, usd, math.inf if budget is None else max(budget, float(usd.min())), library)
-    picks = tuple(DesignPoint(offers.machine(row), why) for row, why in zip(asked.rows, asked.reasons, strict=True))
+    batch = initial_batch(offers, usd, math.inf if budget is None else max(budget, float(usd.min())), library)
+    samples = tuple(sample_on(offers.machine(row), why) for row, why in zip(batch.rows, batch.reasons, strict=True))
     at_once = "one by one" if spec.benchmark.batch_size == 1 else f"{spec.benchmark.batch_size} at once"
-    wall = None if budget is None else units.format_money(budget)
-    most = f"{Policy().most} samples: there is no budget" if wall is None else f"the budget of {wall}"
+    most = f"{Policy().most} samples: there is no budget"
+    if budget is not None:
+        most = f"the budget of {units.format_money(budget)}"
     later = f"the first wave; then the model is asked for the next machines, {at_once}, never beyond {most}"
-    return Design(picks, (later,))
+    return Design(samples, (later,))
 
 
 def _grid(spec: Spec, admissible: Filtered) -> Design:
-    picks: list[DesignPoint] = []
+    samples: list[Sample] = []
     notes: list[str] = []
     offers = admissible.offers
     for entry in spec.infra:
@@ -121,11 +176,11 @@ def _grid(spec: Spec, admissible: Filtered) -> Design:
                 notes.append(f"{entry}, GPU {gpu}: no admissible machine, nothing is sampled")
                 continue
             grid = edge_grid(group.vcpus, group.memory_gib, cheapest_first(group))
-            picks += [
-                DesignPoint(group.machine(cell.row), _reason(cell, gpu)) for cell in grid.cells if cell.same_as is None
+            samples += [
+                sample_on(group.machine(cell.row), _reason(cell, gpu)) for cell in grid.cells if cell.same_as is None
             ]
             notes += [f"{entry}, GPU {gpu}: {text}" for text in _grid_notes(grid, group)]
-    return Design(tuple(picks), tuple(notes))
+    return Design(tuple(samples), tuple(notes))
 
 
 def _reason(cell: Cell, gpu: str) -> str:
@@ -149,7 +204,7 @@ def _grid_notes(grid: Grid, group: Catalog) -> Iterator[str]:
 
 
 def _listed(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
-    picks: list[DesignPoint] = []
+    samples: list[Sample] = []
     notes: list[str] = []
     admitted = set(admissible.offers.instance.tolist())
     for name in spec.benchmark.machines:
@@ -157,18 +212,18 @@ def _listed(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
             cpus, memory_gib = shape
             instance = name.removeprefix("local/")
             here = Machine(infra=LOCAL, instance=instance, cpus=cpus, memory=memory_gib, price=0.0)
-            picks.append(DesignPoint(here, "listed in benchmark.machines"))
+            samples.append(sample_on(here, "listed in benchmark.machines"))
             continue
-        picks += _found(name, spec, catalog)
+        samples += _found(name, spec, catalog)
         if name not in admitted:
             notes.append(f"{name} is listed in benchmark.machines, and is no candidate: hardware does not admit it")
-    return Design(tuple(picks), tuple(notes))
+    return Design(tuple(samples), tuple(notes))
 
 
-def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[DesignPoint]:
-    """The cheapest offer of a listed instance type in each infra that has it, whatever its shape.
+def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Sample]:
+    """Yield the cheapest offer of a listed instance type in each infra that has it, whatever its shape.
 
-    Where one host may carry several accelerators, those that `hardware.gpus` names come first.
+    If one host may carry several accelerators, those in `hardware.gpus` come first.
     """
     rows = catalog.take(np.asarray(catalog.instance == name, dtype=np.bool_))
     allowed = ~rows.spot | spec.hardware.spot
@@ -181,11 +236,11 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[DesignPoint]:
     for place in filter(len, places):
         named = (place.take(matches_gpu(place, gpu)) for gpu in spec.hardware.gpus)
         best = next(filter(len, named), place)
-        yield DesignPoint(best.machine(int(cheapest_first(best)[0])), "listed in benchmark.machines")
+        yield sample_on(best.machine(int(cheapest_first(best)[0])), "listed in benchmark.machines")
 
 
 def _unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
-    """What to say of entries of `infra` where the catalog has no machine at all."""
+    """Yield a hint for each entry of `infra` in which the catalog has no machine at all."""
     for entry in infra:
         if matches_infra(catalog, entry).any():
             continue
@@ -200,10 +255,10 @@ def _unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
 
 
 def _distinct(found: Design) -> Design:
-    """Overlapping entries of `infra` find the same machine twice: it is measured once."""
-    first: dict[str, DesignPoint] = {}
+    """Return the design with each machine once: overlapping entries of `infra` find the same machine twice."""
+    first: dict[str, Sample] = {}
     notes = list(found.notes)
-    for one in found.picks:
+    for one in found.samples:
         if one.id in first:
             notes.append(f"{one.machine.infra} {one.machine.instance} is found twice, sampled once")
         first.setdefault(one.id, one)

@@ -1,4 +1,4 @@
-"""Keeping a plan that was measured, while it still serves: a smaller search box or new prices cost no new samples."""
+"""Reuse of a measured plan: a narrower search space or new prices cost no new samples."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,6 +7,7 @@ from fogspec.base.units import Range
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
+from fogspec.plan.design import Design, plan_of
 from fogspec.plan.schema import (
     NO_PINS,
     ApplicationRef,
@@ -15,7 +16,6 @@ from fogspec.plan.schema import (
     PlanBody,
     Sample,
     Sampling,
-    assemble,
     estimate,
 )
 from fogspec.spec import fingerprints
@@ -25,10 +25,10 @@ from fogspec.spec.schema import Application, Hardware
 def reuse_plan(
     application: Application, plan: Plan, catalog: Catalog, pins: Mapping[str, str] = NO_PINS
 ) -> Plan | None:
-    """The plan's own samples at this catalog's prices, or None where they do not serve the spec.
+    """Return the plan with the prices of this catalog, or None if the spec needs another plan.
 
-    They serve when they are measured in the same way and the box that they were picked for holds the spec's box.
-    A machine that is no longer on offer keeps the price it had.
+    The plan is reused if its samples are measured in the same way and the search space that they were chosen from contains
+    the spec's. A machine that is no longer on offer keeps its price.
     """
     spec, body = application.spec, plan.spec
     stop, benchmark = spec.benchmark.stop, spec.benchmark
@@ -53,35 +53,38 @@ def reuse_plan(
 def plan_from_campaign(
     application: Application, path: str, catalog: Catalog, sampling: Sampling, pins: Mapping[str, str] = NO_PINS
 ) -> Plan:
-    """The plan of an adaptive campaign: the machines that were asked for so far, at this catalog's prices.
+    """Return the plan of an adaptive campaign: the samples requested so far, at the prices of this catalog.
 
-    Its search box is the one that they were asked for among, while that holds the spec's.
+    Its search space is the one that they were chosen from, as long as that contains the spec's.
     """
     samples = [
         Sample(id=one.id, machine=_repriced(one.machine, catalog), reason=one.reason)
-        for wave in sampling.batches
-        for one in wave.samples
+        for batch in sampling.batches
+        for one in batch.samples
     ]
-    notes = [f"wave {number} ({len(wave.samples)}): {wave.reason}" for number, wave in enumerate(sampling.batches, 1)]
+    notes = [
+        f"wave {number} ({len(batch.samples)}): {batch.reason}" for number, batch in enumerate(sampling.batches, 1)
+    ]
     notes.append(
         f"sampling ended: {sampling.stop_reason}"
         if sampling.stop_reason
         else "the next machines are asked for by fogspec bench"
     )
-    plan = assemble(application, path, catalog.about, "adaptive", samples, notes, pins)
+    design = Design(tuple(samples), tuple(notes))
+    plan = plan_of(application, path, catalog.about, sampler="adaptive", design=design, pins=pins)
     if not covers(application, sampling):
         return plan
-    box = {"hardware": sampling.hardware, "infra": sampling.infra}
-    return plan.model_copy(update={"spec": plan.spec.model_copy(update=box)})
+    search_space = {"hardware": sampling.hardware, "infra": sampling.infra}
+    return plan.model_copy(update={"spec": plan.spec.model_copy(update=search_space)})
 
 
 def covers(application: Application, sampling: Sampling) -> bool:
-    """Whether the box that machines were asked for among holds the spec's box."""
+    """Return whether the search space of the campaign contains the spec's."""
     return contains(sampling.hardware, sampling.infra, application.spec.hardware, application.spec.infra)
 
 
 def price_rises(samples: Sequence[Sample], catalog: Catalog) -> list[str]:
-    """What has become dearer than the plan says, or is no longer on offer; a line each."""
+    """Return a line for each sample that is more expensive than in the plan or no longer on offer."""
     found = []
     for sample in samples:
         machine, now = sample.machine, price_now(sample.machine, catalog)
@@ -113,13 +116,13 @@ def _with(application: Application, body: PlanBody, catalog: Catalog, samples: S
 
 
 def _repriced(machine: Machine, catalog: Catalog) -> Machine:
-    """The machine at its price now; one that is no longer on offer keeps the price it had."""
+    """Return the machine at its price now; one that is no longer on offer keeps its price."""
     price = None if machine.is_local else price_now(machine, catalog)
     return machine if price is None else machine.model_copy(update={"price": price})
 
 
 def contains(outer: Hardware, outer_infra: Sequence[str], inner: Hardware, inner_infra: Sequence[str]) -> bool:
-    """Whether every machine of the inner search box is in the outer one, as far as their words tell."""
+    """Return whether every machine of the inner search space is in the outer one, judged by the specs alone."""
     allow = outer.machines.allow
     return (
         all(_within(getattr(outer, name), getattr(inner, name)) for name in ("cpus", "memory", "memory_per_cpu"))
@@ -127,7 +130,7 @@ def contains(outer: Hardware, outer_infra: Sequence[str], inner: Hardware, inner
         and {*inner.arch} <= {*outer.arch}
         and (outer.spot or not inner.spot)
         and {*outer.machines.deny} <= {*inner.machines.deny}
-        and (not allow or (bool(inner.machines.allow) and all(_named(allow, one) for one in inner.machines.allow)))
+        and (not allow or (bool(inner.machines.allow) and all(_is_covered(allow, one) for one in inner.machines.allow)))
         and all(any(one == other or one.startswith(f"{other}/") for other in outer_infra) for one in inner_infra)
     )
 
@@ -139,8 +142,8 @@ def _within(outer: Range | None, inner: Range | None) -> bool:
     return low and (outer.high is None or (inner.high is not None and inner.high <= outer.high))
 
 
-def _named(patterns: Sequence[str], one: str) -> bool:
-    """Whether a pattern of instance types allows no more than one of these does: `c6i.*` holds `c6i.large`."""
+def _is_covered(patterns: Sequence[str], one: str) -> bool:
+    """Return whether one of the patterns matches all that `one` matches: `c6i.*` covers `c6i.large`."""
     return one in patterns or any(
         pattern.count("*") == 1 and pattern.endswith("*") and one.startswith(pattern[:-1]) for pattern in patterns
     )

@@ -1,25 +1,21 @@
-"""The sampling plan: which machines are measured, what each costs, and why each is there."""
+"""The sampling plan: the machines to measure, the cost of each, and the reason for each."""
 
 import itertools
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from fogspec.base import digest
+from fogspec.base.clouds import cloud_of
 from fogspec.base.quantities import Duration, Money, Strict
-from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.machine import Machine
-from fogspec.catalog.table import About, Catalog
-from fogspec.plan import design
-from fogspec.spec import fingerprints
-from fogspec.spec.lockfile import image_named
-from fogspec.spec.schema import Application, Hardware
+from fogspec.spec.schema import Hardware
 
-if TYPE_CHECKING:
-    from fogspec.numerics.priors import Library
+Sampler = Literal["grid", "adaptive", "list"]
 
 
 class TaskRef(Strict):
@@ -39,7 +35,7 @@ class Sample(Strict):
 
 
 class Substitute(Strict):
-    """A machine that is measured where the sample `substitute_for` cannot be had; those named first are tried first."""
+    """A machine to measure if the machine of the sample `substitute_for` is unavailable; they are tried in this order."""
 
     substitute_for: str
     machine: Machine
@@ -47,7 +43,7 @@ class Substitute(Strict):
 
 
 class CatalogRef(Strict):
-    """Which catalog a file was made from."""
+    """The catalog that a file was made from."""
 
     source: str
     revision: str
@@ -56,9 +52,9 @@ class CatalogRef(Strict):
 
 
 class ApplicationRef(Strict):
-    """Which spec a file was made from; the digest is over what the stage reads of it, not over its bytes.
+    """The spec that a file was made from; the digest covers the values that the stage reads, not the bytes of the file.
 
-    In a plan, `field_digests` has a short digest of each field that measuring depends on, so that a change can be named.
+    In a plan, `field_digests` has a short digest of each field that the measurements depend on, to name a change.
     """
 
     path: str
@@ -67,18 +63,18 @@ class ApplicationRef(Strict):
 
 
 class Batch(Strict):
-    """Machines that were asked for at once, and why."""
+    """Samples that were requested together, and why."""
 
     reason: str
     samples: list[Sample]
 
 
 class Sampling(Strict):
-    """The decisions of an adaptive campaign: which machines were asked for, among those of which search box.
+    """Recorded decisions of an adaptive campaign; later compiles reuse them instead of running the sampler again.
 
-    Recorded decisions: later compiles read them here and do not ask again. `limits_digest` is a digest of the limits and the
-    objective that were asked for. `stop_reason` says why no further machine was asked for, None while that was not decided;
-    `out_of_budget` says that there was one, and not enough money left for it.
+    `hardware` and `infra` are the search space that the batches were chosen from, `limits_digest` is a digest of the limits
+    and the objective. `stop_reason` is why no further sample was requested, None while that is undecided; with
+    `out_of_budget` there was one, but not enough money left for it.
     """
 
     hardware: Hardware
@@ -90,7 +86,7 @@ class Sampling(Strict):
 
 
 class Estimate(Strict):
-    """What the plan will cost at most, and how long it will take with all samples at once."""
+    """The maximum cost of the plan, and its duration with all samples at once."""
 
     measuring: Money
     setup: Money
@@ -99,10 +95,11 @@ class Estimate(Strict):
 
 
 class PlanBody(Strict):
-    """What the plan says; `hardware` and `infra` are the search box that its samples were picked for, from
-    the catalog with the digest `design_catalog`; the spec's own box may have become smaller since, and prices may be new.
+    """The samples of a plan and the settings that they are measured with.
 
-    `pins` are the digests of what the spec only names, from the lock.
+    `hardware` and `infra` are the search space that the samples were chosen from, `design_catalog` is the digest of the
+    catalog at that time; the spec may have become narrower since, and prices may have changed. `pins` are digests from the
+    lock of what the spec only names.
     """
 
     application: ApplicationRef
@@ -111,7 +108,7 @@ class PlanBody(Strict):
     design_catalog: str
     hardware: Hardware
     infra: list[str]
-    sampler: Literal["grid", "adaptive", "list"]
+    sampler: Sampler
     requests: int | None
     duration: Duration
     warmup: int
@@ -124,13 +121,13 @@ class PlanBody(Strict):
 
 
 class PlanMetadata(Strict):
-    """Names the application."""
+    """The name of the application."""
 
     name: str
 
 
 class Plan(Strict):
-    """`kind: SamplingPlan`: what `compile` writes before a benchmark and `bench` runs."""
+    """`kind: SamplingPlan`: written by `compile` and run by `bench`."""
 
     apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
     kind: Literal["SamplingPlan"] = "SamplingPlan"
@@ -142,88 +139,47 @@ LIFETIME_SLACK_S = 300.0
 NO_PINS: Mapping[str, str] = MappingProxyType({})
 
 
-def make_plan(
-    application: Application,
-    path: str,
-    catalog: Catalog,
-    pins: Mapping[str, str] = NO_PINS,
-    admissible: Filtered | None = None,
-    library: "Library | None" = None,
-) -> Plan:
-    """The sampling plan of a spec at `path` (as written into the plan), without its tasks.
-
-    Pure: it depends on the values of the spec and the content of the catalog, not on the order of either. Raises
-    Infeasible when no machine on offer is admissible, InvalidInput for a listed machine that is not on offer. The
-    budget is compared where money would be spent.
-    """
-    spec = application.spec
-    if admissible is None:
-        admissible = filter_offers(catalog, spec.hardware, spec.infra)
-    found = design.design(spec, catalog, admissible, library)
-    samples = [Sample(id=pick.id, machine=pick.machine, reason=pick.reason) for pick in found.picks]
-    sampler: Literal["grid", "adaptive", "list"] = "list" if spec.benchmark.machines else spec.benchmark.sampler
-    return assemble(application, path, catalog.about, sampler, samples, found.notes, pins)
+def sample_id(machine: Machine, nth: int = 1) -> str:
+    """Return the id of the `nth` sample of a machine; it depends on both alone, so that a wider plan keeps it."""
+    words = [machine.infra, machine.instance]
+    if machine.gpu and cloud_of(machine.infra).attaches_gpus:
+        words.append(machine.gpu.key)
+    if machine.spot:
+        words.append("spot")
+    if nth > 1:
+        words.append(f"repeat-{nth}")
+    return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
 
 
-def assemble(
-    application: Application, path: str, about: About, sampler: Literal["grid", "adaptive", "list"],
-    samples: Sequence[Sample], notes: Sequence[str], pins: Mapping[str, str] = NO_PINS,
-) -> Plan:  # fmt: skip
-    """A plan of these samples, with what it costs at most."""
-    spec = application.spec
-    stop = spec.benchmark.stop
-    body = PlanBody(
-        application=ApplicationRef(
-            path=path,
-            digest=fingerprints.planned_digest(application),
-            field_digests=fingerprints.measured_fields(application),
-        ),
-        pins=dict(pins),
-        catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
-        design_catalog=about.digest,
-        hardware=spec.hardware,
-        infra=spec.infra,
-        sampler=sampler,
-        requests=stop.requests,
-        duration=stop.duration,
-        warmup=spec.benchmark.warmup,
-        setup_timeout=spec.benchmark.setup_timeout,
-        budget=spec.benchmark.budget,
-        estimate=estimate(samples, stop.duration, spec.benchmark.setup_timeout),
-        samples=list(samples),
-        notes=[*notes, *_unpinned(application, pins)],
-    )
-    return Plan(metadata=PlanMetadata(name=application.metadata.name), spec=body)
-
-
-def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
-    image = image_named(application)
-    return [] if image is None or "image" in pins else [f"image {image} is not pinned to a digest: fogspec lock"]
+def replicate(sample_id: str) -> int:
+    """Return the number of a sample among those of its machine: 1 for the first."""
+    found = re.search(r"-repeat-([0-9]+)$", sample_id)
+    return int(found[1]) if found else 1
 
 
 def sample_on(machine: Machine, reason: str, nth: int = 1) -> Sample:
-    """The `nth` sample that measures this machine; its id depends on the machine and on `nth` alone."""
-    return Sample(id=design.sample_id(machine, nth), machine=machine, reason=reason)
+    """Return the `nth` sample of this machine."""
+    return Sample(id=sample_id(machine, nth), machine=machine, reason=reason)
 
 
 def next_on(machine: Machine, reason: str, taken: Collection[str]) -> Sample:
-    """The first sample of this machine whose id is not taken."""
+    """Return the first sample of this machine whose id is not taken."""
     numbered = (sample_on(machine, reason, nth) for nth in itertools.count(1))
     return next(sample for sample in numbered if sample.id not in taken)
 
 
 def estimate(samples: Sequence[Sample], after_s: float, setup_s: float) -> Estimate:
-    """What the samples cost in USD if each measures for `after_s` and none is ready before `setup_s`."""
+    """Return the cost in USD and the duration in seconds if each sample takes `setup_s` and measures for `after_s`."""
     usd_per_s = math.fsum(sample.machine.price for sample in samples) / 3600
     measuring, setup = round(usd_per_s * after_s, 6), round(usd_per_s * setup_s, 6)
     return Estimate(measuring=measuring, setup=setup, total=round(measuring + setup, 6), wall=after_s + setup_s)
 
 
 def digest_without_budget(plan: Plan) -> str:
-    """Digest over a plan's content but its budget, which decides whether it is measured and nothing that follows."""
+    """Return the digest of a plan's content without its budget, which decides only whether the plan is measured."""
     return digest.of_value(plan.model_dump(mode="json", exclude={"spec": {"budget"}}))
 
 
 def lifetime_s(after_s: float, setup_s: float) -> float:
-    """After how long a sampled machine ends itself though nobody ends it, in whole minutes."""
+    """Return the lifetime of a benchmark machine in seconds, in whole minutes: it terminates itself after that."""
     return math.ceil((setup_s + after_s + LIFETIME_SLACK_S) / 60) * 60.0

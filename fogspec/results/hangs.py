@@ -1,4 +1,4 @@
-"""A node that hangs finishes nothing any more: what that says of a sample whose time ran out."""
+"""Hang detection: judge a timed-out sample by the gap since its last finished request."""
 
 import itertools
 from collections.abc import Sequence
@@ -7,17 +7,17 @@ from fogspec.base.units import format_duration
 from fogspec.results.join import Request
 
 PAUSES = 3.0
-LEAST_S = 1.0  # a busy machine and the agent's own looks make pauses too
+LEAST_S = 1.0  # a busy machine and the polling of the agent cause pauses too
 
 
 def detect_hang(
     requests: Sequence[Request], waited_s: float | None, timeout_s: float | None, valid: float
 ) -> tuple[str | None, bool]:
-    """What a record says of it, None where nothing hangs, and whether it is tolerable: at most the share of the time that
-    may be lost, as of the requests.
+    """Return a description of the hang, None if there is none, and whether it is tolerable.
 
-    `waited_s` is the time since the last request was finished, while all processes still ran. It is too long when it is
-    longer than the longest pause between two finished requests plus `timeout_s`, or without one than three such pauses.
+    `waited_s` is the time since the last request finished while all processes still ran. The node hangs if that exceeds the
+    longest pause between two finished requests plus `timeout_s`, or without one `PAUSES` such pauses. A hang is
+    tolerable up to the fraction of the time that requests may fail: 1 - `valid`.
     """
     times = [(one.start_s, one.start_s + one.latency_s) for one in requests if one.start_s is not None]
     if waited_s is None or len(times) < len(requests) or not times:

@@ -1,4 +1,4 @@
-"""Reading what was measured: whole, sealed, and never guessed at."""
+"""Reading of results files and raw timings, with their checksums."""
 
 import gzip
 import io
@@ -19,9 +19,9 @@ SIZE_LIMIT = 256 * 2**20
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """One record to be replayed, and its raw timings where they were kept (gzip).
+    """One record to replay, and its raw timings if they were kept (gzip).
 
-    Where it is not `priced`, nobody wrote down what it cost: the plan's price for its duration is taken.
+    A record that is not `priced` has no cost of its own: it costs the plan's price for its duration.
     """
 
     record: Measured
@@ -30,7 +30,7 @@ class Recording:
 
 
 def read_results(layout: Layout) -> Results | None:
-    """The application's results, None where there are none yet; raises DiagnosticError for an edited or damaged file."""
+    """Return the application's results, None if there are none yet; raises DiagnosticError for an edited or damaged file."""
     if not os.path.lexists(layout.results):
         return None
     results = read_document(layout.results, Results)
@@ -39,18 +39,27 @@ def read_results(layout: Layout) -> Results | None:
 
 
 def check_integrity(results: Results, path: str | Path) -> None:
-    """Raises DiagnosticError when the file says something else than what was measured."""
+    """Raise DiagnosticError if the checksum does not match the content."""
     if not checksum_ok(results):
-        raise DiagnosticError([Diagnostic(
-            "FS701", "the results were changed after they were measured: their seal does not hold",
-            Span(str(path), 1, 1),
-            f"restore the file (git checkout -- {path}), or move it away and measure again",
-        )])  # fmt: skip
+        raise DiagnosticError(
+            [
+                Diagnostic(
+                    "FS701",
+                    "the results were changed after they were measured: their seal does not hold",
+                    Span(str(path), 1, 1),
+                    f"restore the file (git checkout -- {path}), or move it away and measure again",
+                )
+            ]
+        )
 
 
 def raw_timings(record: Measured, folder: Path) -> bytes:
-    """The raw timings that a record of a results file in `folder` names; raises InvalidInput where they are not as recorded."""
-    assert record.timings is not None
+    """Return the raw timings that a record of a results file in `folder` names.
+
+    Raises InvalidInput if they are missing, or not as recorded.
+    """
+    if record.timings is None:
+        raise InvalidInput(f"{record.id}: no raw timings were recorded")
     named = Path(record.timings.path)
     path = folder / named
     if named.is_absolute() or ".." in named.parts:
@@ -68,7 +77,7 @@ def raw_timings(record: Measured, folder: Path) -> bytes:
 
 
 def recordings(path: str) -> tuple[list[Recording], str]:
-    """What a results file recorded, to be replayed, and where it comes from; raises DiagnosticError or InvalidInput."""
+    """Return the records of a results file, to replay, and their source; raises DiagnosticError or InvalidInput."""
     results = read_document(Path(path), Results)
     check_integrity(results, path)
     folder = Path(path).parent

@@ -1,18 +1,18 @@
-"""Gives values that were read off topics to the requests that they are about."""
+"""The join of values read from topics with the requests that they belong to."""
 
 import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 Stamp = tuple[int, int]
-# A value that comes so soon after a request's end is about it, even when the next one is being worked on already.
+# A value that arrives so soon after the end of a request belongs to it, even if the next request is already running.
 JUST_ENDED_S = 0.05
 VERDICT = "!"
 
 
 @dataclass(slots=True)
 class Request:
-    """One request's record, seconds on one clock; `service_s` is what the node worked on it, without waiting."""
+    """One request, in seconds of one clock; `service_s` is the time that the node worked on it, without waiting."""
 
     name: str
     latency_s: float
@@ -28,7 +28,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """Values that a message carried, by metric."""
+    """The values of a message, by metric."""
 
     values: dict[str, object]
     at_s: float
@@ -42,11 +42,11 @@ class _Ends:
 
 
 def join(requests: Sequence[Request], values: Sequence[Value]) -> None:
-    """Put each value into its request's metrics; a value that is nobody's is dropped.
+    """Add each value to the metrics of its request; a value that belongs to no request is dropped.
 
-    By stamp where both have one. Else by time: the request that had just ended; else the one that was worked on, which
-    of those open is the one that ends first; else the last that had ended. No request gets a second value of a metric. A
-    value under `VERDICT` is no metric: it says why a request has failed.
+    By stamp if both have one. Otherwise by time: the request that has just ended; else the running one, of several the one
+    that ends first; else the last one that has ended. No request gets a second value of a metric. A value under `VERDICT`
+    is not a metric but the reason why a request has failed.
     """
     by_stamp = {one.stamp: one for one in requests if one.stamp is not None}
     timed = sorted(

@@ -1,4 +1,4 @@
-"""What a benchmark's money bought: one record a sample, whatever became of it."""
+"""The results of a benchmark: one record per sample, measured or failed."""
 
 from typing import Literal
 
@@ -14,13 +14,13 @@ Reason = Literal[
     "quota", "capacity", "image", "setup", "crash", "out_of_memory", "no_response", "check", "interrupted", "budget"
 ]
 StoppedBy = Literal["steps", "time", "precision", "exit", "size", "startup", "signal"]
-# Nothing that a second try could change came of these, or nobody had the chance to try.
+# Failures worth retrying: transient ones, and samples that never ran.
 RETRYABLE = {"quota", "capacity", "interrupted", "budget"}
 UNAVAILABLE = {"quota", "capacity"}
 
 
 class LatencySummary(Strict):
-    """Statistics of the valid requests' latency after warm-up; only what was measured is there."""
+    """Statistics of the latency of valid requests after warm-up, as far as there were enough requests."""
 
     mean: Duration
     sd: Duration | None = None
@@ -39,8 +39,8 @@ class Timings(Strict):
 class Measured(Strict):
     """One sample's record.
 
-    `substitute_for` names the sample that could not be had, in whose place this machine was measured. `stopped_by` says
-    what ended the measuring: steps, time, precision, exit of the processes, size of the timings, a signal. Of the
+    `substitute_for` names the unavailable sample that this machine was measured for. `stopped_by` is
+    what ended the measurement: steps, time, precision, exit of the processes, size of the timings, a signal. Of the
     `duration` that is paid, `setup` is how long it took to the first request, and `measuring` how long from then on.
     `requests` counts valid requests after warm-up, `failed_requests` those that failed their own check.
     `service` is the time that the node worked on a request, without what it waited for others, where the probe tells
@@ -73,7 +73,7 @@ class Measured(Strict):
 
 
 class ResultsBody(Strict):
-    """Where the figures come from, and the samples.
+    """The samples, and the provenance of their figures.
 
     `application` is the digest over what measuring reads of the spec; `plan` the digest of the plan, None for
     measurements that were recorded elsewhere, whose `source` cites them. `pins` are the plan's: digests of what the
@@ -93,7 +93,7 @@ class ResultsBody(Strict):
 
 
 class Results(Strict):
-    """`kind: Results`; `integrity` is the digest over everything else, so that an edited file is noticed."""
+    """`kind: Results`; `integrity` is the digest over everything else, so that an edited file is detected."""
 
     apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
     kind: Literal["Results"] = "Results"
@@ -103,40 +103,40 @@ class Results(Strict):
 
 
 def with_checksum(metadata: PlanMetadata, body: ResultsBody) -> Results:
-    """The results with their seal."""
+    """Return the results with their checksum."""
     return Results(metadata=metadata, spec=body, integrity=_checksum(metadata, body))
 
 
 def checksum_ok(results: Results) -> bool:
-    """Whether the seal is that of the content."""
+    """Return whether the checksum matches the content."""
     return results.integrity == _checksum(results.metadata, results.spec)
 
 
 def is_final(record: Measured) -> bool:
-    """Whether a sample need not be measured again: measured, or failed for a reason of its own."""
+    """Return whether a sample is measured, or failed for a reason that a retry would not change."""
     return record.state != "failed" or record.reason not in RETRYABLE
 
 
 def completed(results: Results | None) -> frozenset[str]:
-    """The ids of samples that need not be measured again: finished, or another machine took their place.
+    """Return the ids of samples that are not measured again: final ones, and those that a substitute replaced.
 
-    An adaptive campaign goes elsewhere when a machine is not to be had, and does not come back once it has.
+    An adaptive campaign that continued without an unavailable machine does not return to it.
     """
     if results is None:
         return frozenset()
-    given_up = _is_abandoned(results.spec)
-    ended = [one for one in results.spec.samples if is_final(one) or one.id in given_up]
+    abandoned = _abandoned(results.spec)
+    ended = [one for one in results.spec.samples if is_final(one) or one.id in abandoned]
     return frozenset(name for one in ended for name in (one.id, one.substitute_for) if name is not None)
 
 
-def _is_abandoned(body: ResultsBody) -> set[str]:
-    """Samples that were not to be had, of waves after which another was asked for, or none, if any was measured."""
+def _abandoned(body: ResultsBody) -> set[str]:
+    """Return the unavailable samples of batches after which the campaign continued or stopped, if any was measured."""
     sampling = body.sampling
     if sampling is None or not any(one.state == "ok" for one in body.samples):
         return set()
     before = sampling.batches if sampling.stop_reason is not None else sampling.batches[:-1]
-    asked = {sample.id for wave in before for sample in wave.samples}
-    return {one.id for one in body.samples if one.reason in UNAVAILABLE and (one.substitute_for or one.id) in asked}
+    requested = {sample.id for batch in before for sample in batch.samples}
+    return {one.id for one in body.samples if one.reason in UNAVAILABLE and (one.substitute_for or one.id) in requested}
 
 
 def _checksum(metadata: PlanMetadata, body: ResultsBody) -> str:

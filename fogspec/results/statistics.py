@@ -1,4 +1,4 @@
-"""Statistics of one sample's requests, weighed by scenario where a spec says how often each kind occurs."""
+"""Statistics of the requests of one sample, weighted by scenario if the spec gives their frequencies."""
 
 import itertools
 import math
@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from fogspec.results.schema import LatencySummary
 
 QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
-# A quantile is said when on average one request lies beyond it; a mean is a mean from the first request on.
+# A quantile is reported if on average one request lies beyond it, a mean from the first request on.
 NEEDED = {"mean": 1, "p50": 2, "p95": 20, "p99": 100}
 
 
 def weights(kinds: Sequence[str], scenarios: Mapping[str, float]) -> list[float]:
-    """Each request's share, summing to 1: equal, or so that every scenario has the share that `scenarios` gives it."""
+    """Return the weight of each request; they sum to 1, and each scenario has the weight that `scenarios` gives it."""
     if not scenarios:
         return [1 / max(len(kinds), 1)] * len(kinds)
     count = Counter(kinds)
@@ -22,9 +22,9 @@ def weights(kinds: Sequence[str], scenarios: Mapping[str, float]) -> list[float]
 
 
 def summary(latencies_s: Sequence[float], shares: Sequence[float]) -> LatencySummary | None:
-    """Mean, standard deviation and quantiles of latencies with these shares; None for no request.
+    """Return mean, standard deviation and quantiles of latencies with these weights; None for no request.
 
-    With equal shares the deviation is that of a sample (n - 1), and quantiles are linear between order statistics.
+    With equal weights the deviation is that of a sample (n - 1), and quantiles are linear between order statistics.
     """
     n = len(latencies_s)
     if not n:
@@ -41,7 +41,7 @@ def summary(latencies_s: Sequence[float], shares: Sequence[float]) -> LatencySum
 
 
 def quantile(pairs: Sequence[tuple[float, float]], share: float) -> float:
-    """The value below which `share` lies, of (value, share) in order: linear between the values."""
+    """Return the value below which `share` of the weight lies, of ordered (value, weight): linear between the values."""
     span = math.fsum(own for _, own in pairs[:-1])
     if span <= 0:
         return pairs[0][0]

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fogspec.base.errors import Infeasible
-from fogspec.plan.schema import Plan, make_plan
+from fogspec.plan.design import make_plan
+from fogspec.plan.schema import Plan
 from tests.support.catalogs import application, table
 
 FAMILIES = {"c6i": 2, "m6i": 4, "r6i": 8, "x2g": 16}

@@ -1,5 +1,7 @@
 """Machines to choose among, made by rule."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fogspec.catalog.cost import Costs
@@ -28,7 +30,7 @@ def family() -> Machines:
 def rule_over(machines: Machines, *, requests_per_s: float | None = None, **more: object) -> Rule:
     """A rule without limits over machines, with a confidence of 0.9; `more` are fields of `Rule`."""
     price = machines.price_usd_per_hour
-    costs = Costs(price, np.zeros(len(price), dtype=bool), 0.0, 0.0, transfer_usd=0.0, requests_per_s=requests_per_s)
+    costs = replace(Costs.busy(price), requests_per_s=requests_per_s)
     names = np.array([f"m{i}" for i in range(len(price))], dtype=object)
     return Rule(**{"costs": costs, "names": names, "alpha": 0.5, "confidence": 0.9, "measured_first": True} | more)
 

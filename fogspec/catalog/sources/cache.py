@@ -1,7 +1,7 @@
-"""Tables that were read once, kept as columns in the user's cache folder, so that no table is parsed twice.
+"""A cache of parsed tables, as columns in the user's cache directory, so that no table is parsed twice.
 
 A file is named by the digest of what was read (the table's bytes, its path and cloud) and of the code that read it: it
-can be stale in no way, and may be deleted at any time. A file that is damaged or cannot be written costs time only.
+cannot be stale, and may be deleted at any time. A file that is damaged or cannot be written costs time only.
 """
 
 import contextlib
@@ -11,7 +11,7 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import asdict, fields
 from functools import cache
 from pathlib import Path
 
@@ -34,7 +34,7 @@ NUMBERS = tuple(name for name in COLUMNS if name not in FLAGS + TEXTS)
 
 
 def cached(raw: bytes, path: str, cloud: str | None, read: Callable[[], Catalog]) -> Catalog:
-    """What `read()` gives for these bytes, from the cache where it is there; its `about` is `read`'s as well."""
+    """Return the result of `read()` for these bytes, from the cache if it is there."""
     key = hashlib.sha256(json.dumps([path, cloud, _code(), hashlib.sha256(raw).hexdigest()]).encode()).hexdigest()
     file = folder() / f"{key}.npz"
     found = _load(file)
@@ -46,7 +46,7 @@ def cached(raw: bytes, path: str, cloud: str | None, read: Callable[[], Catalog]
 
 
 def folder() -> Path:
-    """Where columns are kept: the user's cache folder, as the XDG Base Directory Specification has it."""
+    """Return the directory of the cache, below the user's cache directory (XDG Base Directory Specification)."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "fogspec" / "catalogs"
 
@@ -78,9 +78,7 @@ def _save(file: Path, catalog: Catalog) -> None:
         known = {word: number for number, word in enumerate(dict.fromkeys(column))}
         words.append(list(known))
         codes.append(np.fromiter(map(known.__getitem__, column), np.int32, len(column)))
-    one = catalog.about
-    about = {"source": one.source, "revision": one.revision, "date": one.date, "digest": one.digest,
-             "notes": one.notes, "words": words}  # fmt: skip
+    about = {**asdict(catalog.about), "words": words}
     file.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=file.parent, suffix=".part")
     try:

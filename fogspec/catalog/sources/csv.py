@@ -15,7 +15,7 @@ from fogspec.catalog.table import About, Catalog
 class CsvFile:
     """`--catalog FILE.csv[.gz]`.
 
-    Rows of a table without a column `Cloud` belong to the cloud whose name the file or its folder has
+    Rows of a table without a column `Cloud` belong to the cloud that the file or its directory is named after
     (`aws.csv`, `aws/vms.csv`, as SkyPilot lays them out), else to the only cloud in `clouds`, the clouds that the spec names.
     """
 
@@ -23,7 +23,7 @@ class CsvFile:
         self.path, self.clouds = path, clouds
 
     def load(self) -> Catalog:
-        """The catalog; raises DiagnosticError for a wrong table, InvalidInput for one that cannot be read."""
+        """Return the catalog; raises DiagnosticError for a wrong table, InvalidInput for one that cannot be read."""
         return table(self.path, self._cloud(), About(source=Path(self.path).name, revision="", date="", digest=""))
 
     def _cloud(self) -> str | None:

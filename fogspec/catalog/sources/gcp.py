@@ -1,9 +1,9 @@
-"""Google Cloud prices host and accelerator in rows of their own: here they become machines at one price.
+"""Machines of Google Cloud, which prices host and accelerator in separate rows: joined, they have one price.
 
 The rule: an accelerator joins every host of its zone that may carry it, and the machine costs host + accelerator
 (SkyPilot's catalog gives the accelerator row the price of all its `AcceleratorCount` pieces). Accelerator-optimised
 hosts (A2, A3, A4, G2, G4) come only with their own accelerators; N1 hosts carry T4, P4, P100 and V100 within limits.
-Source: cloud.google.com/compute/docs/gpus. Hosts that cannot be had without accelerators, and TPUs, are not candidates.
+Source: cloud.google.com/compute/docs/gpus. Accelerated hosts without accelerators, and TPUs, are not candidates.
 """
 
 import re
@@ -39,9 +39,9 @@ N1 = re.compile(r"n1-(standard|highmem|highcpu)-\d+$")
 
 
 def joined(catalog: Catalog, spot: Floats) -> tuple[Catalog, Floats]:
-    """The machines of a table whose accelerators stand in rows without an instance type.
+    """Return the machines of a table with accelerators in rows without an instance type, and their spot prices.
 
-    `spot` has one spot price a row, NaN where there is none; returns the machines and their spot prices.
+    `spot` has one spot price per row, NaN if there is none.
     """
     host = catalog.instance != ""
     if host.all():
@@ -75,7 +75,7 @@ def _place(catalog: Catalog, row: int) -> tuple[str, str, str]:
 
 @cache
 def _machine(name: str, vcpus: float, memory_gib: float) -> tuple[bool, tuple[Card, ...]]:
-    """Whether the host can be had without accelerators, and which it carries where they are offered."""
+    """Return whether the host is rented without accelerators, and the accelerators that it carries where offered."""
     if own := _own(name, vcpus):
         return not ACCELERATED.match(name), (own,)
     if not N1.match(name):

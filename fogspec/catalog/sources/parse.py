@@ -1,8 +1,8 @@
-"""Catalog tables in SkyPilot's columns, read into a `Catalog`: one row an offering, prices in USD per hour.
+"""Catalog tables in SkyPilot's columns, read into a `Catalog`: one row per offering, prices in USD per hour.
 
 Columns of SkyPilot's catalog schema v8: InstanceType, AcceleratorName, AcceleratorCount, vCPUs, MemoryGiB, GpuInfo,
-Price, SpotPrice, Region, AvailabilityZone, Arch. Understood besides: Cloud, Family, PhysicalCores, ClockGHz,
-Burstable, GpuMemMiB. All others are left alone.
+Price, SpotPrice, Region, AvailabilityZone, Arch. Also read: Cloud, Family, PhysicalCores, ClockGHz,
+Burstable, GpuMemMiB. Other columns are ignored.
 """
 
 import gc
@@ -28,14 +28,14 @@ ARCHITECTURES = {"aarch64": "arm64", "arm": "arm64", "amd64": "x86_64", "x64": "
 
 
 def read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog:
-    """The offers of one CSV file; `cloud` is the cloud of rows where there is no column `Cloud`.
+    """Return the offers of one CSV file; `cloud` is the cloud of rows without a column `Cloud`.
 
-    Raises DiagnosticError for a file that is no such table, with every wrong field. Rows without a price, a price of 0 or
-    no shape are no candidates: they are counted in `about.notes`, with the line of the first one, as are repeated
+    Raises DiagnosticError for a wrong table, with every wrong field. Rows without a price, with a price of 0 or without
+    a shape are not candidates: they are counted in `about.notes`, with the line of the first one, as are repeated
     rows, of which the highest price counts.
     """
     collecting = gc.isenabled()
-    gc.disable()  # a row is many objects and none is garbage: looking for some would take a third of the time
+    gc.disable()  # a row is many objects, none of them garbage: collecting would take a third of the time
     try:
         return _read(content, path, cloud, about)
     finally:
@@ -59,13 +59,13 @@ def _read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog
 
 
 def digest(content: bytes) -> str:
-    """sha256 over the header and the sorted lines, so that the order of rows does not count."""
+    """Return the sha256 of the header and the sorted lines, whatever the order of the rows."""
     head, *rest = content.replace(b"\r\n", b"\n").split(b"\n")
     return of_bytes(b"\n".join([head, *sorted(filter(None, rest))]))
 
 
 def _machines(rows: CsvTable, cloud: str, about: About) -> Catalog:
-    """One row a line of the table, priced or not."""
+    """Return one row per line of the table, priced or not."""
     clouds = _clouds(rows, cloud)
     instances = rows.shared("InstanceType")
     return Catalog(
@@ -96,9 +96,9 @@ def _clouds(rows: CsvTable, cloud: str) -> Strings:
 
 
 @cache
-def arch_of(cloud: str, instance: str, said: str) -> str:
-    """`x86_64` or `arm64`, from what the table says, else from the name; other words stay as they are."""
-    if word := said.strip().lower():
+def arch_of(cloud: str, instance: str, given: str) -> str:
+    """Return `x86_64` or `arm64`, from the column of the table, else from the name; other words are kept."""
+    if word := given.strip().lower():
         return ARCHITECTURES.get(word, word)
     pattern = cloud_of(cloud).arm
     arm = pattern is not None and re.match(pattern, instance)
@@ -106,10 +106,10 @@ def arch_of(cloud: str, instance: str, said: str) -> str:
 
 
 @cache
-def family_of(cloud: str, instance: str, said: str) -> str:
-    """The family: `c6i` of c6i.large, `n2` of n2-standard-4, `Dsv5` of Standard_D8s_v5; else the name's first word."""
-    if said:
-        return said
+def family_of(cloud: str, instance: str, given: str) -> str:
+    """Return the family: `c6i` of c6i.large, `n2` of n2-standard-4, `Dsv5` of Standard_D8s_v5; else the first word."""
+    if given:
+        return given
     pattern = cloud_of(cloud).family
     if pattern is not None and (match := re.match(pattern, instance)):
         return "".join(part or "" for part in match.groups())
@@ -117,7 +117,7 @@ def family_of(cloud: str, instance: str, said: str) -> str:
 
 
 def _gpu_memory_gib(rows: CsvTable) -> Floats:
-    """Memory of one accelerator in GiB: from GpuMemMiB, else from SkyPilot's GpuInfo."""
+    """Return the memory of one accelerator in GiB: from GpuMemMiB, else from SkyPilot's GpuInfo."""
     if "GpuMemMiB" in rows.columns:
         return rows.numbers("GpuMemMiB") / 1024
     column = rows.column("GpuInfo")
@@ -144,13 +144,13 @@ def _left_out(rows: CsvTable, machines: Catalog, spot: Floats) -> Iterator[str]:
 
 
 def _unpriced(machines: Catalog) -> Catalog:
-    """A price of 0 is a missing price, also where an accelerator's price would be added to it."""
+    """Return the machines with NaN for a price of 0, before an accelerator's price is added to it."""
     price = machines.price_usd_per_hour
     return replace(machines, price_usd_per_hour=np.where(price > 0, price, np.nan))
 
 
 def _priced(machines: Catalog, spot: Floats) -> Catalog:
-    """On-demand and spot offers as rows of their own, in order; rows without a name, shape or price fall out."""
+    """Return on-demand and spot offers as separate rows, in order, without rows that lack a name, shape or price."""
     order = machines.order()
     machines, spot = machines.take(order), spot[order]
     whole = (machines.instance != "") & (machines.vcpus > 0) & (machines.memory_gib > 0)

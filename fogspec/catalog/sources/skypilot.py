@@ -1,6 +1,6 @@
-"""SkyPilot's catalogs as SkyPilot keeps them: a folder a cloud with a table `vms.csv` in it, plain or gzipped.
+"""SkyPilot's catalogs in its own layout: a directory per cloud with a table `vms.csv`, plain or gzipped.
 
-`--catalog skypilot` reads the folder that SkyPilot itself fills and keeps fresh (`sky gpus list --infra aws` makes it do
+`--catalog skypilot` reads the directory that SkyPilot itself fills and refreshes (`sky gpus list --infra aws` makes it do
 so); SkyPilot is not imported, and nothing is fetched here. Only tables of clouds that the spec names are read, so that
 new prices of one cloud leave what was made for another one as it is.
 """
@@ -28,7 +28,7 @@ class Folder:
         self.folder, self.clouds = Path(path), clouds
 
     def load(self) -> Catalog:
-        """The tables of the named clouds, one after the other; raises DiagnosticError or InvalidInput."""
+        """Return the tables of the named clouds as one; raises DiagnosticError or InvalidInput."""
         tables = {cloud: self._table(cloud) for cloud in sorted({*self.clouds})}
         if missing := [cloud for cloud, path in tables.items() if path is None and cloud_of(cloud).priced]:
             where = f"{self.folder}: the catalog has no table of {', '.join(missing)}"
@@ -53,7 +53,7 @@ class Folder:
 
 
 class SkyPilot(Folder):
-    """`--catalog skypilot`: the tables of the SkyPilot that is installed here, dated when it fetched the oldest one."""
+    """`--catalog skypilot`: the tables of the SkyPilot installed here, dated by the oldest one."""
 
     def __init__(self, _path: str, clouds: Sequence[str]) -> None:
         base = Path(os.path.expanduser(os.environ.get("SKY_RUNTIME_DIR") or "~"))

@@ -13,13 +13,13 @@ ABOUT = Path(__file__).with_name("snapshot.json")
 
 
 class Snapshot:
-    """The bundled table; `about.notes` say what its packages left open."""
+    """The bundled table; `about.notes` report what was left out of it."""
 
     def __init__(self, _path: str, _clouds: Sequence[str]) -> None:
-        """Takes what every source is given, and needs none of it."""
+        """Accept the arguments of every source, and ignore them."""
 
     def load(self) -> Catalog:
-        """The whole snapshot."""
+        """Return the whole snapshot; raises InvalidInput if it is damaged."""
         known = json.loads(ABOUT.read_text(encoding="utf-8"))
         about = About(known["source"], known["revision"], known["date"], digest="", notes=tuple(known["notes"]))
         catalog = table(TABLE, None, about, shown=TABLE.name)

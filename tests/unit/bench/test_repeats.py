@@ -9,8 +9,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.numerics.repeats import after_one_more
 from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import fit
-from fogspec.plan.design import replicate
-from fogspec.plan.schema import next_on, sample_on
+from fogspec.plan.schema import next_on, replicate, sample_on
 from fogspec.results.io import Recording
 from fogspec.results.schema import LatencySummary, Measured
 from tests.support.machines import amdahl, family

@@ -16,7 +16,14 @@ SPOT = np.array([False, True])
 def costs(
     rate_per_h: float = 0.0, restart_s: float = 0.0, transfer: float = 0.0, requests: float | None = None
 ) -> Costs:
-    return Costs(PRICE, SPOT, rate_per_h / 3600, restart_s, transfer, requests)
+    return Costs(
+        price_usd_per_hour=PRICE,
+        spot=SPOT,
+        interruptions_per_s=rate_per_h / 3600,
+        restart_s=restart_s,
+        transfer_usd=transfer,
+        requests_per_s=requests,
+    )
 
 
 def test_busy_seconds_at_the_price():

@@ -25,9 +25,9 @@ def picked(application: Application, catalog: Catalog) -> Design:
 
 def test_the_cheapest_machine_of_each_cell_is_taken_and_every_gap_is_said() -> None:
     found = picked(application({"gpus": ["none", "T4", "A100"]}), table(*OFFERS))
-    assert [one.machine.instance for one in found.picks] == ["c6a.large", "m6i.large", "r6i.large", "g4dn.xlarge"]
-    assert found.picks[1].reason == "smallest vCPUs (2), median memory (8 GiB)"
-    assert found.picks[3].reason == "smallest vCPUs (4), smallest memory (16 GiB) with T4"
+    assert [one.machine.instance for one in found.samples] == ["c6a.large", "m6i.large", "r6i.large", "g4dn.xlarge"]
+    assert found.samples[1].reason == "smallest vCPUs (2), median memory (8 GiB)"
+    assert found.samples[3].reason == "smallest vCPUs (4), smallest memory (16 GiB) with T4"
     said = "\n".join(found.notes)
     assert "GPU none: the median vCPU count is also the smallest or largest: its cells are skipped" in said
     assert "GPU T4: 4 vCPUs with median memory: g4dn.xlarge again, sampled once" in said
@@ -42,25 +42,25 @@ def test_a_burstable_machine_in_the_grid_is_said() -> None:
 
 
 def test_ids_name_the_machine_and_nothing_else() -> None:
-    one = picked(application(), table(*OFFERS)).picks[0]
+    one = picked(application(), table(*OFFERS)).samples[0]
     assert one.id == "aws-us-east-1-c6a-large"
     only = application({"spot": True, "machines": {"allow": ["c6i.*"]}})
-    assert [one.id for one in picked(only, table(*OFFERS)).picks] == ["aws-us-east-1-c6i-large-spot"]
+    assert [one.id for one in picked(only, table(*OFFERS)).samples] == ["aws-us-east-1-c6i-large-spot"]
     carrier = table("n1-standard-4,,,4,15,0.2,,us-central1,b", ",T4,1,,,0.35,,us-central1,b", cloud="gcp")
     both = picked(application({"gpus": ["none", "T4"]}, ["gcp/us-central1"]), carrier)
-    assert [one.id for one in both.picks] == ["gcp-us-central1-n1-standard-4", "gcp-us-central1-n1-standard-4-t4-1"]
+    assert [one.id for one in both.samples] == ["gcp-us-central1-n1-standard-4", "gcp-us-central1-n1-standard-4-t4-1"]
 
 
 def test_overlapping_places_sample_a_machine_once() -> None:
     found = picked(application({"machines": {"allow": ["m6i.*"]}}, ["aws/us-east-1", "aws"]), table(*OFFERS))
-    assert len(found.picks) == 1
+    assert len(found.samples) == 1
     assert "aws/us-east-1 m6i.large is found twice, sampled once" in found.notes
 
 
 def test_a_list_is_taken_as_it_stands_and_says_what_is_no_candidate() -> None:
     wanted = ["g4dn.xlarge", "c6i.large", "local/2cpu-4gib"]
     found = picked(application(infra=["aws/us-west-1", "aws/us-east-1"], machines=wanted), table(*OFFERS))
-    assert [(one.machine.infra, one.machine.instance, one.machine.price) for one in found.picks] == [
+    assert [(one.machine.infra, one.machine.instance, one.machine.price) for one in found.samples] == [
         ("aws/us-east-1", "g4dn.xlarge", 0.526),
         ("aws/us-west-1", "c6i.large", 0.106),
         ("aws/us-east-1", "c6i.large", 0.085),

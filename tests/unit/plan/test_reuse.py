@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from fogspec.base.units import Range
 from fogspec.catalog.filters import filter_offers
+from fogspec.plan.design import make_plan
 from fogspec.plan.reuse import contains, reuse_plan
-from fogspec.plan.schema import make_plan
 from fogspec.spec.schema import Hardware, Machines
 from tests.support.catalogs import application, table
 

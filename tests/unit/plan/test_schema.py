@@ -9,7 +9,8 @@ import pytest
 
 from fogspec.catalog.sources.snapshot import Snapshot
 from fogspec.catalog.table import Catalog
-from fogspec.plan.schema import Plan, lifetime_s, make_plan
+from fogspec.plan.design import make_plan
+from fogspec.plan.schema import Plan, lifetime_s
 from tests.support.catalogs import PAPER_HARDWARE, application, table
 
 

@@ -2,7 +2,8 @@
 
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.table import Catalog
-from fogspec.plan.schema import Substitute, make_plan, sample_on
+from fogspec.plan.design import make_plan
+from fogspec.plan.schema import Substitute, sample_on
 from fogspec.plan.substitutes import substitutes
 from fogspec.spec.schema import Application
 from tests.support.catalogs import application, table
