@@ -6,6 +6,7 @@ or user, so that whoever makes it from the same files gets the same bytes.
 """
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ from fogspec.audit.verify import Check, verify
 from fogspec.base import digest
 from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import Layout
-from fogspec.catalog.table import Catalog
 from fogspec.compile.bundle import ManifestBundle, references
+from fogspec.compile.inputs import Inputs
 from fogspec.spec.lockfile import image_of, is_pinned
 
 STATEMENT = "https://in-toto.io/Statement/v1"
@@ -25,9 +26,9 @@ BUILD = "tag:fogspec.dev,2026:compile/v1"
 BUILDER = "tag:fogspec.dev,2026:fogspec"
 
 
-def statement(opened: ManifestBundle, catalog: Catalog) -> dict[str, Any]:
+def statement(opened: ManifestBundle) -> dict[str, Any]:
     """The statement; raises OutOfDate when the chain behind the manifest does not hold: nothing else may be attested."""
-    links = verify(opened, catalog)
+    links = verify(opened)
     if broken := [link for link in links if link.breaks]:
         raise OutOfDate(
             f"{opened.layout.manifest}: not attested, for the chain breaks at {broken[0].name}",
@@ -67,14 +68,14 @@ def materials(opened: ManifestBundle) -> list[dict[str, Any]]:
 
     Digests are of the files' bytes, which any tool can check; annotated is fogspec's own digest, of what is read of them.
     """
-    layout, named = opened.layout, opened.manifest.provenance
+    layout, named, inputs = opened.layout, opened.manifest.provenance, opened.inputs
     found = [
-        _file("spec", layout, layout.spec, named.application.digest),
-        *([_file("lock", layout, layout.lock)] if layout.lock.is_file() else []),
-        _file("plan", layout, layout.plan, named.plan.digest),
-        _file("results", layout, layout.results, named.results.digest),
-        *(_file("timings", layout, path) for path in sorted(layout.timings.glob("*.gz"))),
-        _file("models", layout, layout.models),
+        _file("spec", layout, layout.spec, inputs.spec_content, named.application.digest),
+        *([] if inputs.lock is None else [_file("lock", layout, layout.lock, inputs.lock.content)]),
+        _file("plan", layout, layout.plan, inputs.content(layout.plan), named.plan.digest),
+        _file("results", layout, layout.results, inputs.results_content, named.results.digest),
+        *_timings(inputs),
+        _file("models", layout, layout.models, inputs.content(layout.models)),
         {"name": "catalog", "digest": _digest(named.catalog.digest),
          "annotations": {"source": named.catalog.source, "revision": named.catalog.revision, "date": named.catalog.date}},
     ]  # fmt: skip
@@ -85,8 +86,17 @@ def materials(opened: ManifestBundle) -> list[dict[str, Any]]:
     return found
 
 
-def _file(name: str, layout: Layout, path: Path, read: str | None = None) -> dict[str, Any]:
-    found = _material(name, layout.relative(path), digest.of_bytes(path.read_bytes()))
+def _timings(inputs: Inputs) -> Iterator[dict[str, Any]]:
+    """Yield the files of raw timings; those that a record names were compared with its digest."""
+    layout = inputs.layout
+    records = inputs.results.spec.samples if inputs.results is not None else []
+    known = {layout.results.parent / one.timings.path: one.timings.digest for one in records if one.timings}
+    for path in sorted(layout.timings.glob("*.gz")):
+        yield _material("timings", layout.relative(path), known.get(path) or digest.of_bytes(path.read_bytes()))
+
+
+def _file(name: str, layout: Layout, path: Path, content: bytes | None, read: str | None = None) -> dict[str, Any]:
+    found = _material(name, layout.relative(path), digest.of_bytes(content or b""))
     return found if read is None else {**found, "annotations": {"fogspec": read}}
 
 

@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from fogspec.base.diagnostics import DiagnosticError
-from fogspec.spec.loader import read_plain
+from fogspec.spec.loader import SourceFile
 
 LONGEST = 80
 
@@ -36,14 +35,14 @@ def changes(before: Any, after: Any, at: str = "") -> Iterator[Change]:
         yield Change(at, before, after)
 
 
-def changes_in_file(path: Path, content: bytes) -> list[Change]:
-    """The fields in which a YAML file on disk differs from what it should be.
+def changes_in_file(file: SourceFile, content: bytes) -> list[Change]:
+    """Return the fields in which a YAML file on disk differs from the content that it should have.
 
-    Digests only where nothing else differs; one change of the whole where the file is damaged.
+    Digests only if nothing else differs; one change of the whole if the file is damaged.
     """
-    after = read_plain(path, content)
+    after = SourceFile(file.name, content).plain()
     try:
-        before = read_plain(path)
+        before = file.plain()
     except DiagnosticError as problems:
         return [Change("", problems.diagnostics[0].message, "a whole file")]
     found = list(changes(before, after))

@@ -1,23 +1,26 @@
-"""What is committed against what compile would write now: field by field, what it costs, and why it changed."""
+"""What is committed against what compile would write now: field by field, what it costs, and why it changed.
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+A difference is rendered as text, as data for programs, and as Markdown for a pull request.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-from fogspec.audit.compare import Change, changes
-from fogspec.audit.freshness import status
+from fogspec import __version__
+from fogspec.audit.compare import Change, change_text, changes, short
+from fogspec.audit.freshness import Status
 from fogspec.base import units
 from fogspec.base.diagnostics import DiagnosticError
-from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
 from fogspec.base.units import dollars
-from fogspec.catalog.table import Catalog
-from fogspec.compile.compiler import Artifacts, compile_application
+from fogspec.compile.artifacts import Artifacts
+from fogspec.compile.inputs import Inputs
 from fogspec.plan.schema import lifetime_s
 from fogspec.results.schema import completed
-from fogspec.spec.loader import LoadedSpec, read_plain
+from fogspec.spec import fingerprints
+from fogspec.spec.loader import SourceFile
 
 COSTS = {
     "price": ("spec", "price"),
@@ -25,9 +28,10 @@ COSTS = {
     "request": ("expected", "cost", "predicted"),
     "latency": ("expected", "latency", "predicted"),
 }
+NAMES = {"price": "machine", "month": "a month", "request": "a request", "latency": "latency"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
     """One application's manifest before and after; None for one that is not there.
 
@@ -39,9 +43,9 @@ class Difference:
     layout: Layout
     before: Mapping[str, Any] | None
     after: Mapping[str, Any] | None
-    changes: tuple[Change, ...]
-    costs: Mapping[str, tuple[str, str, str]]
-    why: tuple[str, ...]
+    changes: tuple[Change, ...] = ()
+    costs: Mapping[str, tuple[str, str, str]] = field(default_factory=dict)
+    why: tuple[str, ...] = ()
     to_measure: tuple[str, ...] = ()
     measuring_usd: float = 0.0
     refused: str | None = None
@@ -52,52 +56,58 @@ class Difference:
         return bool(self.changes or self.why or self.refused)
 
 
-def difference(loaded: LoadedSpec, catalog: Catalog) -> Difference:
-    """The committed manifest against the one that compile would write now; nothing is written."""
-    application = loaded.application
-    layout = Layout.of(loaded.path, application.metadata.name)
-    before = read_manifest(layout)
-    secrets = application.spec.secrets
-    try:
-        compiled = compile_application(application, loaded.path, catalog)
-    except FogspecError as refused:
-        told = redacted(before, secrets)
-        return Difference(layout, told, None, (), {}, (), refused=refused.message)
-    after = manifest_now(compiled)
-    old, new = redacted(before, secrets), redacted(after, secrets)
-    left = [sample for sample in compiled.plan.spec.samples if sample.id not in completed(compiled.results)]
-    body = compiled.plan.spec
-    worst = sum(sample.machine.price for sample in left) * lifetime_s(body.duration, body.setup_timeout) / 3600
+def difference(status: Status) -> Difference:
+    """Return the committed manifest against the one that compile would write now."""
+    inputs, compiled = status.inputs, status.artifacts
+    secrets = inputs.application.spec.secrets
+    before = redacted(committed_manifest(inputs), secrets)
+    if compiled is None:
+        return Difference(layout=inputs.layout, before=before, after=None, refused=status.refused)
+    after = redacted(_manifest_now(compiled), secrets)
+    body, measured = compiled.plan.spec, completed(compiled.results)
+    left = [sample for sample in body.samples if sample.id not in measured]
+    worst_usd = sum(sample.machine.price for sample in left) * lifetime_s(body.duration, body.setup_timeout) / 3600
     return Difference(
-        layout, old, new, tuple(telling(changes(old, new))) if after else (), costs(old, new), tuple(_why(loaded, catalog)),
-        tuple(sample.id for sample in left), worst, _no_manifest(compiled),
-    )  # fmt: skip
+        layout=inputs.layout,
+        before=before,
+        after=after,
+        changes=tuple(significant(changes(before, after))) if after else (),
+        costs=costs(before, after),
+        why=tuple(_why(status, before)),
+        to_measure=tuple(sample.id for sample in left),
+        measuring_usd=worst_usd,
+        refused=_no_manifest(compiled),
+    )
+
+
+def committed_manifest(inputs: Inputs) -> Mapping[str, Any] | None:
+    """Return the manifest on disk as plain values, None if there is none; damaged, it has one field that says so."""
+    file = inputs.on_disk.get(inputs.layout.manifest)
+    return None if file is None else manifest_in(file)
 
 
 def read_manifest(layout: Layout) -> Mapping[str, Any] | None:
-    """The manifest on disk as plain values, None where there is none; damaged, it has one field that says so."""
-    return manifest_in(layout.manifest) if layout.manifest.is_file() else None
+    """Read the manifest on disk, as `committed_manifest` returns it."""
+    return manifest_in(SourceFile.read(layout.manifest)) if layout.manifest.is_file() else None
 
 
-def manifest_in(path: Path, content: bytes | None = None) -> Mapping[str, Any]:
-    """The manifest in a file, or in what the file was; damaged, it has one field that says so."""
+def manifest_in(file: SourceFile) -> Mapping[str, Any]:
+    """Return the manifest in a file; damaged, it has one field that says so."""
     try:
-        found = read_plain(path, content)
+        found = file.plain()
     except DiagnosticError as problems:
         return {"damaged": problems.diagnostics[0].message}
     return found if isinstance(found, dict) else {"damaged": "it has no mapping"}
 
 
-def manifest_now(compiled: Artifacts) -> Mapping[str, Any] | None:
-    """The manifest that compile would write, as a reader of the file would see it."""
-    content = compiled.files.get(compiled.layout.manifest)
-    if content is None:
+def _manifest_now(compiled: Artifacts) -> Mapping[str, Any] | None:
+    """Return the manifest that compile would write, as a reader of the file would see it."""
+    if compiled.decision is None or compiled.decision.manifest is None:
         return None
-    found: Mapping[str, Any] = read_plain(compiled.layout.manifest, content)
-    return found
+    return compiled.decision.manifest.model_dump(mode="json")
 
 
-def telling(found: Iterator[Change]) -> list[Change]:
+def significant(found: Iterator[Change]) -> list[Change]:
     """The changes that say something: digests only where nothing else differs."""
     every = list(found)
     return [one for one in every if not one.is_digest and ".field_digests." not in one.field] or every
@@ -146,38 +156,33 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _why(loaded: LoadedSpec, catalog: Catalog) -> Iterator[str]:
-    """Which input changed, stage by stage, from the first that is not fresh."""
-    found = status(loaded.application, loaded.path, catalog)
-    for stage in found.stages:
+def _why(status: Status, manifest: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield which input changed, stage by stage, from the first that is not fresh."""
+    for stage in status.stages:
         if stage.name in ("plan", "results") and (stage.state != "fresh" or stage.notes):
             yield from (f"{stage.name}: {text}" for text in (*stage.reasons, *stage.notes))
-    if not any(stage.state != "fresh" for stage in found.stages):
-        return
-    yield from _inputs(loaded, catalog, read_manifest(found.layout))
+    if any(stage.state != "fresh" for stage in status.stages):
+        yield from _changed_inputs(status.inputs, manifest)
+    named = {stage.path for stage in status.stages}
+    if status.artifacts is not None and all(stage.path not in status.differing for stage in status.stages):
+        yield from (f"{path} is not what was compiled" for path in status.differing if path not in named)
 
 
-def _inputs(loaded: LoadedSpec, catalog: Catalog, manifest: Mapping[str, Any] | None) -> Iterator[str]:
-    """Which of the inputs that a manifest names are others now."""
-    from fogspec.spec import fingerprints
-
+def _changed_inputs(inputs: Inputs, manifest: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield which of the inputs that a manifest names are others now."""
     named = manifest.get("provenance") if manifest else None
     if not isinstance(named, Mapping):
         yield "there is no manifest yet"
         return
     application = _mapping(named.get("application"))
-    if application.get("digest") != fingerprints.chosen_digest(loaded.application):
+    if application.get("digest") != fingerprints.chosen_digest(inputs.application):
         reads = _mapping(application.get("field_digests"))
-        fields = [
-            name for name, now in fingerprints.chosen_fields(loaded.application).items() if reads.get(name) != now
-        ]
-        yield from (f"spec: spec.{name} changed" for name in fields)
-    was, about = _mapping(named.get("catalog")), catalog.about
+        now = fingerprints.chosen_fields(inputs.application)
+        yield from (f"spec: spec.{name} changed" for name, value in now.items() if reads.get(name) != value)
+    was, about = _mapping(named.get("catalog")), inputs.catalog.about
     if was.get("digest") != about.digest:
-        yield (f"catalog: {_named(was.get('source'), was.get('revision'), was.get('date'))} -> "
-               f"{_named(about.source, about.revision, about.date)}")  # fmt: skip
-    from fogspec import __version__
-
+        before = _named(was.get("source"), was.get("revision"), was.get("date"))
+        yield f"catalog: {before} -> {_named(about.source, about.revision, about.date)}"
     version = _mapping(named.get("builder")).get("version")
     if version != __version__:
         yield f"fogspec: {version} -> {__version__}"
@@ -192,9 +197,9 @@ def _mapping(value: Any) -> Mapping[str, Any]:
 
 
 def _no_manifest(compiled: Artifacts) -> str | None:
-    if compiled.chosen is None:
+    if compiled.decision is None:
         return compiled.stale or "nothing is measured yet: there is no manifest"
-    return None if compiled.chosen.manifest is not None else "no machine meets the limits"
+    return None if compiled.decision.manifest is not None else "no machine meets the limits"
 
 
 def measuring_words(one: Difference) -> str:
@@ -203,4 +208,96 @@ def measuring_words(one: Difference) -> str:
         return "no benchmark needed: everything that counts is measured"
     count = len(one.to_measure)
     shown = ", ".join(one.to_measure[:6]) + (f" and {count - 6} more" if count > 6 else "")
-    return f"{count} sample{'' if count == 1 else 's'} to measure first, at most {dollars(one.measuring_usd)}: {shown}"
+    most = dollars(one.measuring_usd)
+    return f"{count} sample{'' if count == 1 else 's'} to measure first, at most {most}: {shown}"
+
+
+def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
+    """The difference in lines; `running` is what differs between what runs and the manifest."""
+    lines = [f"{one.layout.name}: {headline(one)}"]
+    lines += [f"  {change.field}: {short(change.before)} -> {short(change.after)}" for change in one.changes]
+    lines += [f"  cost: {line}" for line in _cost_lines(one)]
+    if one.differs:
+        lines += [f"  why: {reason}" for reason in one.why]
+        lines.append(f"  {measuring_words(one)}")
+    if running is not None:
+        lines.append(f"  running: {'as the manifest says' if not running else 'not what the manifest says'}")
+        lines += [f"    {change_text(change)}" for change in running]
+    return "\n".join(lines)
+
+
+def headline(one: Difference) -> str:
+    """What would happen, in one line."""
+    if one.refused and one.after is None:
+        return f"cannot be compiled to a manifest now: {one.refused}"
+    if one.before is None:
+        return "a new manifest"
+    if not one.changes:
+        return "the manifest is what compile would write" + (", other files differ" if one.why else "")
+    was, now = (_machine(document) for document in (one.before, one.after))
+    return f"{was} -> {now}" if was != now else f"{was} stays"
+
+
+def _machine(document: Mapping[str, Any] | None) -> str:
+    spec = document.get("spec") if document else None
+    if not isinstance(spec, Mapping):
+        return "nothing"
+    return f"{spec.get('instance')} in {spec.get('infra')}"
+
+
+def _cost_lines(one: Difference) -> Iterator[str]:
+    for name, (was, now, relative) in one.costs.items():
+        yield f"{NAMES[name]} {was} -> {now}{f' ({relative})' if relative else ''}"
+
+
+def as_dict(one: Difference, running: Sequence[Change] | None = None) -> dict[str, Any]:
+    """The same for programs."""
+    return {
+        "name": one.layout.name,
+        "differs": one.differs,
+        "refused": one.refused,
+        "changes": [_change(change) for change in one.changes],
+        "costs": {name: {"before": was, "after": now, "relative": rel} for name, (was, now, rel) in one.costs.items()},
+        "why": list(one.why),
+        "to_measure": list(one.to_measure),
+        "measuring_usd_at_most": one.measuring_usd,
+        "running": None if running is None else [_change(change) for change in running],
+    }
+
+
+def _change(change: Change) -> dict[str, Any]:
+    return {"field": change.field, "before": change.before, "after": change.after}
+
+
+def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
+    """The same for a pull request."""
+    lines = [f"### {one.layout.name}: {escaped(headline(one))}", ""]
+    if one.costs:
+        lines += ["| | before | after | |", "|--|--|--|--|"]
+        lines += [
+            f"| {NAMES[name]} | {escaped(was)} | {escaped(now)} | {rel} |"
+            for name, (was, now, rel) in one.costs.items()
+        ]
+        lines.append("")
+    if one.differs:
+        lines += [*(f"- {escaped(reason)}" for reason in one.why), f"- {escaped(measuring_words(one))}", ""]
+    if one.changes:
+        lines += [f"<details><summary>{len(one.changes)} fields differ</summary>", "", "| field | before | after |",
+                  "|--|--|--|"]  # fmt: skip
+        lines += [
+            f"| `{change.field}` | {escaped(short(change.before))} | {escaped(short(change.after))} |"
+            for change in one.changes
+        ]
+        lines += ["", "</details>", ""]
+    if running is not None:
+        lines += [f"What runs {'is what the manifest says.' if not running else 'differs from the manifest:'}", ""]
+        lines += [f"- {escaped(change_text(change))}" for change in running]
+    return "\n".join(lines).rstrip()
+
+
+def escaped(words: str) -> str:
+    """Text that Markdown shows as it is, in a table too."""
+    cleaned = "".join(one if one.isprintable() else " " for one in words)
+    for character in "\\`*_[]<>|":
+        cleaned = cleaned.replace(character, f"\\{character}")
+    return cleaned

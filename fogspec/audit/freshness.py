@@ -1,30 +1,25 @@
-"""Which stage of an application is fresh, which is stale, and why, field by field. Nothing is written.
+"""Which stage of an application is fresh, which is stale, and why, field by field. Nothing is read or written.
 
-What is on disk is compared with what compile would write now: a stage is fresh when what it depends on is what it was
-made from, whatever else of the spec has changed.
+There is one rule for all commands: a stage is fresh if its files on disk are what compile would write now. What each stage
+reads of the spec is declared on the spec's fields (`fogspec.spec.fingerprints`), so that a change elsewhere leaves it fresh.
 """
 
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from fogspec.audit.compare import change_text, changes, changes_in_file
-from fogspec.base import digest
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.base.units import dollars
-from fogspec.catalog.table import Catalog
-from fogspec.compile.compiler import Artifacts, compile_application
+from fogspec.compile.artifacts import Artifacts
+from fogspec.compile.inputs import Inputs
 from fogspec.plan.reuse import covers
 from fogspec.plan.schema import Plan, PlanBody, TaskRef
-from fogspec.results.io import read_results
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
-from fogspec.spec.loader import read_document
-from fogspec.spec.lock_io import lock_drift, read_pins
 from fogspec.spec.lockfile import pins_of_measurement
 from fogspec.spec.schema import Application
 
@@ -43,76 +38,109 @@ class Stage:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """All stages of an application; `refused` says why nothing can be compiled now, `to_measure` what costs money."""
+    """All stages of an application.
 
-    layout: Layout
-    stages: tuple[Stage, ...]
-    spent_usd: float
-    budget_usd: float | None
-    to_measure: int | None
+    `refused` says why nothing can be compiled now; otherwise there are `artifacts`. `to_measure` counts the samples that cost
+    money, `differing` are the files that are not what compile would write.
+    """
+
+    inputs: Inputs
+    artifacts: Artifacts | None = None
     refused: str | None = None
+    stages: tuple[Stage, ...] = ()
+    differing: tuple[Path, ...] = ()
+    to_measure: int | None = None
+
+    @property
+    def layout(self) -> Layout:
+        """Where the application's files are."""
+        return self.inputs.layout
+
+    @property
+    def spent_usd(self) -> float:
+        """What measuring has cost so far."""
+        return self.inputs.results.spec.spent if self.inputs.results else 0.0
+
+    @property
+    def budget_usd(self) -> float | None:
+        """What measuring may cost."""
+        return self.inputs.application.spec.benchmark.budget
+
+    @property
+    def current(self) -> bool:
+        """Whether the files on disk are what compile would write, and the files beside the spec as the lock says."""
+        return self.refused is None and not self.differing and not self.inputs.drifted
 
     @property
     def fresh(self) -> bool:
-        """Whether every stage is."""
-        return self.refused is None and all(stage.state == "fresh" for stage in self.stages)
+        """Whether that is so and everything is measured: every stage is fresh."""
+        return self.current and all(stage.state == "fresh" for stage in self.stages)
 
 
-def status(application: Application, spec_path: str, catalog: Catalog) -> Status:
-    """How things stand with one application; raises DiagnosticError for results that were edited."""
-    layout = Layout.of(spec_path, application.metadata.name)
-    results = read_results(layout)
-    spent = results.spec.spent if results else 0.0
-    budget = application.spec.benchmark.budget
-    try:
-        compiled = compile_application(application, spec_path, catalog)
-    except FogspecError as refused:
-        return Status(layout, (), spent, budget, None, refused.message)
-    plan = _plan(application, layout, compiled)
-    measured = _results(application, layout, compiled, results)
+def status(inputs: Inputs, compiled: Artifacts | FogspecError) -> Status:
+    """Return how things stand with one application, from its inputs and what compiling them gives, or why it is refused."""
+    if isinstance(compiled, FogspecError):
+        return Status(inputs=inputs, refused=compiled.message)
+    differing = compiled.compare()
+    measured = _results(compiled)
     left = len({sample.id for sample in compiled.plan.spec.samples} - completed(compiled.results))
-    derived = [_derived(name, path, compiled, measured) for name, path in _after(layout, compiled)]
-    return Status(layout, (plan, measured, *derived), spent, budget, left)
+    return Status(
+        inputs=inputs,
+        artifacts=compiled,
+        stages=(_plan(compiled, differing), measured, *_derived(compiled, differing, measured)),
+        differing=tuple(differing),
+        to_measure=left,
+    )
 
 
-def _after(layout: Layout, compiled: Artifacts) -> Iterator[tuple[str, Path]]:
-    yield "models", layout.models
-    yield "menu", layout.menu
-    if compiled.chosen is None or compiled.chosen.manifest is not None or layout.manifest.is_file():
-        yield "manifest", layout.manifest
+def stage_of(path: Path, layout: Layout) -> str:
+    """Return the stage that writes a file."""
+    if path == layout.plan or path.parent in (layout.tasks, layout.agent):
+        return "plan"
+    if path == layout.models:
+        return "models"
+    return "menu" if path in (layout.menu, layout.picture, layout.latencies) else "manifest"
 
 
-def _plan(application: Application, layout: Layout, compiled: Artifacts) -> Stage:
-    if not layout.plan.is_file():
-        return Stage("plan", layout.plan, "missing", (f"fogspec compile {layout.spec}",))
+def _plan(compiled: Artifacts, differing: Sequence[Path]) -> Stage:
+    inputs, path = compiled.inputs, compiled.layout.plan
+    file = inputs.on_disk.get(path)
+    if file is None:
+        return Stage("plan", path, "missing", (f"fogspec compile {inputs.layout.spec}",))
+    drifted = [f"{name} is not what the lock says" for name in inputs.drifted]
+    mine = [one for one in differing if stage_of(one, inputs.layout) == "plan"]
+    if not mine:
+        return Stage("plan", path, "stale" if drifted else "fresh", tuple(drifted))
     try:
-        old = read_document(layout.plan, Plan)
+        was = file.document(Plan).spec
     except DiagnosticError as problems:
-        return Stage("plan", layout.plan, "stale", (problems.diagnostics[0].message,))
-    was, now = old.spec, compiled.plan.spec
-    reasons = [*changed_reads(was.application.field_digests, application), *_changed_pins(was.pins, now.pins)]
-    reasons += [f"{name} is not what the lock says" for name in lock_drift(application, layout, read_pins(layout))]
+        return Stage("plan", path, "stale", (problems.diagnostics[0].message,))
+    return Stage("plan", path, "stale", tuple(_plan_reasons(compiled, was, drifted) or _other_files(mine)[:NAMED]))
+
+
+def _plan_reasons(compiled: Artifacts, was: PlanBody, drifted: Sequence[str]) -> list[str]:
+    """Return why the plan on disk is not what compile would write, what must be measured again first."""
+    inputs, now = compiled.inputs, compiled.plan.spec
+    application = inputs.application
+    reasons = [*changed_reads(was.application.field_digests, application), *_changed_pins(was.pins, now.pins), *drifted]
     other_catalog = was.catalog.digest != now.catalog.digest
     if _samples(was, other_catalog) != _samples(now, other_catalog):
+        before, after = was.model_dump(mode="json"), now.model_dump(mode="json")
         for name in ("hardware", "infra", "sampler", "requests", "duration", "warmup", "setup_timeout"):
-            before, after = (body.model_dump(mode="json")[name] for body in (was, now))
             where = "spec." if name in ("hardware", "infra") else "spec.benchmark."
-            reasons += map(change_text, changes(before, after, f"{where}{name}"))
+            reasons += map(change_text, changes(before[name], after[name], f"{where}{name}"))
         picked = "from the new catalog other machines are picked" if other_catalog else "it is not what compile writes"
         reasons = reasons or [picked]
-    reasons = reasons or [f"{path} is not what was compiled" for path in _edited(layout, was)][:NAMED]
-    notes = []
     if other_catalog:
-        notes.append(
-            f"new catalog, re-estimated: at most {dollars(was.estimate.total)} before, {dollars(now.estimate.total)} now"
-        )
+        before_usd, now_usd = dollars(was.estimate.total), dollars(now.estimate.total)
+        reasons.append(f"new catalog, re-estimated: at most {before_usd} before, {now_usd} now")
     if was.budget != now.budget:
-        notes.append("spec.benchmark.budget changed, and is enough")
+        reasons.append("spec.benchmark.budget changed, and is enough")
     if not reasons and (was.hardware, was.infra) != (application.spec.hardware, application.spec.infra):
-        notes.append("picked for a larger search box, which holds the spec's")
-    return Stage("plan", layout.plan, "stale" if reasons else "fresh", tuple(reasons), tuple(notes))
+        reasons.append("picked for a larger search box, which holds the spec's")
+    return reasons
 
 
 def _samples(body: PlanBody, other_catalog: bool) -> dict[str, TaskRef | None]:
@@ -120,16 +148,8 @@ def _samples(body: PlanBody, other_catalog: bool) -> dict[str, TaskRef | None]:
     return {sample.id: None if other_catalog else sample.task for sample in body.samples}
 
 
-def _edited(layout: Layout, body: PlanBody) -> Iterator[str]:
-    """Tasks that are missing or not what the plan says."""
-    for task in filter(None, (sample.task for sample in body.samples)):
-        path = layout.compiled / task.path
-        if not os.path.isfile(path) or digest.of_bytes(path.read_bytes()) != task.digest:
-            yield task.path
-
-
 def changed_reads(before: Mapping[str, str] | None, application: Application) -> list[str]:
-    """Which fields of the spec that measuring reads changed since these digests were taken."""
+    """Return which fields of the spec that measuring reads changed since these digests were taken."""
     now = fingerprints.measured_fields(application)
     named = {
         "workload": "benchmark.workload",
@@ -144,47 +164,67 @@ def _changed_pins(before: Mapping[str, str] | None, now: Mapping[str, str]) -> l
     return [f"{name} is locked to something else" for name in names if (before or {}).get(name) != now.get(name)]
 
 
-def _results(application: Application, layout: Layout, compiled: Artifacts, results: Results | None) -> Stage:
+def _results(compiled: Artifacts) -> Stage:
+    inputs, path = compiled.inputs, compiled.layout.results
     samples = {sample.id for sample in compiled.plan.spec.samples}
-    if results is None:
-        return Stage("results", layout.results, "missing", (f"{len(samples)} samples to measure",))
+    if inputs.results is None:
+        return Stage("results", path, "missing", (f"{len(samples)} samples to measure",))
     if compiled.results is None:
-        pins = pins_of_measurement(application, read_pins(layout))
-        others = [f"{name} is locked to something else" for name in fingerprints.changed_pins(results.spec.pins, pins)]
-        reasons = others
-        if results.spec.application != fingerprints.measured_digest(application):
-            fields = changed_reads(results.spec.field_digests, application) if results.spec.field_digests else []
-            reasons = [*fields, *others] or ["they measured something else"]
-        return Stage("results", layout.results, "stale", tuple(reasons))
-    left = samples - completed(results)
-    unlocked = () if results.spec.pins or not compiled.plan.spec.pins else ("measured before anything was locked",)
+        return Stage("results", path, "stale", tuple(_changed_since(inputs, inputs.results)))
+    body = compiled.results.spec
+    unlocked = () if body.pins or not compiled.plan.spec.pins else ("measured before anything was locked",)
+    left = samples - completed(compiled.results)
+    sampling = body.sampling if compiled.plan.spec.sampler == "adaptive" else None
+    why = None
     if left:
         why = f"{len(left)} of {len(samples)} samples to measure: {', '.join(sorted(left)[:NAMED])}"
-        return Stage("results", layout.results, "partial", (why,), unlocked)
-    sampling = compiled.results.spec.sampling if compiled.plan.spec.sampler == "adaptive" else None
-    if sampling is not None and sampling.stop_reason is None:
-        return Stage("results", layout.results, "partial", ("the next machines are to be asked for",), unlocked)
-    if sampling is not None and not covers(application, sampling):
+    elif sampling is not None and sampling.stop_reason is None:
+        why = "the next machines are to be asked for"
+    elif sampling is not None and not covers(inputs.application, sampling):
         why = "the search box has grown since machines were asked for"
-        return Stage("results", layout.results, "partial", (why,), unlocked)
-    return Stage("results", layout.results, "fresh", (), unlocked)
+    if why is not None:
+        return Stage("results", path, "partial", (why,), unlocked)
+    return Stage("results", path, "fresh", (), unlocked)
 
 
-def _derived(name: str, path: Path, compiled: Artifacts, measured: Stage) -> Stage:
-    if not path.is_file():
-        return Stage(name, path, "missing", (f"results are {measured.state}",) if measured.state != "fresh" else ())
-    if measured.state != "fresh":
-        return Stage(name, path, "stale", (f"results are {measured.state}",))
-    now = compiled.files.get(path)
+def _changed_since(inputs: Inputs, results: Results) -> list[str]:
+    """Return what changed since results were measured that do not count any more."""
+    application = inputs.application
+    pins = pins_of_measurement(application, inputs.pins)
+    others = [f"{name} is locked to something else" for name in fingerprints.changed_pins(results.spec.pins, pins)]
+    if results.spec.application == fingerprints.measured_digest(application):
+        return others
+    fields = changed_reads(results.spec.field_digests, application) if results.spec.field_digests else []
+    return [*fields, *others] or ["they measured something else"]
+
+
+def _derived(compiled: Artifacts, differing: Sequence[Path], measured: Stage) -> Iterator[Stage]:
+    """Yield the stages that follow from results."""
+    layout = compiled.layout
+    paths = {"models": layout.models, "menu": layout.menu, "manifest": layout.manifest}
+    for name, path in paths.items():
+        expected = compiled.decision is None or path in compiled.files or path in compiled.inputs.on_disk
+        if name != "manifest" or expected:
+            mine = [one for one in differing if stage_of(one, layout) == name]
+            yield _derived_stage(compiled, name, path, mine, measured)
+
+
+def _derived_stage(compiled: Artifacts, name: str, path: Path, differing: Sequence[Path], measured: Stage) -> Stage:
+    file, now = compiled.inputs.on_disk.get(path), compiled.files.get(path)
+    why = () if measured.state == "fresh" else (f"results are {measured.state}",)
+    if file is None:
+        return Stage(name, path, "missing", why)
     if now is None:
-        return Stage(name, path, "stale", ("it no longer follows from the results",))
-    if path.read_bytes() == now:
-        return Stage(name, path, "fresh")
-    return Stage(name, path, "stale", tuple(_what_differs(path, now)))
+        return Stage(name, path, "stale", why or ("it no longer follows from the results",))
+    if not differing:
+        return Stage(name, path, "fresh", (), why)
+    reasons = _other_files([one for one in differing if one != path])[:NAMED]
+    if path in differing:
+        changed = list(map(change_text, changes_in_file(file, now)))
+        more = [f"and {len(changed) - NAMED} more fields"] if len(changed) > NAMED else []
+        reasons = [*changed[:NAMED], *more] or ["its text was edited"]
+    return Stage(name, path, "stale", tuple(reasons), why)
 
 
-def _what_differs(path: Path, now: bytes) -> list[str]:
-    """The fields that differ; digests only where nothing else does."""
-    told = list(map(change_text, changes_in_file(path, now)))
-    more = [f"and {len(told) - NAMED} more fields"] if len(told) > NAMED else []
-    return [*told[:NAMED], *more] or ["its text was edited"]
+def _other_files(paths: Sequence[Path]) -> list[str]:
+    return [f"{path} is not what was compiled" for path in paths]

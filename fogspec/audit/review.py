@@ -7,15 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fogspec.audit.changes import NAMES, escaped, headline
 from fogspec.audit.compare import Change, changes, short
-from fogspec.audit.diff import Difference, costs, manifest_in, read_manifest, telling
-from fogspec.audit.freshness import Status, status
+from fogspec.audit.diff import (
+    NAMES,
+    Difference,
+    committed_manifest,
+    costs,
+    escaped,
+    headline,
+    manifest_in,
+    significant,
+)
+from fogspec.audit.freshness import Status
 from fogspec.audit.git import Repository
 from fogspec.base import digest
 from fogspec.base.redaction import redacted
-from fogspec.catalog.table import Catalog
-from fogspec.spec.loader import LoadedSpec
+from fogspec.spec.loader import SourceFile
 
 MARK = "<!-- fogspec review -->"
 INPUTS = {
@@ -53,18 +60,27 @@ class Removed:
     manifest: Mapping[str, Any]
 
 
-def review(loaded: LoadedSpec, catalog: Catalog, repository: Repository, commit: str) -> Review:
-    """The manifest as committed at `commit` against the one on disk; nothing is written."""
-    found = status(loaded.application, loaded.path, catalog)
-    layout, secrets = found.layout, loaded.application.spec.secrets
-    content = repository.at(commit, layout.manifest)
-    before = None if content is None else manifest_in(layout.manifest, content)
-    old, new = redacted(before, secrets), redacted(read_manifest(layout), secrets)
+def review(status: Status, repository: Repository, commit: str) -> Review:
+    """Return the manifest as committed at `commit` against the one on disk."""
+    inputs, layout = status.inputs, status.layout
+    secrets = inputs.application.spec.secrets
+    now, content = inputs.on_disk.get(layout.manifest), repository.at(commit, layout.manifest)
+    old = new = redacted(committed_manifest(inputs), secrets)
+    if now is None or content != now.content:
+        before = None if content is None else manifest_in(SourceFile(layout.manifest, content))
+        old = redacted(before, secrets)
     every = list(changes(old, new))
-    why = tuple(dict.fromkeys(_inputs(every))) if old and new else ()
-    told = tuple(telling(iter(every))) if old != new else ()
-    left = () if found.to_measure is None else ("",) * found.to_measure
-    return Review(Difference(layout, old, new, told, costs(old, new), why, left, refused=found.refused), found)
+    found = Difference(
+        layout=layout,
+        before=old,
+        after=new,
+        changes=tuple(significant(iter(every))) if old != new else (),
+        costs=costs(old, new),
+        why=tuple(dict.fromkeys(_inputs(every))) if old and new else (),
+        to_measure=("",) * (status.to_measure or 0),
+        refused=status.refused,
+    )
+    return Review(found, status)
 
 
 def removed(repository: Repository, commit: str, names: Collection[str]) -> list[Removed]:
@@ -73,7 +89,8 @@ def removed(repository: Repository, commit: str, names: Collection[str]) -> list
         path for path in repository.paths(commit)
         if path.match("compiled/*/manifest.yaml") and path.parent.name not in names and not path.exists()
     ]  # fmt: skip
-    return [Removed(path.parent.name, redacted(manifest_in(path, repository.at(commit, path) or b""))) for path in gone]
+    content = ((path, repository.at(commit, path) or b"") for path in gone)
+    return [Removed(path.parent.name, redacted(manifest_in(SourceFile(path, text)))) for path, text in content]
 
 
 def _inputs(every: Sequence[Change]) -> Iterator[str]:

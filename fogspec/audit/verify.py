@@ -15,17 +15,15 @@ from fogspec.audit.compare import change_text, changes_in_file
 from fogspec.base import digest
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, InvalidInput
-from fogspec.catalog.table import Catalog
+from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.bundle import ManifestBundle
-from fogspec.compile.compiler import Artifacts, compile_application
-from fogspec.plan.schema import Plan, digest_without_budget
-from fogspec.results.io import raw_timings, read_results
+from fogspec.compile.compiler import try_compile
+from fogspec.plan.schema import digest_without_budget
+from fogspec.results.io import raw_timings
 from fogspec.results.requests import RecordRules, parse_requests
 from fogspec.results.schema import LatencySummary, Measured, Results
 from fogspec.results.statistics import summary, weights
 from fogspec.spec import fingerprints
-from fogspec.spec.loader import read_document
-from fogspec.spec.lock_io import lock_drift, read_pins
 
 SHOWN = 8
 
@@ -45,20 +43,18 @@ class Check:
         return "breaks" if self.breaks else "holds"
 
 
-def verify(opened: ManifestBundle, catalog: Catalog) -> list[Check]:
-    """Every link of the chain of one manifest, from what was written to what will run."""
-    layout = opened.layout
+def verify(opened: ManifestBundle) -> list[Check]:
+    """Return every link of the chain of one manifest, from what was written to what will run."""
+    layout, results = opened.layout, opened.inputs.results
     named = opened.manifest.provenance
-    links = [_spec(opened), _catalog(opened, catalog), _beside(opened)]
+    links = [_spec(opened), _catalog(opened), _beside(opened)]
     try:
-        results = read_results(layout)
+        compiled = try_compile(opened.inputs)
     except DiagnosticError as problems:
         why = tuple(one.message for one in problems.diagnostics)
         return [*links, Check("results", str(layout.results), why), *_later("results", "models", "manifest")]
-    try:
-        compiled = compile_application(opened.loaded.application, opened.loaded.path, catalog)
-    except FogspecError as refused:
-        return [*links, Check("plan", str(layout.plan), (refused.message, *refused.hints)),
+    if isinstance(compiled, FogspecError):
+        return [*links, Check("plan", str(layout.plan), (compiled.message, *compiled.hints)),
                 *_later("plan", "results", "models", "manifest")]  # fmt: skip
     links += [_plan(opened, compiled), _results(opened, compiled, results)]
     if results is None or compiled.results is None:
@@ -87,8 +83,8 @@ def _spec(opened: ManifestBundle) -> Check:
     return Check("spec", reference.path, (f"{told} changed since the manifest was made",))
 
 
-def _catalog(opened: ManifestBundle, catalog: Catalog) -> Check:
-    named, now = opened.manifest.provenance.catalog, catalog.about
+def _catalog(opened: ManifestBundle) -> Check:
+    named, now = opened.manifest.provenance.catalog, opened.inputs.catalog.about
     what = " ".join(filter(None, (now.source, now.revision, now.date)))
     if named.digest == now.digest:
         return Check("catalog", what)
@@ -98,13 +94,12 @@ def _catalog(opened: ManifestBundle, catalog: Catalog) -> Check:
 
 def _beside(opened: ManifestBundle) -> Check:
     """Files and folders that the spec names, and that the lock pins."""
-    layout, pins = opened.layout, read_pins(opened.layout)
-    if pins is None:
+    layout, inputs = opened.layout, opened.inputs
+    if inputs.pins is None:
         return Check(
             "lock", str(layout.lock), (), ("there is no lock: images and files beside the spec are not pinned",)
         )
-    drifted = lock_drift(opened.loaded.application, layout, pins)
-    return Check("lock", str(layout.lock), tuple(f"{name} is not what the lock says" for name in drifted))
+    return Check("lock", str(layout.lock), tuple(f"{name} is not what the lock says" for name in inputs.drifted))
 
 
 def _plan(opened: ManifestBundle, compiled: Artifacts) -> Check:
@@ -112,8 +107,8 @@ def _plan(opened: ManifestBundle, compiled: Artifacts) -> Check:
     breaks = _differing(layout.plan, compiled)
     for sample in compiled.plan.spec.samples:
         breaks += _differing(layout.task(sample.id), compiled)
-    if layout.plan.is_file() and not breaks:
-        found = digest_without_budget(read_document(layout.plan, Plan))
+    if not breaks:
+        found = digest_without_budget(compiled.plan)
         if found != named.digest:
             breaks.append(f"the manifest was made from another plan: {named.digest}, not {found}")
     return Check("plan", f"{layout.plan} and {len(compiled.plan.spec.samples)} tasks", tuple(breaks[:SHOWN]))
@@ -170,22 +165,22 @@ def _same(was: Any, found: Any) -> bool:
 
 def _bytes(name: str, path: Path, compiled: Artifacts, named: str | None = None, notes: tuple[str, ...] = ()) -> Check:
     breaks = _differing(path, compiled)
-    if not breaks and named is not None and digest.of_bytes(path.read_bytes()) != named:
+    if not breaks and named is not None and digest.of_bytes(compiled.files.get(path, b"")) != named:
         breaks.append(f"the manifest was made from another one: {named}")
     return Check(name, str(path), tuple(breaks[:SHOWN]), notes)
 
 
 def _differing(path: Path, compiled: Artifacts) -> list[str]:
-    now = compiled.files.get(path)
-    if now is None:
-        return [f"{path} no longer follows from spec, catalog and results"] if path.exists() else [f"{path} is missing"]
-    if not path.is_file():
+    file, now = compiled.inputs.on_disk.get(path), compiled.files.get(path)
+    if file is None:
         return [f"{path} is missing"]
-    if path.read_bytes() == now:
+    if now is None:
+        return [f"{path} no longer follows from spec, catalog and results"]
+    if compiled.inputs.content(path) == now:
         return []
     if path.suffix != ".yaml":
         return [f"{path} is not what is computed"]
-    return [f"{path}: {line}" for line in map(change_text, changes_in_file(path, now))] or [
+    return [f"{path}: {line}" for line in map(change_text, changes_in_file(file, now))] or [
         f"{path}: its text was edited"
     ]
 

@@ -13,7 +13,7 @@ from fogspec.bench.results_file import ResultsFile
 from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.table import Catalog
 from fogspec.choice.next_samples import next_samples
-from fogspec.compile.compiler import plan_file, task_file, with_substitutes, with_tasks
+from fogspec.compile.plan_files import plan_file, task_file, with_substitutes, with_tasks
 from fogspec.numerics.priors import Library
 from fogspec.plan.initial_batch import NextBatch
 from fogspec.plan.reuse import covers, plan_from_campaign
@@ -147,9 +147,8 @@ class AdaptiveSampling:
         layout, source = self.layout, self.layout.relative(self.layout.spec)
         pins = pins_of_measurement(self.application, read_pins(layout))
         bare = plan_from_campaign(self.application, source, self.catalog, sampling, pins)
-        files: dict[Any, bytes] = {}
         exact = pinned(self.application, read_pins(layout))
-        plan = with_tasks(exact, with_substitutes(exact, bare, self.filtered), layout, files)
+        plan, files = with_tasks(exact, with_substitutes(exact, bare, self.filtered), layout)
         files[layout.plan] = plan_file(plan, layout)
         self.tasks.adopt(plan, files)
         self.sink.sample_ids[:] = [sample.id for sample in plan.spec.samples]

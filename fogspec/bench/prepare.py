@@ -14,7 +14,7 @@ from fogspec.plan.schema import Plan, Sample
 from fogspec.results.io import read_results
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
-from fogspec.spec.loader import read_document
+from fogspec.spec.loader import SourceFile
 from fogspec.spec.lock_io import lock_drift, read_pins
 from fogspec.spec.lockfile import pins_of_measurement
 from fogspec.spec.schema import Application
@@ -56,7 +56,8 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
     again = f"fogspec compile {layout.spec}"
     if not os.path.lexists(layout.plan):
         raise OutOfDate(f"{layout.name} has no plan yet", again)
-    plan = read_document(layout.plan, Plan)
+    plan_file = SourceFile.read(layout.plan)
+    plan = plan_file.document(Plan)
     if plan.spec.application.digest != fingerprints.planned_digest(application):
         raise OutOfDate(f"{layout.plan} is stale: {_changed(application, plan)} changed since it was compiled", again)
     pins = read_pins(layout)
@@ -75,7 +76,7 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
         application=application,
         layout=layout,
         plan=plan,
-        plan_digest=digest.of_bytes(layout.plan.read_bytes()),
+        plan_digest=digest.of_bytes(plan_file.content),
         tasks=tasks,
         results=counting,
         outdated=outdated,

@@ -1,12 +1,12 @@
 """What the choice hangs on: its limits, its samples, its rivals, and where the model is weak."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fogspec.choice.choose import Choice, choose
-from fogspec.model.fit import Models, Observation, targets
+from fogspec.model.fit import Models, Observation
 from fogspec.model.predict import PredictionSet, PredictionSpace
 from fogspec.spec.schema import Application
 
@@ -84,18 +84,38 @@ def slacks(choice: Choice) -> list[Slack]:
     return found
 
 
-def influences(
-    application: Application, models: Models, space: PredictionSpace | None, choice: Choice
-) -> list[Influence]:
+@dataclass
+class Refits:
+    """Predictions from some of the samples, each combination of samples fitted once.
+
+    `space` is that of the full model; None if curves predict, which are not refitted.
+    """
+
+    space: PredictionSpace | None
+    models: Models
+    targets: Sequence[str]
+    _known: dict[tuple[str, ...], PredictionSet] = field(default_factory=dict)
+
+    def of(self, samples: Sequence[Observation]) -> PredictionSet | None:
+        """Return the predictions from these of the samples alone; None if curves predict."""
+        if self.space is None:
+            return None
+        key = tuple(one.id for one in samples)
+        if key not in self._known:
+            self._known[key] = self.space.predicted(samples, self.models.spec.rejected, self.targets)
+        return self._known[key]
+
+
+def influences(application: Application, models: Models, refits: Refits, choice: Choice) -> list[Influence]:
     """Each sample left out in turn, those that change the choice first, then those that move predictions most."""
     body = models.spec
-    if space is None or len(body.observations) < 2:
+    if len(body.observations) < 2:
         return []
     found = []
     for left_out in body.observations:
-        others = [one for one in body.observations if one is not left_out]
-        predicted = space.predicted(others, body.rejected, targets(application))
-        found.append(_influence(application, predicted, left_out, choice))
+        predicted = refits.of([one for one in body.observations if one is not left_out])
+        if predicted is not None:
+            found.append(_influence(application, predicted, left_out, choice))
     return sorted(found, key=lambda one: (not one.changes, -round(one.moves, 6), one.id))
 
 

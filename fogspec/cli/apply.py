@@ -8,7 +8,7 @@ import click
 
 from fogspec.base.errors import Refused, UsageError
 from fogspec.base.units import UnitError, format_price, parse_price_usd_per_hour
-from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, catalogs_for, clouds_of, load_catalog
+from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_policies, open_manifest
 
 if TYPE_CHECKING:
     from fogspec.catalog.table import Catalog
@@ -26,9 +26,16 @@ if TYPE_CHECKING:
 @click.option("--yes", is_flag=True, help="do not ask")
 @OUTPUT
 def command(
-    manifest: str, catalog_path: str | None, policies: tuple[str, ...], prices: str | None, most: str | None,
-    resolve_image: bool, dry_run: bool, yes: bool, output: str,
-) -> None:  # fmt: skip
+    manifest: str,
+    catalog_path: str | None,
+    policies: tuple[str, ...],
+    prices: str | None,
+    most: str | None,
+    resolve_image: bool,
+    dry_run: bool,
+    yes: bool,
+    output: str,
+) -> None:
     """Launch exactly the task that MANIFEST names, wait until its nodes answer, then end what ran before.
 
     MANIFEST is a file, or the name of an application: compiled/NAME/manifest.yaml.
@@ -38,20 +45,15 @@ def command(
     """
     from fogspec.backends.images.registry import Registry
     from fogspec.backends.registry import deployment_backend
-    from fogspec.compile.bundle import open_bundle
     from fogspec.deploy.preflight import as_text, check_fresh, launch_plan
     from fogspec.deploy.session import apply
     from fogspec.deploy.state import SystemWallClock
-    from fogspec.spec.rules.policies import Policies
 
-    opened = open_bundle(manifest)
-    rules = Policies(policies)
-    rules.require_specs([opened.loaded])
-    rules.require_manifests([opened.loaded], type(opened.manifest))
-    catalog = catalogs_for([opened.loaded], catalog_path)[0]
-    check_fresh(opened, catalog)
+    opened = open_manifest(manifest, catalog_path)
+    check_policies(policies, [opened.inputs])
+    check_fresh(opened)
     ask = Registry().digest
-    ordered = launch_plan(opened, _prices(opened, prices, catalog), _price(most), resolve_image, ask)
+    ordered = launch_plan(opened, _prices(opened, prices), _price(most), resolve_image, ask)
     click.echo("\n".join(as_text(ordered)), err=True)
     if dry_run:
         return
@@ -78,8 +80,11 @@ def command(
         click.echo(f"{opened.layout.name}: no changes; runs on {what}, at {machine.address}")
 
 
-def _prices(opened: "ManifestBundle", origin: str | None, catalog: "Catalog") -> "Catalog":
-    return catalog if origin is None else load_catalog(origin, clouds_of(opened.loaded))
+def _prices(opened: "ManifestBundle", origin: str | None) -> "Catalog":
+    from fogspec.catalog.sources import load_catalog
+    from fogspec.compile.inputs import clouds_of
+
+    return opened.inputs.catalog if origin is None else load_catalog(origin, clouds_of(opened.loaded))
 
 
 def _price(text: str | None) -> float | None:

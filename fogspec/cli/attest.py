@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.cli.options import CATALOG, MANIFEST, catalogs_for
+from fogspec.cli.options import CATALOG, MANIFEST, open_manifest
 
 
 @click.command()
@@ -23,10 +23,9 @@ def command(manifest: str, catalog_path: str | None, key: str | None, out: Path 
     """
     from fogspec.audit import attest
     from fogspec.base.files import write_bytes
-    from fogspec.compile.bundle import open_bundle
 
-    opened = open_bundle(manifest)
-    text = attest.text(attest.statement(opened, catalogs_for([opened.loaded], catalog_path)[0]))
+    opened = open_manifest(manifest, catalog_path)
+    text = attest.text(attest.statement(opened))
     if key is not None:
         from fogspec.audit.sign import sign
 

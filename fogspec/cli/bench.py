@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
-from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from
+from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, catalogs_for, library_from
 
 if TYPE_CHECKING:
     from fogspec.backends.protocol import SampleBackend
@@ -147,7 +147,8 @@ def _catalogs(
     one: "LoadedSpec", path: str | None, prepared: "Prepared", backend: "SampleBackend"
 ) -> "tuple[Catalog | None, Catalog | None]":
     """What an adaptive campaign asks for machines of, and where prices are what they are right now."""
-    from fogspec.cli.options import catalogs_for, clouds_of, load_catalog
+    from fogspec.catalog.sources import load_catalog
+    from fogspec.compile.inputs import clouds_of
 
     real, adaptive = backend.costs == "real", prepared.plan.spec.sampler == "adaptive"
     if not real and not adaptive:

@@ -5,7 +5,7 @@ import json
 import click
 
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, catalogs_for
+from fogspec.cli.options import CATALOG, load_inputs
 
 
 @click.command()
@@ -21,24 +21,23 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     Field by field, with the difference in cost, which input changed, and whether anything must be measured first.
     Values of secrets are not shown. Nothing is written.
     """
-    from fogspec.audit import changes
-    from fogspec.audit.diff import difference
+    from fogspec.audit import diff
+    from fogspec.audit.freshness import status
+    from fogspec.compile.compiler import try_compile
     from fogspec.deploy.health import running_changes
     from fogspec.deploy.state import SystemWallClock
     from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import load
 
-    loaded = load(find_specs(specs))
-    catalogs = catalogs_for(loaded, catalog_path)
+    inputs = load_inputs(find_specs(specs), catalog_path, audit=True)
     found = []
-    for one, catalog in zip(loaded, catalogs, strict=True):
-        differing = difference(one, catalog)
-        found.append((differing, running_changes(differing.layout, SystemWallClock(), one.application)))
+    for one in inputs:
+        differing = diff.difference(status(one, try_compile(one)))
+        found.append((differing, running_changes(one.layout, SystemWallClock(), one.application)))
     if output == "json":
-        facts = [changes.as_dict(differing, live) for differing, live in found]
+        facts = [diff.as_dict(differing, live) for differing, live in found]
         click.echo(json.dumps(facts, indent=2, ensure_ascii=False))
     else:
-        show = changes.markdown if output == "markdown" else changes.as_text
+        show = diff.markdown if output == "markdown" else diff.as_text
         click.echo("\n\n".join(show(differing, live) for differing, live in found))
     if exit_code and (others := [differing.layout.name for differing, live in found if differing.differs or live]):
         raise OutOfDate(f"not what compile would write now, or not what runs: {', '.join(others)}")

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.units import dollars
 from fogspec.cli.options import OUTPUT
 
 if TYPE_CHECKING:
@@ -34,6 +33,7 @@ def command(spec_or_name: str, output: str) -> None:
     if output == "json":
         click.echo(json.dumps({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}))
         return
+    from fogspec.base.units import dollars
 
     ended = "nothing runs" if not count else f"{count} ended, {dollars(spent_usd)} spent; nothing is left"
     click.echo(f"{layout.name}: {ended}")

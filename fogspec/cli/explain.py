@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.errors import UsageError
-from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, applications_of, catalogs_for, library_from
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, load_named
 
 if TYPE_CHECKING:
     from fogspec.spec.field_docs import FieldPage
@@ -52,12 +52,8 @@ def _choices(what: str, catalog_path: str | None, priors: Path | None, output: s
     from fogspec.compile.compiler import compile_application
     from fogspec.report import explain
 
-    loaded = applications_of(what)
-    catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
-    compiled = [
-        compile_application(one.application, one.path, catalog, library)
-        for one, catalog in zip(loaded, catalogs, strict=True)
-    ]
+    inputs = load_named(what, None, catalog_path, priors)
+    compiled = [compile_application(one) for one in inputs]
     if output == "json":
         click.echo(json.dumps([explain.facts(one) for one in compiled], indent=2, ensure_ascii=False))
     else:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, clouds_of, library_from, load_catalog, located
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from
 
 
 @click.command()
@@ -29,7 +29,9 @@ def command(
     from fogspec.backends.images.registry import Registry
     from fogspec.base.files import write_bytes
     from fogspec.base.layout import Layout
+    from fogspec.catalog.sources import load_catalog
     from fogspec.compile import lock_update
+    from fogspec.compile.inputs import clouds_of, located
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import load
     from fogspec.spec.lock_io import lock_text, read_lock, read_pins

@@ -10,7 +10,7 @@ import click
 
 from fogspec.base.errors import Infeasible, UsageError
 from fogspec.base.units import UnitError
-from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, applications_of, catalogs_for, library_from
+from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named
 
 
 @click.command()
@@ -33,22 +33,18 @@ def command(
     """
     from fogspec.report.menu import menu_view, show
 
-    loaded = applications_of(spec, name)
-    catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
+    inputs = load_named(spec, name, catalog_path, priors)
     try:
-        served = [
-            menu_view(one.application, one.path, catalog, alpha, latency, cost, library)
-            for one, catalog in zip(loaded, catalogs, strict=True)
-        ]
+        views = [menu_view(one, alpha, latency, cost) for one in inputs]
     except UnitError as wrong:
         raise UsageError(str(wrong), *([f"write {wrong.fix}"] if wrong.fix else [])) from None
-    menus = [one.menu for one in served]
+    menus = [one.menu for one in views]
     if output == "json":
         click.echo(json.dumps([menu.model_dump(mode="json") for menu in menus], indent=2, ensure_ascii=False))
     else:
         width = shutil.get_terminal_size().columns
         if color is None:
             color = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-        click.echo("\n\n".join(show(one.menu, one.plot(width, color)) for one in served), color=color)
+        click.echo("\n\n".join(show(one.menu, one.plot(width, color)) for one in views), color=color)
     if none := [menu.metadata.name for menu in menus if menu.spec.balanced is None]:
         raise Infeasible(f"{', '.join(none)}: no machine meets the limits")

@@ -1,21 +1,20 @@
 """Options and steps that several verbs share."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.clouds import cloud_name
-from fogspec.base.errors import OutOfDate, UsageError
+from fogspec.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from fogspec.base.layout import Layout
     from fogspec.catalog.table import Catalog
+    from fogspec.compile.bundle import ManifestBundle
+    from fogspec.compile.inputs import Inputs
     from fogspec.numerics.priors import Library
     from fogspec.spec.loader import LoadedSpec
-    from fogspec.spec.lockfile import Pins
 
 SPECS = click.argument("specs", nargs=-1, type=click.Path(path_type=str))
 SPEC = click.argument("spec", type=click.Path(path_type=str))
@@ -65,103 +64,103 @@ PRIORS = click.option(
 )
 
 
-def applications_of(what: str, name: str | None = None) -> list["LoadedSpec"]:
-    """The applications of a spec, or the one in specs/ that `what` names; `name` picks one where a spec has several.
+def load_inputs(
+    specs: Sequence[str],
+    catalog: str | None,
+    priors: Path | None = None,
+    *,
+    name: str | None = None,
+    audit: bool = False,
+) -> "list[Inputs]":
+    """Read what commands need of these specs, see `Inputs.load`, and print its notes."""
+    from fogspec.compile.inputs import Inputs
 
-    Raises UsageError where there is none, Problems where the spec is wrong.
+    inputs = Inputs.load(specs, catalog=catalog, priors=priors, name=name, audit=audit)
+    echo_notes(note for one in inputs for note in one.notes)
+    return inputs
+
+
+def load_named(what: str, name: str | None, catalog: str | None, priors: Path | None) -> "list[Inputs]":
+    """Read the applications of a spec, or the one in specs/ that `what` names; `name` picks one of several.
+
+    Raise UsageError if there is none, and as `Inputs.load`.
+    """
+    path, wanted = named(what, name)
+    found = load_inputs([path], catalog, priors, name=wanted)
+    if not found:
+        raise UsageError(f"{path} has no application named {wanted}")
+    return found
+
+
+def open_manifest(path: str, catalog: str | None) -> "ManifestBundle":
+    """Open a manifest with what it was compiled from, and print notes about that."""
+    from fogspec.compile.bundle import open_bundle
+
+    opened = open_bundle(path, catalog)
+    echo_notes(opened.inputs.notes)
+    return opened
+
+
+def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> "list[Catalog]":
+    """Return each application's catalog, from `path` or else as the lock says, and print notes; raise as `Inputs.load`."""
+    from fogspec.compile import inputs
+
+    catalogs, notes = inputs.catalogs_for(loaded, path)
+    echo_notes(notes)
+    return catalogs
+
+
+def check_policies(policies: Sequence[str], inputs: "Sequence[Inputs]") -> None:
+    """Raise DiagnosticError if a spec or a manifest on disk breaks a policy, or if a policy is wrong."""
+    from fogspec.compile.manifest import Manifest
+    from fogspec.spec.rules.policies import Policies
+
+    rules, loaded = Policies(policies), [one.spec for one in inputs]
+    rules.require_specs(loaded)
+    known = {path: file for one in inputs for path, file in one.on_disk.items()}
+    rules.require_manifests(loaded, Manifest, known)
+
+
+def echo_notes(notes: Iterable[str]) -> None:
+    """Print notes for the user, each once."""
+    for note in dict.fromkeys(notes):
+        click.echo(note, err=True)
+
+
+def named(what: str, name: str | None = None) -> tuple[str, str | None]:
+    """Return the spec that `what` names, by its path or by an application in specs/, and the application wanted of it.
+
+    Raise UsageError for a name that no application in specs/ has.
     """
     from fogspec.spec.discover import is_name, spec_of
-    from fogspec.spec.loader import load
 
     path = spec_of(what)
     if path is None and is_name(what) and os.path.isdir("specs"):
         raise UsageError(f"specs/ has no application named {what}", "name its file, such as specs/NAME.yaml")
-    wanted = name or (what if path else None)
-    found = [one for one in load([path or what]) if wanted in (None, one.application.metadata.name)]
+    return path or what, name or (what if path else None)
+
+
+def applications_of(what: str) -> list["LoadedSpec"]:
+    """Return the applications of a spec, or the one in specs/ that `what` names.
+
+    Raise UsageError if there is none, DiagnosticError if the spec is wrong.
+    """
+    from fogspec.spec.loader import load
+
+    path, wanted = named(what)
+    found = [one for one in load([path]) if wanted in (None, one.application.metadata.name)]
     if not found:
-        raise UsageError(f"{path or what} has no application named {wanted}")
+        raise UsageError(f"{path} has no application named {wanted}")
     return found
 
 
 def library_from(path: Path | None) -> "Library | None":
-    """The machine library that the command line names; None leaves it to the lock. Raises InvalidInput and DiagnosticError."""
+    """Return the machine library that the command line names; None leaves it to the lock.
+
+    Raise InvalidInput and DiagnosticError.
+    """
     if path is None:
         return None
     from fogspec.model.priors import read_priors
 
     return read_priors(path)
-
-
-def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> list["Catalog"]:
-    """Each application's catalog: what the command line asks for, else what the lock says, else the snapshot.
-
-    Raises OutOfDate when the catalog is no longer the one that was locked, InvalidInput or Problems when it cannot be read.
-    Says what was left out of a catalog that was asked for, and that a catalog is older than a spec allows.
-    """
-    from fogspec.base.layout import Layout
-    from fogspec.spec.lock_io import read_pins
-
-    known: dict[tuple[str | None, tuple[str, ...]], Catalog] = {}
-    said: dict[str, None] = {}
-    found = []
-    for one in loaded:
-        layout = Layout.of(one.path, one.application.metadata.name)
-        pins = read_pins(layout)
-        origin = path or (located(pins.catalog.origin, layout) if pins else None)
-        key = (origin, clouds_of(one))
-        if key not in known:
-            known[key] = load_catalog(*key)
-        catalog = known[key]
-        if pins is not None and path is None:
-            catalog = _as_locked(catalog, pins, layout)
-        said |= dict.fromkeys([*(f"{path}: {note}" for note in catalog.about.notes if path), *_age(one, catalog)])
-        found.append(catalog)
-    for line in said:
-        click.echo(line, err=True)
-    return found
-
-
-def load_catalog(origin: str | None, clouds: tuple[str, ...]) -> "Catalog":
-    """The catalog from there, for these clouds."""
-    from fogspec.catalog import sources
-
-    return sources.load_catalog(origin, clouds)
-
-
-def clouds_of(one: "LoadedSpec") -> tuple[str, ...]:
-    """The clouds that a spec names."""
-    return tuple(sorted({cloud_name(entry) for entry in one.application.spec.infra}))
-
-
-def located(origin: str, layout: "Layout") -> str:
-    """What `--catalog` would be given for the origin that a lock names."""
-    return origin if origin in ("snapshot", "skypilot") else os.path.normpath(layout.root / origin)
-
-
-def _as_locked(catalog: "Catalog", pins: "Pins", layout: "Layout") -> "Catalog":
-    from dataclasses import replace
-
-    pin = pins.catalog
-    if catalog.about.digest != pin.digest:
-        raise OutOfDate(
-            f"{layout.name}: the catalog {pin.origin} is not the one that {layout.lock} pins",
-            f"fogspec lock {layout.spec} --upgrade catalog",
-        )
-    about = replace(catalog.about, source=pin.source, revision=pin.revision, date=pin.date)
-    return replace(catalog, about=about)
-
-
-def _age(one: "LoadedSpec", catalog: "Catalog") -> list[str]:
-    """That the catalog is older than the spec allows."""
-    from datetime import UTC, date, datetime
-
-    dated, most_s = catalog.about.date, one.application.spec.catalog.max_age
-    if not dated:
-        return []
-    days = (datetime.now(UTC).date() - date.fromisoformat(dated)).days
-    if days * 86400 <= most_s:
-        return []
-    return [
-        f"warning: {catalog.about.source}: prices are of {dated}, {days} days old; spec.catalog.max_age allows "
-        f"{most_s / 86400:g}: see --catalog"
-    ]

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from fogspec.base.errors import UsageError
-from fogspec.cli.options import CATALOG, PRIORS, applications_of, catalogs_for, library_from
+from fogspec.cli.options import CATALOG, PRIORS, load_named
 
 
 @click.command()
@@ -24,18 +24,13 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
     from fogspec.compile.compiler import compile_application
     from fogspec.report.html import page
 
-    loaded = applications_of(what, name)
-    if to is not None and len(loaded) > 1:
-        raise UsageError(f"{what} has {len(loaded)} applications, {to} holds one: choose with --name")
-    catalogs, library = catalogs_for(loaded, catalog_path), library_from(priors)
+    inputs = load_named(what, name, catalog_path, priors)
+    if to is not None and len(inputs) > 1:
+        raise UsageError(f"{what} has {len(inputs)} applications, {to} holds one: choose with --name")
     given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
-    for one, catalog in zip(loaded, catalogs, strict=True):
-        compiled = compile_application(one.application, one.path, catalog, library)
-        source = compiled.layout.relative(compiled.layout.spec)
-        common = shlex.join([source, "--name", compiled.layout.name, *given])
-        content = page(
-            compiled, Path(one.path).read_text(encoding="utf-8"), f"fogspec report {common}", f"fogspec menu {common}"
-        )
+    for compiled in [compile_application(one) for one in inputs]:
+        common = shlex.join([compiled.inputs.source, "--name", compiled.layout.name, *given])
+        content = page(compiled, f"fogspec report {common}", f"fogspec menu {common}")
         if to == "-":
             click.echo(content, nl=False)
         else:

@@ -5,7 +5,7 @@ import json
 import click
 
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, OUTPUT, catalogs_for
+from fogspec.cli.options import CATALOG, OUTPUT, load_inputs
 
 
 @click.command()
@@ -21,19 +21,16 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     """
     from fogspec.audit import freshness, status
     from fogspec.backends.registry import deployment_backend
+    from fogspec.compile.compiler import try_compile
     from fogspec.deploy import health
     from fogspec.deploy.state import SystemWallClock
     from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import load
 
-    loaded = load(find_specs(specs))
-    found = [
-        freshness.status(one.application, one.path, catalog)
-        for one, catalog in zip(loaded, catalogs_for(loaded, catalog_path), strict=True)
-    ]
+    inputs = load_inputs(find_specs(specs), catalog_path, audit=True)
+    found = [freshness.status(one, try_compile(one)) for one in inputs]
     lives = [
-        health.health_report(loaded_one.application, one.layout, one.fresh, SystemWallClock(), deployment_backend)
-        for loaded_one, one in zip(loaded, found, strict=True)
+        health.health_report(one.inputs.application, one.layout, one.fresh, SystemWallClock(), deployment_backend)
+        for one in found
     ]
     if output == "json":
         facts = [

@@ -5,7 +5,7 @@ import json
 import click
 
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, catalogs_for
+from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_policies, open_manifest
 
 
 @click.command()
@@ -16,9 +16,13 @@ from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, catalogs_fo
 @click.option("--attestation", type=click.Path(path_type=str), metavar="FILE", help="also check this signed statement")
 @click.option("--key", type=click.Path(path_type=str), metavar="PEM", help="the public key that it must be signed with")
 def command(
-    manifest: str, catalog_path: str | None, policies: tuple[str, ...], output: str, attestation: str | None,
+    manifest: str,
+    catalog_path: str | None,
+    policies: tuple[str, ...],
+    output: str,
+    attestation: str | None,
     key: str | None,
-) -> None:  # fmt: skip
+) -> None:
     """Recompute spec, plan, results, models, menu, manifest and task; say which link breaks and how.
 
     MANIFEST is a file, or the name of an application: compiled/NAME/manifest.yaml.
@@ -26,13 +30,11 @@ def command(
     Nothing is written. Exit code 3 when a link breaks.
     """
     from fogspec.audit import verify
-    from fogspec.compile.bundle import open_bundle
-    from fogspec.spec.rules.policies import Policies
 
     if (attestation is None) != (key is None):
         raise click.UsageError("--attestation and --key go together")
-    opened = open_bundle(manifest)
-    links = verify.verify(opened, catalogs_for([opened.loaded], catalog_path)[0])
+    opened = open_manifest(manifest, catalog_path)
+    links = verify.verify(opened)
     if attestation is not None and key is not None:
         from fogspec.audit.sign import check_signed
 
@@ -41,9 +43,7 @@ def command(
         click.echo(json.dumps(verify.as_dict(opened, links), indent=2, ensure_ascii=False))
     else:
         click.echo(verify.as_text(opened, links))
-    rules = Policies(policies)
-    rules.require_specs([opened.loaded])
-    rules.require_manifests([opened.loaded], type(opened.manifest))
+    check_policies(policies, [opened.inputs])
     if broken := [link for link in links if link.breaks]:
         raise OutOfDate(
             f"{opened.layout.manifest}: the chain breaks at {broken[0].name}", verify.remedy(opened, broken[0])

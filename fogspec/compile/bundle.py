@@ -1,4 +1,4 @@
-"""A manifest as a person names it, with the spec that it was compiled from."""
+"""A manifest as a person names it, with the inputs that it was compiled from."""
 
 import os
 from dataclasses import dataclass
@@ -6,43 +6,70 @@ from pathlib import Path
 
 from fogspec.base import digest
 from fogspec.base.errors import InvalidInput
-from fogspec.base.files import read_file
 from fogspec.base.layout import Layout
+from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
 from fogspec.plan.schema import TaskRef
-from fogspec.spec.loader import LoadedSpec, load, read_document
+from fogspec.spec.loader import LoadedSpec, SourceFile
 
 
 @dataclass(frozen=True, slots=True)
 class ManifestBundle:
-    """A manifest on disk, the digest of its bytes, and the application that it deploys."""
+    """A manifest on disk with its bytes, and the inputs of the application that it deploys."""
 
     manifest: Manifest
-    digest: str
-    layout: Layout
-    loaded: LoadedSpec
+    content: bytes
+    inputs: Inputs
+
+    @property
+    def digest(self) -> str:
+        """Digest of the manifest's bytes."""
+        return digest.of_bytes(self.content)
+
+    @property
+    def layout(self) -> Layout:
+        """Where the application's files are."""
+        return self.inputs.layout
+
+    @property
+    def loaded(self) -> LoadedSpec:
+        """The application's spec."""
+        return self.inputs.spec
 
     def edited(self) -> list[str]:
-        """Files that the manifest names by digest and that are not as it says, each with what is wrong."""
-        return [
-            wrong
-            for reference in references(self.manifest)
-            if (wrong := _difference(self.layout.compiled / reference.path, reference)) is not None
-        ]
+        """Return the files that are not as the manifest's digests say, each with what is wrong."""
+        return [wrong for one in references(self.manifest) if (wrong := self._difference(one)) is not None]
+
+    def file(self, reference: TaskRef) -> SourceFile:
+        """Return a file that the manifest names."""
+        path = Path(os.path.normpath(self.layout.compiled / reference.path))
+        return self.inputs.on_disk.get(path) or SourceFile.read(self.layout.compiled / reference.path)
+
+    def _difference(self, reference: TaskRef) -> str | None:
+        path, file = self.layout.compiled / reference.path, self.file(reference)
+        if isinstance(file.problem, FileNotFoundError):
+            return f"{path} is missing"
+        if file.problem is not None:
+            return f"{path} cannot be read: {file.problem.strerror}"
+        if digest.of_bytes(file.content) != reference.digest:
+            return f"{path} is not what the manifest says: what is reviewed is what runs"
+        return None
 
 
-def open_bundle(path: str | os.PathLike[str]) -> ManifestBundle:
-    """The manifest at `compiled/NAME/manifest.yaml` and its spec.
+def open_bundle(path: str | os.PathLike[str], catalog: str | None = None) -> ManifestBundle:
+    """Open the manifest at `compiled/NAME/manifest.yaml`, with what it was compiled from.
 
-    Raises DiagnosticError for a file that is damaged or a spec that is wrong, InvalidInput for one that is not there or stands
-    elsewhere, so that what it names by relative path cannot be found.
+    `catalog` is what the command line gives, in place of what the lock says. Raise DiagnosticError for a damaged file or a
+    wrong spec, InvalidInput for a manifest that is missing or stands elsewhere, so that what it names by relative path
+    cannot be found, and as `Inputs.load`.
     """
     at = Path(path)
     if not at.is_file():
         raise InvalidInput(
             f"{at}: there is no such manifest", "fogspec status says what is missing before there is one"
         )
-    manifest = read_document(at, Manifest)
+    file = SourceFile.read(at)
+    manifest = file.document(Manifest)
     name = manifest.metadata.name
     whole = Path(os.path.abspath(at))
     root = whole.parents[min(2, len(whole.parents) - 1)]
@@ -54,10 +81,11 @@ def open_bundle(path: str | os.PathLike[str]) -> ManifestBundle:
             f"{at}: the manifest of {name} must stand at {layout.manifest}, beside what it names",
             f"make it there: fogspec compile {spec}",
         )
-    found = next((one for one in load([spec]) if one.application.metadata.name == name), None)
-    if found is None:
+    known = {layout.manifest: file}
+    found = Inputs.load([spec], catalog=catalog, name=name, audit=True, known=known)
+    if not found:
         raise InvalidInput(f"{spec} has no application named {name}, which {at} deploys")
-    return ManifestBundle(manifest, digest.of_bytes(at.read_bytes()), layout, found)
+    return ManifestBundle(manifest, file.content, found[0])
 
 
 def references(manifest: Manifest) -> list[TaskRef]:
@@ -65,15 +93,3 @@ def references(manifest: Manifest) -> list[TaskRef]:
     spec = manifest.spec
     robot = [] if spec.robot_launch is None else [spec.robot_launch]
     return [spec.task, *(one.task for one in spec.fallbacks), *robot, *spec.files]
-
-
-def _difference(path: Path, reference: TaskRef) -> str | None:
-    try:
-        content = read_file(path)
-    except FileNotFoundError:
-        return f"{path} is missing"
-    except OSError as problem:
-        return f"{path} cannot be read: {problem.strerror}"
-    if digest.of_bytes(content) != reference.digest:
-        return f"{path} is not what the manifest says: what is reviewed is what runs"
-    return None

@@ -1,25 +1,23 @@
-"""From results to the files of a choice: models, menu, picture, and the pinned manifest with its task and launch file."""
+"""From results to a choice and its files: models, menu, pictures, and the pinned manifest with what it deploys."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from fogspec.base import digest
 from fogspec.base.layout import Layout
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered
-from fogspec.catalog.table import Catalog
 from fogspec.charts.drawing import charts
 from fogspec.choice.choose import Choice, choose
 from fogspec.choice.menu import Menu, make_menu
 from fogspec.choice.relaxed import Relaxed, chosen_by_relaxing, relaxed_optimum
 from fogspec.compile.deploy_files import deployable
+from fogspec.compile.inputs import Inputs
 from fogspec.compile.links import link_of
 from fogspec.compile.manifest import FileRef, Manifest, Sources, make_manifest
 from fogspec.model.fit import Models, fit, targets
 from fogspec.model.predict import PredictionSet, predict
-from fogspec.numerics.priors import Library
 from fogspec.plan.schema import ApplicationRef, CatalogRef
 from fogspec.results.schema import Results
 from fogspec.spec import fingerprints
@@ -28,6 +26,19 @@ from fogspec.spec.schema import Application
 
 
 @dataclass(frozen=True, slots=True)
+class Selection:
+    """What is fitted to the results, predicted of every machine, and chosen among them.
+
+    `relaxed` is where the paper's method ends.
+    """
+
+    models: Models
+    predicted: PredictionSet
+    choice: Choice
+    relaxed: Relaxed | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
     """A choice and its files by path; there is a manifest if and only if some machine meets the limits."""
 
@@ -36,54 +47,83 @@ class Decision:
     choice: Choice
     menu: Menu
     manifest: Manifest | None
-    files: dict[Path, bytes]
+    files: Mapping[Path, bytes]
 
 
-def choose_files(
-    application: Application, layout: Layout, catalog: Catalog, admissible: Filtered, results: Results,
-    plan_digest: str, sent: Mapping[Path, bytes], library: Library | None = None,
-) -> Decision:  # fmt: skip
-    """Fit, choose, and lay out what is written of it; `sent` are the files that every machine gets."""
-    source, about = layout.relative(layout.spec), catalog.about
+def select(inputs: Inputs, application: Application, admissible: Filtered, results: Results) -> Selection:
+    """Fit the results, predict every admissible machine, and choose one by the method that the spec asks for."""
+    library = inputs.library
     models = fit(application, results, library.digest if library else None)
-    predicted = predict(models, admissible.offers, targets(application), catalog, library)
-    choice, relaxed = decide(application, models, predicted)
-    warnings = warnings_for(application, models, choice)
-    menu = make_menu(application, choice, warnings)
-    files = {layout.models: _yaml(models, source), layout.menu: _yaml(menu, source)}
-    files |= charts(application, choice, models, caveats(models, choice), layout)
-    manifest = None
-    if choice.chosen is not None:
-        made = deployable(application, layout, choice, sent, files)
-        beside = layout.compiled
-        sources = Sources(
-            application=ApplicationRef(
-                path=source, digest=fingerprints.chosen_digest(application),
-                field_digests=fingerprints.chosen_fields(application)
-            ),
-            catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
-            plan=FileRef(path=layout.plan.relative_to(beside).as_posix(), digest=plan_digest),
-            results=FileRef(path=layout.relative(layout.results), digest=results.integrity),
-            models=FileRef(path=layout.models.relative_to(beside).as_posix(), digest=digest.of_bytes(files[layout.models])),
-            task=made.task, robot_launch=made.robot_launch,
-            robot_environment=made.robot_environment, files=made.files, fallbacks=made.fallbacks,
-        )  # fmt: skip
-        manifest = make_manifest(application, choice, models, sources, warnings, relaxed)
-        files[layout.manifest] = _yaml(manifest, source)
-    return Decision(models, predicted, choice, menu, manifest, files)
+    return select_from(
+        application, models, predict(models, admissible.offers, targets(application), inputs.catalog, library)
+    )
 
 
-def decide(application: Application, models: Models, predicted: PredictionSet) -> tuple[Choice, Relaxed | None]:
-    """The choice by the method that the spec asks for, and where the paper's method ends."""
+def select_from(application: Application, models: Models, predicted: PredictionSet) -> Selection:
+    """Choose a machine from these predictions by the method that the spec asks for."""
     choice = choose(application, predicted)
     relaxed = relaxed_optimum(models, choice)
     if application.spec.objective.method == "relaxed":
         choice = chosen_by_relaxing(choice, relaxed)
-    return choice, relaxed
+    return Selection(models, predicted, choice, relaxed)
+
+
+def decide(
+    inputs: Inputs, application: Application, admissible: Filtered, results: Results, plan_digest: str
+) -> Decision:
+    """Select a machine and make the files of that choice; `application` has its image pinned."""
+    selection = select(inputs, application, admissible, results)
+    models, choice, layout = selection.models, selection.choice, inputs.layout
+    warnings = warnings_for(application, models, choice)
+    menu = make_menu(application, choice, warnings)
+    files = {layout.models: _yaml(models, layout), layout.menu: _yaml(menu, layout)}
+    files |= charts(application, choice, models, caveats(models, choice), layout)
+    manifest = None
+    if choice.chosen is not None:
+        sources = _sources(inputs, application, choice, results, plan_digest, files)
+        manifest = make_manifest(application, choice, models, sources, warnings, selection.relaxed)
+        files[layout.manifest] = _yaml(manifest, layout)
+    return Decision(
+        models=models,
+        predicted=selection.predicted,
+        choice=choice,
+        menu=menu,
+        manifest=manifest,
+        files=files,
+    )
+
+
+def _sources(
+    inputs: Inputs,
+    application: Application,
+    choice: Choice,
+    results: Results,
+    plan_digest: str,
+    files: dict[Path, bytes],
+) -> Sources:
+    """Lay the files of the deployment into `files`, and refer to them and to what the choice was made from."""
+    layout, about = inputs.layout, inputs.catalog.about
+    deployed = deployable(application, layout, choice, inputs.agent, files)
+    return Sources(
+        application=ApplicationRef(
+            path=inputs.source,
+            digest=fingerprints.chosen_digest(application),
+            field_digests=fingerprints.chosen_fields(application),
+        ),
+        catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
+        plan=FileRef(path=layout.beside_manifest(layout.plan), digest=plan_digest),
+        results=FileRef(path=layout.relative(layout.results), digest=results.integrity),
+        models=FileRef(path=layout.beside_manifest(layout.models), digest=digest.of_bytes(files[layout.models])),
+        task=deployed.task,
+        robot_launch=deployed.robot_launch,
+        robot_environment=deployed.robot_environment,
+        files=deployed.files,
+        fallbacks=deployed.fallbacks,
+    )
 
 
 def warnings_for(application: Application, models: Models, choice: Choice) -> list[str]:
-    """What a reviewer must know before believing the figures, most important first."""
+    """Return what a reviewer must know before believing the figures, most important first."""
     found, row = caveats(models, choice), choice.chosen
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
@@ -101,14 +141,14 @@ def warnings_for(application: Application, models: Models, choice: Choice) -> li
 
 
 def caveats(models: Models, choice: Choice) -> list[str]:
-    """What speaks against the choice itself; the pictures have room for the first."""
+    """Return what speaks against the choice itself; the pictures have room for the first."""
     if models.spec.measured_on_local:
         return [
             "extrapolated: measured on one host's CPUs and memory, not on machines of the catalog, whose CPUs differ: "
             "the ranking is a guess, and how far off it is cannot be said"
         ]
     if choice.chosen is not None:
-        return _caveats(choice, choice.chosen)
+        return _caveats_of_machine(choice, choice.chosen)
     if choice.feasible.any():
         return [
             "the relaxed method ends beside no machine that meets the limits, though there are some: use exhaustive"
@@ -116,8 +156,8 @@ def caveats(models: Models, choice: Choice) -> list[str]:
     return []
 
 
-def _caveats(choice: Choice, row: int) -> list[str]:
-    """What speaks against the chosen machine."""
+def _caveats_of_machine(choice: Choice, row: int) -> list[str]:
+    """Return what speaks against the chosen machine."""
     found, name = [], choice.offers.instance[row]
     if choice.best is not None and choice.objective[row] > choice.objective[choice.best]:
         best = choice.offers.instance[choice.best]
@@ -134,9 +174,6 @@ def _caveats(choice: Choice, row: int) -> list[str]:
     return found
 
 
-def _yaml(artefact: Models | Menu | Manifest, source: str) -> bytes:
-    return _text(artefact.model_dump(mode="json"), source)
-
-
-def _text(data: Mapping[str, Any], source: str) -> bytes:
-    return yaml_text(data, f"fogspec compile {source}", source).encode()
+def _yaml(artifact: Models | Menu | Manifest, layout: Layout) -> bytes:
+    source = layout.relative(layout.spec)
+    return yaml_text(artifact.model_dump(mode="json"), f"fogspec compile {source}", source).encode()

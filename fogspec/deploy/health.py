@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any, Literal
 
 from fogspec.audit.compare import Change, changes
-from fogspec.audit.diff import read_manifest, telling
+from fogspec.audit.diff import read_manifest, significant
 from fogspec.audit.status import interval_words
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base import digest, units
@@ -97,7 +97,7 @@ def manifest_changes(
         before: Any = read_plain(live.folder(machine.name) / "manifest.yaml")
     except (DiagnosticError, FogspecError, OSError):
         before = {"digest": machine.manifest}
-    return telling(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets))) + files
+    return significant(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets))) + files
 
 
 def _committed(layout: Layout) -> str | None:

@@ -2,14 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from fogspec.audit.status import interval_words
 from fogspec.audit.verify import remedy, verify
 from fogspec.base import digest, units
 from fogspec.base.errors import OutOfDate
-from fogspec.base.files import read_file
 from fogspec.base.units import rounded
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Machine
@@ -36,9 +34,9 @@ class LaunchPlan:
     files: Mapping[str, str]
 
 
-def check_fresh(opened: ManifestBundle, catalog: Catalog) -> None:
+def check_fresh(opened: ManifestBundle) -> None:
     """Raises OutOfDate for a manifest that was edited or no longer follows from its inputs, saying which and how."""
-    if broken := [link for link in verify(opened, catalog) if link.breaks]:
+    if broken := [link for link in verify(opened) if link.breaks]:
         raise OutOfDate(
             f"{opened.layout.manifest}: is stale or was edited, so nothing was started",
             *(f"{link.name}: {text}" for link in broken for text in link.breaks[:3]),
@@ -62,7 +60,7 @@ def launch_plan(
     image, files = None, files_deployed(opened.loaded.application, opened.layout)
     for number, listed in enumerate(reviewed):
         machine = listed.machine
-        content = read_task(opened.layout.compiled, listed.task)
+        content = read_task(opened, listed.task)
         task, exactly = exact({**content, **_peer(content, peer)}, machine.infra, spec.image, resolve, ask)
         image = exactly if number == 0 else image
         task = allowed(task, most_usd_per_hour)
@@ -73,7 +71,7 @@ def launch_plan(
         elif not affordable(candidate, limit, most_usd_per_hour):
             continue
         found.append(candidate)
-    return LaunchPlan(opened, opened.layout.manifest.read_bytes(), tuple(found), image, files)
+    return LaunchPlan(opened, opened.content, tuple(found), image, files)
 
 
 def allowed(task: Mapping[str, Any], most_usd_per_hour: float | None) -> Mapping[str, Any]:
@@ -97,17 +95,16 @@ def runs_digest(task: Mapping[str, Any], machine: Machine, opened: ManifestBundl
     )
 
 
-def read_task(folder: Path, reference: TaskRef) -> dict[str, Any]:
+def read_task(opened: ManifestBundle, reference: TaskRef) -> dict[str, Any]:
     """The reviewed task, parsed; raises OutOfDate for another one."""
     from ruamel.yaml import YAML
 
-    try:
-        content = read_file(folder / reference.path)
-    except OSError as problem:
-        raise OutOfDate(f"{folder / reference.path}: cannot be read: {problem.strerror}") from None
-    if digest.of_bytes(content) != reference.digest:
-        raise OutOfDate(f"{folder / reference.path} is not what the manifest says: what is reviewed is what runs")
-    task: dict[str, Any] = YAML(typ="safe", pure=True).load(content)
+    path, file = opened.layout.compiled / reference.path, opened.file(reference)
+    if file.problem is not None:
+        raise OutOfDate(f"{path}: cannot be read: {file.problem.strerror}")
+    if digest.of_bytes(file.content) != reference.digest:
+        raise OutOfDate(f"{path} is not what the manifest says: what is reviewed is what runs")
+    task: dict[str, Any] = YAML(typ="safe", pure=True).load(file.content)
     return task
 
 

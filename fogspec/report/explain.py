@@ -8,10 +8,11 @@ from fogspec.base.units import dollars, rounded
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import entry_of, limit_text
 from fogspec.choice.next_samples import NextSample, best_next_sample, probability_better
-from fogspec.choice.sensitivity import LEVEL, Influence, Slack, influences, parts, slacks, widest_intervals
+from fogspec.choice.sensitivity import LEVEL, Influence, Refits, Slack, influences, parts, slacks, widest_intervals
 from fogspec.choice.shortlist import shortlist
-from fogspec.compile.compiler import Artifacts
-from fogspec.model.fit import Model
+from fogspec.compile.artifacts import Artifacts
+from fogspec.compile.decision import Decision
+from fogspec.model.fit import Model, targets
 from fogspec.plan.schema import lifetime_s
 from fogspec.report.summary import entry_words, no_words
 
@@ -27,26 +28,30 @@ class Analysis:
     next: NextSample | None
 
     @classmethod
-    def of(cls, compiled: Artifacts) -> "Analysis":
-        """Refits without each sample in turn."""
-        assert compiled.chosen is not None
-        chosen, offers = compiled.chosen, compiled.admissible.offers
+    def of(cls, compiled: Artifacts, decision: Decision, refits: Refits) -> "Analysis":
+        """Analyse a decision; refits without each sample in turn."""
+        offers = compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
         usd = offers.price_usd_per_hour * lifetime_s(body.duration, body.setup_timeout) / 3600
-        failed = [one.machine for one in chosen.models.spec.rejected]
+        failed = [one.machine for one in decision.models.spec.rejected]
         return cls(
-            slacks(chosen.choice),
-            influences(app, chosen.models, chosen.predicted.space, chosen.choice),
-            best_next_sample(app, chosen.predicted, failed, usd) if len(offers) else None,
+            slacks(decision.choice),
+            influences(app, decision.models, refits, decision.choice),
+            best_next_sample(app, decision.predicted, failed, usd) if len(offers) else None,
         )
 
 
-def explain(compiled: Artifacts) -> str:
-    """The explanation of a measured application, infeasible ones included; of an unmeasured one, its plan."""
-    if compiled.chosen is None:
+def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
+    """Return the explanation of a measured application, infeasible ones included; of an unmeasured one, its plan.
+
+    `refits` are fits without some of the samples that can be shared with others.
+    """
+    decision = compiled.decision
+    if decision is None:
         return _unmeasured(compiled)
-    menu, choice, found = compiled.chosen.menu, compiled.chosen.choice, Analysis.of(compiled)
-    local = compiled.chosen.models.spec.measured_on_local
+    menu, choice = decision.menu, decision.choice
+    found = Analysis.of(compiled, decision, refits or refits_of(compiled, decision))
+    local = decision.models.spec.measured_on_local
     lines = [f"{compiled.layout.name}: {menu.spec.objective}, {menu.spec.billing} billing"]
     if menu.spec.balanced is None:
         lines += [*no_words(menu), *_infeasible(choice)]
@@ -72,9 +77,10 @@ def explain(compiled: Artifacts) -> str:
 def facts(compiled: Artifacts) -> dict[str, Any]:
     """The same for programs."""
     found: dict[str, Any] = {"name": compiled.layout.name, "stale": compiled.stale, "funnel": _funnel_facts(compiled)}
-    if compiled.chosen is None:
+    if compiled.decision is None:
         return found
-    chosen, worked = compiled.chosen, Analysis.of(compiled)
+    chosen = compiled.decision
+    worked = Analysis.of(compiled, chosen, refits_of(compiled, chosen))
     choice, menu = chosen.choice, chosen.menu.spec.model_dump(mode="json")
     most_probable = choice.most_probable
     return {
@@ -98,6 +104,11 @@ def facts(compiled: Artifacts) -> dict[str, Any]:
         "models": [model.model_dump(mode="json") for model in chosen.models.spec.models],
         "alternatives": [] if chosen.manifest is None else chosen.manifest.model_dump(mode="json")["alternatives"],
     }  # fmt: skip
+
+
+def refits_of(compiled: Artifacts, decision: Decision) -> Refits:
+    """Return the fits of a decision's model without some of its samples."""
+    return Refits(decision.predicted.space, decision.models, targets(compiled.application))
 
 
 def _binding_facts(b: Slack) -> dict[str, Any]:
@@ -142,8 +153,8 @@ def _infeasible(choice: Choice) -> list[str]:
 
 
 def _funnel(compiled: Artifacts) -> str:
-    assert compiled.chosen is not None
-    body = compiled.chosen.menu.spec
+    assert compiled.decision is not None
+    body = compiled.decision.menu.spec
     return f"{compiled.admissible.funnel.line()} -> {body.predicted:,} predicted -> {body.meet:,} meet all limits"
 
 
@@ -166,8 +177,8 @@ def _binding_words(binding: Slack) -> str:
 
 
 def _model(compiled: Artifacts, found: Analysis) -> list[str]:
-    assert compiled.chosen is not None
-    choice, body = compiled.chosen.choice, compiled.chosen.models.spec
+    assert compiled.decision is not None
+    choice, body = compiled.decision.choice, compiled.decision.models.spec
     lines = []
     if not body.measured_on_local:
         beside = f" and machine library {body.predictor.priors}" if body.predictor.priors else ""
@@ -228,8 +239,8 @@ def _model_words(model: Model) -> str:
 
 
 def _others(compiled: Artifacts) -> list[str]:
-    assert compiled.chosen is not None
-    chosen = compiled.chosen
+    assert compiled.decision is not None
+    chosen = compiled.decision
     if chosen.manifest is None:
         nearest = chosen.choice.least_infeasible
         return [] if nearest is None else [f"  nearest   {entry_words(entry_of(chosen.choice, nearest))}"]
@@ -243,13 +254,13 @@ def _others(compiled: Artifacts) -> list[str]:
 
 def _rival(compiled: Artifacts, row: int) -> str:
     """On which part of the objective a machine that meets the limits lost, and how probably it is better after all."""
-    assert compiled.chosen is not None
-    choice, app = compiled.chosen.choice, compiled.application
+    assert compiled.decision is not None
+    choice, app = compiled.decision.choice, compiled.application
     if choice.chosen is None or not choice.feasible[row]:
         return ""
     both = zip(parts(app, choice, row), parts(app, choice, choice.chosen), strict=True)
     words = ", ".join(f"{name} {own - best:+.3f}" for (name, own), (_, best) in both)
-    better = probability_better(compiled.chosen.predicted, choice, row)
+    better = probability_better(compiled.decision.predicted, choice, row)
     return f" ({words})" + ("" if better is None else f"; better after all with probability {better:.2f}")
 
 

@@ -14,8 +14,9 @@ from fogspec import __version__
 from fogspec.base import units
 from fogspec.base.templates import render, shipped
 from fogspec.base.units import rounded
-from fogspec.compile.compiler import Artifacts
-from fogspec.report.explain import explain
+from fogspec.choice.sensitivity import Refits
+from fogspec.compile.artifacts import Artifacts
+from fogspec.report.explain import explain, refits_of
 from fogspec.report.page_data import menu_data
 from fogspec.report.page_tables import curve_rows, measured_table, planned_table, residual_rows
 from fogspec.report.summary import entry_words
@@ -26,9 +27,10 @@ SECTIONS = {
 }  # fmt: skip
 
 
-def page(compiled: Artifacts, spec_text: str, command: str, menu_command: str) -> bytes:
+def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
     """The page; `command` makes it again, `menu_command` is what the sliders' answers can be compared with."""
-    chosen, results = compiled.chosen, compiled.results
+    chosen, results = compiled.decision, compiled.results
+    refits = None if chosen is None else refits_of(compiled, chosen)
     data = None
     if chosen is not None and len(chosen.choice.front):
         data = {**menu_data(compiled.application, chosen.choice), "command": menu_command}
@@ -44,16 +46,16 @@ def page(compiled: Artifacts, spec_text: str, command: str, menu_command: str) -
         script_digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         menu_picture=_image(compiled, compiled.layout.picture), latency_picture=_image(compiled, compiled.layout.latencies),
         menu_note="" if data is None else _menu_note(data), x_words=_x_words(compiled),
-        explanation=explain(compiled) if chosen is not None else "", funnel=_funnel(compiled), samples=samples,
-        models=_models(compiled), costs=_costs(compiled), provenance=_flat("", _provenance(compiled)),
-        source=compiled.layout.relative(compiled.layout.spec), spec_text=spec_text,
+        explanation=explain(compiled, refits) if chosen is not None else "", funnel=_funnel(compiled), samples=samples,
+        models=_models(compiled, refits), costs=_costs(compiled), provenance=_flat("", _provenance(compiled)),
+        source=compiled.layout.relative(compiled.layout.spec), spec_text=_text(compiled.inputs.spec_content),
     ).encode()  # fmt: skip
 
 
 def _lead(compiled: Artifacts) -> str:
-    if compiled.chosen is None:
+    if compiled.decision is None:
         return f"{compiled.stale or 'not measured yet'}: there is no menu"
-    body = compiled.chosen.menu.spec
+    body = compiled.decision.menu.spec
     if body.balanced is None:
         return f"No machine meets the limits; {body.objective}"
     return f"Chosen: {entry_words(body.balanced)}; {body.objective}"
@@ -94,24 +96,29 @@ def _funnel(compiled: Artifacts) -> list[tuple[str, str, str]]:
     funnel = compiled.admissible.funnel
     rows = [("on offer", "", f"{funnel.offered:,}")]
     rows += [(one.name, f"{one.removed:,}", f"{one.left:,}") for one in funnel.filters]
-    if compiled.chosen is not None:
-        body = compiled.chosen.menu.spec
+    if compiled.decision is not None:
+        body = compiled.decision.menu.spec
         rows.append(("can be predicted", f"{body.admissible - body.predicted:,}", f"{body.predicted:,}"))
         rows.append(("meets all limits", f"{body.predicted - body.meet:,}", f"{body.meet:,}"))
     return rows
 
 
-def _models(compiled: Artifacts) -> dict[str, Any] | None:
-    if compiled.chosen is None:
+def _text(content: bytes) -> str:
+    """Return a file's text with the line ends of this program."""
+    return content.decode().replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _models(compiled: Artifacts, refits: Refits | None) -> dict[str, Any] | None:
+    if compiled.decision is None or refits is None:
         return None
-    models = compiled.chosen.models
+    models = compiled.decision.models
     words = (
         "Measured on shapes of one host: the curves below are all that predicts, and how far off they are cannot be said."
         if models.spec.measured_on_local
         else "Predictions come from a Gaussian process over machines, conditioned on all samples. The curves of the paper's "
         "families are fitted beside it for comparison and for the relaxed method."
     )
-    return {"words": words, "curves": curve_rows(models), "residuals": residual_rows(compiled)}
+    return {"words": words, "curves": curve_rows(models), "residuals": residual_rows(models, refits)}
 
 
 def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
@@ -122,7 +129,7 @@ def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
         ("budget", "none" if body.budget is None else units.format_money(body.budget)),
         ("spent on measuring", units.format_money(results.spec.spent if results else 0.0)),
     ]
-    if compiled.chosen is not None and (entry := compiled.chosen.menu.spec.balanced) is not None:
+    if compiled.decision is not None and (entry := compiled.decision.menu.spec.balanced) is not None:
         rows += [
             ("the chosen machine, an hour", units.format_money(entry.price)),
             ("the chosen machine, a month", units.format_money(round(entry.price * units.HOURS_PER_MONTH, 2))),
@@ -132,8 +139,8 @@ def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
 
 
 def _provenance(compiled: Artifacts) -> dict[str, Any]:
-    if compiled.chosen is not None and compiled.chosen.manifest is not None:
-        return compiled.chosen.manifest.model_dump(mode="json")["provenance"]  # type: ignore[no-any-return]
+    if compiled.decision is not None and compiled.decision.manifest is not None:
+        return compiled.decision.manifest.model_dump(mode="json")["provenance"]  # type: ignore[no-any-return]
     found = compiled.plan.model_dump(mode="json")["spec"]
     return {"application": found["application"], "catalog": found["catalog"], "builder": {"version": __version__}}
 

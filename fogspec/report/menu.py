@@ -1,27 +1,20 @@
 """The menu on demand: other limits or another alpha over what was measured, and the menu as a table."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from fogspec.base import units
 from fogspec.base.errors import OutOfDate
-from fogspec.base.layout import Layout
 from fogspec.catalog.filters import filter_offers
-from fogspec.catalog.table import Catalog
 from fogspec.charts.drawing import menu_chart
 from fogspec.charts.terminal import plot
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import Entry, Menu, make_menu
-from fogspec.compile.decision import decide, warnings_for
-from fogspec.model.fit import fit, targets
-from fogspec.model.predict import predict
-from fogspec.model.priors import locked_priors
-from fogspec.numerics.priors import Library
+from fogspec.compile.compiler import usable_results
+from fogspec.compile.decision import select, warnings_for
+from fogspec.compile.inputs import Inputs
 from fogspec.report.summary import entry_words, no_words
-from fogspec.results.io import read_results
-from fogspec.spec import fingerprints
-from fogspec.spec.lock_io import read_pins
+from fogspec.spec.lockfile import pinned
 from fogspec.spec.schema import Application
 
 NO_LIMIT = "none"
@@ -42,28 +35,21 @@ class MenuView:
         return "\n".join(plot(menu_chart(self.application, self.choice, []), width, color))
 
 
-def menu_view(
-    application: Application,
-    path: str | Path,
-    catalog: Catalog,
-    alpha: float | None,
-    latency: str | None,
-    cost: str | None,
-    library: Library | None = None,
-) -> MenuView:
-    """The menu of a measured application under other limits; raises OutOfDate when it was not measured, UnitError."""
-    layout = Layout.of(path, application.metadata.name)
-    results = read_results(layout)
-    if results is None or results.spec.application != fingerprints.measured_digest(application):
-        what = "was not measured yet" if results is None else "has changed since it was measured"
+def menu_view(inputs: Inputs, alpha: float | None, latency: str | None, cost: str | None) -> MenuView:
+    """Return the menu of a measured application under other limits.
+
+    Raise OutOfDate if it was not measured, DiagnosticError for damaged results, UnitError for a wrong quantity.
+    """
+    layout = inputs.layout
+    results, stale = usable_results(inputs)
+    if results is None:
+        what = "was not measured yet" if stale is None else "has changed since it was measured"
         raise OutOfDate(f"{layout.name} {what}: there is no menu", f"fogspec bench {layout.spec}")
-    application = changed(application, alpha, latency, cost)
-    library = library or locked_priors(layout, read_pins(layout))
-    models = fit(application, results, library.digest if library else None)
-    offers = filter_offers(catalog, application.spec.hardware, application.spec.infra).offers
-    choice, _ = decide(application, models, predict(models, offers, targets(application), catalog, library))
-    menu = make_menu(application, choice, warnings_for(application, models, choice))
-    return MenuView(application, choice, menu)
+    application = pinned(changed(inputs.application, alpha, latency, cost), inputs.pins)
+    admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
+    found = select(inputs, application, admissible, results)
+    menu = make_menu(application, found.choice, warnings_for(application, found.models, found.choice))
+    return MenuView(application, found.choice, menu)
 
 
 def changed(application: Application, alpha: float | None, latency: str | None, cost: str | None) -> Application:

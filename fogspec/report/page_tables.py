@@ -10,7 +10,7 @@ from fogspec.base import units
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import Machine
 from fogspec.choice.menu import LEVEL
-from fogspec.compile.compiler import Artifacts
+from fogspec.choice.sensitivity import Refits
 from fogspec.model.fit import Models, Observation
 from fogspec.numerics import curves
 from fogspec.plan.schema import Plan
@@ -82,10 +82,8 @@ def curve_rows(models: Models) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
-def residual_rows(compiled: Artifacts) -> Sequence[tuple[str, ...]]:
+def residual_rows(models: Models, refits: Refits) -> Sequence[tuple[str, ...]]:
     """For each sample what its curve says, and what the surrogate predicts from all the others."""
-    assert compiled.chosen is not None
-    models = compiled.chosen.models
     fitted = {model.gpu: model for model in models.spec.models if model.target == "latency"}
     rows = []
     for one in models.spec.observations:
@@ -96,22 +94,22 @@ def residual_rows(compiled: Artifacts) -> Sequence[tuple[str, ...]]:
             at = np.array([one.machine.cpus]), np.array([one.machine.memory])
             curve = float(curves.predict(model.shape, list(model.coefficients.values()), *at)[0])
         rows.append(
-            (one.machine.instance, _time(latency), _time(curve), _off(curve, latency), *_without(compiled, one))
+            (one.machine.instance, _time(latency), _time(curve), _off(curve, latency), *_without(models, refits, one))
         )
     return rows
 
 
-def _without(compiled: Artifacts, one: Observation) -> tuple[str, str, str]:
+def _without(models: Models, refits: Refits, one: Observation) -> tuple[str, str, str]:
     """What all other samples say of a sample's machine: prediction, interval, and how far off it is."""
-    assert compiled.chosen is not None
-    ground, body = compiled.chosen.predicted.space, compiled.chosen.models.spec
-    others = [other for other in body.observations if other.machine.type_key != one.machine.type_key]
-    if ground is None or not others:
+    known, key = models.spec.observations, one.machine.type_key
+    others = [other for other in known if other.machine.type_key != key]
+    predicted = refits.of(others) if others else None
+    if predicted is None or refits.space is None:
         return "", "", ""
-    posterior = ground.predicted(others, body.rejected, ["latency"]).targets["latency"].posterior
+    posterior = predicted.targets["latency"].posterior
     if posterior is None:
         return "", "", ""
-    at = [ground.place[one.machine.type_key]]
+    at = [refits.space.place[one.machine.type_key]]
     # Of this machine alone: a bisection over a whole catalog for each sample would take seconds.
     own = replace(posterior, means=posterior.means[:, at], variances=posterior.variances[:, at])
     low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from fogspec.base import units
 from fogspec.base.units import dollars
-from fogspec.compile.compiler import Artifacts
+from fogspec.compile.artifacts import Artifacts
 
 if TYPE_CHECKING:
     from fogspec.choice.menu import Entry, Menu
@@ -23,19 +23,14 @@ def summary(compiled: Artifacts) -> str:
     if len(body.notes) > NOTES:
         lines.append(_row("", "", f"more notes in the plan: {len(body.notes) - NOTES}"))
     lines.append(_row("tasks", f"{layout.tasks}/", f"{len(body.samples)} SkyPilot tasks, one a machine"))
-    if compiled.chosen is None:
+    if compiled.decision is None:
         return "\n".join([*lines, *_unmeasured(compiled)])
-    chosen = compiled.chosen
+    chosen = compiled.decision
     results = compiled.results
     assert results is not None
     usable, all_of = len(chosen.models.spec.observations), len(results.spec.samples)
-    lines.append(
-        _row(
-            "results",
-            str(layout.results),
-            f"{usable} of {all_of} samples count; {dollars(results.spec.spent)} spent",
-        )
-    )
+    spent = dollars(results.spec.spent)
+    lines.append(_row("results", str(layout.results), f"{usable} of {all_of} samples count; {spent} spent"))
     lines.append(_row("models", str(layout.models), f"{len(chosen.models.spec.models)} fitted"))
     beside = f" and {layout.picture.name}" if layout.picture in compiled.files else ""
     lines.append(_row("menu", f"{layout.menu}{beside}", _menu_words(chosen.menu)))
@@ -62,9 +57,8 @@ def _plan_words(compiled: Artifacts) -> str:
     budget = "" if body.budget is None else f" of a budget of {dollars(body.budget)}"
     wall = f"{units.format_duration(estimate.wall)} if all run at once"
     cents = f"{estimate.measuring * 100:.3f}".rstrip("0").rstrip(".")
-    return (
-        f"{count}; measuring costs at most {cents} cents, with set-up at most {dollars(estimate.total)}{budget}; {wall}"
-    )
+    total = dollars(estimate.total)
+    return f"{count}; measuring costs at most {cents} cents, with set-up at most {total}{budget}; {wall}"
 
 
 def _unmeasured(compiled: Artifacts) -> list[str]:
@@ -119,7 +113,7 @@ def no_words(menu: "Menu") -> list[str]:
 def facts(compiled: Artifacts) -> dict[str, Any]:
     """The same for programs."""
     layout, body = compiled.layout, compiled.plan.spec
-    chosen = compiled.chosen
+    chosen = compiled.decision
     return {
         "name": layout.name,
         "files": sorted(str(path) for path in compiled.files),

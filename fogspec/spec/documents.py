@@ -16,9 +16,10 @@ MISSING = ("FS302", "FS501", "FS503", "FS512", "FS522")
 
 @dataclass
 class SourceMap:
-    """The source map: lines of every file that was read, so that a diagnostic can show them."""
+    """The source map: lines of every file that was read, so that a diagnostic can show them, and its bytes."""
 
     lines: dict[str, list[str]] = field(default_factory=dict)
+    content: dict[str, bytes] = field(default_factory=dict)
 
     def shown(self, diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
         """Return the diagnostics with their source lines, by file and line, errors first at a span."""
@@ -68,16 +69,23 @@ def documents_of(
     try:
         content = read_file(path, most_bytes + 1)
     except OSError as problem:
-        message = f"the file cannot be read: {(problem.strerror or str(problem)).lower()}"
-        wrong.append(Diagnostic("FS101", message, Span(name, 1, 1)))
+        wrong.append(unreadable(name, problem))
         return [], False
     return documents_in(content, name, texts, wrong, most_bytes)
+
+
+def unreadable(name: str, problem: OSError) -> Diagnostic:
+    """Return the diagnostic of a file that cannot be read."""
+    return Diagnostic(
+        "FS101", f"the file cannot be read: {(problem.strerror or str(problem)).lower()}", Span(name, 1, 1)
+    )
 
 
 def documents_in(
     content: bytes, name: str, texts: SourceMap, wrong: list[Diagnostic], most_bytes: int = reader.MOST_BYTES
 ) -> tuple[list[Node], bool]:
     """Return the documents of a file's bytes, and whether they could be read to their end."""
+    texts.content[name] = content
     text, problems = reader.decode(content, name, most_bytes)
     texts.lines[name] = text.split("\n")
     nodes: list[Node] = []

@@ -4,16 +4,18 @@ import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
+from fogspec.base.files import read_file
 from fogspec.base.yaml.positions import Node, key_span, plain, span_of, spans
 from fogspec.base.yaml.positions import Path as Steps
 from fogspec.spec import rules
-from fogspec.spec.documents import SourceMap, documents_in, documents_of
+from fogspec.spec.documents import SourceMap, documents_in, documents_of, unreadable
 from fogspec.spec.overlays import merge
 from fogspec.spec.schema import Application
 from fogspec.spec.validate import Validation, validate
@@ -106,22 +108,76 @@ def _checked(
     return loaded, shown
 
 
+class SourceFile:
+    """One of fogspec's own files: read once, and parsed once, when its document is first needed.
+
+    `content` are its bytes, none if it could not be read: `problem` says why.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], content: bytes, problem: OSError | None = None) -> None:
+        self.name = os.fspath(path)
+        self.content = content
+        self.problem = problem
+        self._documents: dict[type[BaseModel], BaseModel] = {}
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> "SourceFile":
+        """Read the file; a file that cannot be read is reported when its document is asked for."""
+        try:
+            return cls(path, read_file(path, MOST_BYTES_OF_OUR_OWN + 1))
+        except OSError as problem:
+            return cls(path, b"", problem)
+
+    @cached_property
+    def _parsed(self) -> tuple[list[Node], SourceMap, tuple[Diagnostic, ...]]:
+        texts, wrong = SourceMap({self.name: []}), list[Diagnostic]()
+        if self.problem is not None:
+            return [], texts, (unreadable(self.name, self.problem),)
+        nodes, _ = documents_in(self.content, self.name, texts, wrong, MOST_BYTES_OF_OUR_OWN)
+        return nodes, texts, tuple(wrong)
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The documents of the file as trees, as far as it can be parsed."""
+        return self._parsed[0]
+
+    @property
+    def texts(self) -> SourceMap:
+        """The lines of the file."""
+        return self._parsed[1]
+
+    def document(self, model: type[M]) -> M:
+        """Return the file's one document as `model`; raise DiagnosticError if it was edited or cut short."""
+        known = self._documents.get(model)
+        if isinstance(known, model):
+            return known
+        nodes, texts, problems = self._parsed
+        wrong = list(problems)
+        if not wrong and len(nodes) != 1:
+            wrong.append(Diagnostic("FS701", "the file must have one document", Span(self.name, 1, 1)))
+        checked = None if wrong else validate(model, nodes[0], strict=False)
+        wrong.extend(checked.wrong if checked else [])
+        if checked is None or checked.value is None:
+            raise DiagnosticError(texts.shown(_recompiled(one, texts) for one in wrong))
+        self._documents[model] = checked.value
+        return checked.value
+
+    def plain(self) -> Any:
+        """Return the first document in plain values, None without one; raise DiagnosticError if it is no YAML."""
+        nodes, texts, wrong = self._parsed
+        if wrong:
+            raise DiagnosticError(texts.shown(wrong))
+        return plain(nodes[0]) if nodes else None
+
+
 def read_document(path: str | os.PathLike[str], model: type[M]) -> M:
     """Return one of fogspec's own files, such as a plan or results, checked against its types.
 
     Raise DiagnosticError if it was edited or cut short, InvalidInput if it does not exist.
     """
-    name, texts, wrong = os.fspath(path), SourceMap(), list[Diagnostic]()
     if not os.path.lexists(path):
-        raise InvalidInput(f"{name}: there is no such file")
-    nodes, clean = documents_of(path, texts, wrong, MOST_BYTES_OF_OUR_OWN)
-    if clean and len(nodes) != 1:
-        wrong.append(Diagnostic("FS701", "the file must have one document", Span(name, 1, 1)))
-    checked = validate(model, nodes[0], strict=False) if clean and len(nodes) == 1 else None
-    wrong.extend(checked.wrong if checked else [])
-    if checked is None or checked.value is None:
-        raise DiagnosticError(texts.shown(_recompiled(one, texts) for one in wrong))
-    return checked.value
+        raise InvalidInput(f"{os.fspath(path)}: there is no such file")
+    return SourceFile.read(path).document(model)
 
 
 def read_nodes(path: str | os.PathLike[str], content: bytes | None = None) -> tuple[list[Node], SourceMap]:

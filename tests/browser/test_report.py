@@ -14,9 +14,10 @@ import pytest
 
 from fogspec.base.files import write_yaml
 from fogspec.base.layout import Layout
-from fogspec.catalog.sources import load_catalog
-from fogspec.compile.compiler import Artifacts, compile_application
-from fogspec.compile.decision import decide
+from fogspec.compile.artifacts import Artifacts
+from fogspec.compile.compiler import compile_application
+from fogspec.compile.decision import select_from
+from fogspec.compile.inputs import Inputs
 from fogspec.plan.schema import PlanMetadata
 from fogspec.report import page_data
 from fogspec.report.html import page
@@ -57,12 +58,13 @@ def written_catalog(path: Path, offers) -> None:
 
 
 def compiled(one: LoadedSpec, catalog: str | None = None) -> Artifacts:
-    return compile_application(one.application, one.path, load_catalog(catalog, ("aws",)))
+    inputs = Inputs.load([one.path], catalog=catalog or "snapshot", name=one.application.metadata.name)[0]
+    return compile_application(inputs.with_application(one.application))
 
 
 def written(one: LoadedSpec, to: Path, catalog: str | None = None, made: Artifacts | None = None) -> Path:
     menu = f"fogspec menu {shlex.quote(one.path)} --name {one.application.metadata.name}"
-    to.write_bytes(page(made or compiled(one, catalog), Path(one.path).read_text(), "fogspec report", menu))
+    to.write_bytes(page(made or compiled(one, catalog), "fogspec report", menu))
     return to
 
 
@@ -92,11 +94,12 @@ def move(view, alpha: str, latency: str | None, cost: str | None) -> tuple[dict[
 def same_as_menu(browser, one: LoadedSpec, made: Artifacts, to: Path, limits, alphas) -> set[str]:
     """Compare the page with the choice behind `fogspec menu` over a grid; the machines that were chosen on it."""
     view = browser.open(written(one, to, made=made))
-    names, chosen = made.chosen.choice.offers.instance, set()
+    names, chosen = made.decision.choice.offers.instance, set()
     for latency, cost, alpha in itertools.product(*limits, alphas):
         texts = "none" if latency is None else f"{latency}s", "none" if cost is None else f"${cost}/request"
         answer, verdict = move(view, alpha, latency, cost)
-        choice, _ = decide(changed(one.application, float(alpha), *texts), made.chosen.models, made.chosen.predicted)
+        application = changed(one.application, float(alpha), *texts)
+        choice = select_from(application, made.decision.models, made.decision.predicted).choice
         if choice.chosen is None:
             assert answer == {}, (alpha, latency, cost)
             if not choice.violations:
@@ -170,7 +173,7 @@ def test_every_rule_of_the_choice_is_in_the_page(browser, checkout, tmp_path, mo
 
 def narrow_limits(one: LoadedSpec, made: Artifacts) -> tuple[list[str | None], list[str | None]]:
     """Limits on latency and cost that some machine just meets and just misses with each of the asked probabilities."""
-    choice, spec = made.chosen.choice, one.application.spec
+    choice, spec = made.decision.choice, one.application.spec
     found: tuple[list[str | None], list[str | None]] = [None], [None]
     for level in choice.rule.levels:
         needed = choice.required_latency_s(level)

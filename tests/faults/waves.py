@@ -19,9 +19,9 @@ from fogspec.bench.prepare import prepare
 from fogspec.bench.progress import Lines
 from fogspec.bench.replay import replayable
 from fogspec.catalog.table import Catalog
-from fogspec.cli.options import catalogs_for
 from fogspec.compile.compiler import compile_application
-from fogspec.spec.loader import LoadedSpec, load
+from fogspec.compile.inputs import Inputs
+from fogspec.spec.loader import LoadedSpec
 
 SPEC = """\
 apiVersion: fogspec.dev/v1alpha1
@@ -72,14 +72,18 @@ def project(folder: Path) -> None:
     (folder / "specs/demo.yaml").write_text(SPEC)
     (folder / "offers.csv").write_text(HEAD + "".join(rows))
     (folder / "sweep.csv").write_text("instance_type,infra,latency_s\n" + "".join(sweep))
-    one, catalog = opened(folder)
-    compile_application(one.application, one.path, catalog).write()
+    compile_application(inputs_of(folder)).write()
+
+
+def inputs_of(folder: Path) -> Inputs:
+    """The project's inputs."""
+    return Inputs.load([str(folder / "specs/demo.yaml")], catalog=str(folder / "offers.csv"))[0]
 
 
 def opened(folder: Path) -> tuple[LoadedSpec, Catalog]:
     """The project's spec and catalog."""
-    one = load([str(folder / "specs/demo.yaml")])[0]
-    return one, catalogs_for([one], str(folder / "offers.csv"))[0]
+    inputs = inputs_of(folder)
+    return inputs.spec, inputs.catalog
 
 
 def run(folder: Path) -> None:

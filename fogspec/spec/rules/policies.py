@@ -7,9 +7,11 @@ and quantities as numbers in base units (`fogspec.spec.render.numeric_document`)
 
 import json
 import os
+import pathlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel
@@ -21,7 +23,7 @@ from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import Node, Path, dotted, find, span_of
 from fogspec.spec.documents import SourceMap
 from fogspec.spec.introspect import fields_of, part
-from fogspec.spec.loader import LoadedSpec, read_document, read_nodes
+from fogspec.spec.loader import LoadedSpec, SourceFile
 from fogspec.spec.render import numeric_document
 from fogspec.spec.suggest import closest
 
@@ -30,6 +32,8 @@ APPLICATION, MANIFEST = "Application", "DeploymentManifest"
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 SAME_PLACE = ("allOf", "anyOf", "oneOf", "not", "if", "then", "else", "dependentSchemas")
 LONGEST = 160
+Files = Mapping[pathlib.Path, SourceFile]
+NO_FILES: Files = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,19 +68,25 @@ class Policies:
             found += one.texts.shown(broken)
         return [*self._taken(), *found]
 
-    def check_manifests(self, loaded: Sequence[LoadedSpec], model: type[BaseModel]) -> list[Diagnostic]:
-        """Return where the manifests on disk break a policy; one that cannot be read is for others to report."""
+    def check_manifests(
+        self, loaded: Sequence[LoadedSpec], model: type[BaseModel], known: Files = NO_FILES
+    ) -> list[Diagnostic]:
+        """Return where the manifests on disk break a policy; one that cannot be read is for others to report.
+
+        `known` are files that were read already.
+        """
         found: list[Diagnostic] = []
         for one in loaded:
             layout = Layout.of(one.path, one.application.metadata.name)
-            if not self._of(MANIFEST, layout.root) or not layout.manifest.is_file():
+            path = layout.manifest
+            if not self._of(MANIFEST, layout.root) or not (path in known or path.is_file()):
                 continue
+            file = known.get(path) or SourceFile.read(path)
             try:
-                manifest = read_document(layout.manifest, model)
-                nodes, texts = read_nodes(layout.manifest)
+                manifest = file.document(model)
             except DiagnosticError:
                 continue
-            found += texts.shown(self._broken(MANIFEST, manifest, nodes[0], layout.root))
+            found += file.texts.shown(self._broken(MANIFEST, manifest, file.nodes[0], layout.root))
         return [*self._taken(), *found]
 
     def require_specs(self, loaded: Sequence[LoadedSpec]) -> None:
@@ -84,9 +94,9 @@ class Policies:
         if wrong := self.check_specs(loaded):
             raise DiagnosticError(wrong)
 
-    def require_manifests(self, loaded: Sequence[LoadedSpec], model: type[BaseModel]) -> None:
+    def require_manifests(self, loaded: Sequence[LoadedSpec], model: type[BaseModel], known: Files = NO_FILES) -> None:
         """Raise DiagnosticError if a manifest on disk, of type `model`, breaks a policy, or if a policy is wrong."""
-        if wrong := self.check_manifests(loaded, model):
+        if wrong := self.check_manifests(loaded, model, known):
             raise DiagnosticError(wrong)
 
     def _taken(self) -> list[Diagnostic]:

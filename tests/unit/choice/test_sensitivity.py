@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fogspec.choice.choose import choose
-from fogspec.choice.sensitivity import influences, parts, slacks, widest_intervals
+from fogspec.choice.sensitivity import Refits, influences, parts, slacks, widest_intervals
 from fogspec.model.fit import targets
 from fogspec.model.predict import PredictionSet, predict
 from fogspec.spec.schema import Application
@@ -45,7 +45,7 @@ def test_leaving_a_sample_out_is_the_choice_without_it():
     app = limited()
     found = predicted()
     choice = choose(app, found)
-    told = influences(app, MODELS, found.space, choice)
+    told = influences(app, MODELS, Refits(found.space, MODELS, targets(app)), choice)
     assert {one.id for one in told} == {one.id for one in MODELS.spec.observations}
     for one in told[:3]:
         others = [known for known in MODELS.spec.observations if known.id != one.id]

@@ -7,7 +7,7 @@ import pytest
 
 from fogspec.agent import agent
 from fogspec.base.templates import render
-from fogspec.compile.compiler import PROBE_FILES
+from fogspec.compile.inputs import PROBE_FILES
 from fogspec.compile.tasks import deployed_processes, measured_processes, ros_environment
 from fogspec.spec.probe import ProbeParts, kind_of, player, probe_parts, via
 from fogspec.spec.schema import Application, Spec

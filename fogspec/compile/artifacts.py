@@ -1,0 +1,75 @@
+"""Writing: the files that follow from an application's inputs, compared with those on disk, and written."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fogspec.base.files import write_bytes
+from fogspec.base.layout import Layout
+from fogspec.catalog.filters import Filtered
+from fogspec.catalog.table import Catalog
+from fogspec.compile.inputs import Inputs
+from fogspec.plan.schema import Plan
+from fogspec.results.schema import Results
+from fogspec.spec.loader import SourceFile
+from fogspec.spec.schema import Application
+
+if TYPE_CHECKING:
+    from fogspec.compile.decision import Decision
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Artifacts:
+    """One application's files, by path, and what they say.
+
+    `application` is the spec with its image pinned. `results` are those that count; `stale` says why those on disk do not.
+    There is a `decision` once there are results that count.
+    """
+
+    inputs: Inputs
+    application: Application
+    plan: Plan
+    admissible: Filtered
+    results: Results | None
+    stale: str | None
+    decision: "Decision | None"
+    files: Mapping[Path, bytes]
+
+    @property
+    def layout(self) -> Layout:
+        """Where the application's files are."""
+        return self.inputs.layout
+
+    @property
+    def catalog(self) -> Catalog:
+        """The machines on offer."""
+        return self.inputs.catalog
+
+    @property
+    def removed(self) -> tuple[Path, ...]:
+        """Files of ours on disk that no longer follow from the inputs."""
+        return tuple(path for path in self.inputs.on_disk if path not in self.files)
+
+    def compare(self) -> list[Path]:
+        """Return the files on disk that are not what compile would write, and those that should not be there."""
+        changed = (path for path, content in self.files.items() if self.inputs.content(path) != content)
+        return sorted([*changed, *self.removed])
+
+    def written(self) -> dict[Path, SourceFile]:
+        """Return the files of ours as they are on disk once they are written."""
+        known = self.inputs.on_disk
+        same = {path for path, content in self.files.items() if self.inputs.content(path) == content}
+        return {
+            path: known[path] if path in same else SourceFile(path, content) for path, content in self.files.items()
+        }
+
+    def write(self) -> list[Path]:
+        """Write the files that differ, remove those that no longer follow, and return both."""
+        differing = self.compare()
+        for path in differing:
+            if path in self.files:
+                write_bytes(path, self.files[path])
+            else:
+                path.unlink(missing_ok=True)
+        return differing

@@ -1,0 +1,109 @@
+"""The files of a plan: the plan, a task for each of its samples, and tasks of machines that took a sample's place."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fogspec.base import digest, units
+from fogspec.base.layout import Layout
+from fogspec.base.templates import render
+from fogspec.base.yaml.writer import yaml_text
+from fogspec.catalog.filters import Filtered
+from fogspec.compile.tasks import left_out, measured_processes, ros_environment, sample_task
+from fogspec.plan.schema import Plan, Sample, TaskRef, lifetime_s
+from fogspec.plan.substitutes import substitutes
+from fogspec.results.schema import Results
+from fogspec.spec.probe import name_of, probe_parts
+from fogspec.spec.schema import Application
+
+
+def with_substitutes(application: Application, plan: Plan, admissible: Filtered) -> Plan:
+    """Return the plan with the machines that take a sample's place if it is unavailable."""
+    others = substitutes(application.spec, plan.spec.samples, admissible.offers)
+    return plan.model_copy(update={"spec": plan.spec.model_copy(update={"substitutes": others})})
+
+
+def with_tasks(application: Application, plan: Plan, layout: Layout) -> tuple[Plan, dict[Path, bytes]]:
+    """Return the plan with a reference to each sample's task, and these tasks by path."""
+    files: dict[Path, bytes] = {}
+    samples = []
+    for sample in plan.spec.samples:
+        path = layout.task(sample.id)
+        files[path] = task_file(application, plan, sample, layout)
+        reference = TaskRef(path=path.relative_to(layout.compiled).as_posix(), digest=digest.of_bytes(files[path]))
+        samples.append(sample.model_copy(update={"task": reference}))
+    omitted = dict.fromkeys(note for sample in samples for note in left_out(application.spec, sample.machine))
+    notes = [*plan.spec.notes, *(note for note in omitted if note not in plan.spec.notes)]
+    body = plan.spec.model_copy(update={"samples": samples, "notes": notes})
+    return plan.model_copy(update={"spec": body}), files
+
+
+def substitute_tasks(
+    application: Application, plan: Plan, layout: Layout, results: Results | None
+) -> dict[Path, bytes]:
+    """Return the tasks of machines that took a sample's place, by path."""
+    planned = {sample.id for sample in plan.spec.samples}
+    records = results.spec.samples if results is not None else []
+    took = [Sample(id=one.id, machine=one.machine, reason="") for one in records if one.substitute_for in planned]
+    return {layout.task(one.id): task_file(application, plan, one, layout) for one in took if one.id not in planned}
+
+
+def plan_file(plan: Plan, layout: Layout) -> bytes:
+    """Return the bytes of the plan's file."""
+    return _yaml(plan.model_dump(mode="json"), layout)
+
+
+def task_file(application: Application, plan: Plan, sample: Sample, layout: Layout) -> bytes:
+    """Return the bytes of a sample's task."""
+    return _yaml(sample_task_of(application, plan, sample, layout), layout)
+
+
+def sample_task_of(application: Application, plan: Plan, sample: Sample, layout: Layout) -> dict[str, Any]:
+    """Return the task of one sample."""
+    body = plan.spec
+    life_s = lifetime_s(body.duration, body.setup_timeout)
+    ros = ros_environment(application.spec)
+    secrets = [word for name in application.spec.secrets for word in ("--secret", name)]
+    run = render(
+        "run_sample.sh.j2",
+        **ros,
+        limits=[*_limits(application, plan), *secrets],
+        lifetime_s=life_s,
+        processes=measured_processes(application.spec),
+    )
+    return sample_task(
+        application,
+        sample,
+        life_s,
+        workdir=layout.relative(layout.spec.parent),
+        agent=layout.relative(layout.agent),
+        setup=_setup_script(ros),
+        run=run,
+    )
+
+
+def _setup_script(ros: Mapping[str, Any]) -> str | None:
+    """Return the script that provisions ROS 2 and the workspace, None for plain processes."""
+    return None if ros["distro"] is None else render("setup_ros2.sh.j2", **ros)
+
+
+def _limits(application: Application, plan: Plan) -> list[str]:
+    """Return the agent's arguments that say when a sample has measured enough."""
+    body, stop = plan.spec, application.spec.benchmark.stop
+    words = ["--after", units.format_number(body.duration), "--warmup", str(body.warmup)]
+    words += ["--startup", units.format_number(body.setup_timeout)]
+    if body.requests is not None:
+        words += ["--steps", str(body.requests)]
+    words += ["--callback", name_of(application.spec.probe)]
+    if (afterwards := probe_parts(application.spec).afterwards) is not None:
+        words += ["--afterwards", json.dumps(afterwards)]
+    if stop.precision is not None:
+        statistic = application.spec.constraints.statistic
+        words += ["--precision", units.format_number(stop.precision), "--statistic", statistic]
+    return words
+
+
+def _yaml(data: Mapping[str, Any], layout: Layout) -> bytes:
+    source = layout.relative(layout.spec)
+    return yaml_text(data, f"fogspec compile {source}", source).encode()
