@@ -151,12 +151,8 @@ def _samples(body: PlanBody, other_catalog: bool) -> dict[str, TaskRef | None]:
 def changed_reads(before: Mapping[str, str] | None, application: Application) -> list[str]:
     """Return which fields of the spec that measuring reads changed since these digests were taken."""
     now = fingerprints.measured_fields(application)
-    named = {
-        "workload": "benchmark.workload",
-        "warmup": "benchmark.warmup",
-        "min_success_rate": "benchmark.min_success_rate",
-    }
-    return [f"spec.{named.get(name, name)} changed" for name, one in now.items() if (before or {}).get(name) != one]
+    changed = (name for name, one in now.items() if (before or {}).get(name) != one)
+    return [f"{fingerprints.field_of_measured(name)} changed" for name in changed]
 
 
 def _changed_pins(before: Mapping[str, str] | None, now: Mapping[str, str]) -> list[str]:

@@ -1,48 +1,73 @@
-"""Digests of the parts of a spec that each stage reads: a change elsewhere leaves the stage's files fresh."""
+"""What each stage reads of a spec, from what the spec's own fields declare (`fogspec.spec.schema.affects`).
 
-from collections.abc import Mapping
+A change elsewhere leaves the stage's files fresh. Digests are over values in a canonical form, which stays the same.
+"""
+
+from collections.abc import Iterator, Mapping
 from typing import Any
 
+from pydantic.fields import FieldInfo
+
 from fogspec.base import digest
-from fogspec.spec.schema import Application
+from fogspec.base.quantities import Strict
+from fogspec.spec.introspect import part
+from fogspec.spec.schema import Affects, Application, Benchmark, Stage
+
+NOTHING: frozenset[Stage] = frozenset()
+
+
+def stages_of_fields(
+    model: type[Strict] = Application, inherited: frozenset[Stage] | None = None, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], frozenset[Stage]]]:
+    """Yield the path of every leaf field, and the stages that read it; `*` stands for the items of a list or mapping.
+
+    Raise TypeError for a field for which neither it nor one above it declares stages.
+    """
+    for name, field in model.model_fields.items():
+        stages, here = _declared(field, inherited), (*path, name)
+        kind, items = part(field.annotation)
+        below = _model(kind) or _model(part(items)[0])
+        if below is not None:
+            yield from stages_of_fields(below, stages, (*here, "*") if items else here)
+        elif stages is None:
+            raise TypeError(f"{'.'.join(here)} does not declare which stages it affects")
+        else:
+            yield here, stages
+
+
+def part_read_by(stage: Stage, model: Strict, inherited: frozenset[Stage] | None = None) -> dict[str, Any]:
+    """Return the values of a document that a stage reads, as JSON has them."""
+    return _read(stage, type(model), model.model_dump(mode="json"), inherited)
 
 
 def measured_part(application: Application) -> dict[str, Any]:
-    """Return what a measurement depends on: nodes, environment, probe, metrics, workload."""
-    body = application.spec.model_dump(mode="json")
-    benchmark = body["benchmark"]
-    scenarios = {"scenarios": benchmark["scenarios"]} if benchmark["scenarios"] else {}
-    return {
-        **scenarios,
-        "cloud": body["cloud"],
-        "ros": body["ros"],
-        "probe": {key: value for key, value in body["probe"].items() if value is not None},
-        "metrics": body["metrics"],
-        "workload": benchmark["workload"],
-        "warmup": benchmark["warmup"],
-        "min_success_rate": benchmark["min_success_rate"],
-        "secrets": body["secrets"],
-    }
+    """Return what a measurement depends on: nodes, environment, probe, metrics, workload.
+
+    What later versions added is omitted while it is not set, so that digests of older results stay valid.
+    """
+    found = part_read_by("results", application)["spec"]
+    flat: dict[str, Any] = {}
+    for name, value in found.items():
+        flat |= value if name == "benchmark" else {name: value}
+    flat["probe"] = {key: value for key, value in flat["probe"].items() if value is not None}
+    return {name: value for name, value in flat.items() if name != "scenarios" or value}
 
 
 def planned_part(application: Application) -> dict[str, Any]:
-    """Return what the sampling plan depends on besides the catalog: also hardware, infra and sampling."""
-    body = application.spec.model_dump(mode="json")
-    benchmark = {key: value for key, value in body["benchmark"].items() if key not in ("budget", "batch_size")}
-    return {
-        **measured_part(application),
-        "name": application.metadata.name,
-        "hardware": body["hardware"],
-        "infra": body["infra"],
-        "benchmark": benchmark,
-    }
+    """Return what the sampling plan depends on, besides the catalog: also the machines and how they are sampled."""
+    found = part_read_by("plan", application)
+    return {**found["spec"], **measured_part(application), **found["metadata"]}
 
 
 def chosen_part(application: Application) -> dict[str, Any]:
-    """Return what choice and deployment depend on besides results and catalog: limits, objective, machines."""
-    body = application.spec.model_dump(mode="json")
-    names = ("constraints", "objective", "hardware", "infra", "metrics", "robot", "connectivity", "deployment")
-    return {key: body[key] for key in names}
+    """Return what choice and deployment depend on, besides results and catalog: limits, objective, admissible machines."""
+    chosen: dict[str, Any] = part_read_by("choice", application)["spec"]
+    return chosen
+
+
+def field_of_measured(name: str) -> str:
+    """Return where the spec has a part of `measured_part`."""
+    return f"spec.benchmark.{name}" if name in Benchmark.model_fields else f"spec.{name}"
 
 
 def chosen_fields(application: Application) -> dict[str, str]:
@@ -73,3 +98,27 @@ def planned_digest(application: Application) -> str:
 def chosen_digest(application: Application) -> str:
     """Return the digest of `chosen_part`."""
     return digest.of_value(chosen_part(application))
+
+
+def _read(
+    stage: Stage, model: type[Strict], values: Mapping[str, Any], inherited: frozenset[Stage] | None
+) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        stages, value = _declared(field, inherited), values[name]
+        below = _model(part(field.annotation)[0])
+        if below is not None and value is not None:
+            value = _read(stage, below, value, stages)
+            if value or stage in (stages or NOTHING):
+                found[name] = value
+        elif stage in (stages or NOTHING):
+            found[name] = value
+    return found
+
+
+def _declared(field: FieldInfo, inherited: frozenset[Stage] | None) -> frozenset[Stage] | None:
+    return next((one.stages for one in field.metadata if isinstance(one, Affects)), inherited)
+
+
+def _model(kind: Any) -> type[Strict] | None:
+    return kind if isinstance(kind, type) and issubclass(kind, Strict) else None

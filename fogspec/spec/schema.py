@@ -6,6 +6,7 @@ live in `fogspec.spec.rules`, because pydantic skips a model's own validator as 
 """
 
 import re
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -33,12 +34,29 @@ Condition = Annotated[
 ]
 Statistic = Literal["mean", "p50", "p95", "p99"]
 Billing = Literal["busy", "provisioned"]
+Stage = Literal["plan", "estimate", "results", "choice"]
+
+
+@dataclass(frozen=True, slots=True)
+class Affects:
+    """The stages that read a field, and the fields below it unless they declare their own."""
+
+    stages: frozenset[Stage]
+
+
+def affects(*stages: Stage) -> Affects:
+    """Declare which stages read a field, so that a change of it makes these stale and no others.
+
+    `plan`: which machines are measured, and how. `estimate`: what the plan may cost. `results`: what is measured.
+    `choice`: models, menu and manifest. A field without stages is read by no file that is compiled.
+    """
+    return Affects(frozenset(stages))
 
 
 class Metadata(Strict):
     """Names the application: its files, clusters and cloud labels."""
 
-    name: Name = Field(
+    name: Annotated[Name, affects("plan")] = Field(
         description="RFC 1123 label: names files, clusters and cloud labels", examples=["grasp-planning"]
     )
 
@@ -268,32 +286,38 @@ class Workload(Strict):
 class Benchmark(Strict):
     """How machines are sampled, and what that may cost."""
 
-    budget: Money | None = Field(None, description="hard: refused before, stopped during", examples=["$2.50"])
-    sampler: Literal["grid", "adaptive"] = Field("grid", description="which machines are sampled", examples=["grid"])
-    batch_size: int = Field(
+    budget: Annotated[Money | None, affects("estimate")] = Field(
+        None, description="hard: refused before, stopped during", examples=["$2.50"]
+    )
+    sampler: Annotated[Literal["grid", "adaptive"], affects("plan")] = Field(
+        "grid", description="which machines are sampled", examples=["grid"]
+    )
+    batch_size: Annotated[int, affects()] = Field(
         1, ge=1, description="adaptive: how many machines are measured at once after the first batch", examples=[2]
     )
-    machines: list[str] = Field(
+    machines: Annotated[list[str], affects("plan")] = Field(
         [],
         description="sample exactly these: instance types, or local/<n>cpu-<m>gib",
         examples=[["c6i.large", "c6i.4xlarge"]],
     )
-    stop: Stop = Field(
+    stop: Annotated[Stop, affects("plan")] = Field(
         Stop(), description="when one sample has measured enough", examples=[{"requests": 200, "duration": "5min"}]
     )
-    warmup: int = Field(1, ge=0, description="first requests of each sample that do not count", examples=[5])
-    setup_timeout: Duration = Field(
+    warmup: Annotated[int, affects("plan", "results")] = Field(
+        1, ge=0, description="first requests of each sample that do not count", examples=[5]
+    )
+    setup_timeout: Annotated[Duration, affects("plan")] = Field(
         300.0, ge=0, description="longest time a machine may take to be ready", examples=["10min"]
     )
-    workload: Workload = Field(
+    workload: Annotated[Workload, affects("plan", "results")] = Field(
         Workload(), description="what sends the requests", examples=[{"node": {"cmd": ["python3", "client.py"]}}]
     )
-    scenarios: dict[Identifier, Annotated[float, Field(gt=0)]] = Field(
+    scenarios: Annotated[dict[Identifier, Annotated[float, Field(gt=0)]], affects("plan", "results")] = Field(
         {},
         description="kinds of request and how often each occurs in use; the workload names them: stop(…, scenario=…)",
         examples=[{"open_space": 3, "narrow_door": 1}],
     )
-    min_success_rate: Percent = Field(
+    min_success_rate: Annotated[Percent, affects("plan", "results")] = Field(
         0.95, description="smallest share of requests that must succeed", examples=["99%"]
     )
 
@@ -356,55 +380,55 @@ class Deployment(Strict):
 class Spec(Strict):
     """What to offload, what it must meet, and what may be spent."""
 
-    cloud: list[Node] = Field(
+    cloud: Annotated[list[Node], affects("plan", "results")] = Field(
         min_length=1,
         description="nodes that move to the cloud",
         examples=[[{"package": "fogros2_examples", "executable": "grasp_planning_node"}]],
     )
-    robot: list[Node] = Field(
+    robot: Annotated[list[Node], affects("choice")] = Field(
         [],
         description="nodes that stay on the robot",
         examples=[[{"package": "fogros2_examples", "executable": "grasp_planning_client"}]],
     )
-    ros: Ros | None = Field(
+    ros: Annotated[Ros | None, affects("plan", "results")] = Field(
         None,
         description="the ROS 2 environment on the cloud machine",
         examples=[{"distro": "jazzy", "workspace": "ros2_ws"}],
     )
-    probe: Probe = Field(
+    probe: Annotated[Probe, affects("plan", "results")] = Field(
         description="how the latency of one request is measured",
         examples=[{"request": "/grasp/depth_image", "response": "/grasp/candidates"}],
     )
-    metrics: dict[Identifier, Metric] = Field(
+    metrics: Annotated[dict[Identifier, Metric], affects("plan", "results", "choice")] = Field(
         {},
         description="measures of the application besides latency",
         examples=[{"path_length": {"callback": "path_length", "unit": "m"}}],
     )
-    constraints: Constraints = Field(
+    constraints: Annotated[Constraints, affects("choice")] = Field(
         Constraints(), description="upper bounds, hard", examples=[{"latency": "2s", "cost": "$0.001/request"}]
     )
-    objective: Objective = Field(
+    objective: Annotated[Objective, affects("choice")] = Field(
         Objective(), description="what is best among what meets the constraints", examples=[{"alpha": 0.7}]
     )
-    hardware: Hardware = Field(
+    hardware: Annotated[Hardware, affects("plan", "choice")] = Field(
         Hardware(), description="which machines are admissible", examples=[{"cpus": "2..64", "gpus": ["none", "T4"]}]
     )
-    infra: list[str] = Field(
+    infra: Annotated[list[str], affects("plan", "choice")] = Field(
         min_length=1,
         description="cloud, cloud/region or cloud/region/zone, as SkyPilot writes it",
         examples=[["aws/us-east-1"]],
     )
-    catalog: CatalogAge = Field(
+    catalog: Annotated[CatalogAge, affects()] = Field(
         CatalogAge(), description="what is asked of the catalog of machines and prices", examples=[{"max_age": "30d"}]
     )
     benchmark: Benchmark = Field(Benchmark(), description="how machines are sampled", examples=[{"budget": "$2.50"}])
-    connectivity: Connectivity = Field(
+    connectivity: Annotated[Connectivity, affects("choice")] = Field(
         Connectivity(), description="how robot and cloud are joined", examples=[{"link": "none"}]
     )
-    deployment: Deployment = Field(
+    deployment: Annotated[Deployment, affects("choice")] = Field(
         Deployment(), description="how the cloud nodes are kept running", examples=[{"fallbacks": 2}]
     )
-    secrets: list[Identifier] = Field(
+    secrets: Annotated[list[Identifier], affects("plan", "results")] = Field(
         [], description="names of environment variables; values stay in no file", examples=[["API_KEY"]]
     )
 
@@ -412,10 +436,12 @@ class Spec(Strict):
 class Application(Strict):
     """One partition of a robot's nodes; it gets one machine of its own."""
 
-    apiVersion: Literal["fogspec.dev/v1alpha1"] = Field(
+    apiVersion: Annotated[Literal["fogspec.dev/v1alpha1"], affects()] = Field(
         description="version of the language", examples=["fogspec.dev/v1alpha1"]
     )
-    kind: Literal["Application"] = Field(description="kind of the document", examples=["Application"])
+    kind: Annotated[Literal["Application"], affects()] = Field(
+        description="kind of the document", examples=["Application"]
+    )
     metadata: Metadata = Field(description="names the application", examples=[{"name": "grasp-planning"}])
     spec: Spec = Field(description="what to offload, what it must meet, and what may be spent")
 
