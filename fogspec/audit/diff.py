@@ -67,13 +67,17 @@ def difference(status: Status) -> Difference:
     body, measured = compiled.plan.spec, completed(compiled.results)
     left = [sample for sample in body.samples if sample.id not in measured]
     worst_usd = sum(sample.machine.price for sample in left) * lifetime_s(body.duration, body.setup_timeout) / 3600
+    differing = tuple(significant(changes(before, after))) if after else ()
+    why = list(_why(status, before))
+    if not differing and not why:
+        why = [f"{path} is not what was compiled" for path in status.differing]
     return Difference(
         layout=inputs.layout,
         before=before,
         after=after,
-        changes=tuple(significant(changes(before, after))) if after else (),
+        changes=differing,
         costs=costs(before, after),
-        why=tuple(_why(status, before)),
+        why=tuple(why),
         to_measure=tuple(sample.id for sample in left),
         measuring_usd=worst_usd,
         refused=_no_manifest(compiled),
@@ -163,9 +167,6 @@ def _why(status: Status, manifest: Mapping[str, Any] | None) -> Iterator[str]:
             yield from (f"{stage.name}: {text}" for text in (*stage.reasons, *stage.notes))
     if any(stage.state != "fresh" for stage in status.stages):
         yield from _changed_inputs(status.inputs, manifest)
-    named = {stage.path for stage in status.stages}
-    if status.artifacts is not None and all(stage.path not in status.differing for stage in status.stages):
-        yield from (f"{path} is not what was compiled" for path in status.differing if path not in named)
 
 
 def _changed_inputs(inputs: Inputs, manifest: Mapping[str, Any] | None) -> Iterator[str]:

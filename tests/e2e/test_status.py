@@ -232,3 +232,65 @@ def test_a_refused_plan_is_a_status_too(shell: Shell) -> None:
     said = shell("status", *AT)
     assert "cannot be compiled: demo: the plan may cost" in said.out
     shell("status", *AT, "--exit-code", code=3)
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "stage"),
+    [
+        ("specs/demo.yaml", lambda text: text, None),
+        ("specs/demo.yaml", lambda text: text.replace("alpha: 0.5", "alpha: 0.25"), "menu"),
+        ("specs/demo.yaml", lambda text: text.replace("budget: $5", "budget: $4"), "plan"),
+        ("specs/demo.yaml", lambda text: text.replace("setup_timeout: 1min", "setup_timeout: 2min"), "plan"),
+        ("specs/demo.yaml", lambda text: text.replace("work.py]", "work.py, fast]"), "plan"),
+        ("offers.csv", lambda text: text.replace("a.small,,,2,4,0.10", "a.small,,,2,4,0.15"), "plan"),
+        ("compiled/demo/plan.yaml", lambda text: text + "# mine\n", "plan"),
+        ("compiled/_agent/agent.py", lambda text: text + "# mine\n", "plan"),
+        ("compiled/demo/models.yaml", lambda text: text.replace("  ", " ", 1), "models"),
+        ("compiled/demo/menu.svg", lambda text: text + "<!-- mine -->\n", "menu"),
+        ("compiled/demo/deploy.sky.yaml", lambda text: text + "# mine\n", "manifest"),
+        ("compiled/demo/deploy.fallback-1.sky.yaml", lambda text: "# left over\n", "manifest"),
+    ],
+)
+def test_every_command_has_the_same_freshness(
+    done: Shell, name: str, edit: Callable[[str], str], stage: str | None
+) -> None:
+    before = done.read(name) if (done.folder / name).exists() else ""
+    done.write(name, edit(before))
+    code = 0 if stage is None else 3
+    state, told, _ = states(done)
+    assert stage is None or state[stage] == "stale", state
+    assert stage is None or told[stage], "a stale stage says why"
+    assert ("stale" in state.values()) == (stage is not None)
+    done("status", *AT, "--exit-code", code=code)
+    done("compile", *AT, "--check", code=code)
+    done("diff", *AT, "--exit-code", code=code)
+    done("verify", "compiled/demo/manifest.yaml", *AT, code=code)
+    done("attest", "compiled/demo/manifest.yaml", *AT, code=code)
+    applied = done("apply", "compiled/demo/manifest.yaml", *AT, "--dry-run", code=None)
+    assert ("is stale or was edited" in applied.err) == (stage is not None)
+    done("compile", *AT)
+    done("compile", *AT, "--check")
+
+
+def test_what_is_made_from_partial_results_is_fresh_and_incomplete(shell: Shell) -> None:
+    project(shell)
+    measure(shell, only=2)
+    shell("compile", "specs/demo.yaml", *AT)
+    state, told, _ = states(shell)
+    assert state == FRESH | {"results": "partial"}
+    assert told["manifest"] == ["results are partial"]
+    shell("compile", *AT, "--check")
+    shell("verify", "compiled/demo/manifest.yaml", *AT)
+    shell("status", *AT, "--exit-code", code=3)
+
+
+def test_files_beside_the_spec_count_in_every_command(shell: Shell) -> None:
+    project(shell)
+    shell("lock", *AT)
+    shell("compile", "specs/demo.yaml")
+    measure(shell)
+    shell("compile", "specs/demo.yaml")
+    shell.write("specs/work.py", "print('other work')\n")
+    assert "work.py: not what the lock says" in shell("compile", "--check", code=3).err
+    for words in (("status", "--exit-code"), ("diff", "--exit-code"), ("verify", "compiled/demo/manifest.yaml")):
+        shell(*words, code=3)
