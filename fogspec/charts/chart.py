@@ -10,11 +10,19 @@ from numpy.typing import NDArray
 
 from fogspec.base.units import short_dollars
 from fogspec.charts.axes import Axis, axis, number, requests_unit, seconds
+from fogspec.choice.menu import LEVEL
+from fogspec.model.predict import Predictions
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+def interval_of(predictions: Predictions, row: int) -> tuple[float, float] | None:
+    """Return the interval that is drawn; None if the model has none."""
+    found = predictions.interval(row, LEVEL)
+    return None if found is None or not (found[0] > 0 and math.isfinite(found[1])) else found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlottedMachine:
     """A machine that is drawn by itself; `y` is the latency in seconds, or the metric that takes its place.
 
@@ -44,7 +52,7 @@ class Crowd:
     meets: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
     """What is drawn; limits are drawn as regions that are not allowed.
 
@@ -65,7 +73,7 @@ class Chart:
     notes: Sequence[str] = field(default_factory=tuple)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class View:
     """One of the two views: machines by the cost of a request, or by the price of an hour.
 

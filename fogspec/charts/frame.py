@@ -9,7 +9,7 @@ Point = tuple[float, float]
 Box = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Label:
     """A text beside a point, with a leader where it had to move away."""
 
@@ -21,7 +21,7 @@ class Label:
     leader: tuple[float, float, float, float] | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Dot:
     """A machine: `kind` is its class in the style; `bar` are the ends of its interval; `title` is read out."""
 
@@ -33,7 +33,7 @@ class Dot:
     bar: tuple[float, float] | None = None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Frame:
     """What the template draws of one coordinate system; `specks`, `lines` and `areas` are (class, path) pairs."""
 
@@ -74,11 +74,24 @@ class Frame:
 
 
 def frame(
-    x: Axis, y: Axis, x_label: str, y_label: str, x_words: Callable[[float], str], y_words: Callable[[float], str],
+    x: Axis,
+    y: Axis,
+    x_label: str,
+    y_label: str,
+    x_words: Callable[[float], str],
+    y_words: Callable[[float], str],
     heading: str = "",
-) -> Frame:  # fmt: skip
+) -> Frame:
     """An empty coordinate system with its ticks."""
-    return Frame(x, y, x_label, y_label, x.ticks(x_words, wide), y.ticks(y_words, tall), heading)
+    return Frame(
+        x=x,
+        y=y,
+        x_label=x_label,
+        y_label=y_label,
+        x_ticks=x.ticks(x_words, wide),
+        y_ticks=y.ticks(y_words, tall),
+        heading=heading,
+    )
 
 
 def _path(points: Sequence[Point]) -> str:
@@ -110,7 +123,9 @@ def place_labels(frame: Frame, wanted: Sequence[tuple[Dot, str, str]], avoid: Se
         anchor = "start" if best[0] > dot.x else "end" if best[2] < dot.x else "middle"
         x = {"start": best[0], "end": best[2], "middle": dot.x}[anchor]
         leader = (dot.x, dot.y, round(x, 1), middle) if abs(middle - dot.y) > 16 else None
-        frame.labels.append(Label(round(x, 1), round(middle + 4.5, 1), anchor, words, kind, leader))
+        frame.labels.append(
+            Label(x=round(x, 1), y=round(middle + 4.5, 1), anchor=anchor, words=words, kind=kind, leader=leader)
+        )
 
 
 def _spots(dot: Dot, width: float) -> list[Box]:

@@ -1,14 +1,29 @@
-"""Latency by vCPUs, a coordinate system for each GPU type: what was sampled, what is predicted and how surely."""
+"""Latency by vCPUs as a chart, one coordinate system for each GPU type: samples, predictions and their intervals."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from statistics import NormalDist
+
+import numpy as np
 
 from fogspec.base.templates import render
+from fogspec.catalog.machine import Machine
+from fogspec.catalog.table import Floats
 from fogspec.charts.axes import axis, seconds
+from fogspec.charts.chart import interval_of
 from fogspec.charts.frame import Dot, Frame, frame
+from fogspec.choice.choose import Choice
+from fogspec.choice.menu import LEVEL
+from fogspec.model.fit import Models, Observation
+from fogspec.numerics import curves
+from fogspec.spec.schema import Application
 
 WIDTH, LEFT, RIGHT = 760, 84, 18
 TOP, FRAME_HEIGHT, GAP = 88, 230, 72
+CURVE_POINTS = 60
+
+Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +47,7 @@ class Sample:
     high_s: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
     """One GPU type: `others` are (vCPUs, latency in seconds) of every admissible machine; `curve` is the paper's fit."""
 
@@ -44,7 +59,7 @@ class Panel:
     curve_words: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyChart:
     """What is drawn; `level` is that of the intervals."""
 
@@ -56,6 +71,90 @@ class LatencyChart:
     notes: Sequence[str] = field(default_factory=tuple)
 
 
+def latency_chart(application: Application, choice: Choice, models: Models) -> LatencyChart:
+    """Latency by vCPUs for each GPU type that was sampled."""
+    statistic = application.spec.constraints.statistic
+    gpus = sorted({_gpu_of(one.machine) for one in models.spec.observations}, key=lambda gpu: gpu or ("", 0.0))
+    panels = [_panel(choice, models, gpu) for gpu in gpus]
+    how = "shapes of one host" if models.spec.measured_on_local else "machines"
+    return LatencyChart(
+        title=f"{application.metadata.name}: latency by vCPUs",
+        subtitle=f"{statistic} latency of one request; {len(models.spec.observations)} {how} measured",
+        y_label=f"{statistic} latency",
+        panels=panels,
+        level=LEVEL,
+    )
+
+
+def _panel(choice: Choice, models: Models, gpu: tuple[str, float] | None) -> Panel:
+    offers, value = choice.offers, choice.latency.value
+    name, count = gpu or ("", 0.0)
+    rows = np.flatnonzero((offers.gpu == name) & (offers.gpu_count == count) & choice.eligible)
+    samples = [
+        _sample(one) for one in models.spec.observations if _gpu_of(one.machine) == gpu and "latency" in one.values
+    ]
+    others = np.unique(np.column_stack([offers.vcpus[rows], value[rows]]), axis=0).tolist()
+    heading = "machines without GPU" if gpu is None else f"machines with {count:g} {name}"
+    curve, words = _curve(models, gpu, offers.vcpus[rows], offers.memory_gib[rows])
+    return Panel(
+        heading=heading,
+        levels=_levels(choice, rows),
+        samples=samples,
+        others=[(v, latency) for v, latency in others],
+        curve=curve,
+        curve_words=words,
+    )
+
+
+def _curve(models: Models, gpu: tuple[str, float] | None, vcpus: Floats, memory: Floats) -> tuple[list[Point], str]:
+    """The paper's family that leaves one out best (section 2.C), at the median memory per vCPU, and what it is."""
+    key = None if gpu is None else f"{gpu[0]}:{gpu[1]:g}"
+    model = next((one for one in models.spec.models if one.gpu == key and one.target == "latency"), None)
+    if model is None or not len(vcpus):
+        return [], ""
+    at = np.geomspace(vcpus.min(), vcpus.max(), CURVE_POINTS)
+    ratio = float(np.median(memory / vcpus))
+    latency = curves.predict(model.shape, list(model.coefficients.values()), at, at * ratio)
+    r2 = "" if model.r2 is None else f", R² {model.r2:.3f}"
+    return list(zip(at.tolist(), latency.tolist(), strict=True)), f"paper's families: {model.formula}{r2}"
+
+
+def _levels(choice: Choice, rows: np.ndarray) -> list[Level]:
+    """For each number of vCPUs the median prediction, and what the intervals of all machines cover together.
+
+    Not one machine's interval: where a few machines were measured, it would be narrow and leave out the others.
+    """
+    found = []
+    for vcpus in np.unique(choice.offers.vcpus[rows]).tolist():
+        here = rows[choice.offers.vcpus[rows] == vcpus]
+        intervals = [one for row in _each_once(choice, here) if (one := interval_of(choice.latency, row))]
+        low, high = (min(a for a, _ in intervals), max(b for _, b in intervals)) if intervals else (None, None)
+        found.append(Level(vcpus, float(np.median(choice.latency.value[here])), low, high))
+    return found
+
+
+def _each_once(choice: Choice, rows: np.ndarray) -> list[int]:
+    """One offer of each instance type: what a machine costs elsewhere does not change how fast it is."""
+    _, first = np.unique(choice.latency.type_index[rows], return_index=True)
+    found: list[int] = rows[first].tolist()
+    return found
+
+
+def _sample(one: Observation) -> Sample:
+    latency, t = one.values["latency"], NormalDist().inv_cdf((1 + LEVEL) / 2)
+    return Sample(
+        one.machine.instance,
+        one.machine.cpus,
+        latency,
+        latency * math.exp(-t * one.error),
+        latency * math.exp(t * one.error),
+    )
+
+
+def _gpu_of(machine: Machine) -> tuple[str, float] | None:
+    return None if machine.gpu is None else (machine.gpu.name, float(machine.gpu.count))
+
+
 def draw(chart: LatencyChart) -> str:
     """The chart as SVG text; raises ValueError when there is nothing to draw."""
     if not chart.panels:
@@ -64,19 +163,38 @@ def draw(chart: LatencyChart) -> str:
     frames = [_frame(panel, TOP + step * i, chart.y_label) for i, panel in enumerate(chart.panels)]
     bottom = TOP + step * len(frames) - GAP
     return render(
-        "picture.svg.j2", title=chart.title, subtitle=[chart.subtitle], width=WIDTH, height=bottom + 88 + 15 * len(chart.notes),
-        left=18, rows=[], frames=frames, legend=_legend(chart), legend_y=bottom + 66, notes=chart.notes,
+        "picture.svg.j2",
+        title=chart.title,
+        subtitle=[chart.subtitle],
+        width=WIDTH,
+        height=bottom + 88 + 15 * len(chart.notes),
+        left=18,
+        rows=[],
+        frames=frames,
+        legend=_legend(chart),
+        legend_y=bottom + 66,
+        notes=chart.notes,
         summary="; ".join(f"{p.heading}: {len(p.samples)} samples" for p in chart.panels),
-    )  # fmt: skip
+    )
 
 
 def _frame(panel: Panel, top: float, y_label: str) -> Frame:
     x_values = [*(v for v, _ in panel.others), *(a.vcpus for a in panel.levels), *(b.vcpus for b in panel.samples)]
     x = axis(x_values, LEFT, WIDTH - RIGHT)
-    found = frame(x, axis(_heights(panel), top + FRAME_HEIGHT, top), "vCPUs (log scale)", f"{y_label} (log scale)",
-                  lambda v: f"{v:g}", seconds, panel.heading)  # fmt: skip
-    found.x_ticks = [(x.at(2.0**e), f"{2**e}" if e >= 0 else f"{2.0**e:g}") for e in range(-2, 12)
-                     if x.low <= x.high and x.start <= x.at(2.0**e) <= x.end]  # fmt: skip
+    found = frame(
+        x=x,
+        y=axis(_heights(panel), top + FRAME_HEIGHT, top),
+        x_label="vCPUs (log scale)",
+        y_label=f"{y_label} (log scale)",
+        x_words=lambda v: f"{v:g}",
+        y_words=seconds,
+        heading=panel.heading,
+    )
+    found.x_ticks = [
+        (x.at(2.0**e), f"{2**e}" if e >= 0 else f"{2.0**e:g}")
+        for e in range(-2, 12)
+        if x.low <= x.high and x.start <= x.at(2.0**e) <= x.end
+    ]
     band = [one for one in panel.levels if one.low_s and one.high_s]
     if len(band) > 1:
         upper = [(x.at(one.vcpus), found.y.clipped(one.high_s or 0)) for one in band]
@@ -97,7 +215,9 @@ def _frame(panel: Panel, top: float, y_label: str) -> Frame:
     for one in sorted(panel.samples, key=lambda s: (s.vcpus, s.latency_s, s.name)):
         bar = (found.y.clipped(one.low_s), found.y.clipped(one.high_s)) if one.low_s and one.high_s else None
         title = f"{one.name}: {one.vcpus:g} vCPUs, {seconds(one.latency_s)}, measured"
-        found.dots.append(Dot(x.at(one.vcpus), found.y.at(one.latency_s), "measured", 4.2, title, bar))
+        found.dots.append(
+            Dot(x=x.at(one.vcpus), y=found.y.at(one.latency_s), kind="measured", radius=4.2, title=title, bar=bar)
+        )
     found.remark = panel.curve_words
     return found
 

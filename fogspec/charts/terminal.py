@@ -12,10 +12,18 @@ ROWS = 13
 SIDE = 9  # columns of the vertical axis
 NARROWEST, WIDEST, GAP = 44, 84, 3
 STYLES: dict[str, dict[str, str | bool]] = {
-    "@": {"fg": "red", "bold": True}, "1": {"bold": True}, "2": {"bold": True}, "#": {"fg": "blue", "bold": True},
-    "o": {"bold": True}, "-": {"fg": "blue"}, "|": {"fg": "blue"}, "+": {"fg": "blue"}, "%": {"fg": "red"},
-    ".": {"dim": True}, ":": {},
-}  # fmt: skip
+    "@": {"fg": "red", "bold": True},
+    "1": {"bold": True},
+    "2": {"bold": True},
+    "#": {"fg": "blue", "bold": True},
+    "o": {"bold": True},
+    "-": {"fg": "blue"},
+    "|": {"fg": "blue"},
+    "+": {"fg": "blue"},
+    "%": {"fg": "red"},
+    ".": {"dim": True},
+    ":": {},
+}
 
 Grid = list[list[str]]
 

@@ -86,17 +86,24 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
         return None if row is None else entry_of(choice, row)
 
     body = MenuBody(
-        statistic=spec.constraints.statistic, billing=spec.objective.billing, objective=weights(application),
-        scale=scale_texts(application, choice), level=LEVEL,
+        statistic=spec.constraints.statistic,
+        billing=spec.objective.billing,
+        objective=weights(application),
+        scale=scale_texts(application, choice),
+        level=LEVEL,
         limits={name: limit_text(name, bound) for name, bound in choice.bounds.items()},
-        admissible=len(choice.offers), predicted=int(choice.eligible.sum()), meet=int(choice.feasible.sum()),
-        balanced=entry(choice.chosen), cheapest=entry(choice.cheapest), fastest=entry(choice.fastest),
+        admissible=len(choice.offers),
+        predicted=int(choice.eligible.sum()),
+        meet=int(choice.feasible.sum()),
+        balanced=entry(choice.chosen),
+        cheapest=entry(choice.cheapest),
+        fastest=entry(choice.fastest),
         nearest=entry(choice.least_infeasible),
         missed=[_missed(choice, one) for one in choice.violations],
         front=[entry_of(choice, row) for row in thinned(choice.front)],
         hourly_front=[entry_of(choice, row) for row in thinned(choice.hourly_front)],
         warnings=warnings,
-    )  # fmt: skip
+    )
     return Menu(metadata=PlanMetadata(name=application.metadata.name), spec=body)
 
 
@@ -116,11 +123,15 @@ def entry_of(choice: Choice, row: int) -> Entry:
         latency=rounded(float(choice.latency.value[row])),
         interval=None if interval is None else (rounded(interval[0]), rounded(interval[1])),
         metrics={name: rounded(float(p.value[row])) for name, p in choice.metrics.items()},
-        cost=rounded(float(choice.cost_usd_per_request[row])), month=f"${machine.price * units.HOURS_PER_MONTH:.2f}/month",
-        objective=rounded(float(choice.objective[row])), measured=bool(choice.latency.measured[row]),
-        extrapolated=bool(choice.latency.extrapolated[row]), probability=_probability(choice, row),
-        meets=bool(choice.feasible[row]), why_not=why_not(choice, row),
-    )  # fmt: skip
+        cost=rounded(float(choice.cost_usd_per_request[row])),
+        month=f"${machine.price * units.HOURS_PER_MONTH:.2f}/month",
+        objective=rounded(float(choice.objective[row])),
+        measured=bool(choice.latency.measured[row]),
+        extrapolated=bool(choice.latency.extrapolated[row]),
+        probability=_probability(choice, row),
+        meets=bool(choice.feasible[row]),
+        why_not=why_not(choice, row),
+    )
 
 
 def why_not(choice: Choice, row: int) -> str | None:

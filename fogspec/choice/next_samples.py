@@ -21,10 +21,16 @@ from fogspec.spec.schema import Application
 
 
 def next_samples(
-    application: Application, offers: Catalog, records: Sequence[Measured], *, usd_per_sample: Floats,
-    left_usd: float = np.inf, library: Library | None = None, wave: int = 1,
+    application: Application,
+    offers: Catalog,
+    records: Sequence[Measured],
+    *,
+    usd_per_sample: Floats,
+    left_usd: float = np.inf,
+    library: Library | None = None,
+    wave: int = 1,
     excluded: Collection[tuple[str, str]] = (),
-) -> NextBatch:  # fmt: skip
+) -> NextBatch:
     """The offers to measure next, or none with the reason why sampling ends.
 
     `usd_per_sample` (n,) is what a sample of each offer may cost; a whole wave fits into `left_usd`. A type (cloud,
@@ -35,7 +41,9 @@ def next_samples(
     if not records:
         return initial_batch(offers, usd_per_sample, left_usd, library)
     known, unusable = partition(records, application.spec.constraints.statistic)
-    predicted = predict_from(known, unusable, offers, targets(application), None, library)
+    predicted = predict_from(
+        known=known, unusable=unusable, offers=offers, targets=targets(application), catalog=None, library=library
+    )
     state = _State.of(application, predicted, [one.machine for one in unusable], usd_per_sample, excluded)
     if not any(one.machine.infra != "local" for one in known):
         return state.again(left_usd, library)
@@ -93,9 +101,13 @@ class _State:
 
     @classmethod
     def of(
-        cls, application: Application, predicted: PredictionSet, failed: Collection[Machine], usd_per_sample: Floats,
+        cls,
+        application: Application,
+        predicted: PredictionSet,
+        failed: Collection[Machine],
+        usd_per_sample: Floats,
         excluded: Collection[tuple[str, str]],
-    ) -> "_State":  # fmt: skip
+    ) -> "_State":
         """Types of machines that failed, that are excluded, that are unfit, or that are no offers are barred."""
         types, offered = predicted.types, len(usd_per_sample)
         beyond = np.full(len(types.of) - offered, float(usd_per_sample.mean()))

@@ -169,7 +169,7 @@ def best_attainable(values: Floats, eligible: Mask) -> float:
     return float(usable.min()) if len(usable) else 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
     """One limit while no machine meets them all.
 
@@ -424,7 +424,9 @@ class Selection:
         if not found and row is not None:
             over = {name: float(values[name][row]) for name in bounds if values[name][row] > bounds[name]}
             found = [
-                Violation(name, bounds[name], row, value, _over(value, bounds[name]), False)
+                Violation(
+                    limit=name, bound=bounds[name], row=row, value=value, factor=_over(value, bounds[name]), alone=False
+                )
                 for name, value in over.items()
             ]
         return tuple(sorted(found, key=lambda one: (-one.factor, one.limit)))
@@ -440,7 +442,7 @@ class Selection:
             return None
         row, bound = int(rows[np.argmin(values[limit][rows])]), self.bounds[limit]
         value = float(values[limit][row])
-        return Violation(limit, bound, row, value, _over(value, bound), alone)
+        return Violation(limit=limit, bound=bound, row=row, value=value, factor=_over(value, bound), alone=alone)
 
     @cached_property
     def least_infeasible(self) -> int | None:

@@ -31,7 +31,7 @@ class Slack:
     changes_to: str | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Influence:
     """What leaving one sample out does: the choice then, how far predictions move, and how well it is foretold.
 
@@ -132,7 +132,14 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
         missed = abs(float(np.exp(posterior.mean[at])) / value - 1)
         low, high = (float(posterior.quantile(p)[at]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
         covered = low <= value <= high
-    return Influence(left_out.id, name, name != now, float(np.median(moved)) if both.any() else 0.0, missed, covered)
+    return Influence(
+        id=left_out.id,
+        changes_to=name,
+        changes=name != now,
+        moves=float(np.median(moved)) if both.any() else 0.0,
+        missed_by=missed,
+        covered=covered,
+    )
 
 
 def widest_intervals(choice: Choice, count: int = 3) -> list[WideInterval]:

@@ -44,10 +44,21 @@ ALIASES = {"ours": None}
 @CATALOG
 @OUTPUT
 def command(
-    spec: str | None, sweep: Path | None, suite: Path | None, priors: Path | None, kinds: tuple[str, ...],
-    sampler: str, method: str | None, noise: str, seed: int, choices: Path | None, every: bool, workers: int,
-    catalog_path: str | None, output: str,
-) -> None:  # fmt: skip
+    spec: str | None,
+    sweep: Path | None,
+    suite: Path | None,
+    priors: Path | None,
+    kinds: tuple[str, ...],
+    sampler: str,
+    method: str | None,
+    noise: str,
+    seed: int,
+    choices: Path | None,
+    every: bool,
+    workers: int,
+    catalog_path: str | None,
+    output: str,
+) -> None:
     """Say how good choices from few samples are, where every machine was measured.
 
     Either SPEC with a --sweep of its own, or a --suite of problems.
@@ -56,10 +67,18 @@ def command(
 
     campaign = Campaign(sampler, ALIASES.get(method, method) if method else None, noise, seed)
     if spec and sweep and not suite:
-        _of_sweep(spec, sweep, catalog_path, priors, campaign, output)
+        _of_sweep(spec=spec, sweep=sweep, catalog_path=catalog_path, priors=priors, campaign=campaign, output=output)
     elif suite and not (spec or sweep):
         campaigns = [Campaign(s, m, noise, seed) for _, s, m in ROWS] if every else [campaign]
-        _of_suite(suite, priors, kinds, campaigns, choices, workers, output)
+        _of_suite(
+            suite=suite,
+            priors=priors,
+            kinds=kinds,
+            campaigns=campaigns,
+            choices=choices,
+            workers=workers,
+            output=output,
+        )
     else:
         raise UsageError(
             "evaluate needs SPEC --sweep FILE, or --suite DIR",
@@ -69,9 +88,14 @@ def command(
 
 
 def _of_suite(
-    suite: Path, priors: Path | None, kinds: tuple[str, ...], campaigns: "list[Campaign]", choices: Path | None,
-    workers: int, output: str,
-) -> None:  # fmt: skip
+    suite: Path,
+    priors: Path | None,
+    kinds: tuple[str, ...],
+    campaigns: "list[Campaign]",
+    choices: Path | None,
+    workers: int,
+    output: str,
+) -> None:
     from fogspec.base.files import write_bytes
     from fogspec.evaluation.campaign import by_kind, evaluate
     from fogspec.evaluation.suites import KINDS
@@ -118,9 +142,12 @@ def _of_sweep(
 
 def _about(campaign: "Campaign", digest: str) -> dict[str, Any]:
     return {
-        "sampler": campaign.sampler, "method": campaign.reads_with, "noise": campaign.noise, "seed": campaign.seed,
+        "sampler": campaign.sampler,
+        "method": campaign.reads_with,
+        "noise": campaign.noise,
+        "seed": campaign.seed,
         "priors": digest or None,
-    }  # fmt: skip
+    }
 
 
 def _shown(value: Any) -> str:

@@ -12,19 +12,21 @@ def command() -> None:
 
 @command.command()
 @click.option(
-    "--from", "source", type=click.Path(path_type=Path), metavar="FROM",
+    "--from",
+    "source",
+    type=click.Path(path_type=Path),
+    metavar="FROM",
     help="a folder in the suite layout, or a database of sparecores-data; otherwise what sparecores-data has here",
-)  # fmt: skip
+)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("priors.zip"), show_default=True, metavar="FILE")
 def build(source: Path | None, out: Path) -> None:
     """Write a machine library for `--priors`."""
-    from fogspec.model import sparecores
-    from fogspec.model.priors import read_priors, rows_of, write_priors
+    from fogspec.model.priors import read_priors, read_sparecores, rows_of, sparecores_database, write_priors
 
     if source is not None and source.is_dir():
         machines, latencies = rows_of(source)
     else:
-        machines, latencies = sparecores.read(source or sparecores.database())
+        machines, latencies = read_sparecores(source or sparecores_database())
     write_priors(out, machines, latencies)
     library = read_priors(out)
     click.echo(f"{out}: {len(library.workloads)} workloads on {len(library.names)} machines, {library.digest}")

@@ -8,7 +8,7 @@ from fogspec.base import digest
 from fogspec.base.layout import Layout
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered
-from fogspec.charts.drawing import charts
+from fogspec.charts import menu_svg, model_svg
 from fogspec.choice.choose import Choice, choose
 from fogspec.choice.menu import Menu, make_menu
 from fogspec.choice.relaxed import Relaxed, chosen_by_relaxing, relaxed_optimum
@@ -77,7 +77,7 @@ def decide(
     warnings = warnings_for(application, models, choice)
     menu = make_menu(application, choice, warnings)
     files = {layout.models: _yaml(models, layout), layout.menu: _yaml(menu, layout)}
-    files |= charts(application, choice, models, caveats(models, choice), layout)
+    files |= _charts(application, choice, models, layout)
     manifest = None
     if choice.chosen is not None:
         sources = _sources(inputs, application, choice, results, plan_digest, files)
@@ -177,3 +177,15 @@ def _caveats_of_machine(choice: Choice, row: int) -> list[str]:
 def _yaml(artifact: Models | Menu | Manifest, layout: Layout) -> bytes:
     source = layout.relative(layout.spec)
     return yaml_text(artifact.model_dump(mode="json"), f"fogspec compile {source}", source).encode()
+
+
+def _charts(application: Application, choice: Choice, models: Models, layout: Layout) -> dict[Path, bytes]:
+    """Return the chart files; none if no machine can be predicted."""
+    if not len(choice.front):
+        return {}
+    menu = menu_svg.menu_chart(application, choice, caveats(models, choice))
+    found = {layout.picture: menu_svg.draw(menu).encode()}
+    latencies = model_svg.latency_chart(application, choice, models)
+    if latencies.panels:
+        found[layout.latencies] = model_svg.draw(latencies).encode()
+    return found

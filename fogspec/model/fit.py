@@ -133,9 +133,13 @@ def fit(application: Application, results: Results, priors: str | None = None) -
         if (with_it := [one for one in group if target in one.values])
     ]
     body = ModelsBody(
-        statistic=statistic, measured_on_local=is_proxy(application, known),
-        predictor=Predictor(surrogate=VERSION, priors=priors), models=models, observations=known, rejected=unusable,
-    )  # fmt: skip
+        statistic=statistic,
+        measured_on_local=is_proxy(application, known),
+        predictor=Predictor(surrogate=VERSION, priors=priors),
+        models=models,
+        observations=known,
+        rejected=unusable,
+    )
     return Models(metadata=PlanMetadata(name=application.metadata.name), spec=body)
 
 
@@ -164,9 +168,13 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
 
     def unusable(why: str, unfit: bool) -> RejectedSample:
         return RejectedSample(
-            id=record.id, machine=record.machine, reason=why, excludes_machine=unfit, latency_lower_bound=waited,
+            id=record.id,
+            machine=record.machine,
+            reason=why,
+            excludes_machine=unfit,
+            latency_lower_bound=waited,
             out_of_memory=record.reason == "out_of_memory",
-        )  # fmt: skip
+        )
 
     if record.state != "ok" or record.latency is None:
         reason = (record.reason or record.state).replace("_", " ")
@@ -189,9 +197,8 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
 def _error(record: Measured, statistic: Statistic) -> float:
     """Relative standard error of the statistic as a figure for all machines of the type."""
     latency = record.latency
-    assert latency is not None
     own = UNKNOWN_ERROR
-    if latency.sd is not None:
+    if latency is not None and latency.sd is not None:
         own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(max(record.requests, 1))
     return _to(5, math.hypot(own, SERVER_ERROR))
 
@@ -209,13 +216,23 @@ def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:
     named = zip(best.shape.names, best.coefficients, strict=True)
     r2 = _finite(best.r2) if best.p > 1 else None
     return Model(
-        target=target, gpu=gpu, cpu_family=best.shape.cpu, memory_family=best.shape.memory,
-        formula=best.shape.formula(), coefficients={name: _to(7, value) for name, value in named},
-        n=best.n, p=best.p, r2=r2, loo_median_error=_finite(best.loo_median), loo_max_error=_finite(best.loo_max),
-        paper=_paper(fits), vcpus=(float(vcpus.min()), float(vcpus.max())),
+        target=target,
+        gpu=gpu,
+        cpu_family=best.shape.cpu,
+        memory_family=best.shape.memory,
+        formula=best.shape.formula(),
+        coefficients={name: _to(7, value) for name, value in named},
+        n=best.n,
+        p=best.p,
+        r2=r2,
+        loo_median_error=_finite(best.loo_median),
+        loo_max_error=_finite(best.loo_max),
+        paper=_paper(fits),
+        vcpus=(float(vcpus.min()), float(vcpus.max())),
         memory_gib=(float(memory.min()), float(memory.max())),
-        samples=[one.id for one in group], warnings=_warnings(best, len(np.unique(vcpus))),
-    )  # fmt: skip
+        samples=[one.id for one in group],
+        warnings=_warnings(best, len(np.unique(vcpus))),
+    )
 
 
 def _finite(value: float) -> float | None:

@@ -102,9 +102,12 @@ class PredictionSpace:
 
     @classmethod
     def of(
-        cls, offers: Catalog, machines: Sequence[Machine], catalog: Catalog | None = None,
+        cls,
+        offers: Catalog,
+        machines: Sequence[Machine],
+        catalog: Catalog | None = None,
         library: Library | None = None,
-    ) -> "PredictionSpace":  # fmt: skip
+    ) -> "PredictionSpace":
         """`machines` are measured, and described by `catalog` where they are no offers."""
         measured = [one for one in machines if counts(one, offers)]
         types = instance_types(with_measured(offers, measured, catalog))
@@ -139,22 +142,36 @@ class PredictionSet:
 
 
 def predict(
-    models: Models, offers: Catalog, targets: Sequence[str], catalog: Catalog | None = None,
+    models: Models,
+    offers: Catalog,
+    targets: Sequence[str],
+    catalog: Catalog | None = None,
     library: Library | None = None,
-) -> PredictionSet:  # fmt: skip
+) -> PredictionSet:
     """Predictions of these targets for every offer; `catalog` describes measured machines that are no offers."""
     body = models.spec
     if body.measured_on_local or not len(offers):
         return PredictionSet(
             offers, instance_types(offers), {name: _by_curves(models, offers, name) for name in targets}
         )
-    return predict_from(body.observations, body.rejected, offers, targets, catalog, library)
+    return predict_from(
+        known=body.observations,
+        unusable=body.rejected,
+        offers=offers,
+        targets=targets,
+        catalog=catalog,
+        library=library,
+    )
 
 
 def predict_from(
-    known: Sequence[Observation], unusable: Sequence[RejectedSample], offers: Catalog, targets: Sequence[str],
-    catalog: Catalog | None = None, library: Library | None = None,
-) -> PredictionSet:  # fmt: skip
+    known: Sequence[Observation],
+    unusable: Sequence[RejectedSample],
+    offers: Catalog,
+    targets: Sequence[str],
+    catalog: Catalog | None = None,
+    library: Library | None = None,
+) -> PredictionSet:
     """The same from the evidence alone."""
     machines = [*(one.machine for one in known), *(one.machine for one in unusable)]
     return PredictionSpace.of(offers, machines, catalog, library).predicted(known, unusable, targets)
@@ -177,12 +194,14 @@ def _conditioned(
     if not values:
         return None
     bounds = [one for one in unusable if one.latency_lower_bound] if target == "latency" else []
-    return space.fit(observations(
-        [place[one.type_key] for one in (*(v.machine for v in values), *(b.machine for b in bounds))],
-        [*(one.values[target] for one in values), *(one.latency_lower_bound or 0.0 for one in bounds)],
-        [*(one.error if target == "latency" else math.nan for one in values), *(math.nan for _ in bounds)],
-        [*(False for _ in values), *(True for _ in bounds)],
-    ))  # fmt: skip
+    return space.fit(
+        observations(
+            [place[one.type_key] for one in (*(v.machine for v in values), *(b.machine for b in bounds))],
+            [*(one.values[target] for one in values), *(one.latency_lower_bound or 0.0 for one in bounds)],
+            [*(one.error if target == "latency" else math.nan for one in values), *(math.nan for _ in bounds)],
+            [*(False for _ in values), *(True for _ in bounds)],
+        )
+    )
 
 
 def _predictions(posterior: Posterior | None, unfit: Mask, type_index: NDArray[np.intp]) -> Predictions:

@@ -6,7 +6,7 @@ from typing import Any
 from fogspec.base import units
 from fogspec.base.errors import OutOfDate
 from fogspec.catalog.filters import filter_offers
-from fogspec.charts.drawing import menu_chart
+from fogspec.charts.menu_svg import menu_chart
 from fogspec.charts.terminal import plot
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import Entry, Menu, make_menu

@@ -16,9 +16,8 @@ from fogspec.base.templates import render
 from fogspec.base.units import short_dollars
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.sources import load_catalog
-from fogspec.charts import drawing, menu_svg, model_svg
+from fogspec.charts import menu_svg, model_svg
 from fogspec.charts.axes import axis, seconds
-from fogspec.charts.drawing_models import latency_chart
 from fogspec.charts.frame import Dot, Frame, frame
 from fogspec.choice.choose import Choice, choose
 from fogspec.model.fit import Models, fit, targets
@@ -89,8 +88,8 @@ def files() -> dict[Path, str]:
             "Pareto frontiers", [_frontier(one, *_corner(i)) for i, one in enumerate(four)],
             [("measured", "measured, frontier dotted"), ("in", "predicted"), ("curve", "frontier of all machines")],
         ),
-        FOLDER / "menu.svg": menu_svg.draw(drawing.menu_chart(shown.application, shown.choice, [])),
-        FOLDER / "latency.svg": model_svg.draw(latency_chart(shown.application, shown.choice, shown.models)),
+        FOLDER / "menu.svg": menu_svg.draw(menu_svg.menu_chart(shown.application, shown.choice, [])),
+        FOLDER / "latency.svg": model_svg.draw(model_svg.latency_chart(shown.application, shown.choice, shown.models)),
     }  # fmt: skip
 
 
@@ -115,7 +114,15 @@ def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
     x, y = axis(vcpus.tolist(), left, left + WIDE), axis(values.tolist(), top + HIGH, top)
     label = "USD per million requests" if of_cost else "mean latency"
     name = TITLES[case.application.metadata.name]
-    found = frame(x, y, "vCPUs", label, lambda v: f"{v:g}", short_dollars if of_cost else seconds, name)
+    found = frame(
+        x=x,
+        y=y,
+        x_label="vCPUs",
+        y_label=label,
+        x_words=lambda v: f"{v:g}",
+        y_words=short_dollars if of_cost else seconds,
+        heading=name,
+    )
     found.x_ticks = [(x.at(2.0**e), str(2**e)) for e in range(1, 7)]
     for mine in (~gpu, gpu):
         if mine.any():
@@ -128,7 +135,7 @@ def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
             found.lines.append(("curve", "M" + path))
             found.remark = found.remark or f"R² {best.r2:.4f}"
     found.dots = [
-        Dot(x.at(v), y.at(value), "front" if has else "measured", 4.2, k.machine.instance)
+        Dot(x=x.at(v), y=y.at(value), kind="front" if has else "measured", radius=4.2, title=k.machine.instance)
         for k, v, value, has in zip(known, vcpus.tolist(), values.tolist(), gpu.tolist(), strict=True)
     ]
     return found
@@ -140,7 +147,13 @@ def _frontier(case: Case, left: float, top: float) -> Frame:
     price, latency = choice.offers.price_usd_per_hour, choice.latency.value
     x, y = axis(price.tolist(), left, left + WIDE), axis(latency.tolist(), top + HIGH, top)
     found = frame(
-        x, y, "price of an hour", "mean latency", short_dollars, seconds, TITLES[case.application.metadata.name]
+        x=x,
+        y=y,
+        x_label="price of an hour",
+        y_label="mean latency",
+        x_words=short_dollars,
+        y_words=seconds,
+        heading=TITLES[case.application.metadata.name],
     )
     measured = np.flatnonzero(choice.latency.measured)
     for kind, rows in (("paper", measured), ("curve", np.arange(len(price)))):
@@ -151,7 +164,14 @@ def _frontier(case: Case, left: float, top: float) -> Frame:
     others = np.flatnonzero(~choice.latency.measured)
     found.specks.append(("in", "".join(f"M{x.at(price[row]):g} {y.at(latency[row]):g}h0" for row in others)))
     found.dots = [
-        Dot(x.at(price[row]), y.at(latency[row]), "measured", 4.2, str(choice.offers.instance[row])) for row in measured
+        Dot(
+            x=x.at(price[row]),
+            y=y.at(latency[row]),
+            kind="measured",
+            radius=4.2,
+            title=str(choice.offers.instance[row]),
+        )
+        for row in measured
     ]
     return found
 

@@ -18,9 +18,33 @@ from fogspec.charts.model_svg import LatencyChart, Level, Panel, Sample
 from fogspec.charts.terminal import plot
 
 FRONT = [
-    PlottedMachine("g4dn.xlarge", 1.65, 0.00024, 0.526, 1.58, 1.73, True, True, True, "chosen", "g4dn.xlarge, 4 vCPU"),
-    PlottedMachine("c6i.large", 16.4, 0.0002, 0.085, 15.0, 18.0, True, True, True, "cheapest", "c6i.large, 2 vCPU"),
-    PlottedMachine("m6i.large", 16.1, 0.0004, 0.096),
+    PlottedMachine(
+        name="g4dn.xlarge",
+        y=1.65,
+        cost_usd_per_request=0.00024,
+        price_usd_per_hour=0.526,
+        low=1.58,
+        high=1.73,
+        measured=True,
+        on_front=True,
+        on_hourly_front=True,
+        role="chosen",
+        words="g4dn.xlarge, 4 vCPU",
+    ),
+    PlottedMachine(
+        name="c6i.large",
+        y=16.4,
+        cost_usd_per_request=0.0002,
+        price_usd_per_hour=0.085,
+        low=15.0,
+        high=18.0,
+        measured=True,
+        on_front=True,
+        on_hourly_front=True,
+        role="cheapest",
+        words="c6i.large, 2 vCPU",
+    ),
+    PlottedMachine(name="m6i.large", y=16.1, cost_usd_per_request=0.0004, price_usd_per_hour=0.096),
 ]
 
 
@@ -28,7 +52,14 @@ def chart(machines=FRONT, **more):
     columns = [np.array([getattr(m, name) for m in machines]) for name in
                ("y", "cost_usd_per_request", "price_usd_per_hour")]  # fmt: skip
     crowd = Crowd(*columns, meets=np.arange(len(machines)) % 2 == 0)
-    return Chart("grasp-planning", "0.70 latency + 0.30 cost", "mean latency", machines, crowd, **more)
+    return Chart(
+        title="grasp-planning",
+        subtitle="0.70 latency + 0.30 cost",
+        y_label="mean latency",
+        machines=machines,
+        crowd=crowd,
+        **more,
+    )
 
 
 def nodes(svg: str, kind: str) -> list[ElementTree.Element]:
@@ -76,17 +107,35 @@ def test_the_same_machines_give_the_same_picture_in_any_order():
 
 def test_hostile_names_stay_text():
     name = '"><script>alert(1)</script>&]]>'
-    svg = draw(chart([PlottedMachine(name, 1.0, 0.001, 1.0, role="chosen", words=name)], notes=[name]))
+    svg = draw(
+        chart(
+            [
+                PlottedMachine(
+                    name=name, y=1.0, cost_usd_per_request=0.001, price_usd_per_hour=1.0, role="chosen", words=name
+                )
+            ],
+            notes=[name],
+        )
+    )
     assert "<script" not in svg
     assert f"chosen: {name}" in texts(svg)
-    panel = Panel(name, [Level(2, 1.0)], [Sample(name, 2, 1.0)])
-    assert "<script" not in model_svg.draw(LatencyChart(name, name, name, [panel], notes=[name]))
+    panel = Panel(heading=name, levels=[Level(2, 1.0)], samples=[Sample(name, 2, 1.0)])
+    assert "<script" not in model_svg.draw(
+        LatencyChart(title=name, subtitle=name, y_label=name, panels=[panel], notes=[name])
+    )
 
 
 @pytest.mark.parametrize("apart", [1.0, 1.05, 1.4, 3.0])
 def test_labels_never_overlap_and_stay_inside(apart):
     near = [
-        PlottedMachine(f"a-rather-long-machine-{role}", apart**i, 0.001 * apart**i, apart**i, measured=True, role=role)
+        PlottedMachine(
+            name=f"a-rather-long-machine-{role}",
+            y=apart**i,
+            cost_usd_per_request=0.001 * apart**i,
+            price_usd_per_hour=apart**i,
+            measured=True,
+            role=role,
+        )
         for i, role in enumerate(("chosen", "cheapest", "fastest"))
     ]
     found = boxes(draw(chart(near)))
@@ -105,14 +154,27 @@ def test_one_machine_is_drawn_with_ticks_and_none_is_refused():
 
 
 def test_all_machines_equal_is_drawn():
-    same = [PlottedMachine(f"m{i}", 1.25, 0.00125, 3.6) for i in range(50)]
+    same = [
+        PlottedMachine(name=f"m{i}", y=1.25, cost_usd_per_request=0.00125, price_usd_per_hour=3.6) for i in range(50)
+    ]
     assert draw(chart(same)).count("h0") == 6, "one speck for each kind and part, and the legend's"
 
 
 def test_interval_bars_stay_inside_the_frame():
     wild = [
-        PlottedMachine("wild", 1.0, 0.001, 1.0, 1e-6, 1e6, True, True, True, "chosen"),
-        PlottedMachine("other", 2.0, 0.002, 1.0),
+        PlottedMachine(
+            name="wild",
+            y=1.0,
+            cost_usd_per_request=0.001,
+            price_usd_per_hour=1.0,
+            low=1e-6,
+            high=1e6,
+            measured=True,
+            on_front=True,
+            on_hourly_front=True,
+            role="chosen",
+        ),
+        PlottedMachine(name="other", y=2.0, cost_usd_per_request=0.002, price_usd_per_hour=1.0),
     ]
     *bars, _legend = (n.get("d") for n in nodes(draw(chart(wild)), "bar"))
     assert len(bars) == 2
@@ -128,7 +190,12 @@ def test_without_limits_nothing_is_said_to_meet_or_break_them():
 
 def test_the_list_keeps_clear_of_the_longest_role():
     near = PlottedMachine(
-        "c6i.large", 16.4, 0.0002, 0.085, role="nearest in metrics.path_length", words="c6i.large, 2 vCPU"
+        name="c6i.large",
+        y=16.4,
+        cost_usd_per_request=0.0002,
+        price_usd_per_hour=0.085,
+        role="nearest in metrics.path_length",
+        words="c6i.large, 2 vCPU",
     )
     found = ElementTree.fromstring(draw(chart([near]))).iter()
     starts = {node.text: float(node.get("x")) for node in found if node.tag.endswith("text")}
@@ -140,7 +207,9 @@ def test_a_hundred_thousand_machines_stay_a_small_file():
     n = 100_000
     latency, price = np.exp(random.normal(0, 1.5, n)), np.exp(random.normal(0, 2, n))
     crowd = Crowd(latency, latency * price / 3600, price, latency < 1)
-    svg = draw(Chart("many", "0.50 latency + 0.50 cost", "mean latency", [], crowd))
+    svg = draw(
+        Chart(title="many", subtitle="0.50 latency + 0.50 cost", y_label="mean latency", machines=[], crowd=crowd)
+    )
     assert len(svg) < 250_000
     assert "100,000 machines" in svg
 
@@ -156,18 +225,26 @@ def test_the_cost_limit_is_a_slope_against_the_price_of_an_hour():
 def test_latency_by_vcpus_shows_curve_interval_and_samples():
     levels = [Level(2, 16.0, 15.0, 17.0), Level(4, 8.0, 7.0, 9.0), Level(16, 2.3, 2.2, 2.4)]
     panels = [
-        Panel("machines without GPU", levels, [Sample("c6i.large", 2, 16.4, 16.0, 17.0)], [(8, 4.0)],
-              [(2, 16.0), (16, 2.0)], "a + b/c"),
-        Panel("machines with 1 T4", [Level(4, 1.65)], [Sample("g4dn.xlarge", 4, 1.65)]),
-    ]  # fmt: skip
-    svg = model_svg.draw(LatencyChart("grasp-planning", "mean latency", "mean latency", panels))
+        Panel(
+            heading="machines without GPU",
+            levels=levels,
+            samples=[Sample("c6i.large", 2, 16.4, 16.0, 17.0)],
+            others=[(8, 4.0)],
+            curve=[(2, 16.0), (16, 2.0)],
+            curve_words="a + b/c",
+        ),
+        Panel(heading="machines with 1 T4", levels=[Level(4, 1.65)], samples=[Sample("g4dn.xlarge", 4, 1.65)]),
+    ]
+    svg = model_svg.draw(
+        LatencyChart(title="grasp-planning", subtitle="mean latency", y_label="mean latency", panels=panels)
+    )
     assert {"machines without GPU", "machines with 1 T4", "a + b/c"} <= set(texts(svg))
     assert [len([n for n in nodes(svg, kind) if n.get("d")]) for kind in ("curve", "paper")] == [2, 2], (
         "and the legend's"
     )
     assert len(nodes(svg, "measured")) == 3
     with pytest.raises(ValueError, match="no model"):
-        model_svg.draw(LatencyChart("none", "", "", []))
+        model_svg.draw(LatencyChart(title="none", subtitle="", y_label="", panels=[]))
 
 
 @pytest.mark.parametrize("values", [[1.25], [7.3], [2.05, 2.1], [0.001, 1000], [1e-9, 1e9], [99, 101]])
