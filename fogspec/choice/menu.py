@@ -79,7 +79,7 @@ class Menu(Strict):
 
 
 def make_menu(application: Application, choice: Choice, warnings: list[str]) -> Menu:
-    """The menu of a choice."""
+    """Return the menu of a choice."""
     spec = application.spec
 
     def entry(row: int | None) -> Entry | None:
@@ -108,14 +108,14 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
 
 
 def thinned(rows: NDArray[np.intp]) -> list[int]:
-    """At most `SHOWN` of the rows, spread evenly, both ends kept."""
+    """Return at most `SHOWN` of the rows, spread evenly, with both ends."""
     if len(rows) > SHOWN:
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]
     return [int(row) for row in rows]
 
 
 def entry_of(choice: Choice, row: int) -> Entry:
-    """One offer as it stands on the menu."""
+    """Return the menu entry of one offer."""
     machine = choice.offers.machine(row)
     interval = choice.latency.interval(row, LEVEL)
     return Entry(
@@ -135,7 +135,7 @@ def entry_of(choice: Choice, row: int) -> Entry:
 
 
 def why_not(choice: Choice, row: int) -> str | None:
-    """Which limits an offer breaks, in words; None when it breaks none."""
+    """Return the limits that an offer violates as text; None if it is feasible."""
     if choice.feasible[row]:
         return None
     broken = [
@@ -152,7 +152,7 @@ def why_not(choice: Choice, row: int) -> str | None:
 
 
 def floored(probability: float) -> float:
-    """With three digits, never rounded up: 0.8999 must not read "0.9, below 0.9"."""
+    """Return a probability with three digits, rounded down: 0.8999 must not read "0.9, below 0.9"."""
     return math.floor(1000 * probability) / 1000
 
 
@@ -175,13 +175,13 @@ def _missed(choice: Choice, one: Violation) -> Limit:
 
 
 def weights(application: Application) -> str:
-    """The weights in words, wherever alpha appears: `0.70 latency + 0.30 cost`."""
+    """Return the weights as text: `0.70 latency + 0.30 cost`."""
     objective = application.spec.objective
     return f"{objective.alpha:.2f} {objective.metric or 'latency'} + {1 - objective.alpha:.2f} cost"
 
 
 def scale_texts(application: Application, choice: Choice) -> dict[str, str]:
-    """What latency (or the metric) and cost are divided by."""
+    """Return the divisors of the metric and the cost as text."""
     metric = application.spec.objective.metric
     divisor = rounded(choice.scale.metric)
     of_metric = units.format_number(divisor) if metric else units.format_duration(divisor)
@@ -189,7 +189,7 @@ def scale_texts(application: Application, choice: Choice) -> dict[str, str]:
 
 
 def limit_text(name: str, value: float) -> str:
-    """A limit's bound or a value of it, with its unit."""
+    """Return a bound or a value of a limit with its unit."""
     value = rounded(value)
     match name:
         case "latency" | "rate":

@@ -1,4 +1,4 @@
-"""What the adaptive sampler measures next: what is worth most for its price, then the choice itself, then nothing."""
+"""The adaptive sampler's next batch: the largest expected improvement per price, then the choice itself, then nothing."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -31,12 +31,11 @@ def next_samples(
     wave: int = 1,
     excluded: Collection[tuple[str, str]] = (),
 ) -> NextBatch:
-    """The offers to measure next, or none with the reason why sampling ends.
+    """Return the offers to measure next, or none with the reason why sampling ends.
 
-    `usd_per_sample` (n,) is what a sample of each offer may cost; a whole wave fits into `left_usd`. A type (cloud,
-    instance, accelerators) that could not be measured is not asked for again, nor is one of `excluded` (cloud, instance);
-    one that was measured is, where a second sample is worth most. Where no further sample is worth its money and the
-    choice was not measured, it is: that verifies it.
+    `usd_per_sample` (n,) is the maximum cost of a sample of each offer; the whole batch fits into `left_usd`. Types (cloud,
+    instance, accelerators) that could not be measured and those in `excluded` (cloud, instance) are not measured again;
+    measured types are if a repeat is worth most. If no further sample pays off, the chosen machine is measured to verify it.
     """
     if not records:
         return initial_batch(offers, usd_per_sample, left_usd, library)
@@ -52,8 +51,10 @@ def next_samples(
 
 @dataclass(frozen=True, slots=True)
 class NextSample:
-    """The sample that is worth most for its price: the offer, by which share of its objective it betters the choice on
-    average, how probably its machine is better than the chosen one, and what it costs at most.
+    """The sample of the largest expected improvement per price.
+
+    `gain` is the expected relative improvement of the objective, `probability_better` that of the offer's type being better
+    than the chosen one, `usd` the maximum cost.
     """
 
     row: int
@@ -65,24 +66,24 @@ class NextSample:
 def best_next_sample(
     application: Application, predicted: PredictionSet, failed: Collection[Machine], usd_per_sample: Floats
 ) -> NextSample | None:
-    """What one more sample would be worth, whether or not it is worth its money; None when nothing is left to try."""
+    """Return the best further sample, whether or not it pays off; None if no type can be measured."""
     state = _State.of(application, predicted, failed, usd_per_sample, ())
     choice = choose(application, predicted)
     posterior = choice.latency.posterior
-    if posterior is None or state.barred.all():
+    if posterior is None or state.excluded.all():
         return None
     utility = _utility(predicted, choice)
     values = utility.drawn(posterior)
-    expected = np.where(state.barred, -1.0, gains(posterior, utility))
-    one = int(np.argmax(expected / state.bill.usd))
+    expected = np.where(state.excluded, -1.0, gains(posterior, utility))
+    one = int(np.argmax(expected / state.costs.usd))
     better = None
     if choice.chosen is not None:
         better = float(np.mean(values[:, one] < values[:, predicted.types.of[choice.chosen]]))
-    return NextSample(int(state.bill.row[one]), float(expected[one]), better, float(state.bill.usd[one]))
+    return NextSample(int(state.costs.row[one]), float(expected[one]), better, float(state.costs.usd[one]))
 
 
 def probability_better(predicted: PredictionSet, choice: Choice, row: int) -> float | None:
-    """How probably one offer's type meets the limits and is better than the chosen one; None if that cannot be said."""
+    """Return the probability that an offer's type meets the limits and is better than the chosen one; None if unknown."""
     if choice.latency.posterior is None or choice.chosen is None:
         return None
     values = _utility(predicted, choice).drawn(choice.latency.posterior)
@@ -92,12 +93,12 @@ def probability_better(predicted: PredictionSet, choice: Choice, row: int) -> fl
 
 @dataclass(frozen=True)
 class _State:
-    """What is known, by type: `barred` (N,) types are not asked for."""
+    """The state of a campaign over N types; `excluded` types are not measured again."""
 
     application: Application
     predicted: PredictionSet
-    bill: SampleCosts
-    barred: NDArray[np.bool_]
+    costs: SampleCosts
+    excluded: NDArray[np.bool_]
 
     @classmethod
     def of(
@@ -108,25 +109,25 @@ class _State:
         usd_per_sample: Floats,
         excluded: Collection[tuple[str, str]],
     ) -> "_State":
-        """Types of machines that failed, that are excluded, that are unfit, or that are no offers are barred."""
+        """Exclude types that failed, are unfit, are not offered, or are in `excluded`."""
         types, offered = predicted.types, len(usd_per_sample)
         beyond = np.full(len(types.of) - offered, float(usd_per_sample.mean()))
-        bill = SampleCosts.of(types, np.concatenate([usd_per_sample, beyond]))
-        useless = {one.type_key for one in failed}
-        barred = np.array([key in useless or key[:2] in excluded for key in types.keys]) | (bill.row >= offered)
-        barred[types.of[:offered][predicted.targets["latency"].unfit]] = True
-        return cls(application, predicted, bill, barred)
+        costs = SampleCosts.of(types, np.concatenate([usd_per_sample, beyond]))
+        failed_keys = {one.type_key for one in failed}
+        unusable = np.array([key in failed_keys or key[:2] in excluded for key in types.keys]) | (costs.row >= offered)
+        unusable[types.of[:offered][predicted.targets["latency"].unfit]] = True
+        return cls(application, predicted, costs, unusable)
 
     def again(self, left_usd: float, library: Library | None) -> NextBatch:
-        """Another first wave among what was not tried, for so far nothing could be measured."""
-        rows = self.bill.row[~self.barred]
+        """Return another initial batch among the types that were not tried, after nothing could be measured."""
+        rows = self.costs.row[~self.excluded]
         if not len(rows):
             return NextBatch((), (), "every machine was tried or is ruled out, and none could be measured")
-        found = initial_batch(self.predicted.offers.take(rows), self.bill.usd[~self.barred], left_usd, library)
+        found = initial_batch(self.predicted.offers.take(rows), self.costs.usd[~self.excluded], left_usd, library)
         return NextBatch(tuple(int(rows[row]) for row in found.rows), found.reasons, found.reason)
 
     def improving(self, left_usd: float, wave: int) -> NextBatch:
-        """By expected improvement; then the choice itself."""
+        """Return the batch of the largest expected improvement, else the choice if it was not measured."""
         choice = choose(self.application, self.predicted)
         posterior = choice.latency.posterior
         if posterior is None:
@@ -134,34 +135,34 @@ class _State:
         found = next_wave(
             posterior,
             _utility(self.predicted, choice),
-            sample_cost=self.bill.usd,
+            sample_cost=self.costs.usd,
             left=left_usd,
             policy=Policy(wave=wave),
-            barred=self.barred,
+            barred=self.excluded,
         )
         if found.machines:
             reasons = [self._reason(posterior, *each) for each in zip(found.machines, found.worth, strict=True)]
-            return next_batch(found, self.bill, reasons, left_usd)
-        return self._verifying(choice, next_batch(found, self.bill, (), left_usd).reason, left_usd)
+            return next_batch(found, self.costs, reasons, left_usd)
+        return self._verifying(choice, next_batch(found, self.costs, (), left_usd).reason, left_usd)
 
     def _reason(self, posterior: Posterior, one: int, worth: float) -> str:
         again = "measured again, for one sample may err: " if posterior.measured[one] else ""
-        return f"{again}may better the choice by {worth:.1%} on average, for at most ${self.bill.usd[one]:.4g}"
+        return f"{again}may better the choice by {worth:.1%} on average, for at most ${self.costs.usd[one]:.4g}"
 
     def _verifying(self, choice: Choice, why: str, left_usd: float) -> NextBatch:
-        """The choice itself, where it was not measured and can be paid for."""
+        """Return the choice if it was not measured and the budget allows it."""
         row = choice.unverified
         if row is None:
             return NextBatch((), (), why)
         one = int(self.predicted.types.of[row])
         name = choice.offers.instance[row]
-        if self.barred[one]:
+        if self.excluded[one]:
             return NextBatch((), (), f"{why}; the choice, {name}, could not be measured")
-        if self.bill.usd[one] > left_usd:
+        if self.costs.usd[one] > left_usd:
             return NextBatch(
-                (), (), f"{why}; the choice, {name}, is not verified: it may cost ${self.bill.usd[one]:.4g}"
+                (), (), f"{why}; the choice, {name}, is not verified: it may cost ${self.costs.usd[one]:.4g}"
             )
-        return NextBatch((int(self.bill.row[one]),), ("verifies the choice",), why)
+        return NextBatch((int(self.costs.row[one]),), ("verifies the choice",), why)
 
 
 def _utility(predicted: PredictionSet, choice: Choice) -> Utility:

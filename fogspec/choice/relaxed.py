@@ -19,7 +19,7 @@ from fogspec.numerics import curves, relaxed
 
 @dataclass(frozen=True, slots=True)
 class Relaxed:
-    """The continuous optimum of the best GPU type, and the row of the offer that it ends at.
+    """The continuous optimum of the best GPU type, and the row of the offer that rounding selects.
 
     `row` is None when no neighbour meets the limits; `rounded` is the plain nearest neighbour, limits or not.
     """
@@ -32,7 +32,7 @@ class Relaxed:
 
 
 def relaxed_optimum(models: Models, choice: Choice) -> Relaxed | None:
-    """The paper's choice over the same offers; None where no continuous machine meets the limits.
+    """Return the paper's choice over the same offers; None if no continuous machine meets the limits.
 
     One problem for each GPU type and infra, compared at the end by the exact objective of where they end.
     """
@@ -43,7 +43,7 @@ def relaxed_optimum(models: Models, choice: Choice) -> Relaxed | None:
 
 
 def chosen_by_relaxing(choice: Choice, found: Relaxed | None) -> Choice:
-    """The choice with the paper's machine in place of the best one."""
+    """Return the choice with the paper's machine in place of the best one."""
     return replace(choice, by_relaxation=True, relaxed_row=None if found is None else found.row)
 
 

@@ -1,4 +1,4 @@
-"""What the choice hangs on: its limits, its samples, its rivals, and where the model is weak."""
+"""Sensitivity of the choice to its limits and samples, and the machines with the widest intervals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -33,7 +33,7 @@ class Slack:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Influence:
-    """What leaving one sample out does: the choice then, how far predictions move, and how well it is foretold.
+    """The effect of leaving one sample out on the choice and the predictions.
 
     `moves` is the median relative change over all machines, `missed_by` the relative error of the prediction of this
     machine from the others, `covered` whether the measurement lies in that prediction's interval at `LEVEL`.
@@ -56,7 +56,7 @@ class WideInterval:
 
 
 def slacks(choice: Choice) -> list[Slack]:
-    """Every limit at the chosen machine; none when nothing was chosen."""
+    """Return the slack of every limit at the chosen machine; empty without a choice."""
     row = choice.chosen
     if row is None:
         return []
@@ -107,7 +107,7 @@ class Refits:
 
 
 def influences(application: Application, models: Models, refits: Refits, choice: Choice) -> list[Influence]:
-    """Each sample left out in turn, those that change the choice first, then those that move predictions most."""
+    """Return the influence of each sample: those that change the choice first, then those that move predictions most."""
     body = models.spec
     if len(body.observations) < 2:
         return []
@@ -143,7 +143,7 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
 
 
 def widest_intervals(choice: Choice, count: int = 3) -> list[WideInterval]:
-    """The machines that might meet the limits with the widest intervals, an instance type once."""
+    """Return the machines with the widest intervals among those that might meet the limits, one offer of each type."""
     posterior = choice.latency.posterior
     if posterior is None:
         return []
@@ -160,7 +160,7 @@ def widest_intervals(choice: Choice, count: int = 3) -> list[WideInterval]:
 
 
 def parts(application: Application, choice: Choice, row: int) -> Sequence[tuple[str, float]]:
-    """What an offer's objective is made of."""
+    """Return the terms of an offer's objective."""
     objective = application.spec.objective
     return (
         (objective.metric or "latency", objective.alpha * float(choice.metric_value[row]) / choice.scale.metric),

@@ -1,10 +1,10 @@
-"""The machines worth naming beside the chosen one."""
+"""The shortlist: named alternatives to the chosen machine."""
 
 from fogspec.choice.choose import Choice
 
 
 def shortlist(choice: Choice) -> dict[str, int]:
-    """The rows worth naming beside the chosen one, each once, by what they stand out for."""
+    """Return the rows of the named alternatives to the chosen machine by role, each row once."""
     named = {
         "cheapest": choice.cheapest,
         "fastest": choice.fastest,
@@ -19,7 +19,7 @@ def shortlist(choice: Choice) -> dict[str, int]:
 
 
 def fallback_rows(choice: Choice, count: int) -> list[int]:
-    """The best machines beside the chosen one that meet the limits, by objective, then cost, latency and name."""
+    """Return the best feasible machines except the chosen one, by objective, then cost, latency and name."""
     rows = [int(row) for row in choice.feasible.nonzero()[0] if row != choice.chosen]
     offers, cost, latency = choice.offers, choice.cost_usd_per_request, choice.latency.value
     rows.sort(
@@ -29,7 +29,7 @@ def fallback_rows(choice: Choice, count: int) -> list[int]:
 
 
 def _second(choice: Choice) -> int | None:
-    """The best feasible machine of another instance type than the chosen one."""
+    """Return the best feasible machine of another instance type than the chosen one."""
     if choice.chosen is None:
         return None
     other = choice.feasible & (choice.offers.instance != choice.offers.instance[choice.chosen])
@@ -38,6 +38,6 @@ def _second(choice: Choice) -> int | None:
 
 
 def _ruled_out(choice: Choice) -> int | None:
-    """The machine with the best objective among those that break a limit."""
+    """Return the machine with the best objective among those that violate a limit."""
     rows = (choice.eligible & ~choice.feasible).nonzero()[0]
     return int(rows[choice.objective[rows].argmin()]) if len(rows) else None

@@ -117,7 +117,7 @@ class Models(Strict):
 
 
 def fit(application: Application, results: Results, priors: str | None = None) -> Models:
-    """The evidence, and the families' curves for all that limits and objective need, for each GPU type that was sampled.
+    """Return the observations, and the families' curves of every target for each sampled GPU type.
 
     `priors` is the digest of the machine library that predictions are made with.
     """
@@ -144,19 +144,19 @@ def fit(application: Application, results: Results, priors: str | None = None) -
 
 
 def is_proxy(application: Application, known: Sequence[Observation]) -> bool:
-    """Whether shapes of this host stand in for the machines on offer, instead of being them."""
+    """Return True if shapes of this host were measured in place of the machines on offer."""
     return application.spec.infra != [LOCAL] and any(one.machine.is_local for one in known)
 
 
 def partition(records: Sequence[Measured], statistic: Statistic) -> tuple[list[Observation], list[RejectedSample]]:
-    """What the records say of their machines."""
+    """Split the records into observations and rejected samples."""
     entries = [_observation(record, statistic) for record in records]
     known = [one for one in entries if isinstance(one, Observation)]
     return known, [one for one in entries if isinstance(one, RejectedSample)]
 
 
 def targets(application: Application) -> list[str]:
-    """What is predicted: the latency, and the metrics that are limited or weighed."""
+    """Return the targets: the latency, and the metrics in limits and the objective."""
     spec = application.spec
     metrics = {*spec.constraints.metrics, *([spec.objective.metric] if spec.objective.metric else [])}
     return ["latency", *sorted(metrics)]

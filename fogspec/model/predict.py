@@ -172,13 +172,13 @@ def predict_from(
     catalog: Catalog | None = None,
     library: Library | None = None,
 ) -> PredictionSet:
-    """The same from the evidence alone."""
+    """Return predictions of these targets from observations and rejected samples."""
     machines = [*(one.machine for one in known), *(one.machine for one in unusable)]
     return PredictionSpace.of(offers, machines, catalog, library).predicted(known, unusable, targets)
 
 
 def counts(machine: Machine, offers: Catalog) -> bool:
-    """Whether what was measured there says something of the offers: a shape of this host does of shapes of this host."""
+    """Return True if a measurement on the machine informs the offers: local shapes inform only local offers."""
     return not machine.is_local or bool((offers.cloud == LOCAL).all())
 
 
@@ -189,7 +189,7 @@ def _conditioned(
     unusable: Sequence[RejectedSample],
     target: str,
 ) -> Posterior | None:
-    """The posterior of one target; None where nothing was measured. Only the latency has lower bounds."""
+    """Return the posterior of one target; None without an observation. Only the latency has lower bounds."""
     values = [one for one in known if one.values.get(target, 0.0) > 0]
     if not values:
         return None
@@ -212,7 +212,7 @@ def _predictions(posterior: Posterior | None, unfit: Mask, type_index: NDArray[n
 
 
 def _by_curves(models: Models, offers: Catalog, target: str) -> Predictions:
-    """The families' curves, for shapes of one host."""
+    """Return predictions of the families' curves, for shapes of one host."""
     value = np.full(len(offers), np.nan)
     for model in models.spec.models:
         if model.target == target:

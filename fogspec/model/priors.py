@@ -54,7 +54,7 @@ Row = dict[str, Any]
 
 
 def read_priors(path: Path) -> Library:
-    """Machines and latencies; the digest is over both files' bytes. Raises InvalidInput and DiagnosticError."""
+    """Return a library; its digest is over both files' bytes. Raise InvalidInput and DiagnosticError."""
     folder = _opened(path)
     machines, latencies = found(folder, "machines.csv"), found(folder, "latencies.csv")
     table = read_machines(machines)
@@ -73,7 +73,7 @@ def read_priors(path: Path) -> Library:
 
 
 def locked_priors(layout: Layout, pins: Pins | None) -> Library | None:
-    """The machine library that the lock names, None where it names none; raises OutOfDate when it is another one by now."""
+    """Return the machine library that the lock pins, None without one; raise OutOfDate if its digest changed."""
     if pins is None or pins.priors is None:
         return None
     path = layout.root / pins.priors.origin
@@ -87,7 +87,7 @@ def locked_priors(layout: Layout, pins: Pins | None) -> Library | None:
 
 
 def write_priors(path: Path, machines: Sequence[dict[str, Any]], latencies: Sequence[dict[str, Any]]) -> None:
-    """The rows of both files as a zip archive, the same bytes for the same rows; raises InvalidInput for none."""
+    """Write the rows of both files as a reproducible zip archive; raise InvalidInput without rows."""
     if not machines or not latencies:
         raise InvalidInput("there is nothing to put into a library: no machine was measured")
     files = {"machines.csv": _csv(machines, list(machines[0])), "latencies.csv": _csv(latencies, LATENCY_COLUMNS)}
@@ -107,7 +107,7 @@ def rows_of(path: Path) -> tuple[list[dict[str, str]], list[dict[str, str]]]:
 
 
 def _opened(path: Path) -> Any:
-    """A folder, or the root of an archive."""
+    """Return a directory, or the root of an archive."""
     if not path.is_file():
         return path
     try:
@@ -125,7 +125,7 @@ def _csv(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
 
 
 def sparecores_database() -> Path:
-    """Where `sparecores-data` keeps its database, fetched by it if need be; raises InvalidInput or CloudError."""
+    """Return the path of the database of `sparecores-data`, which may download it; raise InvalidInput or CloudError."""
     try:
         package = importlib.import_module("sc_data")
     except ModuleNotFoundError:

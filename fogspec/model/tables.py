@@ -29,14 +29,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Measured:
-    """Log of nothing: latencies in seconds per workload over the rows of a table, NaN where not measured."""
+    """Latencies in seconds by workload over the rows of a table, NaN where not measured; the suite of each workload."""
 
     suites: dict[str, str]
     latency_s: dict[str, Floats]
 
 
 def read_machines(path: Any) -> Table:
-    """The machines of a suite: SkyPilot's columns and a few more; only MACHINE_COLUMNS are required."""
+    """Return the machines of a suite: SkyPilot's columns and a few more; only MACHINE_COLUMNS are required."""
     table = read_table(path, MACHINE_COLUMNS)
     names = tuple(
         f"{cloud}/{kind}" for cloud, kind in zip(table.column("Cloud"), table.column("InstanceType"), strict=True)
@@ -95,7 +95,7 @@ def read_latencies(path: Any, table: Table) -> Measured:
 
 
 def found(folder: Path, name: str) -> Path:
-    """The file of a suite, plain or gzipped; raises InvalidInput."""
+    """Return the path of a suite's file, plain or gzipped; raise InvalidInput if there is none."""
     for candidate in (folder / name, folder / f"{name}.gz"):
         if candidate.is_file():
             return candidate
@@ -105,12 +105,12 @@ def found(folder: Path, name: str) -> Path:
 
 
 def read_table(path: Any, required: Sequence[str]) -> CsvTable:
-    """A CSV file of a suite or sweep, plain or gzipped; raises InvalidInput, and DiagnosticError for a wrong table."""
+    """Return a CSV file of a suite or sweep, plain or gzipped; raise InvalidInput, and DiagnosticError for a wrong table."""
     return parse_csv(read_bytes(path), str(path), required, code="FS402", what=path.name)
 
 
 def read_bytes(path: Any) -> bytes:
-    """The content of a file, plain or gzipped, in a folder or an archive; raises InvalidInput for anything but a file."""
+    """Return the content of a file, plain or gzipped, in a directory or an archive; raise InvalidInput if it is not a file."""
     try:
         return decompress(read_file(path) if isinstance(path, Path) else path.read_bytes(), str(path))
     except (OSError, EOFError, zlib.error) as wrong:
@@ -118,5 +118,5 @@ def read_bytes(path: Any) -> bytes:
 
 
 def problem(path: Path, line: int, message: str) -> DiagnosticError:
-    """What is wrong with a line of a suite or sweep."""
+    """Return the error for a line of a suite or sweep."""
     return DiagnosticError([Diagnostic("FS402", message, Span(str(path), line, 1))])
