@@ -27,7 +27,7 @@ BUILDER = "tag:fogspec.dev,2026:fogspec"
 
 
 def statement(opened: ManifestBundle) -> dict[str, Any]:
-    """The statement; raises OutOfDate when the chain behind the manifest does not hold: nothing else may be attested."""
+    """Return the statement; raise OutOfDate when the chain behind the manifest does not hold: nothing else may be attested."""
     links = verify(opened)
     if broken := [link for link in links if link.breaks]:
         raise OutOfDate(
@@ -51,12 +51,12 @@ def statement(opened: ManifestBundle) -> dict[str, Any]:
 
 
 def text(data: dict[str, Any]) -> str:
-    """The statement's bytes: JSON with sorted keys."""
+    """Return the statement's bytes: JSON with sorted keys."""
     return json.dumps(data, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
 
 
 def subjects(opened: ManifestBundle) -> list[dict[str, Any]]:
-    """What is attested: the manifest and every file that is approved with it, by path from the folder of specs' root."""
+    """Return what is attested: the manifest and every file that is approved with it, by path from the folder of specs' root."""
     layout = opened.layout
     found = [(layout.manifest, opened.digest)]
     found += [(layout.compiled / one.path, one.digest) for one in references(opened.manifest)]
@@ -64,7 +64,7 @@ def subjects(opened: ManifestBundle) -> list[dict[str, Any]]:
 
 
 def materials(opened: ManifestBundle) -> list[dict[str, Any]]:
-    """What it was made from: spec, lock, plan, results with their raw timings, models, catalog, and a pinned image.
+    """Return what it was made from: spec, lock, plan, results with their raw timings, models, catalog, and a pinned image.
 
     Digests are of the files' bytes, which any tool can check; annotated is fogspec's own digest, of what is read of them.
     """
@@ -110,7 +110,7 @@ def _digest(text: str) -> dict[str, str]:
 
 
 def check(opened: ManifestBundle, data: Any) -> Check:
-    """Whether a statement attests this manifest as it is now."""
+    """Return whether a statement attests this manifest as it is now."""
     now = {one["name"]: one["digest"] for one in subjects(opened)}
     if not isinstance(data, dict) or (data.get("_type"), data.get("predicateType")) != (STATEMENT, PREDICATE):
         return Check("attestation", "", ("it is no in-toto Statement v1 with SLSA provenance v1",))

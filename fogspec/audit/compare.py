@@ -25,7 +25,7 @@ class Change:
 
 
 def changes(before: Any, after: Any, at: str = "") -> Iterator[Change]:
-    """Every field that differs, in the order of the documents."""
+    """Yield every field that differs, in the order of the documents."""
     if isinstance(before, Mapping) and isinstance(after, Mapping):
         for key in [*before, *(key for key in after if key not in before)]:
             yield from changes(before.get(key), after.get(key), f"{at}.{key}" if at else str(key))
@@ -55,7 +55,7 @@ def change_text(change: Change) -> str:
 
 
 def short(value: Any) -> str:
-    """A value in a few words."""
+    """Return a value in a few words."""
     if value is None:
         return "none"
     if isinstance(value, Mapping):
@@ -66,7 +66,7 @@ def short(value: Any) -> str:
 
 
 def _is_table(value: Any) -> bool:
-    """Whether it is a list of machines or of files, which are compared by name, whatever their order."""
+    """Return whether it is a list of machines or of files, which are compared by name, whatever their order."""
     return isinstance(value, list) and bool(value) and all(isinstance(one, Mapping) and _name(one) for one in value)
 
 
@@ -75,7 +75,7 @@ def _by_name(table: list[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _name(one: Mapping[str, Any]) -> str:
-    """What a machine or a file in a list is called; nothing for anything else."""
+    """Return what a machine or a file in a list is called; nothing for anything else."""
     if "instance" in one:
         return f"{one['instance']} in {one.get('infra', '')}{' spot' if one.get('spot') else ''}"
     return str(one["path"]) if one.keys() == {"path", "digest"} else ""

@@ -112,13 +112,13 @@ def _manifest_now(compiled: Artifacts) -> Mapping[str, Any] | None:
 
 
 def significant(found: Iterator[Change]) -> list[Change]:
-    """The changes that say something: digests only where nothing else differs."""
+    """Return the changes that say something: digests only where nothing else differs."""
     every = list(found)
     return [one for one in every if not one.is_digest and ".field_digests." not in one.field] or every
 
 
 def costs(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -> dict[str, tuple[str, str, str]]:
-    """What changed of price, month, request and latency: before, after, and the difference in words."""
+    """Return what changed of price, month, request and latency: before, after, and the difference in words."""
     found = {}
     for name, steps in COSTS.items():
         was, now = _at(before, steps), _at(after, steps)
@@ -148,7 +148,7 @@ def _relative(was: str, now: str) -> str:
 
 
 def _number(text: str) -> float | None:
-    """A duration, price or cost in base units; None for what is none of these."""
+    """Return a duration, price or cost in base units; None for what is none of these."""
     for parse in (units.parse_duration_s, units.parse_price_usd_per_hour, units.parse_cost_usd_per_request):
         try:
             return parse(text)
@@ -203,8 +203,8 @@ def _no_manifest(compiled: Artifacts) -> str | None:
     return None if compiled.decision.manifest is not None else "no machine meets the limits"
 
 
-def measuring_words(one: Difference) -> str:
-    """Whether a benchmark is needed, and which samples it would measure."""
+def measuring_text(one: Difference) -> str:
+    """Return whether a benchmark is needed, and which samples it would measure."""
     if not one.to_measure:
         return "no benchmark needed: everything that counts is measured"
     count = len(one.to_measure)
@@ -214,13 +214,13 @@ def measuring_words(one: Difference) -> str:
 
 
 def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
-    """The difference in lines; `running` is what differs between what runs and the manifest."""
+    """Return the difference in lines; `running` is what differs between what runs and the manifest."""
     lines = [f"{one.layout.name}: {headline(one)}"]
     lines += [f"  {change.field}: {short(change.before)} -> {short(change.after)}" for change in one.changes]
     lines += [f"  cost: {line}" for line in _cost_lines(one)]
     if one.differs:
         lines += [f"  why: {reason}" for reason in one.why]
-        lines.append(f"  {measuring_words(one)}")
+        lines.append(f"  {measuring_text(one)}")
     if running is not None:
         lines.append(f"  running: {'as the manifest says' if not running else 'not what the manifest says'}")
         lines += [f"    {change_text(change)}" for change in running]
@@ -228,7 +228,7 @@ def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
 
 
 def headline(one: Difference) -> str:
-    """What would happen, in one line."""
+    """Return what would happen, in one line."""
     if one.refused and one.after is None:
         return f"cannot be compiled to a manifest now: {one.refused}"
     if one.before is None:
@@ -252,7 +252,7 @@ def _cost_lines(one: Difference) -> Iterator[str]:
 
 
 def as_dict(one: Difference, running: Sequence[Change] | None = None) -> dict[str, Any]:
-    """The same for programs."""
+    """Return the same as data."""
     return {
         "name": one.layout.name,
         "differs": one.differs,
@@ -271,7 +271,7 @@ def _change(change: Change) -> dict[str, Any]:
 
 
 def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
-    """The same for a pull request."""
+    """Return the same as Markdown, for a pull request."""
     lines = [f"### {one.layout.name}: {escaped(headline(one))}", ""]
     if one.costs:
         lines += ["| | before | after | |", "|--|--|--|--|"]
@@ -281,7 +281,7 @@ def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
         ]
         lines.append("")
     if one.differs:
-        lines += [*(f"- {escaped(reason)}" for reason in one.why), f"- {escaped(measuring_words(one))}", ""]
+        lines += [*(f"- {escaped(reason)}" for reason in one.why), f"- {escaped(measuring_text(one))}", ""]
     if one.changes:
         lines += [f"<details><summary>{len(one.changes)} fields differ</summary>", "", "| field | before | after |",
                   "|--|--|--|"]  # fmt: skip

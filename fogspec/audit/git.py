@@ -11,7 +11,7 @@ class Repository:
     """The git repository that the working directory is in."""
 
     def __init__(self) -> None:
-        """Raises UsageError where the working directory is in no repository, or git does not want to look at it."""
+        """Raise UsageError where the working directory is in no repository, or git does not want to look at it."""
         try:
             self.top = Path(self._run("rev-parse", "--show-toplevel").decode().strip())
         except UsageError as failed:
@@ -23,9 +23,9 @@ class Repository:
             ) from None
 
     def base_of(self, range_: str) -> str:
-        """The commit that a change starts from: of `BASE..HEAD` or `BASE`, where it and the checked-out commit part.
+        """Return the commit that a change starts from: of `BASE..HEAD` or `BASE`, where it and the checked-out commit part.
 
-        Raises UsageError for a commit that is not here, or a HEAD that is not the one checked out.
+        Raise UsageError for a commit that is not here, or a HEAD that is not the one checked out.
         """
         base, dots, head = range_.partition("..")
         if dots and (head := head.lstrip(".")) and self._commit(head) != self._commit("HEAD"):
@@ -37,7 +37,7 @@ class Repository:
             return commit
 
     def at(self, commit: str, path: Path) -> bytes | None:
-        """The file's content at a commit, None where it was not there."""
+        """Return the file's content at a commit, None where it was not there."""
         inside = Path(os.path.relpath(path.absolute(), self.top)).as_posix()
         try:
             return self._run("show", f"{commit}:{inside}")
@@ -45,7 +45,7 @@ class Repository:
             return None
 
     def paths(self, commit: str) -> list[Path]:
-        """Every file at a commit below the working directory, from here."""
+        """Return every file at a commit below the working directory, from here."""
         return [
             Path(os.fsdecode(name))
             for name in self._run("ls-tree", "-r", "-z", "--name-only", commit).split(b"\0")[:-1]

@@ -94,7 +94,7 @@ def removed(repository: Repository, commit: str, names: Collection[str]) -> list
 
 
 def _inputs(every: Sequence[Change]) -> Iterator[str]:
-    """Which inputs the two manifests were made from differ, from what they say of their provenance."""
+    """Yield which inputs the two manifests were made from differ, from what they say of their provenance."""
     for change in every:
         steps = change.field.split(".")
         if steps[0] != "provenance" or len(steps) < 2:
@@ -110,7 +110,7 @@ def _inputs(every: Sequence[Change]) -> Iterator[str]:
 
 
 def markdown(reviews: Sequence[Review], gone: Sequence[Removed], picture_base: str | None) -> str:
-    """The comment: applications that changed or are not fresh in full, the others by name; and those that are gone."""
+    """Return the comment: applications that changed or are not fresh in full, the others by name; and those that are gone."""
     touched = [one for one in reviews if one.touched]
     lines = [MARK, "## fogspec: what this change deploys", ""]
     for one in touched:
@@ -153,7 +153,7 @@ def _headline(one: Review) -> str:
 
 
 def _removal(one: Removed) -> list[str]:
-    """What is no longer deployed; merging ends nothing that runs."""
+    """Return what is no longer deployed; merging ends nothing that runs."""
     lines = [f"### {escaped(one.name)}: no longer deployed", ""]
     lines += [f"- {escaped(text)}" for text in itertools.islice(_choice(one.manifest), 1)]
     return [*lines, f"- what runs of it goes on: `fogspec down {escaped(one.name)}` ends it, before the files are gone"]
@@ -169,7 +169,7 @@ def _warnings(difference: Difference) -> list[str]:
 
 
 def _choice(manifest: Mapping[str, Any] | None) -> Iterator[str]:
-    """What runs and what is expected of it, from the manifest."""
+    """Yield what runs and what is expected of it, from the manifest."""
     if manifest is None or not isinstance(manifest.get("spec"), Mapping):
         return
     spec, latency = manifest["spec"], _part(manifest, "expected", "latency")

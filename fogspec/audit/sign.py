@@ -30,7 +30,7 @@ class _Library(NamedTuple):
 
 
 def sign(text: str, key: str) -> str:
-    """The statement in an envelope signed with the private key, as JSON; raises InvalidInput for a key that is none."""
+    """Return the statement in an envelope signed with the private key, as JSON; raise InvalidInput for a key that is none."""
     library, content = _library(), _read(key)
     try:
         private = library.keys.load_pem_private_key(content, None)
@@ -42,7 +42,7 @@ def sign(text: str, key: str) -> str:
 
 
 def check_signed(opened: ManifestBundle, path: str, key: str) -> Check:
-    """Whether the envelope at `path` is signed with the key and attests the manifest as it is now."""
+    """Return whether the envelope at `path` is signed with the key and attests the manifest as it is now."""
     library, content = _library(), _read(key)
     try:
         public = library.signer.SSlibKey.from_crypto(library.keys.load_pem_public_key(content))

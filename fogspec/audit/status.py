@@ -9,7 +9,7 @@ from fogspec.base.units import dollars, rounded
 
 
 def as_text(one: Status, running: Sequence[str] = ()) -> str:
-    """A line a stage, and why under it; `running` are lines about what runs."""
+    """Return the status as text, each stage with its reasons; `running` are lines about what runs."""
     lines = [one.layout.name]
     for stage in one.stages:
         lines.append(f"  {stage.name:<9} {stage.state:<8} {stage.path}")
@@ -21,7 +21,7 @@ def as_text(one: Status, running: Sequence[str] = ()) -> str:
     return "\n".join([*lines, *running, *_next(one)])
 
 
-def interval_words(ends_s: tuple[float, float] | None) -> str:
+def interval_text(ends_s: tuple[float, float] | None) -> str:
     """` [1.58s, 1.72s]`; nothing for no interval."""
     return "" if ends_s is None else f" [{', '.join(units.format_duration(rounded(end)) for end in ends_s)}]"
 
@@ -36,7 +36,7 @@ def _next(one: Status) -> list[str]:
 
 
 def as_dict(one: Status) -> dict[str, Any]:
-    """The same for programs."""
+    """Return the same as data."""
     return {
         "name": one.layout.name,
         "stages": [

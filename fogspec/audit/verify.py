@@ -79,8 +79,8 @@ def _spec(opened: ManifestBundle) -> Check:
         for name, now in fingerprints.chosen_fields(application).items()
         if reference.field_digests.get(name) != now
     ]
-    told = ", ".join(f"spec.{name}" for name in fields) or "what the choice reads of it"
-    return Check("spec", reference.path, (f"{told} changed since the manifest was made",))
+    changed = ", ".join(f"spec.{name}" for name in fields) or "what the choice reads of it"
+    return Check("spec", reference.path, (f"{changed} changed since the manifest was made",))
 
 
 def _catalog(opened: ManifestBundle) -> Check:
@@ -128,16 +128,17 @@ def _timings(opened: ManifestBundle, results: Results) -> Check:
     """Raw timings: as they were recorded, and the records follow from them."""
     layout = opened.layout
     rules = RecordRules.of(opened.loaded.application)
-    kept = [record for record in results.spec.samples if record.timings is not None]
-    breaks = [wrong for record in kept for wrong in _record(record, layout.results.parent, rules)]
+    kept = [(record, record.timings.path) for record in results.spec.samples if record.timings is not None]
+    folder = layout.results.parent
+    breaks = [wrong for record, path in kept for wrong in _record(record, folder, path, rules)]
     without = len(results.spec.samples) - len(kept)
     notes = (f"{without} of {len(results.spec.samples)} records have no raw timings",) if without else ()
     return Check("timings", f"{len(kept)} files of raw timings", tuple(breaks[:SHOWN]), notes)
 
 
-def _record(record: Measured, folder: Path, rules: RecordRules) -> Iterator[str]:
-    assert record.timings is not None
-    path = folder / record.timings.path
+def _record(record: Measured, folder: Path, timings: str, rules: RecordRules) -> Iterator[str]:
+    """Yield how a record differs from its raw timings, a file relative to `folder`."""
+    path = folder / timings
     try:
         content = raw_timings(record, folder)
     except InvalidInput as wrong:
@@ -191,7 +192,7 @@ def _builder(opened: ManifestBundle) -> tuple[str, ...]:
 
 
 def _deployment(opened: ManifestBundle, compiled: Artifacts) -> Check:
-    """What will run: the task, what stays on the robot, and what is sent along."""
+    """Return what will run: the task, what stays on the robot, and what is sent along."""
     layout = opened.layout
     derived = {
         layout.manifest,
@@ -207,7 +208,7 @@ def _deployment(opened: ManifestBundle, compiled: Artifacts) -> Check:
 
 
 def remedy(opened: ManifestBundle, broken: Check) -> str:
-    """What to do about a link that breaks."""
+    """Return what to do about a link that breaks."""
     layout = opened.layout
     if broken.name in ("results", "timings"):
         return f"put back what was measured (git checkout {layout.results.parent}), or measure it: fogspec bench {layout.spec}"
@@ -218,7 +219,7 @@ def remedy(opened: ManifestBundle, broken: Check) -> str:
 
 
 def as_text(opened: ManifestBundle, links: list[Check]) -> str:
-    """A line a link, and how it breaks under it."""
+    """Return the links as text, each with how it breaks."""
     lines = [f"{opened.layout.manifest}  {opened.digest}"]
     for link in links:
         lines.append(f"  {link.name:<10} {link.state:<6} {link.what}".rstrip())
@@ -227,7 +228,7 @@ def as_text(opened: ManifestBundle, links: list[Check]) -> str:
 
 
 def as_dict(opened: ManifestBundle, links: list[Check]) -> dict[str, Any]:
-    """The same for programs."""
+    """Return the same as data."""
     return {
         "manifest": str(opened.layout.manifest),
         "digest": opened.digest,

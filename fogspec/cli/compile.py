@@ -35,7 +35,7 @@ def command(
     compiled = [compile_application(one) for one in inputs]
     changed = [path for one in compiled for path in (one.compare() if check else one.write())]
     if output == "json":
-        click.echo(json.dumps([summary.facts(one) for one in compiled], indent=2, ensure_ascii=False))
+        click.echo(json.dumps([summary.as_dict(one) for one in compiled], indent=2, ensure_ascii=False))
     else:
         click.echo("\n\n".join(summary.summary(one) for one in compiled))
     if any(one.decision is not None for one in compiled):

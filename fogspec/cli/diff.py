@@ -34,8 +34,8 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
         differing = diff.difference(status(one, try_compile(one)))
         found.append((differing, running_changes(one.layout, SystemWallClock(), one.application)))
     if output == "json":
-        facts = [diff.as_dict(differing, live) for differing, live in found]
-        click.echo(json.dumps(facts, indent=2, ensure_ascii=False))
+        data = [diff.as_dict(differing, live) for differing, live in found]
+        click.echo(json.dumps(data, indent=2, ensure_ascii=False))
     else:
         show = diff.markdown if output == "markdown" else diff.as_text
         click.echo("\n\n".join(show(differing, live) for differing, live in found))

@@ -55,7 +55,7 @@ def _choices(what: str, catalog_path: str | None, priors: Path | None, output: s
     inputs = load_named(what, None, catalog_path, priors)
     compiled = [compile_application(one) for one in inputs]
     if output == "json":
-        click.echo(json.dumps([explain.facts(one) for one in compiled], indent=2, ensure_ascii=False))
+        click.echo(json.dumps([explain.as_dict(one) for one in compiled], indent=2, ensure_ascii=False))
     else:
         click.echo("\n\n".join(explain.explain(one) for one in compiled))
 

@@ -33,16 +33,16 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
         for one in found
     ]
     if output == "json":
-        facts = [
+        data = [
             {**status.as_dict(one), "deployment": None if live is None else health.as_dict(live)}
             for one, live in zip(found, lives, strict=True)
         ]
-        click.echo(json.dumps(facts, indent=2, ensure_ascii=False))
+        click.echo(json.dumps(data, indent=2, ensure_ascii=False))
     else:
-        told = [
+        texts = [
             status.as_text(one, health.as_text(live) if live else ()) for one, live in zip(found, lives, strict=True)
         ]
-        click.echo("\n\n".join(told))
+        click.echo("\n\n".join(texts))
     others = [
         one.layout.name
         for one, live in zip(found, lives, strict=True)

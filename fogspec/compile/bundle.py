@@ -89,7 +89,7 @@ def open_bundle(path: str | os.PathLike[str], catalog: str | None = None) -> Man
 
 
 def references(manifest: Manifest) -> list[TaskRef]:
-    """Every file that is approved with the manifest."""
+    """Return every file that is approved with the manifest."""
     spec = manifest.spec
     robot = [] if spec.robot_launch is None else [spec.robot_launch]
     return [spec.task, *(one.task for one in spec.fallbacks), *robot, *spec.files]

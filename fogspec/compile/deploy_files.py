@@ -56,7 +56,7 @@ def deployable(
 
 
 def reference(layout: Layout, path: Path, content: bytes) -> TaskRef:
-    """A file as the manifest names it."""
+    """Return a file as the manifest names it."""
     return TaskRef(path=layout.beside_manifest(path), digest=digest.of_bytes(content))
 
 

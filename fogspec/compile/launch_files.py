@@ -17,7 +17,7 @@ SIDES: tuple[Literal["cloud", "robot"], ...] = ("cloud", "robot")
 
 
 def launch_files(application: Application, layout: Layout) -> dict[Path, bytes]:
-    """What is sent to the machine besides the agent: the cloud's launch file and the link's folder."""
+    """Return what is sent to the machine besides the agent: the cloud's launch file and the link's folder."""
     files: dict[Path, str] = {}
     if application.spec.ros is not None:
         files[layout.cloud] = render(
@@ -34,7 +34,7 @@ def launch_files(application: Application, layout: Layout) -> dict[Path, bytes]:
 
 
 def robot_launch(application: Application, layout: Layout) -> bytes | None:
-    """The robot's launch file: its nodes, and its end of the link; None where there is neither."""
+    """Return the robot's launch file: its nodes, and its end of the link; None where there is neither."""
     link, spec = link_of(application), application.spec
     if not spec.robot and link.protocol is None:
         return None
@@ -54,7 +54,7 @@ def robot_launch(application: Application, layout: Layout) -> bytes | None:
 
 
 def link_script(application: Application, layout: Layout) -> str:
-    """What makes keys, takes the other end's public half and runs the link: the same text at both ends."""
+    """Return what makes keys, takes the other end's public half and runs the link: the same text at both ends."""
     name = application.metadata.name
     return render(
         "link.sh.j2", kind=link_of(application).name, name=name, source=layout.relative(layout.spec),
@@ -64,7 +64,7 @@ def link_script(application: Application, layout: Layout) -> str:
 
 
 def link_of_machine(application: Application) -> dict[str, Any] | None:
-    """What the deployment's scripts say of the cloud's end; None without a link."""
+    """Return what the deployment's scripts say of the cloud's end; None without a link."""
     link = link_of(application)
     if link.protocol is None:
         return None

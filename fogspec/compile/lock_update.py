@@ -32,10 +32,10 @@ class LockRequest:
 def relock(
     wanted: Sequence[LockRequest], digest_of: Callable[[str], str], upgrade: Sequence[str], whole: bool
 ) -> dict[Path, Lock]:
-    """The locks as they should be, by path: one for each folder that has specs.
+    """Return the locks as they should be, by path: one for each folder that has specs.
 
     `digest_of` asks a registry. `upgrade` names what is asked for anew though it is locked: `catalog`, an image as a
-    spec names it, or `all`. `whole` says that there are no other applications than these. Raises UsageError for a
+    spec names it, or `all`. `whole` says that there are no other applications than these. Raise UsageError for a
     name that no spec has.
     """
     known = {"catalog", ALL, *filter(None, (image_named(one.application) for one in wanted))}
@@ -78,7 +78,7 @@ def _image(
 
 
 def differences(before: Lock | None, now: Lock) -> list[str]:
-    """What differs between two locks, in lines."""
+    """Return what differs between two locks, in lines."""
     old = before.spec.applications if before else {}
     new = now.spec.applications
     lines = []

@@ -246,7 +246,7 @@ def make_manifest(
     warnings: list[str],
     relaxed: Relaxed | None = None,
 ) -> Manifest:
-    """The manifest of the chosen machine, and where `relaxed` ends if elsewhere. Raises ValueError for no choice."""
+    """Return the manifest of the chosen machine, and where `relaxed` ends if elsewhere. Raise ValueError for no choice."""
     if choice.chosen is None:
         raise ValueError("there is no manifest without a choice")
     entry = entry_of(choice, choice.chosen)
@@ -338,7 +338,7 @@ def _limits(choice: Choice, row: int) -> ExpectedLimits:
 
 
 def alternatives(choice: Choice) -> list[Alternative]:
-    """The other named choices, the runner-up, and the nearest machine that a limit rules out."""
+    """Return the other named choices, the runner-up, and the nearest machine that a limit rules out."""
     found: list[Alternative] = []
     for role, row in shortlist(choice).items():
         entry = entry_of(choice, row)
@@ -374,7 +374,7 @@ def _model_ref(models: Models, entry: Entry, file: FileRef) -> ModelRef:
 
 
 def model_for(models: Models, entry: Entry) -> Model | None:
-    """The latency curve of the entry's GPU type; None where no such machine was measured."""
+    """Return the latency curve of the entry's GPU type; None where no such machine was measured."""
     return next((m for m in models.spec.models if m.gpu == entry.gpu_key and m.target == "latency"), None)
 
 

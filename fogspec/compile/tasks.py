@@ -43,7 +43,7 @@ def sample_task(
     setup: str | None,
     run: str,
 ) -> dict[str, Any]:
-    """The task that measures one sample; `workdir` and `agent` are folders relative to where it is launched.
+    """Return the task that measures one sample; `workdir` and `agent` are folders relative to where it is launched.
 
     The machine ends `lifetime_s` after its start at the latest: SkyPilot's autostop with `wait_for: none` counts
     whether or not the job still runs, so that one that hangs keeps no machine.
@@ -57,7 +57,7 @@ def deploy_task(
     application: Application, machine: Machine, *, workdir: str, agent: str, setup: str | None, run: str,
     launch: str | None = None, link: str | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """The task that runs the cloud nodes on the chosen machine, until they end or nobody uses it.
+    """Return the task that runs the cloud nodes on the chosen machine, until they end or nobody uses it.
 
     `launch` is the cloud's launch file and `link` the folder of the link's configuration, where there are such.
     """
@@ -116,7 +116,7 @@ def _resources(spec: Spec, machine: Machine, autostop: Mapping[str, Any], labels
 
 
 def left_out(spec: Spec, machine: Machine) -> list[str]:
-    """What a task for this machine leaves out of the spec, because SkyPilot cannot have it there."""
+    """Return what a task for this machine leaves out of the spec, because SkyPilot cannot have it there."""
     cloud = cloud_of(machine.infra)
     if cloud.containers:
         return []
@@ -130,7 +130,7 @@ def left_out(spec: Spec, machine: Machine) -> list[str]:
 
 
 def _needs_files(spec: Spec) -> bool:
-    """Whether anything on the machine is named relative to the spec."""
+    """Return whether anything on the machine is named relative to the spec."""
     workload = spec.benchmark.workload
     if workload.bag is not None or spec.probe.bag is not None:
         return True
@@ -140,14 +140,14 @@ def _needs_files(spec: Spec) -> bool:
 
 
 def measured_processes(spec: Spec) -> list[list[str]]:
-    """Every process of a sample: who listens, what is offloaded, and what sends the requests, if it is not a node itself."""
+    """Return every process of a sample: listeners, cloud nodes, and the client unless a node is the client."""
     client, inside = spec.benchmark.workload.node, probe_parts(spec).inside
     nodes = [[*inside, *command(node)] for node in spec.cloud]
     return [*listener(spec), *nodes, *([command(client)] if client else []), *player(spec)]
 
 
 def deployed_processes(application: Application) -> list[list[str]]:
-    """Every process of a deployment: the link's end, and the nodes, by `ros2 launch` where there is ROS 2."""
+    """Return every process of a deployment: the link's end, and the nodes, by `ros2 launch` where there is ROS 2."""
     link = [_found("${FOGSPEC_LINK:-$HOME/.fogspec/link}/link.sh", "exec bash", "cloud up")]
     nodes = [command(node) for node in application.spec.cloud]
     if application.spec.ros is not None:
@@ -158,17 +158,17 @@ def deployed_processes(application: Application) -> list[list[str]]:
 
 
 def _found(path: str, program: str, words: str) -> list[str]:
-    """A program that is given a path which only the machine's own shell can tell."""
+    """Return a program that is given a path which only the machine's own shell can tell."""
     return ["sh", "-c", f'{program} "{path}" {words}'.strip()]
 
 
 def listener(spec: Spec) -> list[list[str]]:
-    """The processes that listen to the graph beside the nodes."""
+    """Return the processes that listen to the graph beside the nodes."""
     return [list(argv) for argv in probe_parts(spec).beside]
 
 
 def command(node: Node) -> list[str]:
-    """The argv that starts a node: `ros2 run` in launch_ros' words, or the plain process as it is."""
+    """Return the argv that starts a node: `ros2 run` in launch_ros' words, or the plain process as it is."""
     environment = ["env", *(f"{key}={value}" for key, value in sorted(node.env.items()))] if node.env else []
     if node.cmd is not None:
         return [*environment, *node.cmd, *node.arguments]
@@ -207,12 +207,12 @@ def _flat(parameters: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str
 
 
 def parameter(value: Any) -> str:
-    """A ROS 2 parameter as the YAML that its parser reads back with the same type: 38.0 stays a double."""
+    """Return a ROS 2 parameter as the YAML that its parser reads back with the same type: 38.0 stays a double."""
     return json.dumps(value, ensure_ascii=False)
 
 
 def ros_environment(spec: Spec) -> dict[str, Any]:
-    """What the scripts say of ROS 2: distribution (None without ROS), workspace, packages, set-up lines; and of secrets."""
+    """Return the values of the scripts' templates: ROS 2 distribution (None without), workspace, packages, secrets."""
     ros = spec.ros
     return {
         "distro": ros.distro if ros else None,

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from fogspec.audit.compare import Change, changes
 from fogspec.audit.diff import read_manifest, significant
-from fogspec.audit.status import interval_words
+from fogspec.audit.status import interval_text
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base import digest, units
 from fogspec.base.diagnostics import DiagnosticError
@@ -177,11 +177,11 @@ def as_text(one: HealthReport) -> list[str]:
 
 def _observed_words(seen: Observed, manifest: Manifest) -> str:
     expected = manifest.expected.latency
-    predicted = f"predicted {units.format_duration(expected.predicted)}{interval_words(expected.interval)}"
+    predicted = f"predicted {units.format_duration(expected.predicted)}{interval_text(expected.interval)}"
     if seen.value_s is None:
         return f"{predicted}; no request was observed yet"
     value = (
-        f"observed {expected.statistic} {units.format_duration(rounded(seen.value_s))}{interval_words(seen.interval_s)}"
+        f"observed {expected.statistic} {units.format_duration(rounded(seen.value_s))}{interval_text(seen.interval_s)}"
     )
     failed = f", {seen.failed} failed" if seen.failed else ""
     cost = "" if seen.cost_usd_per_request is None else f", {units.format_cost(rounded(seen.cost_usd_per_request))}"

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fogspec.audit.status import interval_words
+from fogspec.audit.status import interval_text
 from fogspec.audit.verify import remedy, verify
 from fogspec.base import digest, units
 from fogspec.base.errors import OutOfDate
@@ -121,7 +121,7 @@ def as_text(ordered: LaunchPlan) -> list[str]:
         f"  task      {ordered.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
         f"  costs     {price_words(first.price_usd_per_hour)}",
         f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}"
-        f"{interval_words(latency.interval)}{limit}; {units.format_cost(rounded(manifest.expected.cost.predicted))}",
+        f"{interval_text(latency.interval)}{limit}; {units.format_cost(rounded(manifest.expected.cost.predicted))}",
     ]
     if ordered.image is not None:
         lines.append(f"  image     {ordered.image}")

@@ -45,7 +45,7 @@ def show_diagnostics(diagnostics: Sequence[Diagnostic], output: str = "text", co
 
 
 def as_text(one: Diagnostic, color: bool = False) -> str:
-    """The diagnostic with its line and a caret under what is meant; the message alone says it all."""
+    """Return the diagnostic with its line and a caret under what is meant; the message alone says it all."""
     span, hue = one.span, "red" if one.severity == "error" else "yellow"
 
     def paint(text: str, **style: Any) -> str:
@@ -72,7 +72,7 @@ def as_text(one: Diagnostic, color: bool = False) -> str:
 
 
 def as_data(one: Diagnostic) -> dict[str, Any]:
-    """The diagnostic as JSON has it; lines and columns count from 1."""
+    """Return the diagnostic as JSON has it; lines and columns count from 1."""
     return {
         "severity": one.severity, "code": one.code, "message": one.message, "fix": one.fix, "path": one.span.path,
         "line": one.span.line, "column": one.span.column, "width": one.span.width,
@@ -80,7 +80,7 @@ def as_data(one: Diagnostic) -> dict[str, Any]:
 
 
 def annotation(one: Diagnostic) -> str:
-    """A GitHub workflow command, which marks the line in a pull request."""
+    """Return a GitHub workflow command, which marks the line in a pull request."""
     span = one.span
     end = span.column + span.width - 1
     where = f"file={_property(span.path)},line={span.line},endLine={span.line},col={span.column},endColumn={end}"
@@ -112,7 +112,7 @@ def bug_paragraph(bug: BaseException) -> str:
 
 
 def _window(line: str, start: int, width: int) -> tuple[str, int, int]:
-    """The part of a line to show, the cells before the caret, and the cells under it."""
+    """Return the part of a line to show, the cells before the caret, and the cells under it."""
     start = min(start, len(line))
     left = max(0, start - MOST_COLUMNS // 2) if len(line) > MOST_COLUMNS else 0
     shown = line[left : left + MOST_COLUMNS]
@@ -123,13 +123,13 @@ def _window(line: str, start: int, width: int) -> tuple[str, int, int]:
 
 
 def _cells(text: str) -> int:
-    """How many cells of a terminal the text takes."""
+    """Return how many cells of a terminal the text takes."""
     wide = sum(1 for one in text if unicodedata.east_asian_width(one) in "WF")
     return len(text) + wide - sum(1 for one in text if unicodedata.combining(one))
 
 
 def _clean(text: str | None) -> str:
-    """The text without anything that a terminal would obey."""
+    """Return the text without anything that a terminal would obey."""
     return "".join(one if one.isprintable() else " " if one in "\t\n" else "�" for one in text or "")
 
 

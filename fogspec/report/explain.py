@@ -14,9 +14,9 @@ from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision
 from fogspec.model.fit import Model, targets
 from fogspec.plan.schema import lifetime_s
-from fogspec.report.summary import entry_words, no_words
+from fogspec.report.summary import entry_text, infeasible_text
 
-SAMPLES_SAID = 3
+MOST_SAMPLES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,34 +54,34 @@ def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
     local = decision.models.spec.measured_on_local
     lines = [f"{compiled.layout.name}: {menu.spec.objective}, {menu.spec.billing} billing"]
     if menu.spec.balanced is None:
-        lines += [*no_words(menu), *_infeasible(choice)]
+        lines += [*infeasible_text(menu), *_infeasible(choice)]
     else:
-        lines += ["", f"chosen    {entry_words(menu.spec.balanced)}", *_why(choice, menu.spec.scale)]
-    lines += ["", "funnel    " + _funnel(compiled)]
+        lines += ["", f"chosen    {entry_text(menu.spec.balanced)}", *_why(choice, menu.spec.scale)]
+    lines += ["", "funnel    " + _funnel(compiled, decision)]
     if choice.chosen is not None:
-        lines += ["", "limits", *(f"  {_binding_words(b)}" for b in found.bindings)]
-    lines += ["", "model", *_model(compiled, found)]
+        lines += ["", "limits", *(f"  {_slack_text(b)}" for b in found.bindings)]
+    lines += ["", "model", *_model(decision, found)]
     if found.influences:
         lines += [
             "",
             "samples that matter most",
-            *(f"  {_influence_words(one)}" for one in found.influences[:SAMPLES_SAID]),
+            *(f"  {_influence_text(one)}" for one in found.influences[:MOST_SAMPLES]),
         ]
-    lines += ["", "one more sample", f"  {_next_words(choice, found.next, local)}"]
-    lines += ["", "others", *_others(compiled)]
+    lines += ["", "one more sample", f"  {_next_sample_text(choice, found.next, local)}"]
+    lines += ["", "others", *_others(compiled, decision)]
     if menu.spec.warnings:
         lines += ["", *(f"warning: {text}" for text in menu.spec.warnings)]
     return "\n".join(lines)
 
 
-def facts(compiled: Artifacts) -> dict[str, Any]:
-    """The same for programs."""
-    found: dict[str, Any] = {"name": compiled.layout.name, "stale": compiled.stale, "funnel": _funnel_facts(compiled)}
+def as_dict(compiled: Artifacts) -> dict[str, Any]:
+    """Return the same as data."""
+    found: dict[str, Any] = {"name": compiled.layout.name, "stale": compiled.stale, "funnel": _funnel_dict(compiled)}
     if compiled.decision is None:
         return found
-    chosen = compiled.decision
-    worked = Analysis.of(compiled, chosen, refits_of(compiled, chosen))
-    choice, menu = chosen.choice, chosen.menu.spec.model_dump(mode="json")
+    decision = compiled.decision
+    analysis = Analysis.of(compiled, decision, refits_of(compiled, decision))
+    choice, menu = decision.choice, decision.menu.spec.model_dump(mode="json")
     most_probable = choice.most_probable
     return {
         **found,
@@ -92,17 +92,17 @@ def facts(compiled: Artifacts) -> dict[str, Any]:
         "likeliest": None if most_probable is None else {
             "instance": str(choice.offers.instance[most_probable]), "probability_met": choice.probability(most_probable)
         },
-        "limits": [_binding_facts(b) for b in worked.bindings],
-        "samples": [asdict(one) for one in worked.influences],
+        "limits": [_slack_dict(b) for b in analysis.bindings],
+        "samples": [asdict(one) for one in analysis.influences],
         "weak": [
             {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in widest_intervals(choice)
         ],
-        "next_sample": None if worked.next is None else {
-            "infra": choice.offers.infra(worked.next.row), "instance": str(choice.offers.instance[worked.next.row]),
-            "gain": worked.next.gain, "probability_better": worked.next.probability_better, "usd": worked.next.usd,
+        "next_sample": None if analysis.next is None else {
+            "infra": choice.offers.infra(analysis.next.row), "instance": str(choice.offers.instance[analysis.next.row]),
+            "gain": analysis.next.gain, "probability_better": analysis.next.probability_better, "usd": analysis.next.usd,
         },
-        "models": [model.model_dump(mode="json") for model in chosen.models.spec.models],
-        "alternatives": [] if chosen.manifest is None else chosen.manifest.model_dump(mode="json")["alternatives"],
+        "models": [model.model_dump(mode="json") for model in decision.models.spec.models],
+        "alternatives": [] if decision.manifest is None else decision.manifest.model_dump(mode="json")["alternatives"],
     }  # fmt: skip
 
 
@@ -111,7 +111,7 @@ def refits_of(compiled: Artifacts, decision: Decision) -> Refits:
     return Refits(decision.predicted.space, decision.models, targets(compiled.application))
 
 
-def _binding_facts(b: Slack) -> dict[str, Any]:
+def _slack_dict(b: Slack) -> dict[str, Any]:
     return {
         "limit": b.limit, "bound": limit_text(b.limit, b.bound), "value": limit_text(b.limit, b.value),
         "needs": limit_text(b.limit, b.required), "rules_out_alone": b.rules_out_alone, "changes_to": b.changes_to,
@@ -121,7 +121,8 @@ def _binding_facts(b: Slack) -> dict[str, Any]:
 
 def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
     row = choice.chosen
-    assert row is not None
+    if row is None:
+        return []
     terms = " and ".join(f"{name} / {divisor}" for name, divisor in scale.items())
     pool, meet = int(choice.candidates.sum()), int(choice.feasible.sum())
     among = f"the {meet} machines that meet all limits"
@@ -152,18 +153,17 @@ def _infeasible(choice: Choice) -> list[str]:
     ]
 
 
-def _funnel(compiled: Artifacts) -> str:
-    assert compiled.decision is not None
-    body = compiled.decision.menu.spec
+def _funnel(compiled: Artifacts, decision: Decision) -> str:
+    body = decision.menu.spec
     return f"{compiled.admissible.funnel.line()} -> {body.predicted:,} predicted -> {body.meet:,} meet all limits"
 
 
-def _funnel_facts(compiled: Artifacts) -> list[dict[str, Any]]:
+def _funnel_dict(compiled: Artifacts) -> list[dict[str, Any]]:
     funnel = compiled.admissible.funnel
     return [{"filter": f.name, "removed": f.removed, "left": f.left} for f in funnel.filters]
 
 
-def _binding_words(binding: Slack) -> str:
+def _slack_text(binding: Slack) -> str:
     name = binding.limit
     room = (1 - binding.value / binding.bound) if binding.bound else 0.0
     words = f"{name}: {limit_text(name, binding.value)} of at most {limit_text(name, binding.bound)}, {room:.0%} room"
@@ -176,21 +176,20 @@ def _binding_words(binding: Slack) -> str:
     return words
 
 
-def _model(compiled: Artifacts, found: Analysis) -> list[str]:
-    assert compiled.decision is not None
-    choice, body = compiled.decision.choice, compiled.decision.models.spec
+def _model(decision: Decision, found: Analysis) -> list[str]:
+    choice, body = decision.choice, decision.models.spec
     lines = []
     if not body.measured_on_local:
         beside = f" and machine library {body.predictor.priors}" if body.predictor.priors else ""
-        lines.append(f"  surrogate on {len(body.observations)} samples{beside}{_foretold(found.influences)}")
+        lines.append(f"  surrogate on {len(body.observations)} samples{beside}{_leave_one_out_text(found.influences)}")
     for one in widest_intervals(choice):
         interval = choice.latency.interval(one.row, LEVEL) or (0.0, 0.0)
         low, high = (units.format_duration(rounded(end)) for end in interval)
         lines.append(f"  weak: {choice.offers.instance[one.row]} [{low}, {high}], a factor of {one.ratio:.2f}")
-    return lines + [f"  curve: {_model_words(model)}" for model in body.models]
+    return lines + [f"  curve: {_model_text(model)}" for model in body.models]
 
 
-def _foretold(found: list[Influence]) -> str:
+def _leave_one_out_text(found: list[Influence]) -> str:
     known = sorted(one.missed_by for one in found if one.missed_by == one.missed_by)
     if not known:
         return ""
@@ -201,13 +200,13 @@ def _foretold(found: list[Influence]) -> str:
     )
 
 
-def _influence_words(one: Influence) -> str:
+def _influence_text(one: Influence) -> str:
     then = f"{one.changes_to} would be chosen" if one.changes_to else "no machine would meet the limits"
     change = f"without it {then}" if one.changes else "without it the choice stays"
     return f"{one.id}: {change}; predictions move by {one.moves:.1%} (median)"
 
 
-def _next_words(choice: Choice, found: NextSample | None, local: bool) -> str:
+def _next_sample_text(choice: Choice, found: NextSample | None, local: bool) -> str:
     if local:
         return "any machine of the catalog: shapes of one host do not tell how fast its machines are"
     if found is None:
@@ -226,7 +225,7 @@ def _next_words(choice: Choice, found: NextSample | None, local: bool) -> str:
     )
 
 
-def _model_words(model: Model) -> str:
+def _model_text(model: Model) -> str:
     beside = f" with {model.gpu}" if model.gpu else ""
     values = ", ".join(f"{name} = {rounded(value):g}" for name, value in model.coefficients.items())
     error = (
@@ -238,29 +237,26 @@ def _model_words(model: Model) -> str:
     return f"{model.target}{beside} = {model.formula}, {values}; c = vCPUs, m = GiB; {model.n} samples: {error}{r2}"
 
 
-def _others(compiled: Artifacts) -> list[str]:
-    assert compiled.decision is not None
-    chosen = compiled.decision
-    if chosen.manifest is None:
-        nearest = chosen.choice.least_infeasible
-        return [] if nearest is None else [f"  nearest   {entry_words(entry_of(chosen.choice, nearest))}"]
-    rows = shortlist(chosen.choice)
+def _others(compiled: Artifacts, decision: Decision) -> list[str]:
+    if decision.manifest is None:
+        nearest = decision.choice.least_infeasible
+        return [] if nearest is None else [f"  nearest   {entry_text(entry_of(decision.choice, nearest))}"]
+    rows = shortlist(decision.choice)
     return [
         f"  {a.role:<9} {a.instance} in {a.infra}, {units.format_price(a.price)}: {units.format_duration(a.latency)}, "
-        f"{units.format_cost(a.cost)}; {a.why_not}{_rival(compiled, rows[a.role])}"
-        for a in chosen.manifest.alternatives
+        f"{units.format_cost(a.cost)}; {a.why_not}{_difference_text(compiled, decision, rows[a.role])}"
+        for a in decision.manifest.alternatives
     ]
 
 
-def _rival(compiled: Artifacts, row: int) -> str:
-    """On which part of the objective a machine that meets the limits lost, and how probably it is better after all."""
-    assert compiled.decision is not None
-    choice, app = compiled.decision.choice, compiled.application
+def _difference_text(compiled: Artifacts, decision: Decision, row: int) -> str:
+    """Return in which part of the objective a feasible machine is worse, and how probably it is better after all."""
+    choice, app = decision.choice, compiled.application
     if choice.chosen is None or not choice.feasible[row]:
         return ""
     both = zip(parts(app, choice, row), parts(app, choice, choice.chosen), strict=True)
     words = ", ".join(f"{name} {own - best:+.3f}" for (name, own), (_, best) in both)
-    better = probability_better(compiled.decision.predicted, choice, row)
+    better = probability_better(decision.predicted, choice, row)
     return f" ({words})" + ("" if better is None else f"; better after all with probability {better:.2f}")
 
 

@@ -19,7 +19,7 @@ from fogspec.compile.artifacts import Artifacts
 from fogspec.report.explain import explain, refits_of
 from fogspec.report.page_data import menu_data
 from fogspec.report.page_tables import curve_rows, measured_table, planned_table, residual_rows
-from fogspec.report.summary import entry_words
+from fogspec.report.summary import entry_text
 
 SECTIONS = {
     "menu": "Menu", "why": "Why this machine", "funnel": "Funnel", "samples": "Samples", "models": "Models",
@@ -28,7 +28,7 @@ SECTIONS = {
 
 
 def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
-    """The page; `command` makes it again, `menu_command` is what the sliders' answers can be compared with."""
+    """Return the page; `command` makes it again, `menu_command` is what the sliders' answers can be compared with."""
     chosen, results = compiled.decision, compiled.results
     refits = None if chosen is None else refits_of(compiled, chosen)
     data = None
@@ -58,7 +58,7 @@ def _lead(compiled: Artifacts) -> str:
     body = compiled.decision.menu.spec
     if body.balanced is None:
         return f"No machine meets the limits; {body.objective}"
-    return f"Chosen: {entry_words(body.balanced)}; {body.objective}"
+    return f"Chosen: {entry_text(body.balanced)}; {body.objective}"
 
 
 def _x_words(compiled: Artifacts) -> str:

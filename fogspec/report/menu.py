@@ -13,7 +13,7 @@ from fogspec.choice.menu import Entry, Menu, make_menu
 from fogspec.compile.compiler import usable_results
 from fogspec.compile.decision import select, warnings_for
 from fogspec.compile.inputs import Inputs
-from fogspec.report.summary import entry_words, no_words
+from fogspec.report.summary import entry_text, infeasible_text
 from fogspec.spec.lockfile import pinned
 from fogspec.spec.schema import Application
 
@@ -29,7 +29,7 @@ class MenuView:
     menu: Menu
 
     def plot(self, width: int, color: bool) -> str:
-        """The menu as a picture of plain characters; empty where no machine can be predicted."""
+        """Return the menu as a picture of plain characters; empty where no machine can be predicted."""
         if not len(self.choice.front):
             return ""
         return "\n".join(plot(menu_chart(self.application, self.choice, []), width, color))
@@ -53,7 +53,7 @@ def menu_view(inputs: Inputs, alpha: float | None, latency: str | None, cost: st
 
 
 def changed(application: Application, alpha: float | None, latency: str | None, cost: str | None) -> Application:
-    """The application with other limits or another alpha; `none` takes a limit away."""
+    """Return the application with other limits or another alpha; `none` takes a limit away."""
     spec = application.spec
     limits: dict[str, Any] = {}
     if latency is not None:
@@ -68,7 +68,7 @@ def changed(application: Application, alpha: float | None, latency: str | None, 
 
 
 def show(menu: Menu, picture: str = "") -> str:
-    """The menu as text: the named choices, a picture, then the Pareto front of cost and latency."""
+    """Return the menu as text: the named choices, a picture, then the Pareto front of cost and latency."""
     body = menu.spec
     limits = ", ".join(f"{name} at most {bound}" for name, bound in body.limits.items()) or "none"
     lines = [
@@ -77,11 +77,11 @@ def show(menu: Menu, picture: str = "") -> str:
         *(f"warning: {text}" for text in body.warnings),
     ]
     if body.balanced is None:
-        lines += no_words(menu)
+        lines += infeasible_text(menu)
     else:
         for role in ("balanced", "cheapest", "fastest"):
             entry: Entry = getattr(body, role)
-            lines.append(f"{role:<9} {entry_words(entry)}")
+            lines.append(f"{role:<9} {entry_text(entry)}")
     lines += ["", picture] if picture else []
     lines += ["", f"Pareto front, cost of one request against {body.statistic} latency:", *_table(body.front)]
     lines += ["", f"Pareto front, price of an hour against {body.statistic} latency:", *_table(body.hourly_front)]

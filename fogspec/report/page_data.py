@@ -24,7 +24,7 @@ Rows = NDArray[np.intp]
 
 
 def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
-    """What the page computes with: the rule's constants, and columns over the offers that can win.
+    """Return what the page computes with: the rule's constants, and columns over the offers that can win.
 
     `needed` has for each floor of probability the latency that an offer must be allowed; `within` what its limits leave
     is computed in the page. `needs` is what a limit would have to be where nothing meets them all.
@@ -106,7 +106,7 @@ def _keys(choice: Choice, rows: Rows) -> list[tuple[object, ...]]:
 
 
 def undominated(choice: Choice, needed: list[Floats], rows: Rows) -> Rows:
-    """The rows that no other beats or equals in all that a choice can turn on, ties in cost, latency and name included."""
+    """Return the rows that no other equals or beats in everything that a choice depends on, ties included."""
     measured = choice.latency.measured[rows]
     columns = [choice.metric_value, choice.latency.value, choice.cost_usd_per_request, choice.rule.costs.usd_per_s,
                choice.offers.price_usd_per_hour, *needed, choice.lenient_latency_s, *choice.values.values(),
@@ -125,7 +125,7 @@ def undominated(choice: Choice, needed: list[Floats], rows: Rows) -> Rows:
 
 
 def _ends(choice: Choice, rows: Rows, metric: str | None) -> tuple[list[float | None], list[float | None]]:
-    """The ends of the interval of what is weighed."""
+    """Return the ends of the interval of what is weighed."""
     predictions = choice.metrics[metric] if metric else choice.latency
     if predictions.posterior is None:
         return [None] * len(rows), [None] * len(rows)

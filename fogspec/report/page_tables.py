@@ -28,7 +28,7 @@ class Table:
 
 
 def planned_table(plan: Plan) -> Table:
-    """What is to be measured."""
+    """Return what is to be measured."""
     rows = [(s.machine.instance, s.machine.infra, *_shape(s.machine), s.reason) for s in plan.spec.samples]
     return Table(
         "To be measured", ("machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "why"), rows, (2, 3, 5)
@@ -36,7 +36,7 @@ def planned_table(plan: Plan) -> Table:
 
 
 def measured_table(results: Results) -> Table:
-    """What was measured."""
+    """Return what was measured."""
     heads = ("machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "state", "requests", "mean", "sd", "p50", "p95",
              "p99", "metrics", "took", "spent")  # fmt: skip
     source = f"; {results.spec.source}" if results.spec.source else ""
@@ -71,7 +71,7 @@ def _time(seconds: float | None) -> str:
 
 
 def curve_rows(models: Models) -> list[tuple[str, ...]]:
-    """The curves, one a GPU type and target."""
+    """Return the curves, one a GPU type and target."""
     return [
         (
             model.target + (f" with {model.gpu}" if model.gpu else ""), model.formula,
@@ -100,7 +100,7 @@ def residual_rows(models: Models, refits: Refits) -> Sequence[tuple[str, ...]]:
 
 
 def _without(models: Models, refits: Refits, one: Observation) -> tuple[str, str, str]:
-    """What all other samples say of a sample's machine: prediction, interval, and how far off it is."""
+    """Return what all other samples say of a sample's machine: prediction, interval, and how far off it is."""
     known, key = models.spec.observations, one.machine.type_key
     others = [other for other in known if other.machine.type_key != key]
     predicted = refits.of(others) if others else None

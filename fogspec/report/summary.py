@@ -13,34 +13,31 @@ NOTES = 3
 
 
 def summary(compiled: Artifacts) -> str:
-    """The compiled application in a few lines."""
+    """Return the compiled application in a few lines."""
     layout, body = compiled.layout, compiled.plan.spec
     catalog = body.catalog
     from_ = f"{catalog.source}, {catalog.date}" if catalog.date else catalog.source
     lines = [layout.name, _row("catalog", from_, f"{len(compiled.admissible.offers)} admissible machines")]
-    lines.append(_row("plan", str(layout.plan), _plan_words(compiled)))
+    lines.append(_row("plan", str(layout.plan), _plan_text(compiled)))
     lines += [_row("", "", note) for note in body.notes[:NOTES]]
     if len(body.notes) > NOTES:
         lines.append(_row("", "", f"more notes in the plan: {len(body.notes) - NOTES}"))
     lines.append(_row("tasks", f"{layout.tasks}/", f"{len(body.samples)} SkyPilot tasks, one a machine"))
-    if compiled.decision is None:
+    decision, results = compiled.decision, compiled.results
+    if decision is None or results is None:
         return "\n".join([*lines, *_unmeasured(compiled)])
-    chosen = compiled.decision
-    results = compiled.results
-    assert results is not None
-    usable, all_of = len(chosen.models.spec.observations), len(results.spec.samples)
+    usable, all_of = len(decision.models.spec.observations), len(results.spec.samples)
     spent = dollars(results.spec.spent)
     lines.append(_row("results", str(layout.results), f"{usable} of {all_of} samples count; {spent} spent"))
-    lines.append(_row("models", str(layout.models), f"{len(chosen.models.spec.models)} fitted"))
+    lines.append(_row("models", str(layout.models), f"{len(decision.models.spec.models)} fitted"))
     beside = f" and {layout.picture.name}" if layout.picture in compiled.files else ""
-    lines.append(_row("menu", f"{layout.menu}{beside}", _menu_words(chosen.menu)))
-    lines += [f"  warning: {text}" for text in chosen.menu.spec.warnings]
-    if chosen.manifest is None:
-        return "\n".join([*lines, *no_words(chosen.menu)])
+    lines.append(_row("menu", f"{layout.menu}{beside}", _menu_text(decision.menu)))
+    lines += [f"  warning: {text}" for text in decision.menu.spec.warnings]
+    entry = decision.menu.spec.balanced
+    if decision.manifest is None or entry is None:
+        return "\n".join([*lines, *infeasible_text(decision.menu)])
     lines.append(_row("manifest", str(layout.manifest), f"with {layout.deploy.name}"))
-    entry = chosen.menu.spec.balanced
-    assert entry is not None
-    lines.append(_row("choice", entry_words(entry), chosen.menu.spec.objective))
+    lines.append(_row("choice", entry_text(entry), decision.menu.spec.objective))
     return "\n".join([*lines, f"next: review {layout.manifest}; fogspec explain {layout.spec} says why"])
 
 
@@ -48,7 +45,7 @@ def _row(name: str, what: str, words: str) -> str:
     return f"  {name:<9} {what}: {words}" if what else f"  {name:<9} {words}"
 
 
-def _plan_words(compiled: Artifacts) -> str:
+def _plan_text(compiled: Artifacts) -> str:
     body = compiled.plan.spec
     estimate = body.estimate
     count = f"{len(body.samples)} samples"
@@ -73,12 +70,12 @@ def _unmeasured(compiled: Artifacts) -> list[str]:
     ]
 
 
-def _menu_words(menu: "Menu") -> str:
+def _menu_text(menu: "Menu") -> str:
     body = menu.spec
     return f"{body.meet} of {body.predicted} machines meet the limits"
 
 
-def entry_words(entry: "Entry") -> str:
+def entry_text(entry: "Entry") -> str:
     """`g4dn.xlarge in aws/us-east-1, $0.526/h: 1.65s [1.58s, 1.73s], $0.000241/request`."""
     interval = ""
     if entry.interval is not None:
@@ -93,8 +90,8 @@ def entry_words(entry: "Entry") -> str:
     )
 
 
-def no_words(menu: "Menu") -> list[str]:
-    """Why no machine meets the limits, in lines."""
+def infeasible_text(menu: "Menu") -> list[str]:
+    """Return why no machine meets the limits, in lines."""
     body = menu.spec
     if not body.predicted:
         return ["  nothing can be said of any machine: no sample counts, or each admissible machine failed"]
@@ -106,12 +103,12 @@ def no_words(menu: "Menu") -> list[str]:
             f"the nearest, {miss.instance} in {miss.infra}, needs {miss.nearest_value}"
         )
     if body.nearest is not None:
-        lines.append(f"  nearest on all limits: {entry_words(body.nearest)}; {body.nearest.why_not}")
+        lines.append(f"  nearest on all limits: {entry_text(body.nearest)}; {body.nearest.why_not}")
     return lines
 
 
-def facts(compiled: Artifacts) -> dict[str, Any]:
-    """The same for programs."""
+def as_dict(compiled: Artifacts) -> dict[str, Any]:
+    """Return the same as data."""
     layout, body = compiled.layout, compiled.plan.spec
     chosen = compiled.decision
     return {

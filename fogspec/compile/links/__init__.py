@@ -10,10 +10,10 @@ LINKS: dict[str, Link] = {link.name: link for link in (NoLink(), Zenoh(), WireGu
 
 
 def link_of(application: Application) -> Link:
-    """The link that the spec asks for."""
+    """Return the link that the spec asks for."""
     return LINKS[application.spec.connectivity.link]
 
 
 def port_of(application: Application) -> int:
-    """The port that the cloud machine listens on; 0 without a link."""
+    """Return the port that the cloud machine listens on; 0 without a link."""
     return application.spec.connectivity.port or link_of(application).port

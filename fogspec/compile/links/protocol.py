@@ -33,13 +33,13 @@ class Link(Protocol):
     packages: Sequence[str]
 
     def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
-        """The files and the environment of one end."""
+        """Return the files and the environment of one end."""
         ...
 
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
-        """What a reviewer must know or do for this link on this cloud."""
+        """Return what a reviewer must know or do for this link on this cloud."""
         ...
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:
-        """How to open the port of the machine at `address`, where the engine does not; None where nothing is to do."""
+        """Return how to open the port of the machine at `address`, where the engine does not; None where nothing is to do."""
         ...

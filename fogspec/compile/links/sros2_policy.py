@@ -18,7 +18,7 @@ SERVICES_OF_EVERY_NODE = (
 
 
 def policy(application: Application) -> str:
-    """The policy's text, one enclave for each side; nodes without a name have no profile, because SROS2 goes by it."""
+    """Return the policy's text, one enclave for each side; nodes without a name have no profile, because SROS2 goes by it."""
     sides = {"cloud": application.spec.cloud, "robot": application.spec.robot}
     enclaves = [line for side, nodes in sides.items() for line in _enclave(application, side, nodes)]
     lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<policy version="0.2.0">', "  <enclaves>", *enclaves]

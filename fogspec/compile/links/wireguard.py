@@ -28,7 +28,7 @@ class WireGuard:
     packages: Sequence[str] = ("iproute2", "wireguard-go", "wireguard-tools")
 
     def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
-        """The tunnel's configuration in wg-quick's words."""
+        """Return the tunnel's configuration in wg-quick's words."""
         here, there = addresses(application.metadata.name)
         if side == "cloud":
             here, there = there, here
@@ -53,7 +53,7 @@ class WireGuard:
         return LinkEnd(files, environment)
 
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
-        """What to open by hand, because SkyPilot opens TCP ports only."""
+        """Return what to open by hand, because SkyPilot opens TCP ports only."""
         if not cloud_of(cloud).on_skypilot:
             return ()
         port = application.spec.connectivity.port or self.port
@@ -73,7 +73,7 @@ class WireGuard:
 
 
 def fast_dds(only: Sequence[str]) -> str:
-    """A profile for Fast DDS, the middleware that ROS 2 brings: other middlewares do not read it.
+    """Return a profile for Fast DDS, the middleware that ROS 2 brings: other middlewares do not read it.
 
     A message larger than one datagram is sent in fragments that fit into the tunnel's packets, so that a lost packet
     costs one fragment and not 64 KiB; the buffers hold a burst of them. `only` are the addresses that are used at all.
@@ -105,12 +105,12 @@ def fast_dds(only: Sequence[str]) -> str:
 
 
 def addresses(name: str) -> tuple[ipaddress.IPv4Address, ipaddress.IPv4Address]:
-    """The robot's and the cloud's address in the tunnel: a pair that follows from the application's name."""
+    """Return the robot's and the cloud's address in the tunnel: a pair that follows from the application's name."""
     pairs = SPACE.num_addresses // 2
     pair = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") % pairs
     return SPACE[2 * pair], SPACE[2 * pair + 1]
 
 
 def interface(name: str, side: Literal["cloud", "robot"]) -> str:
-    """The tunnel's network interface at one end: at most 15 characters, its own for each application."""
+    """Return the tunnel's network interface at one end: at most 15 characters, its own for each application."""
     return f"fog{side[0]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"

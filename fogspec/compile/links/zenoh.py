@@ -33,12 +33,12 @@ class Zenoh:
     packages: Sequence[str] = ("openssl", "ros-DISTRO-rmw-zenoh-cpp")
 
     def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
-        """The router's configuration, in JSON, which is JSON5 too."""
+        """Return the router's configuration, in JSON, which is JSON5 too."""
         config = router(application, side, application.spec.connectivity.port or self.port)
         return LinkEnd({f"{side}.json5": _text(config)}, {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"})
 
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
-        """What to open by hand."""
+        """Return what to open by hand."""
         if not cloud_of(cloud).opens_ports:
             port = application.spec.connectivity.port or self.port
             return (f"{cloud} opens no ports: let the robot reach TCP port {port} of the machine yourself",)
@@ -61,7 +61,7 @@ def _short(text: str) -> str:
 
 
 def router(application: Application, side: Literal["cloud", "robot"], port: int) -> dict[str, Any]:
-    """The configuration of one end's router (zenoh 1.x)."""
+    """Return the configuration of one end's router (zenoh 1.x)."""
     peer = "robot" if side == "cloud" else "cloud"
     there = f"tls/@CLOUD_ADDRESS@:{port}"
     listens = [LOCAL, f"tls/0.0.0.0:{port}"] if side == "cloud" else [LOCAL]
@@ -122,11 +122,11 @@ def _rules(passing: AllowedNames) -> Iterator[tuple[str, list[str], list[str]]]:
 
 
 def common_name(name: str, side: str) -> str:
-    """The name in an end's certificate: at most 64 characters (RFC 5280, ub-common-name)."""
+    """Return the name in an end's certificate: at most 64 characters (RFC 5280, ub-common-name)."""
     whole = f"{side}.{name}"
     return whole if len(whole) <= 64 else f"{whole[:55]}.{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
 def key_of(name: str) -> str:
-    """The key expression of a topic or service in any domain and of any type."""
+    """Return the key expression of a topic or service in any domain and of any type."""
     return f"*{name}/*/*"
