@@ -3,14 +3,17 @@
 import os
 import re
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base.errors import UsageError
+from fogspec.base.files import open_untrusted, write_bytes
 
 if TYPE_CHECKING:
     from fogspec.agent.secrecy import Secrets
 
 HIDDEN = "(redacted)"
+FILE_LIMIT = 256 * 2**20
 SECRET_KEY = re.compile(
     r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_?KEY|PRIVATE_?KEY|(^|_)PSK$|(^|_)AUTH$", re.IGNORECASE
 )
@@ -59,3 +62,18 @@ def _redacted(value: Any, known: "Secrets", key: str) -> Any:
     if isinstance(value, str) and value and SECRET_KEY.search(key):
         return HIDDEN
     return known.out_of(value) if isinstance(value, str) else value
+
+
+def redact_files(secrets: "Secrets", directory: Path) -> None:
+    """Rewrite the files below a directory that contain secrets."""
+    if not secrets:
+        return
+    for path in (Path(at, name) for at, _, names in os.walk(directory) for name in names):
+        try:
+            with open_untrusted(path) as file:
+                before = file.read(FILE_LIMIT)
+        except OSError:
+            continue
+        after = secrets.out_of_bytes(before)
+        if after != before:
+            write_bytes(path, after)

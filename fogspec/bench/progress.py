@@ -3,17 +3,21 @@
 import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
+from fogspec.agent.secrecy import Secrets
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base import units
 from fogspec.base.files import open_untrusted
+from fogspec.base.redaction import redact_files
 from fogspec.base.units import rounded
-from fogspec.bench.types import Event
+from fogspec.bench.types import Event, EventKind
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
+
+FINAL = (EventKind.DONE, EventKind.RETRIED, EventKind.UNWANTED)
 
 
 class ProgressReporter(AbstractContextManager["ProgressReporter"], Protocol):
@@ -119,6 +123,24 @@ class Events:
         if self._last.get(event.sample.id) != text:
             self._last[event.sample.id] = text
             self._write(text)
+
+
+@dataclass(slots=True)
+class RedactingProgress:
+    """Reports events without secrets, which a workload can print anywhere; `folders` has the logs of each sample."""
+
+    reporter: ProgressReporter
+    secrets: Secrets
+    folders: dict[str, Path] = field(default_factory=dict)
+
+    def __call__(self, event: Event) -> None:
+        """Redact the event and the files of an attempt that has ended, and report the event."""
+        if event.folder is not None:
+            self.folders[event.sample.id] = event.folder
+            if event.kind in FINAL:
+                redact_files(self.secrets, event.folder)
+        detail = None if event.detail is None else self.secrets.out_of(event.detail)
+        self.reporter(replace(event, detail=detail))
 
 
 def machine(sample: Sample) -> str:

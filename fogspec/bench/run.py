@@ -13,14 +13,13 @@ from fogspec.base.clock import SystemClock
 from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
 from fogspec.base.signals import Interrupt, interruptible
-from fogspec.bench import progress
 from fogspec.bench.adaptive import AdaptiveSampling, Tasks
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.journal import Journal
 from fogspec.bench.orphans import adopt_orphans
 from fogspec.bench.prepare import Prepared
+from fogspec.bench.progress import ProgressReporter, RedactingProgress
 from fogspec.bench.quote import check_prices
-from fogspec.bench.redaction import RedactingProgress
 from fogspec.bench.results_file import ResultsFile, set_aside
 from fogspec.bench.types import CampaignConfig
 from fogspec.catalog.table import Catalog
@@ -34,7 +33,7 @@ from fogspec.spec.lock_io import read_pins
 from fogspec.spec.lockfile import pinned
 
 DEADLINE_BEFORE_END_S = 60.0
-Watch = Callable[[Campaign], progress.ProgressReporter]
+Watch = Callable[[Campaign], ProgressReporter]
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,8 +45,8 @@ def command(
     """
     from fogspec.backends.images.registry import Registry
     from fogspec.backends.registry import deployment_backend
+    from fogspec.deploy.apply import apply
     from fogspec.deploy.preflight import as_text, check_fresh, launch_plan
-    from fogspec.deploy.session import apply
     from fogspec.deploy.state import SystemWallClock
 
     opened = open_manifest(manifest, catalog_path)

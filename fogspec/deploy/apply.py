@@ -1,35 +1,55 @@
-"""From an approved manifest to nodes that answer: nothing is started before it is on disk, nothing is left behind.
+"""Applying a manifest: locked, on disk before it costs anything, interruptible, leaving nothing behind.
 
-The live state is written whole before each step, so that whoever comes after a process that was killed between any two
-steps knows every machine there may be, and ends or keeps it. The old machine goes when the new one has answered.
+The live state is written whole before each step, so that the next command after a process that was killed between any two
+steps knows every machine there may be, and stops or keeps it. The old machine is stopped once the new one has answered.
 """
 
 import contextlib
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 from fogspec.backends.naming import deployment_name, is_deployment_of
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
-from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
+from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, Refused
+from fogspec.base.locks import application_lock
+from fogspec.base.redaction import check_set
+from fogspec.base.signals import interruptible
+from fogspec.compile.links import link_of
+from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate
+from fogspec.deploy.preflight import LaunchPlan
+from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import DeployedMachine, date_of
-from fogspec.deploy.state import DeploymentState
+from fogspec.deploy.state import DeploymentState, WallClock
 
 NO_CAPACITY = ("capacity", "quota")
 STOPPED = "interrupted: what was being started is gone, what served before still does"
+Backends = Callable[[str], DeploymentBackend]
+LinkCheck = Callable[[DeployedMachine, DeploymentStatus], str | None]
 
 
 class _MachineLost(Exception):
     """A machine went away before its nodes answered."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
+class RolloutResult:
+    """The machine that serves now, and whether anything changed; `kept` tells that it is the same machine as before."""
+
+    machine: DeployedMachine
+    changed: bool
+    waited_s: float
+    kept: bool = False
+
+
+@dataclass(slots=True, kw_only=True)
 class Rollout:
     """One application of a manifest.
 
-    `backend_of` finds who keeps a machine by its infra; `linked` joins robot and cloud once the nodes are ready, and
-    says why the link does not answer yet.
+    `backend_of` returns the backend of an infra; `link_check` connects robot and cloud once the nodes are ready, and returns
+    why the link does not answer yet.
     """
 
     live: DeploymentState
@@ -38,37 +58,37 @@ class Rollout:
     candidates: Sequence[Candidate]
     image: str | None
     files: Mapping[str, str]
-    patience_s: float
-    backend_of: Callable[[str], DeploymentBackend]
-    tell: Callable[[str], None] = lambda _text: None
+    ready_timeout_s: float
+    backend_of: Backends
+    report: Callable[[str], None] = lambda _text: None
     stopping: Callable[[], bool] = lambda: False
-    linked: Callable[[DeployedMachine, DeploymentStatus], str | None] = lambda _machine, _live: None
+    link_check: LinkCheck = lambda _machine, _status: None
 
     def current(self) -> DeployedMachine | None:
-        """The machine that serves this manifest already; None where there is none, or its nodes have ended.
+        """Return the machine that serves this manifest already; None if there is none, or its nodes have ended.
 
-        None also where files beside the spec have changed since. Raises CloudError where nobody can say: another one
-        beside it would cost twice.
+        None also if files next to the spec have changed since. Raise CloudError if its state is unknown: another machine
+        besides it would cost twice.
         """
         for machine in self.live.machines:
             same = machine.manifest == self.digest and self._runs(machine) == machine.runs
-            if machine.state == "serving" and same and self._lives(machine):
+            if machine.state == "serving" and same and self._is_alive(machine):
                 return machine
         return None
 
     def _runs(self, machine: DeployedMachine) -> str:
-        """What the machine would be given now; where it is not offered any more, what it was given."""
+        """Return the digest of what the machine would be given now; if it is no longer a candidate, of what it was given."""
         return next((one.runs for one in self.candidates if one.number == machine.fallback), machine.runs)
 
-    def kept(self) -> DeployedMachine | None:
-        """The machine that serves an older manifest and is given the same by this one: it goes on under the new manifest.
+    def adopt(self) -> DeployedMachine | None:
+        """Keep the machine that serves an older manifest and is given the same by this one, under the new manifest.
 
-        None where there is none. Raises CloudError where nobody can say.
+        Return None if there is none. Raise CloudError if its state is unknown.
         """
         first = self.candidates[0]
         for machine in self.live.machines:
             same = machine.runs == first.runs and machine.image == self.image
-            if machine.state == "serving" and same and self._lives(machine):
+            if machine.state == "serving" and same and self._is_alive(machine):
                 self.live.keep_manifest(machine.name, self.manifest)
                 now = machine.machine.model_copy(update={"price": first.price_usd_per_hour})
                 machine = machine.model_copy(update={"manifest": self.digest, "machine": now, "fallback": 0})
@@ -76,20 +96,20 @@ class Rollout:
                 return machine
         return None
 
-    def _lives(self, machine: DeployedMachine) -> bool:
-        """Whether its nodes run; raises CloudError where nobody can say."""
+    def _is_alive(self, machine: DeployedMachine) -> bool:
+        """Return whether its nodes run; raise CloudError if that is unknown."""
         try:
-            live = self.backend_of(machine.machine.infra).poll(self.live.job(machine))
+            status = self._backend(machine).poll(self.live.job(machine))
         except LaunchRefused:
             return False
         except Unreachable as lost:
             raise CloudError(f"{machine.name}: nobody can say how it is: {lost}", "safe to run again") from None
-        return live.state in ("starting", "ready")
+        return status.state in ("starting", "ready")
 
-    def strangers(self) -> list[str]:
-        """Machines that were started to serve this application and that the live state does not have.
+    def unknown_machines(self) -> list[str]:
+        """Return machines that were started to serve this application and that the live state does not have.
 
-        Raises CloudError where nobody can say: another one beside them would cost twice.
+        Raise CloudError if they cannot be listed: another machine besides them would cost twice.
         """
         layout, known = self.live.layout, {machine.name for machine in self.live.machines}
         backends = {one.name: one for one in (self.backend_of(c.machine.infra) for c in self.candidates)}
@@ -99,74 +119,81 @@ class Rollout:
             raise CloudError(f"{layout.name}: nobody can say what runs of it: {lost}", "safe to run again") from None
         return sorted(name for name in set(found) - known if is_deployment_of(name, layout.name))
 
-    def tidy(self, keep: Sequence[str]) -> bool:
-        """End all machines but these; whether there were any. Raises CloudError for one not verified gone."""
+    def stop_others(self, keep: Sequence[str]) -> bool:
+        """Stop all machines but these; return whether there were any. Raise CloudError for one not verified gone."""
         others = [machine for machine in self.live.machines if machine.name not in keep]
         for machine in others:
-            end(self.live, machine, self.backend_of(machine.machine.infra), self.tell)
+            self._stop(machine)
         return bool(others)
 
     def unfinished(self) -> DeployedMachine | None:
-        """A machine that an earlier apply of this manifest started and did not see through, if it is still there."""
+        """Return a machine that an earlier apply of this manifest started and did not finish, if it is still there."""
         for machine in self.live.machines:
             if machine.state == "starting" and machine.manifest == self.digest and machine.runs == self._runs(machine):
                 with contextlib.suppress(LaunchRefused):
-                    if self._look(machine).state in ("starting", "ready"):
+                    if self._poll(machine).state in ("starting", "ready"):
                         return machine
-                self._end(machine)
+                self._stop(machine)
         return None
 
     def run(self) -> DeployedMachine:
-        """Start the machine, or the next one where it cannot be had; wait until it answers; end the old one.
+        """Start the machine, or the next one if it is unavailable; wait until it answers; stop the old one.
 
-        Raises CloudError when none could be had or the nodes do not answer in time, Refused for a price that rose,
-        InvalidInput when a node ended, Interrupted when the user stopped it: what served before still does.
+        Raise CloudError if all are unavailable or the nodes do not answer in time, Refused for a price that rose,
+        InvalidInput if a node ended, Interrupted after Ctrl-C: what served before still does.
         """
         begun = self.unfinished()
         for one in self.candidates:
             if begun is not None and one.number < begun.fallback:
                 continue
-            served, begun = self._tried(one, begun), None
+            served, begun = self._attempt(one, begun), None
             if served is not None:
                 self.live.put(served, ends=True)
-                self.tidy([served.name])
+                self.stop_others([served.name])
                 return served
         raise CloudError("the manifest names no machine that may be started")
 
-    def _tried(self, one: Candidate, begun: DeployedMachine | None) -> DeployedMachine | None:
-        """The machine once it answers, or None where the next is to be tried.
+    def _attempt(self, one: Candidate, begun: DeployedMachine | None) -> DeployedMachine | None:
+        """Return the machine once it answers, or None if the next is to be tried.
 
-        One that goes away before it answers, or whose launch is forgotten, is started once more: verified gone before.
+        A machine lost before it became ready is relaunched once, after its termination was verified.
         """
         again = True
         while True:
-            machine, begun = begun or self._journaled(one), None
+            machine, begun = begun or self._recorded(one), None
             try:
                 return self._wait(self._started(machine, one))
             except LaunchRefused as no:
-                self._end(machine)
+                self._stop(machine)
                 self._next(one, no)
                 return None
             except _MachineLost as gone:
-                self._end(machine)
+                self._stop(machine)
                 if self.stopping():
                     raise Interrupted(STOPPED) from None
                 why = f"{machine.name}: its machine is gone: {gone}"
                 if not again:
                     raise CloudError(why, "safe to run again") from None
                 again = False
-                self.tell(f"{why}; it is started once more")
+                self.report(f"{why}; it is started once more")
 
-    def _journaled(self, one: Candidate) -> DeployedMachine:
-        """The machine's record, on disk before anything is started."""
-        times, backend = self.live.times, self.backend_of(one.machine.infra)
+    def _recorded(self, one: Candidate) -> DeployedMachine:
+        """Return the machine's record, on disk before anything is started."""
+        times = self.live.times
         machine = DeployedMachine(
             name=deployment_name(self.live.layout.name, self.digest, secrets.token_hex(3)),
-            deployer=backend.name, state="starting", manifest=self.digest,
-            machine=one.machine.model_copy(update={"price": one.price_usd_per_hour}), runs=one.runs, fallback=one.number,
-            image=self.image, files=dict(self.files), at=times.now_s(), boot=times.boot(),
+            deployer=self.backend_of(one.machine.infra).name,
+            state="starting",
+            manifest=self.digest,
+            machine=one.machine.model_copy(update={"price": one.price_usd_per_hour}),
+            runs=one.runs,
+            fallback=one.number,
+            image=self.image,
+            files=dict(self.files),
+            at=times.now_s(),
+            boot=times.boot(),
             since=date_of(times.date().timestamp()),
-        )  # fmt: skip
+        )
         self.live.put(machine)
         return machine
 
@@ -174,23 +201,22 @@ class Rollout:
         """Start it, unless an earlier apply did."""
         if (self.live.folder(machine.name) / "manifest.yaml").exists():
             return machine
-        self.tell(f"{one.machine.instance} in {one.machine.infra}: starting {machine.name}")
-        backend = self.backend_of(one.machine.infra)
+        self.report(f"{one.machine.instance} in {one.machine.infra}: starting {machine.name}")
         self.live.keep_manifest(machine.name, self.manifest)
         try:
-            backend.start(self.live.job(machine, one.task))
+            self._backend(machine).start(self.live.job(machine, one.task))
         except Unreachable as lost:
-            self.tell(f"lost contact: {lost}")
+            self.report(f"lost contact: {lost}")
         return machine
 
     def _next(self, one: Candidate, no: LaunchRefused) -> None:
-        """Say that the next machine is tried; raises CloudError where there is none, or none would help.
+        """Report that the next machine is tried; raise CloudError if there is none, or none would help.
 
-        Raises Refused for a price that rose between the look-up here and the launch.
+        Raise Refused for a price that rose between its lookup here and the launch.
         """
         what = f"{one.machine.instance} in {one.machine.infra}"
         if no.reason in NO_CAPACITY and one is not self.candidates[-1]:
-            self.tell(f"{what} cannot be had: {no.detail}; the next is tried")
+            self.report(f"{what} cannot be had: {no.detail}; the next is tried")
             return
         if no.reason == "budget":
             raise Refused(f"{what}: {no.detail}", "compile again with these prices, or allow it: --max")
@@ -202,53 +228,57 @@ class Rollout:
         raise CloudError(f"{what}: {no.detail}", *hints)
 
     def _wait(self, machine: DeployedMachine) -> DeployedMachine:
-        """The machine once its nodes and its end of the link answer, else none is left of it.
+        """Return the machine once its nodes and its end of the link answer; otherwise stop it and raise.
 
-        Raises _Gone for one that went away, which may not be verified yet.
+        Raise _MachineLost for one that went away, which may not be verified yet.
         """
-        said = ""
+        reported = ""
         while True:
             if self.stopping():
-                self._end(machine)
+                self._stop(machine)
                 raise Interrupted(STOPPED)
-            live = self._look(machine)
-            why = live.detail
-            if live.state == "ready" and (why := self.linked(machine, live)) is None:
-                return machine.model_copy(update={"state": "serving", "address": live.address})
-            if live.state == "ended":
-                self._end(machine)
+            status = self._poll(machine)
+            why = status.detail
+            if status.state == "ready" and (why := self.link_check(machine, status)) is None:
+                return machine.model_copy(update={"state": "serving", "address": status.address})
+            if status.state == "ended":
+                self._stop(machine)
                 raise InvalidInput(
-                    f"{machine.name}: the nodes do not run: {live.detail or 'they ended without a word'}"
+                    f"{machine.name}: the nodes do not run: {status.detail or 'they ended without a word'}"
                 )
-            if live.state == "gone":
-                raise _MachineLost(live.detail or "nobody said why")
-            if why and why != said:
-                said = why
-                self.tell(f"{machine.name}: {said}")
-            if self.live.up_s(machine) > self.patience_s:
-                self._end(machine)
+            if status.state == "gone":
+                raise _MachineLost(status.detail or "nobody said why")
+            if why and why != reported:
+                reported = why
+                self.report(f"{machine.name}: {reported}")
+            if self.live.up_s(machine) > self.ready_timeout_s:
+                self._stop(machine)
+                last = f": {reported}" if reported else ""
                 raise CloudError(
-                    f"{machine.name}: the nodes did not answer within {self.patience_s:g} s{f': {said}' if said else ''}",
+                    f"{machine.name}: the nodes did not answer within {self.ready_timeout_s:g} s{last}",
                     "spec.deployment.ready_timeout is how long is waited; what served before still does",
                 )
-            self.live.times.sleep(self.backend_of(machine.machine.infra).poll_s)
+            self.live.times.sleep(self._backend(machine).poll_s)
 
-    def _end(self, machine: DeployedMachine) -> None:
-        end(self.live, machine, self.backend_of(machine.machine.infra), self.tell)
+    def _backend(self, machine: DeployedMachine) -> DeploymentBackend:
+        return self.backend_of(machine.machine.infra)
 
-    def _look(self, machine: DeployedMachine) -> DeploymentStatus:
+    def _stop(self, machine: DeployedMachine) -> None:
+        stop_machine(self.live, machine, self._backend(machine), self.report)
+
+    def _poll(self, machine: DeployedMachine) -> DeploymentStatus:
         try:
-            return self.backend_of(machine.machine.infra).poll(self.live.job(machine))
+            return self._backend(machine).poll(self.live.job(machine))
         except Unreachable as lost:
             return DeploymentStatus(state="starting", detail=f"no contact just now: {lost}")
 
 
-def end(
-    live: DeploymentState, machine: DeployedMachine, backend: DeploymentBackend, tell: Callable[[str], None]
+def stop_machine(
+    live: DeploymentState, machine: DeployedMachine, backend: DeploymentBackend, report: Callable[[str], None]
 ) -> None:
-    """End a machine and forget it once it is verified gone; raises CloudError when that cannot be verified.
+    """Stop a machine and forget it once it is verified gone; raise CloudError if that cannot be verified.
 
-    A disk that is full keeps no machine alive: what cannot be written now is written by whoever ends it again.
+    A full disk keeps no machine alive: a record that cannot be written now is written by the next command that stops it.
     """
     if machine.state != "ending":
         with contextlib.suppress(InvalidInput, OSError):
@@ -260,5 +290,89 @@ def end(
             f"{machine.name}: could not be verified gone: {lost}",
             f"it may still cost money: fogspec down {live.layout.name}",
         ) from None
-    tell(f"{machine.name}: gone")
+    report(f"{machine.name}: gone")
     live.gone(machine.name)
+
+
+def link_check(plan: LaunchPlan, report: Callable[[str], None]) -> LinkCheck:
+    """Return a check that gives the cloud's public half and address to the robot's end, and then asks the link."""
+    application, layout = plan.opened.loaded.application, plan.opened.layout
+    joined: set[str] = set()
+
+    def check(machine: DeployedMachine, status: DeploymentStatus) -> str | None:
+        if link_of(application).protocol is None:
+            return None
+        if status.link is None or status.address is None:
+            return "the cloud's end of the link says nothing yet"
+        if status.link not in joined:
+            files = link.join(application, layout, status.address, status.link)
+            report(f"link: where this is not the robot, copy these to it: {', '.join(map(str, files))}")
+            if (how := link_of(application).opening(application, machine.machine.infra, status.address)) is not None:
+                report(f"link: {how}")
+            joined.add(status.link)
+        return link.link_error(application, layout)
+
+    return check
+
+
+def apply(
+    plan: LaunchPlan,
+    backend_for: Backends,
+    times: WallClock,
+    report: Callable[[str], None],
+    confirm: Callable[[], None],
+) -> RolloutResult:
+    """Make the deployment what the manifest asks for; `confirm` is called before money is spent, and may raise.
+
+    Raise CloudError, InvalidInput or Interrupted as `Rollout.run` does, Refused while another apply, bench or down runs
+    or if a machine serves that this directory does not know, UsageError for a secret that is not in the environment.
+    """
+    layout = plan.opened.layout
+    names = plan.opened.loaded.application.spec.secrets
+    begun_s = times.now_s()
+    live: DeploymentState | None = None
+    try:
+        with application_lock(layout.state / "lock", f"apply of {layout.name}"), interruptible() as interrupt:
+            live = DeploymentState.read(layout, times)
+            rollout = Rollout(
+                live=live,
+                manifest=plan.content,
+                digest=plan.opened.digest,
+                candidates=plan.candidates,
+                image=plan.image,
+                files=plan.files,
+                ready_timeout_s=plan.opened.manifest.spec.ready_timeout,
+                backend_of=cache(redacting(backend_for, names)),
+                report=report,
+                stopping=lambda: interrupt.asked,
+                link_check=link_check(plan, report),
+            )
+            if (served := rollout.current()) is not None:
+                return RolloutResult(served, rollout.stop_others([served.name]), times.now_s() - begun_s)
+            if (adopted := rollout.adopt()) is not None:
+                rollout.stop_others([adopted.name])
+                return RolloutResult(adopted, True, times.now_s() - begun_s, kept=True)
+            check_set(names)
+            if unknown := rollout.unknown_machines():
+                raise Refused(
+                    f"{layout.name} runs already, started from another folder or by an apply whose live state is lost",
+                    *unknown,
+                    f"fogspec down {layout.name} ends it",
+                )
+            for machine in (one for one in live.machines if one.state == "serving"):
+                what = f"{machine.machine.instance} in {machine.machine.infra}"
+                report(f"  replaces  {machine.name}: {what}, which ends when the new one answers")
+            with interrupt.question():
+                confirm()
+            return RolloutResult(rollout.run(), True, times.now_s() - begun_s)
+    except KeyboardInterrupt:
+        again = f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything"
+        started = [one.name for one in live.machines if one.state != "serving"] if live is not None else []
+        raise Interrupted("interrupted at once", *map("may still run: {}".format, started), again) from None
+    except (BrokenPipeError, FogspecError):
+        raise
+    except OSError as problem:
+        raise InvalidInput(
+            f"{problem.filename or layout.state}: {problem.strerror or problem}",
+            f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything",
+        ) from None

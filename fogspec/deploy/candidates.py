@@ -1,4 +1,4 @@
-"""What a machine costs now, and which image its tag stands for now."""
+"""Candidates for a deployment: their prices now, and the digests of their images."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ from fogspec.catalog.machine import Machine
 from fogspec.spec.lockfile import image_of, is_pinned
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A machine that may be launched with its reviewed task: the manifest's own, or one of its fall-backs.
+    """A machine that may be launched with its reviewed task: the manifest's own, or one of its fallbacks.
 
     `number` counts the machines before it, `runs` is the digest of all that the machine is given; `now_usd_per_hour` is
-    its price now, None where the catalog has none.
+    its price now, None if the catalog does not have it.
     """
 
     number: int
@@ -28,14 +28,14 @@ class Candidate:
 
     @property
     def price_usd_per_hour(self) -> float:
-        """What it will cost."""
+        """The price that it will cost."""
         return self.approved_usd_per_hour if self.now_usd_per_hour is None else self.now_usd_per_hour
 
 
 def check_price(one: Candidate, limit_usd_per_hour: float | None, most_usd_per_hour: float | None, source: str) -> None:
-    """Raises Refused for a machine that costs more than was approved, or than the caller or the spec allows.
+    """Raise Refused for a machine that costs more than was approved, or than the caller or the spec allows.
 
-    `most_usd_per_hour` is what the caller allows, in place of the price that was approved.
+    `most_usd_per_hour` is the price that the caller allows, in place of the approved one.
     """
     if one.now_usd_per_hour is None:
         raise Refused(f"{_named(one)}: is not on offer in {source}", "what it costs cannot be said: compile again")
@@ -47,15 +47,15 @@ def check_price(one: Candidate, limit_usd_per_hour: float | None, most_usd_per_h
             "spec.constraints.price is hard: compile again with these prices",
         )
     if now > cap * (1 + 1e-9):
-        said = "--max" if most_usd_per_hour is not None else "what was approved"
+        bound = "--max" if most_usd_per_hour is not None else "what was approved"
         raise Refused(
-            f"{_named(one)}: costs {units.format_price(now)} now in {source}, {said} is {units.format_price(cap)}",
+            f"{_named(one)}: costs {units.format_price(now)} now in {source}, {bound} is {units.format_price(cap)}",
             f"compile again with these prices, or allow it: --max '{units.format_price(now)}'",
         )
 
 
 def affordable(one: Candidate, limit_usd_per_hour: float | None, most_usd_per_hour: float | None) -> bool:
-    """Whether `check_price` would let it pass."""
+    """Return whether `check_price` accepts it."""
     try:
         check_price(one, limit_usd_per_hour, most_usd_per_hour, "")
     except Refused:
@@ -66,9 +66,9 @@ def affordable(one: Candidate, limit_usd_per_hour: float | None, most_usd_per_ho
 def exact(
     task: Mapping[str, Any], infra: str, image: str | None, resolve: bool, ask: Callable[[str], str]
 ) -> tuple[Mapping[str, Any], str | None]:
-    """The task with its image named by digest, and that image; raises Refused for a tag, unless it is to be resolved.
+    """Return the task with its image pinned by digest, and that image; raise Refused for a tag, unless `resolve`.
 
-    Where there are no containers the image is left out of the task already.
+    Without containers, the task has no image.
     """
     cloud = cloud_of(infra)
     if image is None or not (cloud.on_skypilot and cloud.containers):
@@ -87,7 +87,7 @@ def exact(
 
 
 def price_words(usd_per_hour: float) -> str:
-    """An hour, a day, a month."""
+    """Return the price per hour, day and month."""
     day, month = usd_per_hour * units.HOURS_PER_DAY, usd_per_hour * units.HOURS_PER_MONTH
     return f"{units.format_price(usd_per_hour)}, ${day:.2f} a day, ${month:.2f} a month"
 

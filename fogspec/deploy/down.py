@@ -1,4 +1,4 @@
-"""Taking an application down: all that runs under its name, verified gone, whoever started it."""
+"""Teardown of an application: everything that runs under its name, verified gone, by whatever process started."""
 
 import contextlib
 import os
@@ -12,14 +12,14 @@ from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidIn
 from fogspec.base.layout import Layout
 from fogspec.base.locks import application_lock
 from fogspec.compile.manifest import Manifest
-from fogspec.deploy.apply import end
+from fogspec.deploy.apply import stop_machine
 from fogspec.deploy.state import DeploymentState, SystemWallClock, WallClock
 
 
 def layout_of(spec_or_name: str) -> Layout:
-    """The files of the application that a spec's path or a name means; raises InvalidInput for neither.
+    """Return the layout of the application of a spec's path or a name; raise InvalidInput for neither.
 
-    Of a name, only the live state below the working directory is needed: the spec may be gone.
+    A name needs only the live state below the working directory: the spec may be deleted.
     """
     if spec_or_name.endswith((".yaml", ".yml")) or "/" in spec_or_name:
         from fogspec.spec.loader import load
@@ -45,7 +45,7 @@ def layout_of(spec_or_name: str) -> Layout:
 
 
 def leave_link(layout: Layout) -> None:
-    """Forget the cloud's end of the link, where the spec is still there, is right, and has one."""
+    """Forget the cloud's end of the link, if the spec still exists, is valid, and has a link."""
     from fogspec.deploy.link import leave
     from fogspec.spec.loader import load
 
@@ -56,17 +56,17 @@ def leave_link(layout: Layout) -> None:
 
 
 def down(
-    layout: Layout, backends: Sequence[Callable[[], DeploymentBackend]], times: WallClock, tell: Callable[[str], None]
+    layout: Layout, backends: Sequence[Callable[[], DeploymentBackend]], times: WallClock, report: Callable[[str], None]
 ) -> tuple[int, float]:
-    """End everything of one application; how many machines that were, and what they cost in USD.
+    """Stop everything of one application; return the number of machines, and their cost in USD.
 
-    Machines that are not in the live state are found by the application's name, also those of a bench that died. Where
-    one of the backends cannot be had, those of the others are ended all the same.
-    Raises Refused while a bench or an apply runs, CloudError for what could not be verified gone.
+    Machines that are not in the live state are found by the application's name, also those of a bench that died. If one
+    backend is unavailable, the machines of the others are still stopped.
+    Raise Refused while a bench or an apply runs, CloudError for machines that could not be verified gone.
     """
     try:
         with application_lock(layout.state / "lock", f"down of {layout.name}", remove=True):
-            done = _down(_live(layout, times, tell), backends, tell)
+            done = _down(_live(layout, times, report), backends, report)
         with contextlib.suppress(OSError):
             layout.state.rmdir()
             layout.state.parent.rmdir()
@@ -77,39 +77,39 @@ def down(
     except (BrokenPipeError, FogspecError):
         raise
     except OSError as problem:
-        said = f"{problem.filename or layout.state}: {problem.strerror or problem}"
-        raise InvalidInput(said, f"run it again: fogspec down {layout.name}") from None
+        message = f"{problem.filename or layout.state}: {problem.strerror or problem}"
+        raise InvalidInput(message, f"run it again: fogspec down {layout.name}") from None
 
 
-def _live(layout: Layout, times: WallClock, tell: Callable[[str], None]) -> DeploymentState:
-    """The live state; a damaged file hides no machine, for all are found by name as well."""
+def _live(layout: Layout, times: WallClock, report: Callable[[str], None]) -> DeploymentState:
+    """Return the live state; a damaged file hides no machine, since all are found by name too."""
     try:
         return DeploymentState.read(layout, times)
     except DiagnosticError as problems:
-        tell(f"{layout.live}: {problems.diagnostics[0].message}: machines are found by their names")
+        report(f"{layout.live}: {problems.diagnostics[0].message}: machines are found by their names")
         return DeploymentState(layout, times, [])
 
 
 def _down(
-    live: DeploymentState, makers: Sequence[Callable[[], DeploymentBackend]], tell: Callable[[str], None]
+    live: DeploymentState, makers: Sequence[Callable[[], DeploymentBackend]], report: Callable[[str], None]
 ) -> tuple[int, float]:
     backends, left, ended = list[DeploymentBackend](), list[str](), 0
     unwritten: list[InvalidInput | OSError] = []
     for make in makers:
-        with _gathering(left, unwritten):
+        with _collecting(left, unwritten):
             backends.append(make())
     by_name = {one.name: one for one in backends}
     spent = live.total_usd()
     for machine in list(live.machines):
-        with _gathering(left, unwritten):
+        with _collecting(left, unwritten):
             if machine.deployer in by_name:
-                end(live, machine, by_name[machine.deployer], tell)
+                stop_machine(live, machine, by_name[machine.deployer], report)
                 ended += 1
             elif not left:
                 raise Unreachable(f"{machine.name}: nobody here can end what {machine.deployer} runs")
     for backend in backends:
-        with _gathering(left, unwritten):
-            ended += _orphans(live, backend, tell)
+        with _collecting(left, unwritten):
+            ended += _orphans(live, backend, report)
     if left:
         raise CloudError(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
     if unwritten:
@@ -118,21 +118,21 @@ def _down(
     return ended, spent
 
 
-def _orphans(live: DeploymentState, backend: DeploymentBackend, tell: Callable[[str], None]) -> int:
-    """End what bears the application's name and is in no list; how many there were."""
+def _orphans(live: DeploymentState, backend: DeploymentBackend, report: Callable[[str], None]) -> int:
+    """Stop machines with the application's name that are not in the live state; return their number."""
     layout = live.layout
     names = list(backend.list(layout.name, layout.state))
     for name in names:
         backend.stop(Job(name=name, task={}, root=layout.root, directory=live.folder(name)))
-        tell(f"{name}: gone")
+        report(f"{name}: gone")
     if rest := backend.list(layout.name, layout.state):
         raise Unreachable(f"still there: {', '.join(rest)}")
     return len(names)
 
 
 @contextlib.contextmanager
-def _gathering(left: list[str], unwritten: list[InvalidInput | OSError]) -> Iterator[None]:
-    """What goes wrong with one machine keeps no other one alive."""
+def _collecting(left: list[str], unwritten: list[InvalidInput | OSError]) -> Iterator[None]:
+    """Collect problems: a failure with one machine must not keep another one alive."""
     try:
         yield
     except CloudError as failed:
@@ -144,7 +144,7 @@ def _gathering(left: list[str], unwritten: list[InvalidInput | OSError]) -> Iter
 
 
 def places_of(layout: Layout) -> list[str]:
-    """One infra for each kind of place where machines of the application may be: this host, and clouds if it has any."""
+    """Return one infra per backend that may have machines of the application: this host, and a cloud if it has any."""
     from fogspec.plan.schema import Plan
     from fogspec.spec.loader import read_document
 

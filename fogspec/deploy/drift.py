@@ -1,4 +1,4 @@
-"""What the nodes do in use against what the model predicted: the paper's runtime monitor (section 2.A, step 5).
+"""Drift detection: the observed latency against the predicted one, as the paper's runtime monitor (section 2.A, step 5).
 
 Drift is a statement about the model, in both directions: the observed statistic's 95 % interval lies wholly outside the
 predicted interval. Latencies are taken on the machine, as they were when it was measured, so the network has no part.
@@ -8,8 +8,9 @@ import io
 import itertools
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Literal
 
 import numpy as np
@@ -29,11 +30,19 @@ LEAST, LATEST = 30, 1000
 Z95 = statistics.NormalDist().inv_cdf(0.975)
 
 
-@dataclass(frozen=True, slots=True)
-class Observed:
-    """The latest requests: how many, their statistics, and what follows for the model and the limits.
+class Limit(StrEnum):
+    """The limits that a deployment can violate."""
 
-    `interval_s` is the 95 % interval of the statistic that the spec bounds; `breaks` names limits that are not met.
+    LATENCY = "latency"
+    COST = "cost"
+    SUCCESS_RATE = "success rate"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observed:
+    """The latest requests: their number and statistics, and the consequences for the model and the limits.
+
+    `interval_s` is the 95 % interval of the statistic that the spec bounds; `violated` are limits that are not met.
     """
 
     requests: int
@@ -43,11 +52,11 @@ class Observed:
     interval_s: tuple[float, float] | None
     cost_usd_per_request: float | None
     drift: Drift
-    breaks: tuple[str, ...]
+    violated: tuple[Limit, ...]
 
 
 def observe(timings: bytes, application: Application, expected: Expected, machine: Machine) -> Observed:
-    """Compare the latest requests with what was expected of this machine."""
+    """Compare the latest requests with the expectations for this machine."""
     rules = replace(RecordRules.of(application), warmup=0)
     requests = parse_requests(io.BytesIO(b"".join(timings.splitlines(keepends=True)[-LATEST:])), rules)
     known = requests.latencies_s
@@ -56,14 +65,21 @@ def observe(timings: bytes, application: Application, expected: Expected, machin
     value = None if found is None else getattr(found, statistic)
     spread = interval_s(known, statistic)
     cost = None if value is None else _cost(application, machine, value)
-    breaks = tuple(_breaks(expected, spread, cost, len(known), requests.failed, rules.valid))
+    violated = tuple(_violated(expected, spread, cost, len(known), requests.failed, rules.valid))
     return Observed(
-        len(known), requests.failed, found, value, spread, cost, drift(spread, expected.latency.interval), breaks
+        requests=len(known),
+        failed=requests.failed,
+        latency=found,
+        value_s=value,
+        interval_s=spread,
+        cost_usd_per_request=cost,
+        drift=drift(spread, expected.latency.interval),
+        violated=violated,
     )
 
 
 def drift(observed_s: tuple[float, float] | None, predicted_s: tuple[float, float] | None) -> Drift:
-    """Whether the model still holds; unknown without an interval on either side."""
+    """Return whether and in which direction the intervals are disjoint; unknown without one of them."""
     if observed_s is None or predicted_s is None:
         return "unknown"
     if observed_s[0] > predicted_s[1]:
@@ -72,7 +88,7 @@ def drift(observed_s: tuple[float, float] | None, predicted_s: tuple[float, floa
 
 
 def interval_s(latencies_s: Sequence[float], statistic: str) -> tuple[float, float] | None:
-    """The 95 % interval of a statistic of requests in the order they came; None for too few of them.
+    """Return the 95 % interval of a statistic of requests in the order they came; None for too few of them.
 
     Mean: widened by the lag-1 autocorrelation, for successive requests resemble each other. Quantiles: binomial order
     statistics.
@@ -95,22 +111,35 @@ def interval_s(latencies_s: Sequence[float], statistic: str) -> tuple[float, flo
 
 
 def _cost(application: Application, machine: Machine, latency_s: float) -> float:
-    """USD per request, as the choice reckons it: with data transfer, and the interruptions of a spot machine."""
+    """Return USD per request as in the choice: with data transfer, and the interruptions of a spot machine."""
     costs = Costs.of(application.spec, np.array([machine.price]), np.array([machine.spot]))
     return float(costs.per_request(np.array([latency_s]))[0])
 
 
-def _breaks(
+def _violated(
     expected: Expected, spread: tuple[float, float] | None, cost: float | None, n: int, failed: int, valid: float
-) -> list[str]:
-    found, latency = [], expected.latency
-    limit = None if latency.limit is None else latency.limit - latency.network_allowance
-    if limit is not None and spread is not None and spread[0] > limit:
-        found.append(f"{latency.statistic} latency is over its limit of {units.format_duration(limit)}")
+) -> Iterator[Limit]:
+    latency_s = latency_limit_s(expected)
+    if latency_s is not None and spread is not None and spread[0] > latency_s:
+        yield Limit.LATENCY
     if expected.cost.limit is not None and cost is not None and spread is not None and cost > expected.cost.limit:
-        found.append(
-            f"a request costs {units.format_cost(cost)}, over its limit of {units.format_cost(expected.cost.limit)}"
-        )
+        yield Limit.COST
     if n + failed >= LEAST and n < valid * (n + failed):
-        found.append(f"{failed} of {n + failed} requests failed")
-    return found
+        yield Limit.SUCCESS_RATE
+
+
+def latency_limit_s(expected: Expected) -> float | None:
+    """Return the limit of the latency on the machine, without the network's allowance; None without a limit."""
+    latency = expected.latency
+    return None if latency.limit is None else latency.limit - latency.network_allowance
+
+
+def violation_text(limit: Limit, observed: Observed, expected: Expected) -> str:
+    """Return the description of a limit that is not met."""
+    if limit is Limit.LATENCY:
+        most_s = units.format_duration(latency_limit_s(expected) or 0.0)
+        return f"{expected.latency.statistic} latency is over its limit of {most_s}"
+    if limit is Limit.COST:
+        cost, most = observed.cost_usd_per_request or 0.0, expected.cost.limit or 0.0
+        return f"a request costs {units.format_cost(cost)}, over its limit of {units.format_cost(most)}"
+    return f"{observed.failed} of {observed.requests + observed.failed} requests failed"

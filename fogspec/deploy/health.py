@@ -1,4 +1,4 @@
-"""How what runs stands: sync (is it what the manifest says) and health (do the nodes do what was predicted), two words."""
+"""Health of a deployment: sync (does it match the manifest) and health (do its nodes behave as predicted)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
 from fogspec.base.units import dollars, rounded
 from fogspec.compile.manifest import Manifest
-from fogspec.deploy.drift import Observed, observe
+from fogspec.deploy.drift import Observed, observe, violation_text
 from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, WallClock
@@ -28,9 +28,9 @@ Sync = Literal["Synced", "OutOfSync"]
 Health = Literal["Healthy", "Drifted", "Degraded", "Progressing", "Missing", "Unknown"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HealthReport:
-    """What runs of one application: two words, why, and the figures; `machines` are all that may cost money."""
+    """The deployment of one application: sync, health, reasons and figures; `machines` are all that may cost money."""
 
     sync: Sync
     health: Health
@@ -57,9 +57,9 @@ def health_report(
     times: WallClock,
     backend_for: Callable[[str], DeploymentBackend],
 ) -> HealthReport | None:
-    """How the application's deployment stands; None where nothing was applied. Nothing is written.
+    """Return the health of the application's deployment; None if nothing was applied. Nothing is written.
 
-    `fresh` says whether the manifest on disk follows from its inputs.
+    `fresh` tells whether the manifest on disk follows from its inputs.
     """
     live_file = DeploymentState.read(layout, times)
     if not live_file.machines:
@@ -80,15 +80,24 @@ def health_report(
         observed = observe(live.timings, application, approved.expected, subject.machine)
     health, why = _health(subject, live, observed, approved)
     return HealthReport(
-        "OutOfSync" if differs or not fresh or serving is None else "Synced", health, (*reasons, *why), tuple(differs),
-        tuple(live_file.machines), serving, live, observed, approved, live_file.total_usd(), live_file.up_s(subject),
-    )  # fmt: skip
+        sync="OutOfSync" if differs or not fresh or serving is None else "Synced",
+        health=health,
+        reasons=(*reasons, *why),
+        changes=tuple(differs),
+        machines=tuple(live_file.machines),
+        serving=serving,
+        live=live,
+        observed=observed,
+        manifest=approved,
+        spent_usd=live_file.total_usd(),
+        up_s=live_file.up_s(subject),
+    )
 
 
 def manifest_changes(
     layout: Layout, live: DeploymentState, machine: DeployedMachine, application: Application
 ) -> list[Change]:
-    """What differs between the manifest on disk, with the files beside the spec, and what a machine was started for."""
+    """Return the differences between the manifest on disk, with the files next to the spec, and a machine's own manifest."""
     files = _files_changed(application, layout, machine)
     if _committed(layout) == machine.manifest:
         return files
@@ -101,19 +110,19 @@ def manifest_changes(
 
 
 def _committed(layout: Layout) -> str | None:
-    """The digest of the manifest on disk."""
+    """Return the digest of the manifest on disk."""
     return digest.of_bytes(layout.manifest.read_bytes()) if layout.manifest.is_file() else None
 
 
 def _files_changed(application: Application, layout: Layout, machine: DeployedMachine) -> list[Change]:
-    """Files and folders beside the spec that are not what the machine was given."""
+    """Return the files and directories next to the spec that differ from those that the machine was given."""
     now = files_deployed(application, layout)
     names = sorted(name for name in now.keys() | machine.files.keys() if now.get(name) != machine.files.get(name))
     return [Change(name, "as it was started", "changed since") for name in names]
 
 
 def running_changes(layout: Layout, times: WallClock, application: Application) -> list[Change] | None:
-    """The same for whatever serves now, asking nobody; None where nothing does."""
+    """Return the differences for the machine that serves now, without polling; None if there is none."""
     live = DeploymentState.read(layout, times)
     serving = next((one for one in live.machines if one.state == "serving"), None)
     return None if serving is None else manifest_changes(layout, live, serving, application)
@@ -131,7 +140,7 @@ def _poll(
 
 
 def _manifest(live: DeploymentState, machine: DeployedMachine) -> Manifest | None:
-    """The manifest that the machine was started for."""
+    """Return the manifest that the machine was started for."""
     try:
         return read_document(live.folder(machine.name) / "manifest.yaml", Manifest)
     except (DiagnosticError, FogspecError):
@@ -152,15 +161,15 @@ def _health(
     notes = [live.detail] if live.detail else []
     if observed is None or manifest is None:
         return "Healthy", notes
-    notes += observed.breaks
+    notes += [violation_text(one, observed, manifest.expected) for one in observed.violated]
     drifted = observed.drift in ("slower", "faster")
     if drifted:
         notes.append(f"the model no longer holds: requests are {observed.drift} than predicted")
-    return "Degraded" if observed.breaks else "Drifted" if drifted else "Healthy", notes
+    return "Degraded" if observed.violated else "Drifted" if drifted else "Healthy", notes
 
 
 def as_text(one: HealthReport) -> list[str]:
-    """The deployment in lines."""
+    """Return the deployment in lines."""
     subject = one.serving or one.machines[-1]
     machine = subject.machine
     lines = [f"  {'running':<9} {one.sync}, {one.health}"]
@@ -190,26 +199,46 @@ def _observed_words(seen: Observed, manifest: Manifest) -> str:
 
 
 def as_dict(one: HealthReport) -> dict[str, Any]:
-    """The same for programs."""
-    seen, manifest = one.observed, one.manifest
+    """Return the deployment as data."""
     return {
         "sync": one.sync,
         "health": one.health,
         "reasons": list(one.reasons),
-        "changes": [{"field": change.field, "running": change.before, "manifest": change.after} for change in one.changes],
+        "changes": [
+            {"field": change.field, "running": change.before, "manifest": change.after} for change in one.changes
+        ],
         "machines": [machine.model_dump(mode="json") for machine in one.machines],
         "spent_usd": round(one.spent_usd, 6),
         "up_s": one.up_s,
         "ready_s": one.live and one.live.ready_s,
-        "predicted": None if manifest is None else {
-            "statistic": manifest.expected.latency.statistic, "latency_s": manifest.expected.latency.predicted,
-            "interval_s": manifest.expected.latency.interval, "level": manifest.expected.latency.level,
-            "cost_usd_per_request": manifest.expected.cost.predicted,
-        },
-        "observed": None if seen is None else {
-            "requests": seen.requests, "failed": seen.failed, "latency_s": seen.value_s, "interval_s": seen.interval_s,
-            "p50_s": seen.latency and seen.latency.p50, "p95_s": seen.latency and seen.latency.p95,
-            "p99_s": seen.latency and seen.latency.p99, "mean_s": seen.latency and seen.latency.mean,
-            "cost_usd_per_request": seen.cost_usd_per_request, "drift": seen.drift, "breaks": list(seen.breaks),
-        },
-    }  # fmt: skip
+        "predicted": None if one.manifest is None else _predicted(one.manifest),
+        "observed": None if one.observed is None or one.manifest is None else _observed(one.observed, one.manifest),
+    }
+
+
+def _predicted(manifest: Manifest) -> dict[str, Any]:
+    latency = manifest.expected.latency
+    return {
+        "statistic": latency.statistic,
+        "latency_s": latency.predicted,
+        "interval_s": latency.interval,
+        "level": latency.level,
+        "cost_usd_per_request": manifest.expected.cost.predicted,
+    }
+
+
+def _observed(seen: Observed, manifest: Manifest) -> dict[str, Any]:
+    latency = seen.latency
+    return {
+        "requests": seen.requests,
+        "failed": seen.failed,
+        "latency_s": seen.value_s,
+        "interval_s": seen.interval_s,
+        "p50_s": latency and latency.p50,
+        "p95_s": latency and latency.p95,
+        "p99_s": latency and latency.p99,
+        "mean_s": latency and latency.mean,
+        "cost_usd_per_request": seen.cost_usd_per_request,
+        "drift": seen.drift,
+        "breaks": [violation_text(one, seen, manifest.expected) for one in seen.violated],
+    }

@@ -16,19 +16,19 @@ from fogspec.compile.links import link_of
 from fogspec.compile.tasks import LINK_PEER
 from fogspec.spec.schema import Application
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 
 def folder_of(name: str) -> Path:
-    """Where the robot's end of an application's link keeps its keys and public halves."""
+    """Return the directory in which the robot's end of a link keeps its keys and public halves."""
     links = os.environ.get("FOGSPEC_LINKS")
     return (Path(links) if links else Path.home() / ".fogspec" / "links") / name / "robot"
 
 
 def make_keys(application: Application, layout: Layout) -> str:
-    """Make the robot's private key where there is none, and return its public half.
+    """Make the robot's private key if there is none, and return its public half.
 
-    Raises InvalidInput without a link in the spec, CloudError when a program is missing.
+    Raise InvalidInput without a link in the spec, CloudError if a program is missing.
     """
     if link_of(application).protocol is None:
         raise InvalidInput(
@@ -38,7 +38,7 @@ def make_keys(application: Application, layout: Layout) -> str:
 
 
 def environment(application: Application, layout: Layout) -> dict[str, str]:
-    """What the deployment's task is given at launch; nothing without a link. Raises Refused before `fogspec keys`."""
+    """Return the variables that the task gets at launch; none without a link. Raise Refused before `fogspec keys`."""
     if link_of(application).protocol is None:
         return {}
     public = folder_of(application.metadata.name) / "public"
@@ -52,13 +52,13 @@ def environment(application: Application, layout: Layout) -> dict[str, str]:
 
 
 def join(application: Application, layout: Layout, address: str, public: str) -> list[Path]:
-    """Take the cloud's public half and address; returns the files to copy where this computer is not the robot.
+    """Take the cloud's public half and address; return the files to copy if this computer is not the robot.
 
-    Raises InvalidInput for what is no public half of the cloud's end, or no address.
+    Raise InvalidInput for an invalid public half or address.
     """
     if link_of(application).protocol is None:
         return []
-    _run(application, layout, "peer", said=public.strip() + "\n")
+    _run(application, layout, "peer", stdin=public.strip() + "\n")
     _run(application, layout, "address", address)
     return [folder_of(application.metadata.name) / name for name in ("peer", "address")]
 
@@ -70,8 +70,9 @@ def leave(application: Application, layout: Layout) -> None:
 
 
 def link_error(application: Application, layout: Layout) -> str | None:
-    """Why the cloud's end does not answer from here; None when it does, when there is no link, or when only the robot
-    could tell: WireGuard says nothing to who is not in the tunnel.
+    """Return why the cloud's end does not answer from here.
+
+    None if it does, without a link, or if only the robot can tell: WireGuard does not answer from outside the tunnel.
     """
     if link_of(application).protocol != "tcp":
         return None
@@ -82,13 +83,17 @@ def link_error(application: Application, layout: Layout) -> str | None:
     return None
 
 
-def _run(application: Application, layout: Layout, *words: str, said: str = "") -> str:
+def _run(application: Application, layout: Layout, *words: str, stdin: str = "") -> str:
     script = link_script(application, layout)
     try:
         run = subprocess.run(
             ["bash", "-c", script, "link.sh", "robot", *words],
-            input=said, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
-        )  # fmt: skip
+            input=stdin,
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
     except (OSError, subprocess.TimeoutExpired) as problem:
         raise CloudError(f"the link's script did not end: {problem}") from None
     if run.returncode != 0:

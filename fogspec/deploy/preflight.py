@@ -1,4 +1,4 @@
-"""From a manifest on disk to what may be launched: fresh, not edited, priced anew, its image exact."""
+"""Checks before a launch: the manifest is fresh and unedited, its prices still hold, its image is pinned."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ from fogspec.spec.lock_io import check_files, files_deployed
 
 @dataclass(frozen=True, slots=True)
 class LaunchPlan:
-    """What a person approved, ready to be launched: the machine and its fall-backs, with the image that they run.
+    """The approved launch: the machine and its fallbacks, with the image that they run.
 
-    `files` are digests of the files and folders beside the spec that go along, as they are now.
+    `files` are the current digests of the files and directories next to the spec that are sent along.
     """
 
     opened: ManifestBundle
@@ -35,7 +35,7 @@ class LaunchPlan:
 
 
 def check_fresh(opened: ManifestBundle) -> None:
-    """Raises OutOfDate for a manifest that was edited or no longer follows from its inputs, saying which and how."""
+    """Raise OutOfDate for a manifest that was edited or no longer follows from its inputs, with the reasons."""
     if broken := [link for link in verify(opened) if link.breaks]:
         raise OutOfDate(
             f"{opened.layout.manifest}: is stale or was edited, so nothing was started",
@@ -47,9 +47,9 @@ def check_fresh(opened: ManifestBundle) -> None:
 def launch_plan(
     opened: ManifestBundle, prices: Catalog, most_usd_per_hour: float | None, resolve: bool, ask: Callable[[str], str]
 ) -> LaunchPlan:
-    """The candidates at their prices now; fall-backs that became too dear are left out.
+    """Return the candidates at their prices now; fallbacks that became too expensive are left out.
 
-    Raises InvalidInput when a file that is to be sent is missing, Refused when the chosen machine costs more than is allowed,
+    Raise InvalidInput if a file to send is missing, Refused if the chosen machine costs more than is allowed,
     or for an image that is not pinned.
     """
     check_files(opened.loaded.application, opened.layout, measured=False)
@@ -65,7 +65,14 @@ def launch_plan(
         image = exactly if number == 0 else image
         task = allowed(task, most_usd_per_hour)
         runs = runs_digest(task, machine, opened, files)
-        candidate = Candidate(number, machine, task, runs, machine.price, price_now(machine, prices))
+        candidate = Candidate(
+            number=number,
+            machine=machine,
+            task=task,
+            runs=runs,
+            approved_usd_per_hour=machine.price,
+            now_usd_per_hour=price_now(machine, prices),
+        )
         if number == 0:
             check_price(candidate, limit, most_usd_per_hour, prices.about.source)
         elif not affordable(candidate, limit, most_usd_per_hour):
@@ -75,19 +82,19 @@ def launch_plan(
 
 
 def allowed(task: Mapping[str, Any], most_usd_per_hour: float | None) -> Mapping[str, Any]:
-    """The task with the price that the caller allows in place of the approved one, which SkyPilot's side checks too."""
+    """Return the task with the price that the caller allows in place of the approved one; SkyPilot's side checks it too."""
     if most_usd_per_hour is None or "max_hourly_cost" not in task["resources"]:
         return task
     return {**task, "resources": {**task["resources"], "max_hourly_cost": most_usd_per_hour}}
 
 
 def _peer(task: Mapping[str, Any], peer: Mapping[str, str]) -> dict[str, Any]:
-    """The task's environment with the public half of the robot's end of the link, which is known at launch only."""
+    """Return the environment with the public half of the robot's end of the link, which is known only at launch."""
     return {"envs": {**task.get("envs", {}), **peer}} if peer else {}
 
 
 def runs_digest(task: Mapping[str, Any], machine: Machine, opened: ManifestBundle, files: Mapping[str, str]) -> str:
-    """Digest of all that the machine is given: a new price or another expectation needs no other machine."""
+    """Return the digest of everything that the machine is given: a new price or expectation needs no other machine."""
     resources = {key: value for key, value in task["resources"].items() if key != "max_hourly_cost"}
     sent = {one.path: one.digest for one in opened.manifest.spec.files if one.path != opened.layout.robot.name}
     return digest.of_value(
@@ -96,7 +103,7 @@ def runs_digest(task: Mapping[str, Any], machine: Machine, opened: ManifestBundl
 
 
 def read_task(opened: ManifestBundle, reference: TaskRef) -> dict[str, Any]:
-    """The reviewed task, parsed; raises OutOfDate for another one."""
+    """Return the parsed task; raise OutOfDate if it is not the reviewed one."""
     from ruamel.yaml import YAML
 
     path, file = opened.layout.compiled / reference.path, opened.file(reference)
@@ -108,9 +115,9 @@ def read_task(opened: ManifestBundle, reference: TaskRef) -> dict[str, Any]:
     return task
 
 
-def as_text(ordered: LaunchPlan) -> list[str]:
-    """What will run and what it costs, in lines."""
-    manifest, first = ordered.opened.manifest, ordered.candidates[0]
+def as_text(plan: LaunchPlan) -> list[str]:
+    """Return the lines that describe the launch and its cost."""
+    manifest, first = plan.opened.manifest, plan.candidates[0]
     spec, latency = manifest.spec, manifest.expected.latency
     limit = "" if latency.limit is None else f", limit {units.format_duration(latency.limit)}"
     gpu = f", {spec.gpu.label}" if spec.gpu else ""
@@ -118,15 +125,15 @@ def as_text(ordered: LaunchPlan) -> list[str]:
         f"{manifest.metadata.name}: {spec.instance} in {spec.infra}{' spot' if spec.spot else ''} "
         f"({spec.cpus:g} vCPU{'' if spec.cpus == 1 else 's'}, {units.format_memory(spec.memory)}{gpu})",
         f"  nodes     {len(spec.cloud)} in the cloud, {len(spec.robot)} on the robot; link {spec.connectivity.link}",
-        f"  task      {ordered.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
+        f"  task      {plan.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
         f"  costs     {price_words(first.price_usd_per_hour)}",
         f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}"
         f"{interval_text(latency.interval)}{limit}; {units.format_cost(rounded(manifest.expected.cost.predicted))}",
     ]
-    if ordered.image is not None:
-        lines.append(f"  image     {ordered.image}")
+    if plan.image is not None:
+        lines.append(f"  image     {plan.image}")
     lines += [
         f"  or else   {one.machine.instance} in {one.machine.infra}: {price_words(one.price_usd_per_hour)}"
-        for one in ordered.candidates[1:]
+        for one in plan.candidates[1:]
     ]
     return lines

@@ -1,4 +1,4 @@
-"""What runs of an application: written before anything is started, so that nothing is ever lost sight of."""
+"""The live state of an application: written before anything is started, so that no machine is ever lost."""
 
 from datetime import UTC, datetime
 from typing import Annotated, Literal
@@ -41,14 +41,14 @@ class DeployedMachine(Strict):
     since: Annotated[str, AfterValidator(_date)]
 
     def up_s(self, now_s: float, boot: str, today: datetime) -> float:
-        """Seconds since it was started: by the clock that never jumps, or over a restart of this host by the date."""
+        """Return the seconds since its start: by the monotonic clock, or over a restart of this host by the date."""
         if self.boot == boot:
             return max(0.0, now_s - self.at)
         return max(0.0, (today - datetime.fromisoformat(self.since)).total_seconds())
 
 
 class DeploymentBody(Strict):
-    """The machines, and what those that are gone have cost since the application was last down."""
+    """The machines, and the cost of those that are gone since the application was last down."""
 
     machines: list[DeployedMachine]
     spent: Money = 0.0
@@ -64,5 +64,5 @@ class LiveState(Strict):
 
 
 def date_of(unix_s: float) -> str:
-    """A date in UTC, to the second."""
+    """Return a date in UTC, to the second."""
     return datetime.fromtimestamp(unix_s, UTC).replace(microsecond=0).isoformat()

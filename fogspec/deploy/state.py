@@ -1,4 +1,4 @@
-"""The live state on disk: one file that is written whole before each step, and a folder for each launch."""
+"""The live state on disk: one file that is written whole before each step, and a directory per machine."""
 
 import dataclasses
 import os
@@ -20,18 +20,18 @@ from fogspec.spec.loader import read_document
 
 
 class WallClock(Protocol):
-    """The clock that never jumps, and the date."""
+    """A monotonic clock, and the date."""
 
     def now_s(self) -> float:
-        """Seconds since some moment of this boot."""
+        """Return seconds since some moment of this boot."""
         ...
 
     def boot(self) -> str:
-        """Names the boot of this machine."""
+        """Return the name of this boot."""
         ...
 
     def date(self) -> datetime:
-        """The date in UTC; it may jump."""
+        """Return the date in UTC; it may jump."""
         ...
 
     def sleep(self, seconds: float) -> None:
@@ -43,13 +43,13 @@ class SystemWallClock(SystemClock):
     """This host's clocks."""
 
     def date(self) -> datetime:
-        """The date in UTC."""
+        """Return the date in UTC."""
         return datetime.now(UTC)
 
 
 @dataclass(slots=True)
 class DeploymentState:
-    """What runs of one application, as it is on disk: every change is there before it takes effect."""
+    """The machines of one application, as on disk: every change is written before it takes effect."""
 
     layout: Layout
     times: WallClock
@@ -58,7 +58,7 @@ class DeploymentState:
 
     @classmethod
     def read(cls, layout: Layout, times: WallClock) -> "DeploymentState":
-        """What the file says, nothing where there is none; raises DiagnosticError for one that was damaged."""
+        """Return the state in the file, empty if there is none; raise DiagnosticError if it was damaged."""
         if not os.path.lexists(layout.live):
             return cls(layout, times, [])
         try:
@@ -69,41 +69,42 @@ class DeploymentState:
         return cls(layout, times, list(body.machines), body.spent)
 
     def put(self, machine: DeployedMachine, *, ends: bool = False) -> None:
-        """Add the machine, or change its record; with `ends` all others are to go, in the same write."""
+        """Add the machine, or change its record; with `ends` mark all others for stopping, in the same write."""
         others = [one for one in self.machines if one.name != machine.name]
         if ends:
             others = [one.model_copy(update={"state": "ending"}) for one in others]
         self._write([*others, machine])
 
     def gone(self, name: str) -> None:
-        """The machine is verified gone: its price is added up, its record and folder removed."""
+        """Add the cost of a machine that is verified gone, and remove its record and directory."""
         spent = sum(self.spent(one) for one in self.machines if one.name == name)
         self._write([one for one in self.machines if one.name != name], self.spent_usd + spent)
         shutil.rmtree(self.folder(name), ignore_errors=True)
 
     def clear(self) -> None:
-        """Nothing runs: remove the file and what is left beside it; raises OSError when that cannot be done."""
-        assert not self.machines
-        # One that was killed in the middle of writing leaves the part that it wrote.
+        """Remove the file and what is left next to it, once no machine is left; raise OSError if that fails."""
+        if self.machines:
+            raise ValueError("machines are left")
+        # A process that was killed in the middle of a write leaves a part.
         for path in (self.layout.live, *self.layout.state.glob(f".{self.layout.live.name}.*")):
             path.unlink(missing_ok=True)
         if self.layout.deployed.is_dir():
             shutil.rmtree(self.layout.deployed)
 
     def spent(self, machine: DeployedMachine) -> float:
-        """What the machine has cost so far, in USD, at the price it was started for."""
+        """Return the cost of the machine so far, in USD, at the price it was started for."""
         return machine.machine.price * self.up_s(machine) / 3600
 
     def up_s(self, machine: DeployedMachine) -> float:
-        """For how long it has been there."""
+        """Return the seconds since its start."""
         return machine.up_s(self.times.now_s(), self.times.boot(), self.times.date())
 
     def total_usd(self) -> float:
-        """What everything has cost so far, those that are gone included."""
+        """Return the cost so far, in USD, machines that are gone included."""
         return self.spent_usd + sum(map(self.spent, self.machines))
 
     def folder(self, name: str) -> Path:
-        """The folder of one launch."""
+        """Return the directory of one machine."""
         return self.layout.deployed / name
 
     def job(self, machine: DeployedMachine, task: Mapping[str, Any] | None = None) -> Job:
@@ -112,7 +113,7 @@ class DeploymentState:
         return Job(name=machine.name, task=task or {}, root=root, directory=directory, machine=machine.machine)
 
     def keep_manifest(self, name: str, content: bytes) -> None:
-        """Keep the manifest that a machine is started for, so that what runs can be compared with it later."""
+        """Keep the manifest that a machine is started for, for later comparisons."""
         write_bytes(self.folder(name) / "manifest.yaml", content)
 
     def _write(self, machines: list[DeployedMachine], spent_usd: float | None = None) -> None:

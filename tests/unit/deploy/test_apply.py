@@ -1,4 +1,4 @@
-"""Applying with a deployer that does as it is told: which machine is tried next, which stays, what is said."""
+"""Applying with a backend that does as it is told: which machine is tried next, which stays, what is said."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -40,8 +40,8 @@ class Times:
 
 
 @dataclass
-class Told:
-    """A deployer; `says` has what is known of each instance type: a state, or what is raised."""
+class FakeBackend:
+    """A backend; `says` has what is known of each instance type: a state, or what is raised."""
 
     says: dict[str, list[object]]
     name: str = "skypilot"
@@ -72,10 +72,10 @@ class Told:
 
 @dataclass
 class World:
-    """One application's folder, clock and deployer."""
+    """One application's folder, clock and backend."""
 
     folder: Path
-    deployer: Told
+    backend: FakeBackend
     times: Times = field(default_factory=Times)
     said: list[str] = field(default_factory=list)
 
@@ -88,110 +88,112 @@ class World:
     ) -> Rollout:
         candidates = [
             Candidate(
-                n, Machine(infra="aws/r1", instance=name, cpus=2, memory=4.0, price=0.1), {}, f"{runs} {name}", 0.1
+                number=n, machine=Machine(infra="aws/r1", instance=name, cpus=2, memory=4.0, price=0.1), task={},
+                runs=f"{runs} {name}", approved_usd_per_hour=0.1,
             )
             for n, name in enumerate(machines)
-        ]
+        ]  # fmt: skip
         live = DeploymentState.read(Layout.of(self.folder / "specs" / "demo.yaml", "demo"), self.times)
         work = Rollout(
-            live, b"the manifest", digest, candidates, None, {}, 600.0, lambda _infra: self.deployer, self.said.append
-        )
+            live=live, manifest=b"the manifest", digest=digest, candidates=candidates, image=None, files={},
+            ready_timeout_s=600.0, backend_of=lambda _infra: self.backend, report=self.said.append,
+        )  # fmt: skip
         if linked is not None:
-            work.linked = linked
+            work.link_check = linked
         return work
 
 
 @pytest.fixture
 def world(tmp_path: Path) -> World:
-    return World(tmp_path, Told({"a": ["starting", "ready"], "b": ["ready"], "nothing": ["gone"]}))
+    return World(tmp_path, FakeBackend({"a": ["starting", "ready"], "b": ["ready"], "nothing": ["gone"]}))
 
 
 def test_the_first_machine_that_answers(world: World) -> None:
     served = world.apply(FIRST, "a", "b").run()
     assert (served.machine.instance, served.fallback, served.address) == ("a", 0, "192.0.2.1")
-    assert world.deployer.log == ["start a"]
+    assert world.backend.log == ["start a"]
     again = world.apply(FIRST, "a", "b")
     assert again.current() == served
 
 
 @pytest.mark.parametrize("reason", ["capacity", "quota"])
 def test_want_of_capacity_known_late_goes_on_to_the_next(world: World, reason: str) -> None:
-    world.deployer.says["a"] = ["starting", LaunchRefused(reason, "sold out")]  # type: ignore[arg-type]
+    world.backend.says["a"] = ["starting", LaunchRefused(reason, "sold out")]  # type: ignore[arg-type]
     served = world.apply(FIRST, "a", "b").run()
     assert (served.machine.instance, served.fallback) == ("b", 1)
-    assert world.deployer.log == ["start a", "end a", "start b"]
+    assert world.backend.log == ["start a", "end a", "start b"]
     assert any("a in aws/r1 cannot be had: sold out; the next is tried" in line for line in world.said)
 
 
 def test_what_another_machine_would_not_mend(world: World) -> None:
-    world.deployer.says["a"] = [LaunchRefused("image", "manifest unknown")]
+    world.backend.says["a"] = [LaunchRefused("image", "manifest unknown")]
     with pytest.raises(CloudError, match="manifest unknown"):
         world.apply(FIRST, "a", "b").run()
-    world.deployer.says["a"] = [LaunchRefused("budget", "it costs $0.2 an hour now")]
+    world.backend.says["a"] = [LaunchRefused("budget", "it costs $0.2 an hour now")]
     with pytest.raises(Refused, match="it costs"):
         world.apply(FIRST, "a", "b").run()
-    assert world.deployer.up == {}
+    assert world.backend.up == {}
 
 
 def test_nothing_can_be_had(world: World) -> None:
     for name in "ab":
-        world.deployer.says[name] = [LaunchRefused("capacity", "sold out")]
+        world.backend.says[name] = [LaunchRefused("capacity", "sold out")]
     with pytest.raises(CloudError) as failed:
         world.apply(FIRST, "a", "b").run()
     assert "none of 2 machines" in failed.value.hints[0]
-    assert world.deployer.up == {}
+    assert world.backend.up == {}
 
 
 def test_the_old_machine_ends_after_the_new_one_answers(world: World) -> None:
     world.apply(FIRST, "b").run()
     world.apply(SECOND, "a").run()
-    assert world.deployer.log == ["start b", "start a", "end b"]
+    assert world.backend.log == ["start b", "start a", "end b"]
 
 
 def test_the_same_machine_takes_the_new_manifest(world: World) -> None:
     first = world.apply(FIRST, "b").run()
-    kept = world.apply(SECOND, "b").kept()
+    kept = world.apply(SECOND, "b").adopt()
     assert kept is not None
     assert (kept.name, kept.manifest) == (first.name, SECOND)
-    assert world.apply(SECOND, "b", runs="other").kept() is None
+    assert world.apply(SECOND, "b", runs="other").adopt() is None
 
 
 def test_nodes_that_end_while_they_start(world: World) -> None:
-    world.deployer.says["a"] = ["starting", DeploymentStatus(state="ended", detail="planner ended with exit code 1")]
+    world.backend.says["a"] = ["starting", DeploymentStatus(state="ended", detail="planner ended with exit code 1")]
     with pytest.raises(InvalidInput, match="planner ended with exit code 1"):
         world.apply(FIRST, "a").run()
-    assert world.deployer.up == {}
+    assert world.backend.up == {}
 
 
 def test_a_machine_that_is_taken_away(world: World) -> None:
-    world.deployer.says["a"] = ["starting", DeploymentStatus(state="gone", detail="spot capacity was reclaimed")]
+    world.backend.says["a"] = ["starting", DeploymentStatus(state="gone", detail="spot capacity was reclaimed")]
     with pytest.raises(CloudError, match="spot capacity was reclaimed"):
         world.apply(FIRST, "a").run()
-    assert world.deployer.up == {}
+    assert world.backend.up == {}
 
 
 def test_patience_has_an_end(world: World) -> None:
-    world.deployer.says["a"] = [DeploymentStatus(state="starting", detail="the job is setting_up")]
+    world.backend.says["a"] = [DeploymentStatus(state="starting", detail="the job is setting_up")]
     with pytest.raises(CloudError, match=r"did not answer within 600 s: the job is setting_up"):
         world.apply(FIRST, "a").run()
     assert world.times.now == pytest.approx(605)
-    assert world.deployer.up == {}
+    assert world.backend.up == {}
 
 
 def test_silence_while_waiting_is_waited_out(world: World) -> None:
-    world.deployer.says["a"] = [Unreachable("timeout"), Unreachable("timeout"), "ready"]
+    world.backend.says["a"] = [Unreachable("timeout"), Unreachable("timeout"), "ready"]
     assert world.apply(FIRST, "a").run().state == "serving"
-    assert world.deployer.log == ["start a"]
+    assert world.backend.log == ["start a"]
 
 
 def test_silence_starts_nothing_new(world: World) -> None:
     world.apply(FIRST, "b").run()
-    world.deployer.says["b"] = [Unreachable("timeout")]
+    world.backend.says["b"] = [Unreachable("timeout")]
     with pytest.raises(CloudError, match="nobody can say how it is"):
         world.apply(FIRST, "b").current()
     with pytest.raises(CloudError, match="nobody can say how it is"):
-        world.apply(SECOND, "b").kept()
-    assert world.deployer.log == ["start b"]
+        world.apply(SECOND, "b").adopt()
+    assert world.backend.log == ["start b"]
 
 
 def test_ready_means_that_the_link_answers_too(world: World) -> None:
@@ -205,14 +207,14 @@ def test_a_killed_apply_is_seen_through(world: World) -> None:
     class Killed(BaseException):
         pass
 
-    world.deployer.says["a"] = ["starting", Killed(), "starting", "ready"]  # type: ignore[list-item]
-    world.deployer.poll = lambda launch: (_ for _ in ()).throw(Killed())  # type: ignore[method-assign]
+    world.backend.says["a"] = ["starting", Killed(), "starting", "ready"]  # type: ignore[list-item]
+    world.backend.poll = lambda launch: (_ for _ in ()).throw(Killed())  # type: ignore[method-assign]
     with pytest.raises(Killed):
         world.apply(FIRST, "a").run()
-    del world.deployer.poll
-    world.deployer.says["a"] = ["starting", "starting", "ready"]
+    del world.backend.poll
+    world.backend.says["a"] = ["starting", "starting", "ready"]
     world.apply(FIRST, "a").run()
-    assert world.deployer.log == ["start a"], "it was not started twice"
+    assert world.backend.log == ["start a"], "it was not started twice"
 
 
 def test_what_the_caller_allows_is_what_the_engine_checks() -> None:

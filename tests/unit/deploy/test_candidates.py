@@ -54,7 +54,7 @@ def test_the_highest_price_of_a_region_counts(catalog) -> None:
     ],
 )
 def test_what_was_approved_what_is_allowed_and_what_is_hard(now, limit, most, allowed) -> None:
-    one = Candidate(0, machine(), {}, "", 0.4, now)
+    one = Candidate(number=0, machine=machine(), task={}, runs="", approved_usd_per_hour=0.4, now_usd_per_hour=now)
     assert affordable(one, limit, most) is allowed
     if not allowed:
         with pytest.raises(Refused, match=r"c\.large in aws/r1"):

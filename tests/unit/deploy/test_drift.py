@@ -8,7 +8,7 @@ import pytest
 
 from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Manifest
-from fogspec.deploy.drift import LEAST, drift, interval_s, observe
+from fogspec.deploy.drift import LEAST, Limit, drift, interval_s, observe, violation_text
 from fogspec.results.requests import RecordRules
 from fogspec.spec.loader import load, read_document
 
@@ -81,7 +81,7 @@ def lines(latencies, failed: int = 0) -> bytes:
 def test_a_deployment_that_does_what_was_predicted(paper) -> None:
     application, expected = paper
     seen = observe(lines([expected.latency.predicted] * 50), application, expected, MACHINE)
-    assert (seen.requests, seen.drift, seen.breaks) == (50, "none", ())
+    assert (seen.requests, seen.drift, seen.violated) == (50, "none", ())
     assert seen.cost_usd_per_request == pytest.approx(0.526 / 3600 * expected.latency.predicted)
 
 
@@ -89,9 +89,11 @@ def test_over_the_limit_too_dear_and_failing(paper) -> None:
     application, expected = paper
     seen = observe(lines([9.0] * 50, failed=20), application, expected, MACHINE)
     assert seen.drift == "slower"
-    assert len(seen.breaks) == 3
-    assert "over its limit of 2s" in seen.breaks[0]
-    assert "20 of 70 requests failed" in seen.breaks[2]
+    assert seen.violated == (Limit.LATENCY, Limit.COST, Limit.SUCCESS_RATE)
+    texts = [violation_text(one, seen, expected) for one in seen.violated]
+    assert "over its limit of 2s" in texts[0]
+    assert texts[1].startswith("a request costs $")
+    assert "20 of 70 requests failed" in texts[2]
 
 
 def test_a_change_shows_whatever_was_before_it(paper) -> None:
@@ -116,5 +118,5 @@ def test_a_request_costs_what_the_choice_reckons(paper) -> None:
 def test_nothing_seen_yet(paper) -> None:
     application, expected = paper
     seen = observe(b"", application, expected, MACHINE)
-    assert (seen.requests, seen.value_s, seen.drift, seen.breaks) == (0, None, "unknown", ())
+    assert (seen.requests, seen.value_s, seen.drift, seen.violated) == (0, None, "unknown", ())
     assert LEAST == 30
