@@ -4,6 +4,7 @@ import click
 import pytest
 from ruamel.yaml import YAML
 
+from fogspec.backends.protocol import Costs
 from fogspec.backends.replay import ReplaySamples
 from fogspec.base.errors import InvalidInput
 from tests.support.running import CATALOG, Ended, Shell, project, shell  # noqa: F401
@@ -15,7 +16,7 @@ AT = ("--catalog", "offers.csv")
 @pytest.fixture
 def paid(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Shell:
     """A compiled project, and a replay that passes for a runner that costs real money; its catalog is the shop's."""
-    monkeypatch.setattr(ReplaySamples, "costs", "real")
+    monkeypatch.setattr(ReplaySamples, "costs", Costs.REAL)
 
     def none(*_: object) -> None:
         raise InvalidInput("no SkyPilot here")

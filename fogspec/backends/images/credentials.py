@@ -1,4 +1,4 @@
-"""Credentials from where docker keeps them: its configuration file and its credential helpers. Nothing is ever written.
+"""Docker's credentials, read from its configuration file and its credential helpers. Nothing is ever written.
 
 Source: docs.docker.com/reference/cli/docker/login ("Credential stores", "Credential helper protocol").
 """
@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 from fogspec.base.errors import InvalidInput
 
 DOCKER_HUB_KEYS = ("https://index.docker.io/v1/", "index.docker.io", "docker.io", "registry-1.docker.io")
-HELPER_PATIENCE_S = 30.0
+HELPER_TIMEOUT_S = 30.0
 
 
 class Credentials(NamedTuple):
-    """A name with its password; or, where the name is None, an identity token."""
+    """A name with its password; or, if the name is None, an identity token."""
 
     name: str | None
     secret: str
@@ -27,7 +27,7 @@ class Credentials(NamedTuple):
 
 
 def credentials(registry: str) -> Credentials | None:
-    """What docker knows for a registry, None for an anonymous user; raises InvalidInput for a damaged configuration."""
+    """Return docker's credentials for a registry, None without any; raise InvalidInput for a damaged configuration."""
     path = Path(os.environ.get("DOCKER_CONFIG") or Path.home() / ".docker") / "config.json"
     if not path.is_file():
         return None
@@ -59,12 +59,12 @@ def _from_entry(entry: dict[str, Any]) -> Credentials | None:
 
 
 def _from_helper(helper: str, key: str) -> Credentials | None:
-    """What `docker-credential-HELPER get` says; a helper that is missing or knows nothing is no credentials."""
+    """Return the answer of `docker-credential-HELPER get`; None if the helper is missing or has none."""
     if "/" in helper:
         return None
     try:
         done = subprocess.run(
-            [f"docker-credential-{helper}", "get"], input=key, capture_output=True, text=True, timeout=HELPER_PATIENCE_S,
+            [f"docker-credential-{helper}", "get"], input=key, capture_output=True, text=True, timeout=HELPER_TIMEOUT_S,
             check=True,
         )  # fmt: skip
         said = json.loads(done.stdout)

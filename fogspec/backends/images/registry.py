@@ -1,7 +1,7 @@
-"""From an image's tag to its digest, by the registry's own protocol: one request for the manifest, none for layers.
+"""Resolves an image's tag to its digest by the registry's own protocol: one request for the manifest, none for layers.
 
 Sources: OCI Distribution Specification 1.1, "Pulling manifests"; distribution.github.io/distribution, "Token
-authentication". A registry on this host's loopback is spoken to in plain HTTP, as docker does; all others by HTTPS.
+authentication". A registry on this host's loopback is queried by plain HTTP, as docker does; all others by HTTPS.
 """
 
 import base64
@@ -24,19 +24,19 @@ ACCEPT = ", ".join((
     "application/vnd.oci.image.index.v1+json", "application/vnd.docker.distribution.manifest.list.v2+json",
     "application/vnd.oci.image.manifest.v1+json", "application/vnd.docker.distribution.manifest.v2+json",
 ))  # fmt: skip
-PATIENCE_S = 20.0
-MOST_BYTES = 4 << 20  # of a manifest: the specification's limit
+TIMEOUT_S = 20.0
+MAX_BYTES = 4 << 20  # of a manifest: the specification's limit
 PARAMETER = re.compile(r'(\w+)="([^"]*)"')
 
 
 class Registry:
-    """Asks registries for digests, with the credentials that docker keeps."""
+    """A client of image registries, with docker's credentials."""
 
     def digest(self, name: str) -> str:
-        """`sha256:...` of the manifest, for several platforms where there are several, that a tag names now.
+        """Return `sha256:...` of the manifest, or the index of manifests by platform, that a tag names now.
 
-        Raises InvalidInput for a name that is none or that the registry does not know or does not show,
-        CloudError when the registry cannot be asked.
+        Raise InvalidInput for an invalid name or one that the registry does not have or not show,
+        CloudError if the registry does not answer.
         """
         try:
             image = image_of(name)
@@ -82,7 +82,7 @@ def _is_loopback(registry: str) -> bool:
 
 
 def _authorization(image: Image, said: Message) -> dict[str, str]:
-    """The header that answers the registry's challenge."""
+    """Return the header that answers the registry's challenge."""
     challenge = said.get("WWW-Authenticate", "")
     kind, known = challenge.partition(" ")[0].lower(), credentials(image.registry)
     if kind == "basic" and known is not None and known.name is not None:
@@ -110,7 +110,7 @@ def _basic(known: Credentials) -> dict[str, str]:
 
 
 class _NoCredentialsElsewhere(urllib.request.HTTPRedirectHandler):
-    """Follows a redirection, and tells another host nothing that was meant for the first."""
+    """Follows redirections, but does not send credentials to another host."""
 
     def redirect_request(
         self, req: urllib.request.Request, fp: object, code: int, msg: str, headers: HTTPMessage, newurl: str
@@ -123,9 +123,9 @@ class _NoCredentialsElsewhere(urllib.request.HTTPRedirectHandler):
 
 def _get(url: str, headers: Mapping[str, str], form: bytes | None = None) -> tuple[HTTPMessage, bytes]:
     request = urllib.request.Request(url, data=form, headers={"User-Agent": "fogspec", **headers})  # noqa: S310
-    with urllib.request.build_opener(_NoCredentialsElsewhere).open(request, timeout=PATIENCE_S) as answer:
-        body: bytes = answer.read(MOST_BYTES + 1)
-        if len(body) > MOST_BYTES:
+    with urllib.request.build_opener(_NoCredentialsElsewhere).open(request, timeout=TIMEOUT_S) as answer:
+        body: bytes = answer.read(MAX_BYTES + 1)
+        if len(body) > MAX_BYTES:
             raise ValueError("its answer is longer than a manifest may be")
         return answer.headers, body
 

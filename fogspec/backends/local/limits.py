@@ -1,6 +1,6 @@
-"""Confining a process tree on this host: CPUs by affinity, memory by cgroup v2 where it is writable, else by rlimit.
+"""Resource limits of a process tree on this host: CPUs by affinity, memory by cgroup v2 if writable, else by rlimit.
 
-Affinity is inherited by every descendant, so a sample of n CPUs runs on n CPUs of this host, whatever it starts;
+Affinity is inherited by every descendant, so a sample of n CPUs runs on n CPUs of this host, and
 `nproc`, OpenMP and the like see n. A cgroup bounds the memory of the whole tree. RLIMIT_DATA, the fallback, bounds
 the private memory of each process by itself, so a tree of several processes may use more.
 """
@@ -19,7 +19,7 @@ from typing import Literal
 CGROUPS = Path("/sys/fs/cgroup")
 MemoryBy = Literal["cgroup", "rlimit"]
 
-# Runs between fork and exec, in a process of its own: affinity and limits must not touch the caller.
+# Runs in a process of its own before the program: affinity and limits must not affect the caller.
 LAUNCHER = """
 import os, resource, sys
 cpus, data_bytes, group = sys.argv[1:4]
@@ -35,7 +35,7 @@ os.execvp(sys.argv[4], sys.argv[4:])
 
 @dataclass(slots=True)
 class LimitedProcess:
-    """A confined process tree that was started here."""
+    """A process tree with limits that this process started."""
 
     process: "subprocess.Popen[bytes]"
     cpus: tuple[int, ...]
@@ -43,15 +43,15 @@ class LimitedProcess:
     group: Path | None
 
     def poll(self) -> int | None:
-        """The exit code of the first process, None while it runs."""
+        """Return the exit code of the first process; None while it runs."""
         return self.process.poll()
 
     def outcome(self) -> Literal["out_of_memory"] | None:
-        """Whether the kernel ended one of its processes for want of memory, where a cgroup can tell."""
+        """Return whether the kernel killed one of its processes for lack of memory, if a cgroup recorded it."""
         return "out_of_memory" if _events(self.group).get("oom_kill", 0) else None
 
     def end(self, grace_s: float) -> None:
-        """Ask it to end, then make it: the first process, then all of its session and cgroup."""
+        """Terminate the first process, then kill all of its session and cgroup."""
         if self.poll() is None:
             self.process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -78,9 +78,9 @@ def start(
     argv: Sequence[str], *, cpus: int, memory_gib: float, cwd: Path, env: Mapping[str, str], stdout_path: Path,
     stderr_path: Path,
 ) -> LimitedProcess:  # fmt: skip
-    """Start `argv` on `cpus` CPUs with `memory_gib` of memory; raises OSError when it cannot be started.
+    """Start `argv` on `cpus` CPUs with `memory_gib` of memory; raise OSError if it cannot be started.
 
-    Raises ValueError when this host has fewer CPUs.
+    Raise ValueError if this host has fewer CPUs.
     """
     chosen = pick_cpus(cpus)
     limit_bytes = math.floor(memory_gib * 2**30)
@@ -100,7 +100,7 @@ def start(
 
 
 def pick_cpus(count: int) -> tuple[int, ...]:
-    """So many of the CPUs this process may use, one of each physical core first; raises ValueError for too many."""
+    """Return so many of the CPUs this process may use, one of each physical core first; raise ValueError for too many."""
     usable = sorted(os.sched_getaffinity(0))
     if count > len(usable):
         raise ValueError(f"{count} CPUs were asked for, this process may use {len(usable)}")
@@ -114,7 +114,7 @@ def pick_cpus(count: int) -> tuple[int, ...]:
 
 
 def host_capacity() -> tuple[int, float]:
-    """CPUs and GiB that a sample on this host can have at most, limits of containers and slices included."""
+    """Return the most CPUs and GiB that a job can have on this host, within limits of containers and slices."""
     cpus = float(len(os.sched_getaffinity(0)))
     memory_bytes: float = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     for folder in _limiting(""):
@@ -137,7 +137,7 @@ def cgroup_of(pid: int) -> str | None:
 
 
 def memory_by() -> MemoryBy:
-    """How memory would be bounded on this host."""
+    """Return how memory is limited on this host."""
     group = _new_group(2**30)
     if group is None:
         return "rlimit"
@@ -147,13 +147,13 @@ def memory_by() -> MemoryBy:
 
 
 def _own(controller: str) -> str | None:
-    """This process's cgroup of a version 1 controller, or with "" that of version 2; None where there is none."""
+    """Return this process's cgroup of a version 1 controller, or with "" that of version 2; None if there is none."""
     rows = (line.split(":", 2) for line in _text(Path("/proc/self/cgroup")).splitlines())
     return next((path.strip("/") for _, names, path in rows if controller in names.split(",")), None)
 
 
 def _limiting(controller: str) -> list[Path]:
-    """The folders whose limits hold for this process: its cgroup and all above, up to the root that is seen here."""
+    """Return the directories whose limits hold for this process: its cgroup and all above, up to the visible root."""
     root, own = CGROUPS / controller, _own(controller)
     return [] if own is None else [root / own, *(root / own).parents[: len(Path(own).parts)]]
 
@@ -172,14 +172,14 @@ def _core(cpu: int) -> str:
 
 
 def _new_group(limit_bytes: int) -> Path | None:
-    """A new cgroup with this limit, that a child of this process may enter; None where that cannot be had.
+    """Return a new cgroup with this limit, which a child of this process may enter; None if that is impossible.
 
-    Below this process's own one, or beside it: a cgroup that has processes cannot, save for the root, have cgroups
+    It is below this process's own one, or next to it: except for the root, a cgroup with processes cannot have cgroups
     with limits below it.
     """
     for above in _limiting("")[:2]:
         group = above / f"fogspec-{os.getpid()}-{time.monotonic_ns()}"
-        # To move a process takes the right to write where old and new cgroup meet.
+        # Moving a process requires write access to the common ancestor of both cgroups.
         if not os.access(above / "cgroup.procs", os.W_OK):
             continue
         with contextlib.suppress(OSError):
@@ -194,7 +194,7 @@ def _new_group(limit_bytes: int) -> Path | None:
 
 
 def _limit(group: Path, limit_bytes: int) -> None:
-    # Opened without creating it: where it is missing, there is no memory controller.
+    # Opened without creating it: if it is missing, there is no memory controller.
     with open(group / "memory.max", "r+") as file:
         file.write(str(limit_bytes))
     with contextlib.suppress(OSError), open(group / "memory.swap.max", "r+") as file:

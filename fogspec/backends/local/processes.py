@@ -1,4 +1,4 @@
-"""Processes of this host that bear a mark in their environment, whoever their parents are (Linux)."""
+"""Processes of this host that are tagged by a variable in their environment, whatever their parents (Linux)."""
 
 import contextlib
 import os
@@ -10,26 +10,26 @@ from pathlib import Path
 
 import fogspec.agent
 
-LOOKS = 4
+CHECKS = 4
 
 
 def marked(variable: str, value: str) -> list[int]:
-    """The living processes whose environment has this variable with this value."""
+    """Return the living processes whose environment has this variable with this value."""
     mark = f"{variable}={value}".encode()
     # A zombie's environment is empty.
     return [pid for pid, words in environments() if mark in words]
 
 
 def environments() -> Iterator[tuple[int, list[bytes]]]:
-    """Every process that may be looked at, with the words of its environment."""
+    """Yield every readable process with the entries of its environment."""
     for entry in filter(str.isdigit, os.listdir("/proc")):
         with contextlib.suppress(OSError):
             yield int(entry), Path("/proc", entry, "environ").read_bytes().split(b"\0")
 
 
 def found(variable: str, value: str) -> list[int]:
-    """As `marked`, but sure of it when there are none: in the middle of an exec a process shows no environment."""
-    for _ in range(LOOKS - 1):
+    """Like `marked`, but recheck before reporting none: during exec a process has no environ."""
+    for _ in range(CHECKS - 1):
         if pids := marked(variable, value):
             return pids
         time.sleep(0.03)
@@ -37,7 +37,7 @@ def found(variable: str, value: str) -> list[int]:
 
 
 def send(pids: Iterable[int], number: int) -> int:
-    """Send a signal; how many processes got it."""
+    """Send a signal; return how many processes received it."""
     count = 0
     for pid in pids:
         with contextlib.suppress(ProcessLookupError):
@@ -47,18 +47,18 @@ def send(pids: Iterable[int], number: int) -> int:
 
 
 def end(variable: str, value: str, grace_s: float) -> list[int]:
-    """TERM, then KILL after a while, for all that bear the mark; those that are still there."""
-    for number, patience_s in ((signal.SIGTERM, grace_s), (signal.SIGKILL, 5.0)):
+    """Send TERM, then after `grace_s` KILL, to all tagged processes; return those that are left."""
+    for number, timeout_s in ((signal.SIGTERM, grace_s), (signal.SIGKILL, 5.0)):
         if not send(found(variable, value), number):
             return []
-        until = time.monotonic() + patience_s
+        until = time.monotonic() + timeout_s
         while marked(variable, value) and time.monotonic() < until:
             time.sleep(0.05)
     return marked(variable, value)
 
 
 def equipped(environment: Mapping[str, str], out: Path) -> dict[str, str]:
-    """The environment with what a task's run script needs on this host: this Python first, the agent, where to write."""
+    """Return the environment with what a run script needs on this host: this Python first, the agent, the output directory."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
     agent = Path(next(iter(fogspec.agent.__path__))) / "agent.py"
     return {**environment, "PATH": path, "FOGSPEC_AGENT": str(agent), "FOGSPEC_OUT": str(out.absolute())}

@@ -1,6 +1,6 @@
-"""What is asked of SkyPilot: its public Python API, one function a question. Each may block; only the worker calls them.
+"""The operations on SkyPilot's public Python API, one function each. Each may block; only the worker calls them.
 
-https://docs.skypilot.co/en/latest/reference/api.html. Nothing here can touch a machine whose name does not begin as ours do.
+https://docs.skypilot.co/en/latest/reference/api.html. No operation touches a machine whose name lacks the prefix.
 """
 
 import contextlib
@@ -20,17 +20,17 @@ from fogspec.backends.skypilot.teardown import await_gone
 PREFIX = "fogspec-"
 LAUNCHES = ("launch", "sky.launch")
 UNFINISHED = ("PENDING", "RUNNING")
-SETTLE_S = 5.0  # how long a question may yet arrive at the API server after whoever asked it was cut off
+SETTLE_S = 5.0  # for a launch request that is still in flight
 
 
 def hello() -> dict[str, Any]:
-    """Which SkyPilot answers; a local API server is started if none runs."""
+    """Return SkyPilot's version; a local API server is started if none runs."""
     sky.get(sky.status([PREFIX + "none"]))
     return {"version": sky.__version__}
 
 
 def launch(task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
-    """Ask for the task on a new machine of this name; the request's id."""
+    """Request the task on a new machine of this name; return the request's id."""
     given = _with_secrets(_absolute(task, Path(root)), _ours(name))
     try:
         wanted = sky.Task.from_yaml_config(given)
@@ -42,7 +42,7 @@ def launch(task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
 
 
 def _with_secrets(task: dict[str, Any], name: str) -> dict[str, Any]:
-    """The task with its secrets in a file, but for those that SkyPilot itself needs."""
+    """Return the task with its secrets in a file, except those that SkyPilot itself needs."""
     secrets = secrets_file.values(task.pop("secrets", None) or ())
     if own := {one: value for one, value in secrets.items() if one.startswith(secrets_file.SKYPILOTS)}:
         task["secrets"] = own
@@ -53,7 +53,7 @@ def _with_secrets(task: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def _absolute(task: Mapping[str, Any], root: Path) -> dict[str, Any]:
-    """The task with the folders it names made absolute."""
+    """Return the task with absolute paths."""
     whole = dict(task)
     if isinstance(whole.get("workdir"), str):
         whole["workdir"] = str(root / whole["workdir"])
@@ -70,24 +70,24 @@ def _source(source: object, root: Path) -> object:
 
 
 def _afford(wanted: Any, task: Mapping[str, Any]) -> None:
-    """SkyPilot compares `max_hourly_cost` only when it chooses the machine itself: here it counts for a named one."""
+    """Check `max_hourly_cost`, which SkyPilot ignores for a named machine; raise CloudProblem."""
     resources = task.get("resources")
     most = resources.get("max_hourly_cost") if isinstance(resources, Mapping) else None
     if most is None:
         return
     for one in wanted.resources:
         price = None
-        with contextlib.suppress(Exception):  # no price is known here: what the plan says stands
+        with contextlib.suppress(Exception):  # no price is known here: the plan's price stands
             price = one.get_cost(3600)
         if price is not None and price > float(most) * (1 + 1e-6):
             raise CloudProblem("budget", f"it costs ${price:g} an hour now, and the task allows ${float(most):g}")
 
 
 def launched(request: str, name: str) -> dict[str, Any] | None:
-    """What became of a launch; None while it goes on. Raises what it failed with."""
+    """Return the launch's job; None while it runs. Raise the error that it failed with."""
     found = sky.api_status([request], all_status=True)
     if not found:
-        # An API server that was started anew has forgotten it, and the machine may be up all the same.
+        # A restarted API server has forgotten it, and the machine may still be up.
         if (job := _job_of(name)) is None:
             raise CloudProblem(
                 "setup", "SkyPilot's API server does not know this launch any more", again=True, gone=True
@@ -102,7 +102,7 @@ def launched(request: str, name: str) -> dict[str, Any] | None:
 
 
 def find(name: str) -> dict[str, Any] | None:
-    """The last launch of this machine that the API server knows of, or the machine's job; None where there is neither."""
+    """Return the machine's last launch that the API server knows, or its job; None if there is neither."""
     if launches := _launches(name, finished=True):
         return {"request": launches[0].request_id}
     return None if (job := _job_of(name)) is None else {"job": job}
@@ -117,14 +117,14 @@ def _job_of(name: str) -> int | None:
 
 
 def _launches(name: str, finished: bool) -> list[Any]:
-    """Requests for this machine, newest first."""
+    """Return the launch requests of this machine, newest first."""
     asked = sky.api_status(cluster_name=_ours(name), all_status=finished)
     found = [one for one in asked if one.cluster_name == name and one.name in LAUNCHES]
     return sorted(found, key=lambda one: -float(one.created_at))
 
 
 def jobs(name: str) -> list[dict[str, Any]]:
-    """The machine's jobs, newest first, with their times in seconds since the epoch."""
+    """Return the machine's jobs, newest first, with their times in seconds since the epoch."""
     records = sky.get(sky.queue(_ours(name), all_users=True))
     rows = [
         {"job": one["job_id"], "status": _word(one["status"]), "submitted_at": one["submitted_at"],
@@ -135,13 +135,16 @@ def jobs(name: str) -> list[dict[str, Any]]:
 
 
 def log(name: str, job: int, path: str, limit: int, follow: bool = False, tail: int = 0) -> int:
-    """Write a job's log so far, or to its end, to `path`; bytes written, `limit` at most. With `tail` so many last lines."""
+    """Write a job's log so far, or to its end, to `path`; return the bytes written.
+
+    `limit` is the most bytes to write; `tail` limits the log to so many last lines.
+    """
     written = 0
     with open(path, "wb") as file:
         for chunk in sky.tail_logs(_ours(name), job, follow=follow, tail=tail, preload_content=False):
             if written >= limit:
                 break
-            if chunk is None:  # a sign of life
+            if chunk is None:  # a heartbeat
                 continue
             data = chunk.encode("utf-8", "replace")[: limit - written]
             written += len(data)
@@ -151,7 +154,7 @@ def log(name: str, job: int, path: str, limit: int, follow: bool = False, tail: 
 
 
 def clusters(prefix: str = PREFIX, names: Sequence[str] | None = None, refresh: bool = False) -> list[dict[str, Any]]:
-    """Machines that SkyPilot knows; with `refresh` it asks their cloud."""
+    """Return the machines that SkyPilot knows; with `refresh` by their cloud's own state."""
     _ours(prefix)
     mode = sky.StatusRefreshMode.FORCE if refresh else sky.StatusRefreshMode.NONE
     records = sky.get(sky.status(list(names) if names is not None else None, refresh=mode, all_users=True))
@@ -159,7 +162,7 @@ def clusters(prefix: str = PREFIX, names: Sequence[str] | None = None, refresh: 
 
 
 def waiting(prefix: str = PREFIX) -> list[str]:
-    """Names of machines whose launch goes on or has yet to begin."""
+    """Return the names of machines whose launch is running or queued."""
     _ours(prefix)
     asked = sky.api_status(all_status=False)
     names = [str(one.cluster_name) for one in asked if one.name in LAUNCHES and one.cluster_name]
@@ -167,10 +170,9 @@ def waiting(prefix: str = PREFIX) -> list[str]:
 
 
 def end(name: str) -> None:
-    """Break off its launch, take it down, and verify with its cloud that it is gone.
+    """Cancel its launch, take it down, and verify with its cloud that it is gone.
 
-    What SkyPilot knows nothing of is looked for once more a little later: whoever asked for it may have been cut off while
-    asking.
+    If SkyPilot does not know it, check again after SETTLE_S: the launch request may still be in flight.
     """
     secrets_file.forget(_ours(name))
     if not _end(name):
@@ -179,7 +181,7 @@ def end(name: str) -> None:
 
 
 def _end(name: str) -> bool:
-    """Whether SkyPilot knew of it, or of a launch of it."""
+    """Return whether SkyPilot knew the machine, or a launch of it."""
     asked = _launches(name, finished=True)
     if pending := [one.request_id for one in asked if _word(one.status) in UNFINISHED]:
         sky.get(sky.api_cancel(pending, silent=True))
@@ -194,7 +196,7 @@ def _end(name: str) -> bool:
 
 
 def autostop(name: str, idle_minutes: int, down: bool = True) -> None:
-    """When nothing has run on it for so long, it ends itself."""
+    """Let the machine terminate itself after it was idle for so long."""
     sky.get(sky.autostop(_ours(name), idle_minutes=idle_minutes, down=down))
 
 
@@ -215,7 +217,7 @@ def _cluster(record: Any) -> dict[str, Any]:
 
 
 def _address(handle: Any) -> str | None:
-    """Where the machine itself can be reached; on Slurm SkyPilot's `head_ip` is that of the login node."""
+    """Return the machine's own address; on Slurm SkyPilot's `head_ip` is that of the login node."""
     if type(getattr(getattr(handle, "launched_resources", None), "cloud", None)).__name__ == "Slurm":
         addresses = getattr(handle, "stable_internal_external_ips", None)
         return addresses[0][0] if addresses else None
@@ -223,7 +225,7 @@ def _address(handle: Any) -> str | None:
 
 
 def _price(handle: Any) -> float | None:
-    with contextlib.suppress(Exception):  # handles of machines that were never up say nothing
+    with contextlib.suppress(Exception):  # handles of machines that were never up have no price
         return float(handle.launched_resources.get_cost(3600))
     return None
 

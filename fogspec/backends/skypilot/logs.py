@@ -1,6 +1,6 @@
-"""Files that a sample printed into its job's log, between markers: the way back that works on every infra.
+"""Files that a sample printed into its job's log, between markers, which works on every infra.
 
-The log is what a machine said, so it is untrusted: read line by line, lines and files with a limit.
+The log comes from another machine and is untrusted: it is read line by line, with limits for lines and files.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ from fogspec.backends.skypilot.errors import plain
 
 LOG_LIMIT = 256 * 2**20
 LINE_LIMIT = 2**20
-# SkyPilot puts the task's name and process, in colour, before each line.
+# SkyPilot's prefix of each line: the task's name and process, in color.
 PREFIX = re.compile(rb"^(?:\x1b\[[0-9;]*m)*\([^()\n]{0,200}pid=\d+[^()\n]{0,100}\)(?:\x1b\[[0-9;]*m)* ?")
 MARKER = re.compile(rb"^=== fogspec (begin|end) (outcome\.json|timings\.jsonl) ===\s*$")
 TIMINGS = b"timings.jsonl"
@@ -27,9 +27,9 @@ TAIL_BYTES = 16 * 2**10
 
 
 def unpack(log: Path, folder: Path) -> bool:
-    """Write the files that the log has into `folder`, those that were printed last; whether all of them were there.
+    """Write the files in the log to `folder`, the last of each name; return whether the timings are complete.
 
-    Timings whose end is missing are kept: what is there was measured.
+    Timings without an end are kept: their lines were measured.
     """
     folder.mkdir(parents=True, exist_ok=True)
     part = folder / "part"
@@ -58,7 +58,7 @@ def unpack(log: Path, folder: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class LogTail:
-    """What a growing log said in its first `read_to` bytes: whether set-up is over, and how far the sample is."""
+    """The state of a growing log after `read_to` bytes: whether set-up is over, and the sample's progress."""
 
     read_to: int = 0
     ready: bool = False
@@ -66,14 +66,14 @@ class LogTail:
 
 
 def read_log(log: Path, before: LogTail) -> LogTail:
-    """What it says now, whole lines only."""
+    """Return the state after the new whole lines."""
     with contextlib.suppress(OSError), open(log, "rb") as file:
         file.seek(before.read_to)
         new = file.read(READ_BYTES)
-        # A line that is longer than what is read at once says nothing.
+        # A line that is longer than one read is skipped.
         whole = new.rfind(b"\n") + 1 or (len(new) if len(new) == READ_BYTES else 0)
-        told = SO_FAR.findall(new[:whole])
-        so_far = _so_far(*told[-1]) if told else before.so_far
+        reports = SO_FAR.findall(new[:whole])
+        so_far = _so_far(*reports[-1]) if reports else before.so_far
         return LogTail(before.read_to + whole, before.ready or MEASURES in new[:whole], so_far)
     return before
 
@@ -95,13 +95,13 @@ def _lines(log: Path) -> Iterator[bytes]:
 
 
 def last_line(log: Path) -> str:
-    """The last line of the job's own that says something."""
+    """Return the job's last line that is not blank."""
     lines = [line.strip() for line in _tail(log) if line.strip()]
     return lines[-1][:300] if lines else ""
 
 
 def out_of_memory(log: Path) -> bool:
-    """Whether the log ends with a process that was ended for want of memory."""
+    """Return whether the log ends with a process that was killed for lack of memory."""
     return any(OOM.search(line) for line in _tail(log))
 
 

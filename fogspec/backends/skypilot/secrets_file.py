@@ -1,7 +1,7 @@
-"""Secrets on their way to a machine: in a file that only its owner may read, gone from here once it is there.
+"""The file in which secrets travel to a machine: only its owner may read it, and it is removed here after the launch.
 
-SkyPilot's own `secrets` puts the values on command lines, ssh's on this host and the job's on the machine, for every user of
-either to see, and into the API server's database (0.14.1: `_exec_code_on_head`, `SlurmCodeGen.add_task`).
+SkyPilot's own `secrets` puts the values on command lines, of ssh on this host and of the job on the machine, which every user
+of either can read, and into the API server's database (0.14.1: `_exec_code_on_head`, `SlurmCodeGen.add_task`).
 """
 
 import os
@@ -12,14 +12,14 @@ from pathlib import Path
 
 from fogspec.backends.skypilot.errors import CloudProblem
 
-# Where the task's scripts look for it.
+# Its path on the machine, where the task's scripts read it.
 THERE = "~/.fogspec/secrets"
-# What SkyPilot itself reads: the credentials of a private registry (docs.skypilot.co, "Using Private Docker Registries").
+# Variables that SkyPilot itself reads: credentials of a private registry (docs.skypilot.co, "Using Private Docker Registries").
 SKYPILOTS = "SKYPILOT_"
 
 
 def values(names: Iterable[str]) -> dict[str, str]:
-    """The environment's values; raises CloudProblem for a name that it does not have."""
+    """Return the values from the environment; raise CloudProblem for a name that is not set."""
     wanted = sorted(names)
     if missing := [one for one in wanted if one not in os.environ]:
         raise CloudProblem("setup", f"the environment does not have {', '.join(missing)}")
@@ -27,14 +27,14 @@ def values(names: Iterable[str]) -> dict[str, str]:
 
 
 def check(task: Mapping[str, object]) -> None:
-    """Raise CloudProblem for a secret of the task that the environment does not have: before anything is asked for."""
+    """Raise CloudProblem for a secret of the task that is not in the environment, before anything is requested."""
     secrets = task.get("secrets")
     if isinstance(secrets, Mapping):
         values(secrets)
 
 
 def write(name: str, secrets: Mapping[str, str]) -> Path:
-    """Write them as lines for a shell."""
+    """Write the secrets as lines of shell; return the file."""
     forget(name)
     path = place(name)
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
@@ -44,10 +44,10 @@ def write(name: str, secrets: Mapping[str, str]) -> Path:
 
 
 def forget(name: str) -> None:
-    """Remove it."""
+    """Remove the file."""
     place(name).unlink(missing_ok=True)
 
 
 def place(name: str) -> Path:
-    """The file of a machine's launch; in memory where the system has a place for that."""
+    """Return the path of the file for a machine's launch; in memory if the system has such a directory."""
     return Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir(), f"{name}.secrets")
