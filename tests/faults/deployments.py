@@ -106,7 +106,7 @@ def full(after: int) -> Fault:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             return make(*words, **named)  # type: ignore[call-overload]
 
-        files.tempfile.mkstemp = mkstemp  # type: ignore[assignment]
+        tempfile.mkstemp = mkstemp  # type: ignore[assignment]
 
     return put
 
