@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Strings, ranks
-from fogspec.numerics.features import Machines, codes
+from fogspec.numerics.kernels import Machines, codes
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from fogspec.catalog.table import Floats
 from fogspec.choice.choose import Choice
 from fogspec.choice.rule import Rule, Scale
 from fogspec.model.fit import Model, Models
-from fogspec.numerics import curves, relaxed
+from fogspec.numerics import curves, relaxation
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def relax(
     `surfaces` predict the latency and each metric from vCPUs and GiB; the price is a plane through the machines' prices. None
     if no continuous machine meets the limits.
     """
-    price = relaxed.price_surface(vcpus, memory_gib, rule.costs.price_usd_per_hour)
+    price = relaxation.price_surface(vcpus, memory_gib, rule.costs.price_usd_per_hour)
 
     def at(c: Floats, m: Floats) -> tuple[Rule, Floats, dict[str, Floats]]:
         usd = np.maximum(price(c, m), 1e-9)
@@ -98,8 +98,8 @@ def relax(
             met &= values <= rule.bounds[name]
         return np.asarray(met)
 
-    optimum = relaxed.minimise(objective, feasible, relaxed.box_of(vcpus, memory_gib))
-    return None if optimum is None else (optimum, relaxed.neighbours(optimum, vcpus, memory_gib))
+    optimum = relaxation.minimise(objective, feasible, relaxation.box_of(vcpus, memory_gib))
+    return None if optimum is None else (optimum, relaxation.neighbours(optimum, vcpus, memory_gib))
 
 
 def _value(model: Model, vcpus: Floats, memory_gib: Floats) -> Floats:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Catalog
 from fogspec.model.predict import Predictions
-from fogspec.numerics.frontier import pareto
+from fogspec.numerics.pareto import pareto
 from fogspec.numerics.surrogate import Posterior
 from fogspec.spec.schema import Application
 

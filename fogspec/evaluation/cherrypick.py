@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fogspec.choice.rule import Rule, Scale
-from fogspec.numerics.features import Floats, Machines, same, spread, stacked
-from fogspec.numerics.gaussian import normal_cdf
+from fogspec.numerics.kernels import Floats, Machines, same, spread, stacked
+from fogspec.numerics.normal import normal_cdf
 
 STARTS = 3
 FEWEST = 6

@@ -11,8 +11,8 @@ from fogspec.evaluation.replay import Case, Meter, Run
 from fogspec.model.predict import Predictions
 from fogspec.numerics import fitting
 from fogspec.numerics.families import Fit, fit_all
-from fogspec.numerics.features import Floats
-from fogspec.numerics.samples import observations
+from fogspec.numerics.kernels import Floats
+from fogspec.numerics.observations import observations
 
 Method = Callable[[Case, Rule, Meter], Run]
 

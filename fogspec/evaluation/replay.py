@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fogspec.evaluation.suites import Problem
-from fogspec.numerics.features import Floats, Machines
+from fogspec.numerics.kernels import Floats, Machines
 from fogspec.numerics.surrogate import Prior, Space, prepare
 
 REPEATS = 8  # noise is drawn for so many samples of each machine; further samples start over

@@ -13,7 +13,7 @@ from fogspec.evaluation.suites import Problem
 from fogspec.model.predict import Predictions
 from fogspec.numerics.acquisition import Policy, next_wave
 from fogspec.numerics.design import edge_grid
-from fogspec.numerics.samples import observations
+from fogspec.numerics.observations import observations
 
 Sampler = Callable[[Case, Rule, int], Meter]
 RANDOM_SAMPLES = 9  # as many as the paper's grid has cells

@@ -9,7 +9,7 @@ import numpy as np
 from fogspec.choice.rule import Rule
 from fogspec.evaluation.replay import Run
 from fogspec.evaluation.suites import Problem
-from fogspec.numerics.features import Floats
+from fogspec.numerics.kernels import Floats
 
 TOLERANCE = 0.05  # a limit violated by less counts as met; the choice itself has no tolerance
 BINS = np.array([0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of stated probabilities

@@ -12,7 +12,7 @@ from fogspec.catalog.cost import Costs
 from fogspec.choice.rule import Rule, Scale, Selection
 from fogspec.model.predict import Predictions
 from fogspec.model.tables import Measured, Table, found, problem, read_bytes, read_latencies, read_machines
-from fogspec.numerics.features import Floats
+from fogspec.numerics.kernels import Floats
 from fogspec.spec.schema import Constraints
 
 KINDS = ("family", "catalog", "multicloud", "gpu")

@@ -13,7 +13,7 @@ from fogspec.choice.rule import Rule
 from fogspec.evaluation.replay import Noise
 from fogspec.evaluation.suites import Problem, Setting
 from fogspec.model.tables import read_table
-from fogspec.numerics.features import Machines
+from fogspec.numerics.kernels import Machines
 from fogspec.spec.schema import Application
 
 COLUMNS = ("instance_type", "latency_s")

@@ -18,8 +18,8 @@ from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.model.fit import Model, Models, Observation, RejectedSample
 from fogspec.numerics import curves
+from fogspec.numerics.observations import observations
 from fogspec.numerics.priors import Library, prior_for
-from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import Posterior, Space, prepare
 
 Mask = NDArray[np.bool_]

@@ -12,7 +12,7 @@ from fogspec.base.csv_table import CsvTable, parse_csv
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
 from fogspec.base.files import decompress, read_file
-from fogspec.numerics.features import Floats, Machines, codes
+from fogspec.numerics.kernels import Floats, Machines, codes
 
 MACHINE_COLUMNS = ("Cloud", "InstanceType", "vCPUs", "MemoryGiB", "Price")
 LATENCY_COLUMNS = ("workload", "suite", "cloud", "instance_type", "latency_s")

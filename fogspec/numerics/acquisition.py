@@ -5,9 +5,9 @@ from typing import Protocol
 
 import numpy as np
 
-from fogspec.numerics.features import Floats
-from fogspec.numerics.repeats import after_one_more
-from fogspec.numerics.samples import DEFAULT_NOISE
+from fogspec.numerics.kernels import Floats
+from fogspec.numerics.observations import DEFAULT_NOISE
+from fogspec.numerics.replicates import after_one_more
 from fogspec.numerics.surrogate import Posterior
 
 

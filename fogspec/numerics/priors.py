@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fogspec.numerics.features import Floats, Machines
+from fogspec.numerics.kernels import Floats, Machines
 from fogspec.numerics.surrogate import Prior
 
 SHARE_KNOWN = 0.4  # a workload known on fewer of the machines in question says too little about them

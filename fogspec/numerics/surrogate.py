@@ -24,10 +24,10 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fogspec.numerics.features import Floats, Machines
-from fogspec.numerics.gaussian import normal_cdf, truncated_above_moments
-from fogspec.numerics.grid import Grid, grid_with_prior, grid_without_prior
-from fogspec.numerics.samples import Observations, level_of, lower_bounds, pooled
+from fogspec.numerics.ensemble import Grid, grid_with_prior, grid_without_prior
+from fogspec.numerics.kernels import Floats, Machines
+from fogspec.numerics.normal import normal_cdf, truncated_above_moments
+from fogspec.numerics.observations import Observations, level_of, lower_bounds, pooled
 
 VERSION = 1  # of the model: predictions of another version may differ from the same samples
 STRANGE = 0.5  # log-latency: no noise makes a machine so much faster or slower than the others have it

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from fogspec.catalog.instance_types import InstanceTypes, instance_types
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.numerics.acquisition import Wave, initial_wave
+from fogspec.numerics.observations import observations
 from fogspec.numerics.priors import Library, prior_for
-from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import prepare
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from fogspec.numerics import fitting, relaxed
+from fogspec.numerics import fitting, relaxation
 from fogspec.numerics.families import fit_all
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,15 +86,15 @@ def test_rounding_to_a_neighbour_is_checked_again():
     types = [(f"{name}.{size}", n, n * ratio, n * usd)
              for name, (usd, ratio) in (("c6i", C6I), ("m6i", M6I), ("r6i", R6I)) for size, n in SIZES.items()]  # fmt: skip
     vcpus, gib, price = (np.array(column, float) for column in list(zip(*types, strict=True))[1:])
-    surface = relaxed.price_surface(vcpus, gib, price)
+    surface = relaxation.price_surface(vcpus, gib, price)
     limit_s = 3.5
-    optimum = relaxed.minimise(
+    optimum = relaxation.minimise(
         lambda c, m: surface(c, m) * fit.predict(c, m), lambda c, m: fit.predict(c, m) <= limit_s,
-        relaxed.box_of(vcpus, gib),
+        relaxation.box_of(vcpus, gib),
     )  # fmt: skip
     assert optimum is not None
     assert (optimum.vcpus, optimum.memory_gib) == (pytest.approx(10.02, abs=0.01), pytest.approx(20.03, abs=0.02))
-    near = relaxed.neighbours(optimum, vcpus, gib)
+    near = relaxation.neighbours(optimum, vcpus, gib)
     predicted = {types[row][0]: float(fit.predict(vcpus[row], gib[row])) for row in near}
     assert types[near[0]][0] == "c6i.2xlarge"
     assert predicted["c6i.2xlarge"] == pytest.approx(4.272, abs=0.001)

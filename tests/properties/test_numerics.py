@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fogspec.numerics.acquisition import Policy, next_wave
-from fogspec.numerics.samples import observations
+from fogspec.numerics.observations import observations
 from fogspec.numerics.surrogate import prepare
 from tests.support.machines import family, rule_over, selected
 

@@ -7,7 +7,7 @@ import numpy as np
 from fogspec.catalog.cost import Costs
 from fogspec.choice.rule import Rule, Selection
 from fogspec.model.predict import Predictions
-from fogspec.numerics.features import Floats, Machines, codes
+from fogspec.numerics.kernels import Floats, Machines, codes
 from fogspec.numerics.surrogate import Posterior
 
 FAMILIES = ("c6i", "m6i", "r6i")

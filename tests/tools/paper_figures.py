@@ -24,7 +24,7 @@ from fogspec.model.fit import Models, fit, targets
 from fogspec.model.predict import predict
 from fogspec.numerics import fitting
 from fogspec.numerics.families import fit_all
-from fogspec.numerics.frontier import pareto
+from fogspec.numerics.pareto import pareto
 from fogspec.results.io import read_results
 from fogspec.spec.loader import load
 from fogspec.spec.schema import Application, Constraints

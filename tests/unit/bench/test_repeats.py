@@ -6,8 +6,8 @@ import pytest
 from fogspec.backends.protocol import Job, LaunchRefused
 from fogspec.backends.replay import ReplaySamples
 from fogspec.catalog.machine import Machine
-from fogspec.numerics.repeats import after_one_more
-from fogspec.numerics.samples import observations
+from fogspec.numerics.observations import observations
+from fogspec.numerics.replicates import after_one_more
 from fogspec.numerics.surrogate import fit
 from fogspec.plan.schema import next_on, replicate, sample_on
 from fogspec.results.io import Recording

@@ -7,7 +7,7 @@ import pytest
 
 from fogspec.choice.rule import Scale
 from fogspec.numerics.acquisition import Policy, next_wave
-from fogspec.numerics.samples import observations
+from fogspec.numerics.observations import observations
 from fogspec.numerics.surrogate import fit, prepare
 from tests.support.machines import amdahl, family, rule_over, selected
 from tests.support.relative import work_of

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.numerics.frontier import pareto
+from fogspec.numerics.pareto import pareto
 
 points = st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), max_size=40)
 

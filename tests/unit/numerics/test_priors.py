@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from fogspec.numerics.observations import observations
 from fogspec.numerics.priors import Library, prior_for
-from fogspec.numerics.samples import observations
 from fogspec.numerics.surrogate import fit
 from tests.support.machines import amdahl, family
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fogspec.numerics import features
-from fogspec.numerics.samples import observations
+from fogspec.numerics import kernels
+from fogspec.numerics.observations import observations
 from fogspec.numerics.surrogate import fit, prepare
 from tests.support.machines import amdahl, family
 from tests.support.relative import work_of
@@ -106,6 +106,6 @@ def test_a_fit_of_one_family_is_little_work():
 
 def test_of_too_many_kinds_the_most_frequent_are_kept(monkeypatch):
     code = np.array([7, 7, 7, 3, 3, 9, -1])
-    assert features.same(code).tolist() == [[0, 1, 0]] * 3 + [[1, 0, 0]] * 2 + [[0, 0, 1], [0, 0, 0]]
-    monkeypatch.setattr(features, "MOST_NUMBERS", 2 * len(code))
-    assert features.same(code).tolist() == [[0, 1]] * 3 + [[1, 0]] * 2 + [[0, 0]] * 2
+    assert kernels.same(code).tolist() == [[0, 1, 0]] * 3 + [[1, 0, 0]] * 2 + [[0, 0, 1], [0, 0, 0]]
+    monkeypatch.setattr(kernels, "MOST_NUMBERS", 2 * len(code))
+    assert kernels.same(code).tolist() == [[0, 1]] * 3 + [[1, 0]] * 2 + [[0, 0]] * 2

@@ -10,8 +10,8 @@ from statistics import NormalDist
 
 import numpy as np
 
-from fogspec.numerics.features import Floats
-from fogspec.numerics.samples import pooled
+from fogspec.numerics.kernels import Floats
+from fogspec.numerics.observations import pooled
 from fogspec.numerics.surrogate import Posterior
 
 TYPICAL_NOISE = 0.015  # median of a machine's relative noise

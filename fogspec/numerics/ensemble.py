@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fogspec.numerics.features import Floats, Machines, interacted, matern, same, spread, stacked
+from fogspec.numerics.kernels import Floats, Machines, interacted, matern, same, spread, stacked
 
 LEVEL_VARIANCE = 25.0  # the level is unknown: e^5 either way at one standard deviation
 SERIAL = (0.0, 0.03, 0.1, 0.3, 0.6, 1.0)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fogspec.numerics.features import Floats
+from fogspec.numerics.kernels import Floats
 
 DEFAULT_NOISE = 0.025  # relative standard error of a sample that does not say its own
 SYSTEMATIC_NOISE = 0.008  # two machines of one type differ at least by this, however many requests were timed
