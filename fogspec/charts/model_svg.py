@@ -16,7 +16,7 @@ from fogspec.charts.frame import Dot, Frame, frame
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL
 from fogspec.model.fit import Models, Observation
-from fogspec.numerics import curves
+from fogspec.numerics import families
 from fogspec.spec.schema import Application
 
 WIDTH, LEFT, RIGHT = 760, 84, 18
@@ -114,7 +114,7 @@ def _curve(models: Models, gpu: tuple[str, float] | None, vcpus: Floats, memory:
         return [], ""
     at = np.geomspace(vcpus.min(), vcpus.max(), CURVE_POINTS)
     ratio = float(np.median(memory / vcpus))
-    latency = curves.predict(model.shape, list(model.coefficients.values()), at, at * ratio)
+    latency = families.predict(model.shape, list(model.coefficients.values()), at, at * ratio)
     r2 = "" if model.r2 is None else f", R² {model.r2:.3f}"
     return list(zip(at.tolist(), latency.tolist(), strict=True)), f"paper's families: {model.formula}{r2}"
 

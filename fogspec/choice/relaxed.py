@@ -14,7 +14,7 @@ from fogspec.catalog.table import Floats
 from fogspec.choice.choose import Choice
 from fogspec.choice.rule import Rule, Scale
 from fogspec.model.fit import Model, Models
-from fogspec.numerics import curves, relaxation
+from fogspec.numerics import families, relaxation
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +71,8 @@ def _group(models: Models, choice: Choice, gpu: str | None, rows: NDArray[np.int
 
 
 def relax(
-    rule: Rule, scale: Scale, vcpus: Floats, memory_gib: Floats, surfaces: Mapping[str, relaxed.Surface]
-) -> tuple[relaxed.Optimum, NDArray[np.intp]] | None:
+    rule: Rule, scale: Scale, vcpus: Floats, memory_gib: Floats, surfaces: Mapping[str, relaxation.Surface]
+) -> tuple[relaxation.Optimum, NDArray[np.intp]] | None:
     """Return the continuous optimum over machines of one kind (n,), and its neighbours among them, the nearest first.
 
     `surfaces` predict the latency and each metric from vCPUs and GiB; the price is a plane through the machines' prices. None
@@ -103,4 +103,4 @@ def relax(
 
 
 def _value(model: Model, vcpus: Floats, memory_gib: Floats) -> Floats:
-    return curves.predict(model.shape, list(model.coefficients.values()), vcpus, memory_gib)
+    return families.predict(model.shape, list(model.coefficients.values()), vcpus, memory_gib)

@@ -9,7 +9,7 @@ from fogspec.choice.relaxed import relax
 from fogspec.choice.rule import Rule, Selection
 from fogspec.evaluation.replay import Case, Meter, Run
 from fogspec.model.predict import Predictions
-from fogspec.numerics import fitting
+from fogspec.numerics import families
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.numerics.kernels import Floats
 from fogspec.numerics.observations import observations
@@ -79,7 +79,7 @@ def _fits(case: Case, meter: Meter) -> list[tuple[np.ndarray, Fit]]:
     for gpu in np.unique(machines.gpu[at]):
         mine = machines.gpu[at] == gpu
         fits = fit_all(machines.vcpus[at[mine]], machines.memory_gib[at[mine]], latency[mine])
-        found.append((np.flatnonzero(machines.gpu == gpu), fitting.select(fits, "r2")))
+        found.append((np.flatnonzero(machines.gpu == gpu), families.select(fits, "r2")))
     return found
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from fogspec.base.clouds import LOCAL
 from fogspec.base.quantities import Duration, Strict
 from fogspec.catalog.machine import Machine
-from fogspec.numerics import curves, fitting
+from fogspec.numerics import families
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.numerics.surrogate import VERSION
 from fogspec.plan.schema import PlanMetadata
@@ -60,9 +60,9 @@ class Model(Strict):
     warnings: list[str]
 
     @property
-    def shape(self) -> curves.Shape:
+    def shape(self) -> families.Shape:
         """The families of this model."""
-        return curves.Shape(self.cpu_family, self.memory_family)
+        return families.Shape(self.cpu_family, self.memory_family)
 
 
 class Observation(Strict):
@@ -212,7 +212,7 @@ def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:
     memory = np.array([one.machine.memory for one in group])
     values = np.array([one.values[target] for one in group])
     fits = fit_all(vcpus, memory, values)
-    best = fitting.select(fits)
+    best = families.select(fits)
     named = zip(best.shape.names, best.coefficients, strict=True)
     r2 = _finite(best.r2) if best.p > 1 else None
     return Model(
@@ -245,7 +245,7 @@ def _to(digits: int, value: float) -> float:
 
 
 def _paper(fits: Sequence[Fit]) -> PaperFit | None:
-    best = fitting.select(fits, "r2")
+    best = families.select(fits, "r2")
     return PaperFit(formula=best.shape.formula(), r2=_to(5, best.r2)) if math.isfinite(best.r2) else None
 
 
@@ -256,6 +256,6 @@ def _warnings(best: Fit, levels: int) -> list[str]:
         found.append(f"{samples}: R² of two-parameter curves says nothing here, even on noise it is high")
     if best.p == 1 and levels > 1:
         found.append("no curve predicts a left-out sample better than the mean: the model is a constant")
-    if math.isfinite(best.loo_max) and best.loo_max > fitting.WEAK_ERROR:
+    if math.isfinite(best.loo_max) and best.loo_max > families.WEAK_ERROR:
         found.append(f"a left-out sample is missed by up to {best.loo_max:.0%}, whatever R² says")
     return found

@@ -17,7 +17,7 @@ from fogspec.catalog.instance_types import InstanceTypes, instance_types, with_m
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.model.fit import Model, Models, Observation, RejectedSample
-from fogspec.numerics import curves
+from fogspec.numerics import families
 from fogspec.numerics.observations import observations
 from fogspec.numerics.priors import Library, prior_for
 from fogspec.numerics.surrogate import Posterior, Space, prepare
@@ -218,7 +218,7 @@ def _by_curves(models: Models, offers: Catalog, target: str) -> Predictions:
         if model.target == target:
             rows = _with_gpu(offers, model)
             coefficients = list(model.coefficients.values())
-            value[rows] = curves.predict(model.shape, coefficients, offers.vcpus[rows], offers.memory_gib[rows])
+            value[rows] = families.predict(model.shape, coefficients, offers.vcpus[rows], offers.memory_gib[rows])
     value[~(np.isfinite(value) & (value > 0))] = np.nan
     return Predictions.of_values(value)
 

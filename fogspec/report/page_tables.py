@@ -12,7 +12,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.choice.menu import LEVEL
 from fogspec.choice.sensitivity import Refits
 from fogspec.model.fit import Models, Observation
-from fogspec.numerics import curves
+from fogspec.numerics import families
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import Measured, Results
 
@@ -92,7 +92,7 @@ def residual_rows(models: Models, refits: Refits) -> Sequence[tuple[str, ...]]:
         curve = None
         if model is not None:
             at = np.array([one.machine.cpus]), np.array([one.machine.memory])
-            curve = float(curves.predict(model.shape, list(model.coefficients.values()), *at)[0])
+            curve = float(families.predict(model.shape, list(model.coefficients.values()), *at)[0])
         rows.append(
             (one.machine.instance, _time(latency), _time(curve), _off(curve, latency), *_without(models, refits, one))
         )

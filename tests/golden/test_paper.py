@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from fogspec.numerics import fitting, relaxation
+from fogspec.numerics import families, relaxation
 from fogspec.numerics.families import fit_all
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -120,7 +120,7 @@ def test_r2_of_three_t4_machines_says_nothing(latency, r2):
     line = next(f for f in fits if (f.shape.cpu, f.shape.memory) == ("linear", "constant"))
     assert line.r2 == pytest.approx(r2, abs=1e-4)
     assert not line.eligible
-    assert fitting.select(fits).shape.parameters == 1
+    assert families.select(fits).shape.parameters == 1
 
 
 def test_the_t4_model_is_flagged(checkout):

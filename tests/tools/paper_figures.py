@@ -22,7 +22,7 @@ from fogspec.charts.frame import Dot, Frame, frame
 from fogspec.choice.choose import Choice, choose
 from fogspec.model.fit import Models, fit, targets
 from fogspec.model.predict import predict
-from fogspec.numerics import fitting
+from fogspec.numerics import families
 from fogspec.numerics.families import fit_all
 from fogspec.numerics.pareto import pareto
 from fogspec.results.io import read_results
@@ -126,7 +126,7 @@ def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
     found.x_ticks = [(x.at(2.0**e), str(2**e)) for e in range(1, 7)]
     for mine in (~gpu, gpu):
         if mine.any():
-            best = fitting.select(fit_all(vcpus[mine], memory[mine], values[mine]), "r2")
+            best = families.select(fit_all(vcpus[mine], memory[mine], values[mine]), "r2")
             at = np.geomspace(vcpus[mine].min(), vcpus[mine].max(), 50)
             curve = best.predict(at, at * float(np.median(memory[mine] / vcpus[mine])))
             path = "L".join(
