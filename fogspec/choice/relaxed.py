@@ -31,12 +31,14 @@ class Relaxed:
     row: int | None
 
 
-def relaxed_optimum(models: Models, choice: Choice) -> Relaxed | None:
+def relaxed_optimum(models: Models, choice: Choice, *, refine: bool = True) -> Relaxed | None:
     """Return the paper's choice over the same offers; None if no continuous machine meets the limits.
 
-    One problem for each GPU type and infra, compared at the end by the exact objective of where they end.
+    One problem for each GPU type and infra, compared at the end by the exact objective of where they end. `refine` as in
+    `relaxation.minimise`.
     """
-    found = [one for gpu, rows in _groups(choice).items() if (one := _group(models, choice, gpu, rows)) is not None]
+    groups = [_group(models, choice, gpu, rows, refine) for gpu, rows in _groups(choice).items()]
+    found = [one for one in groups if one is not None]
     if not found:
         return None
     return min(found, key=lambda one: np.inf if one.row is None else float(choice.objective[one.row]))
@@ -55,13 +57,14 @@ def _groups(choice: Choice) -> dict[str | None, NDArray[np.intp]]:
     return {gpu: np.array(rows) for gpu, rows in groups.items()}
 
 
-def _group(models: Models, choice: Choice, gpu: str | None, rows: NDArray[np.intp]) -> Relaxed | None:
+def _group(models: Models, choice: Choice, gpu: str | None, rows: NDArray[np.intp], refine: bool) -> Relaxed | None:
     fitted = {model.target: model for model in models.spec.models if model.gpu == gpu}
     if "latency" not in fitted:
         return None
     offers = choice.offers
     surfaces = {target: partial(_value, model) for target, model in fitted.items()}
-    found = relax(choice.rule.take(rows), choice.scale, offers.vcpus[rows], offers.memory_gib[rows], surfaces)
+    rule = choice.rule.take(rows)
+    found = relax(rule, choice.scale, offers.vcpus[rows], offers.memory_gib[rows], surfaces, refine=refine)
     if found is None:
         return None
     optimum, near = found[0], rows[found[1]]
@@ -71,12 +74,18 @@ def _group(models: Models, choice: Choice, gpu: str | None, rows: NDArray[np.int
 
 
 def relax(
-    rule: Rule, scale: Scale, vcpus: Floats, memory_gib: Floats, surfaces: Mapping[str, relaxation.Surface]
+    rule: Rule,
+    scale: Scale,
+    vcpus: Floats,
+    memory_gib: Floats,
+    surfaces: Mapping[str, relaxation.Surface],
+    *,
+    refine: bool = True,
 ) -> tuple[relaxation.Optimum, NDArray[np.intp]] | None:
     """Return the continuous optimum over machines of one kind (n,), and its neighbours among them, the nearest first.
 
     `surfaces` predict the latency and each metric from vCPUs and GiB; the price is a plane through the machines' prices. None
-    if no continuous machine meets the limits.
+    if no continuous machine meets the limits. `refine` as in `relaxation.minimise`.
     """
     price = relaxation.price_surface(vcpus, memory_gib, rule.costs.price_usd_per_hour)
 
@@ -91,14 +100,18 @@ def relax(
         metric_value = metrics[rule.metric] if rule.metric else latency_s
         return here.objective(metric_value, here.costs.per_request(latency_s), scale)
 
-    def feasible(c: Floats, m: Floats) -> NDArray[np.bool_]:
-        here, latency_s, metrics = at(c, m)
-        met = latency_s > 0
-        for name, values in here.limited(latency_s, metrics).items():
-            met &= values <= rule.bounds[name]
-        return np.asarray(met)
+    typical_s = float(np.median(np.abs(surfaces["latency"](vcpus, memory_gib)))) or 1.0
 
-    optimum = relaxation.minimise(objective, feasible, relaxation.box_of(vcpus, memory_gib))
+    def slack(c: Floats, m: Floats) -> Floats:
+        here, latency_s, metrics = at(c, m)
+        bounds = rule.bounds
+        limits = [
+            (bounds[name] - values) / (abs(bounds[name]) or 1.0)
+            for name, values in here.limited(latency_s, metrics).items()
+        ]
+        return np.stack([latency_s / typical_s, *limits])
+
+    optimum = relaxation.minimise(objective, slack, relaxation.box_of(vcpus, memory_gib), refine=refine)
     return None if optimum is None else (optimum, relaxation.neighbours(optimum, vcpus, memory_gib))
 
 

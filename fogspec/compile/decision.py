@@ -62,8 +62,10 @@ def select(inputs: Inputs, application: Application, admissible: Filtered, resul
 def select_from(application: Application, models: Models, predicted: PredictionSet) -> Selection:
     """Choose a machine from these predictions by the method that the spec asks for."""
     choice = choose(application, predicted)
-    relaxed = relaxed_optimum(models, choice)
-    if application.spec.objective.method == "relaxed":
+    # Only where the spec requires this method is scipy worth its start-up (ADR 0071); a comparison in a manifest is the grid's.
+    by_relaxation = application.spec.objective.method == "relaxed"
+    relaxed = relaxed_optimum(models, choice, refine=by_relaxation)
+    if by_relaxation:
         choice = chosen_by_relaxing(choice, relaxed)
     return Selection(models, predicted, choice, relaxed)
 

@@ -89,7 +89,7 @@ def test_rounding_to_a_neighbour_is_checked_again():
     surface = relaxation.price_surface(vcpus, gib, price)
     limit_s = 3.5
     optimum = relaxation.minimise(
-        lambda c, m: surface(c, m) * fit.predict(c, m), lambda c, m: fit.predict(c, m) <= limit_s,
+        lambda c, m: surface(c, m) * fit.predict(c, m), lambda c, m: 1 - fit.predict(c, m)[None] / limit_s,
         relaxation.box_of(vcpus, gib),
     )  # fmt: skip
     assert optimum is not None
