@@ -14,7 +14,7 @@ from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.table import Catalog
 from fogspec.choice.next_samples import next_samples
 from fogspec.compile.plan_files import plan_file, task_file, with_substitutes, with_tasks
-from fogspec.numerics.priors import Library
+from fogspec.numerics.priors import PriorData
 from fogspec.plan.initial_batch import NextBatch
 from fogspec.plan.reuse import covers, plan_from_campaign
 from fogspec.plan.schema import Batch, Plan, Sample, Sampling, next_on, sample_on
@@ -78,7 +78,7 @@ class AdaptiveSampling:
     tasks: Tasks
     sink: ResultsFile
     lifetime_s: float
-    library: Library | None = None
+    library: PriorData | None = None
     filtered: Filtered = field(init=False)
 
     def __post_init__(self) -> None:
@@ -121,7 +121,7 @@ class AdaptiveSampling:
             usd_per_sample=offers.price_usd_per_hour * self.lifetime_s / 3600,
             left_usd=left_usd,
             library=self.library,
-            wave=self.application.spec.benchmark.batch_size,
+            batch=self.application.spec.benchmark.batch_size,
         )
 
     def _batches(self) -> Sequence[Batch]:

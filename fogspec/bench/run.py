@@ -23,7 +23,7 @@ from fogspec.bench.quote import check_prices
 from fogspec.bench.results_file import ResultsFile, set_aside
 from fogspec.bench.types import CampaignConfig
 from fogspec.catalog.table import Catalog
-from fogspec.numerics.priors import Library
+from fogspec.numerics.priors import PriorData
 from fogspec.plan.reuse import price_rises
 from fogspec.plan.schema import Sample, lifetime_s
 from fogspec.results.requests import RecordRules
@@ -49,7 +49,7 @@ class BenchOptions:
     resume: bool = False
     catalog: Catalog | None = None
     prices: Catalog | None = None
-    library: Library | None = None
+    library: PriorData | None = None
 
 
 @dataclass(frozen=True, slots=True)

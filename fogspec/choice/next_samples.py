@@ -12,8 +12,8 @@ from fogspec.choice.choose import Choice, choose
 from fogspec.choice.rule import Utility
 from fogspec.model.fit import partition, targets
 from fogspec.model.predict import PredictionSet, predict_from
-from fogspec.numerics.acquisition import Policy, gains, next_wave
-from fogspec.numerics.priors import Library
+from fogspec.numerics.acquisition import Policy, expected_gains, propose_batch
+from fogspec.numerics.priors import PriorData
 from fogspec.numerics.surrogate import Posterior
 from fogspec.plan.initial_batch import NextBatch, SampleCosts, initial_batch, next_batch
 from fogspec.results.schema import Measured
@@ -27,8 +27,8 @@ def next_samples(
     *,
     usd_per_sample: Floats,
     left_usd: float = np.inf,
-    library: Library | None = None,
-    wave: int = 1,
+    library: PriorData | None = None,
+    batch: int = 1,
     excluded: Collection[tuple[str, str]] = (),
 ) -> NextBatch:
     """Return the offers to measure next, or none with the reason why sampling ends.
@@ -46,7 +46,7 @@ def next_samples(
     state = _State.of(application, predicted, [one.machine for one in unusable], usd_per_sample, excluded)
     if not any(one.machine.infra != "local" for one in known):
         return state.again(left_usd, library)
-    return state.improving(left_usd, wave)
+    return state.improving(left_usd, batch)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +73,8 @@ def best_next_sample(
     if posterior is None or state.excluded.all():
         return None
     utility = _utility(predicted, choice)
-    values = utility.drawn(posterior)
-    expected = np.where(state.excluded, -1.0, gains(posterior, utility))
+    values = utility.loss(posterior)
+    expected = np.where(state.excluded, -1.0, expected_gains(posterior, utility))
     one = int(np.argmax(expected / state.costs.usd))
     better = None
     if choice.chosen is not None:
@@ -86,7 +86,7 @@ def probability_better(predicted: PredictionSet, choice: Choice, row: int) -> fl
     """Return the probability that an offer's type meets the limits and is better than the chosen one; None if unknown."""
     if choice.latency.posterior is None or choice.chosen is None:
         return None
-    values = _utility(predicted, choice).drawn(choice.latency.posterior)
+    values = _utility(predicted, choice).loss(choice.latency.posterior)
     of = predicted.types.of
     return float(np.mean(values[:, of[row]] < values[:, of[choice.chosen]]))
 
@@ -118,7 +118,7 @@ class _State:
         unusable[types.of[:offered][predicted.targets["latency"].unfit]] = True
         return cls(application, predicted, costs, unusable)
 
-    def again(self, left_usd: float, library: Library | None) -> NextBatch:
+    def again(self, left_usd: float, library: PriorData | None) -> NextBatch:
         """Return another initial batch among the types that were not tried, after nothing could be measured."""
         rows = self.costs.row[~self.excluded]
         if not len(rows):
@@ -126,22 +126,22 @@ class _State:
         found = initial_batch(self.predicted.offers.take(rows), self.costs.usd[~self.excluded], left_usd, library)
         return NextBatch(tuple(int(rows[row]) for row in found.rows), found.reasons, found.reason)
 
-    def improving(self, left_usd: float, wave: int) -> NextBatch:
+    def improving(self, left_usd: float, batch: int) -> NextBatch:
         """Return the batch of the largest expected improvement, else the choice if it was not measured."""
         choice = choose(self.application, self.predicted)
         posterior = choice.latency.posterior
         if posterior is None:
             raise ValueError("without a measured machine nothing can be improved")
-        found = next_wave(
+        found = propose_batch(
             posterior,
             _utility(self.predicted, choice),
             sample_cost=self.costs.usd,
             left=left_usd,
-            policy=Policy(wave=wave),
-            barred=self.excluded,
+            policy=Policy(batch=batch),
+            excluded=self.excluded,
         )
         if found.machines:
-            reasons = [self._reason(posterior, *each) for each in zip(found.machines, found.worth, strict=True)]
+            reasons = [self._reason(posterior, *each) for each in zip(found.machines, found.gains, strict=True)]
             return next_batch(found, self.costs, reasons, left_usd)
         return self._verifying(choice, next_batch(found, self.costs, (), left_usd).reason, left_usd)
 

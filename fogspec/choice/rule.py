@@ -489,7 +489,7 @@ class Utility:
         """The probability with which the limits must be met."""
         return self.rule.confidence
 
-    def drawn(self, posterior: Posterior) -> Floats:
+    def loss(self, posterior: Posterior) -> Floats:
         """Return the value of each type in each draw (S, N)."""
         rule, bounds = self.rule, self.rule.bounds
         latency_s = np.exp(posterior.draws)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fogspec.bench.quote import Quote
     from fogspec.bench.run import BenchResult
     from fogspec.catalog.table import Catalog
-    from fogspec.numerics.priors import Library
+    from fogspec.numerics.priors import PriorData
     from fogspec.spec.loader import LoadedSpec
 
 RUNNERS = ["local", "replay", "skypilot"]
@@ -171,7 +171,7 @@ def _catalogs(
     return catalog if adaptive else None, prices
 
 
-def _library(prepared: "Prepared", path: Path | None) -> "Library | None":
+def _library(prepared: "Prepared", path: Path | None) -> "PriorData | None":
     """What an adaptive campaign knows of machines beforehand: from the command line, else what the lock says."""
     from fogspec.model.priors import locked_priors
     from fogspec.spec.lock_io import read_pins

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fogspec.catalog.table import Catalog
     from fogspec.compile.bundle import ManifestBundle
     from fogspec.compile.inputs import Inputs
-    from fogspec.numerics.priors import Library
+    from fogspec.numerics.priors import PriorData
     from fogspec.spec.loader import LoadedSpec
 
 SPECS = click.argument("specs", nargs=-1, type=click.Path(path_type=str))
@@ -154,7 +154,7 @@ def applications_of(what: str) -> list["LoadedSpec"]:
     return found
 
 
-def library_from(path: Path | None) -> "Library | None":
+def library_from(path: Path | None) -> "PriorData | None":
     """Return the machine library that the command line names; None leaves it to the lock.
 
     Raise InvalidInput and DiagnosticError.

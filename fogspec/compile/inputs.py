@@ -26,7 +26,7 @@ from fogspec.spec.lockfile import Lock, Pins
 from fogspec.spec.schema import Application
 
 if TYPE_CHECKING:
-    from fogspec.numerics.priors import Library
+    from fogspec.numerics.priors import PriorData
 
 PROBE_FILES = (
     "agent.py", "counting.py", "keeper.py", "fogspec_probe.py", "fogspec_probe.hpp", "bag.py", "pairing.py", "player.py",
@@ -57,7 +57,7 @@ class Inputs:
     layout: Layout
     pins: Pins | None
     catalog: Catalog
-    library: "Library | None"
+    library: "PriorData | None"
     results: Results | None
     results_file: SourceFile | None
     damaged: DiagnosticError | None
@@ -154,7 +154,7 @@ class _Reader:
     priors: Path | None
     locks: dict[Path, Lock] = field(default_factory=dict)
     catalogs: dict[tuple[str | None, tuple[str, ...]], Catalog] = field(default_factory=dict)
-    libraries: "dict[Path, Library]" = field(default_factory=dict)
+    libraries: "dict[Path, PriorData]" = field(default_factory=dict)
 
     def inputs(self, one: LoadedSpec, audit: bool) -> Inputs:
         application = one.application
@@ -205,7 +205,7 @@ class _Reader:
         notes = [f"{path}: {note}" for note in catalog.about.notes] if path else []
         return catalog, [*notes, *_age(one, catalog)]
 
-    def library(self, layout: Layout, pins: Pins | None) -> "Library | None":
+    def library(self, layout: Layout, pins: Pins | None) -> "PriorData | None":
         from fogspec.model.priors import locked_priors, read_priors
 
         if self.priors is not None:

@@ -17,7 +17,7 @@ from fogspec.evaluation.suites import KINDS, Problem, Suite, read_suite
 from fogspec.evaluation.sweeps import Sweep
 from fogspec.model.priors import read_priors
 from fogspec.model.tables import Table
-from fogspec.numerics.priors import Library, prior_for
+from fogspec.numerics.priors import PriorData, prior_for
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
@@ -52,7 +52,7 @@ class Result:
         return {"id": self.id, "setting": self.setting, "chosen": self.chosen, "sampled": list(self.sampled)}
 
 
-def run(problem: Problem, table: Table, library: Library | None, campaign: Campaign) -> list[Result]:
+def run(problem: Problem, table: Table, library: PriorData | None, campaign: Campaign) -> list[Result]:
     """Return the results of all settings of one problem; the problem's own suite is left out of the library."""
     machines = table.machines.take(problem.rows)
     names = [table.names[row] for row in problem.rows]
@@ -68,7 +68,7 @@ def run(problem: Problem, table: Table, library: Library | None, campaign: Campa
     return results
 
 
-def replay_sweep(sweep: Sweep, library: Library | None, window_s: float, campaign: Campaign) -> dict[str, Any]:
+def replay_sweep(sweep: Sweep, library: PriorData | None, window_s: float, campaign: Campaign) -> dict[str, Any]:
     """Return the scores of one campaign on a sweep (the paper, section 4); a sample is paid for `window_s` seconds.
 
     `priors` is the library's digest if it says anything of the machines.
@@ -137,7 +137,7 @@ class _Data:
     """The files that each process reads once."""
 
     suite: Suite
-    library: Library | None
+    library: PriorData | None
 
     @classmethod
     def read(cls, suite: Path, priors: Path | None) -> "_Data":

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fogspec.choice.rule import Rule, Scale
-from fogspec.numerics.kernels import Floats, Machines, same, spread, stacked
+from fogspec.numerics.kernels import Floats, Machines, hstack, one_hot, standardise
 from fogspec.numerics.normal import normal_cdf
 
 STARTS = 3
@@ -51,8 +51,8 @@ def cherrypick(
 def _features(machines: Machines) -> Floats:
     size = np.log2(machines.vcpus)
     per_cpu = np.log2(machines.memory_gib / machines.vcpus)
-    kinds = stacked(same(machines.cpu_model), same(machines.arch), same(machines.gpu), same(machines.cloud))
-    return stacked(0.5 * size, 0.5 * per_cpu, 0.5 * spread(np.log(machines.clock_ghz)), kinds)
+    kinds = hstack(one_hot(machines.cpu_model), one_hot(machines.arch), one_hot(machines.gpu), one_hot(machines.cloud))
+    return hstack(0.5 * size, 0.5 * per_cpu, 0.5 * standardise(np.log(machines.clock_ghz)), kinds)
 
 
 def _starts(distance: Floats, first: int) -> list[int]:

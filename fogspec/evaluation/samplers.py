@@ -11,7 +11,7 @@ from fogspec.evaluation.cherrypick import cherrypick
 from fogspec.evaluation.replay import Case, Meter
 from fogspec.evaluation.suites import Problem
 from fogspec.model.predict import Predictions
-from fogspec.numerics.acquisition import Policy, next_wave
+from fogspec.numerics.acquisition import Policy, propose_batch
 from fogspec.numerics.design import edge_grid
 from fogspec.numerics.observations import observations
 
@@ -27,14 +27,14 @@ def adaptive(case: Case, rule: Rule, _seed: int) -> Meter:
     while True:
         posterior = case.space.fit(observations(meter.sampled, meter.latency_s))
         selection = Selection(rule=rule, latency=Predictions.of_posterior(posterior))
-        wave = next_wave(
+        batch = propose_batch(
             posterior, selection.utility(), sample_cost=case.machines.price_usd_per_hour, policy=policy
         ).machines
-        if not wave and selection.unverified is not None:
-            wave = (selection.unverified,)
-        if not wave:
+        if not batch and selection.unverified is not None:
+            batch = (selection.unverified,)
+        if not batch:
             return meter
-        for machine in wave:
+        for machine in batch:
             meter.sample(machine)
 
 

@@ -19,7 +19,7 @@ from fogspec.catalog.table import Catalog, Floats
 from fogspec.model.fit import Model, Models, Observation, RejectedSample
 from fogspec.numerics import families
 from fogspec.numerics.observations import observations
-from fogspec.numerics.priors import Library, prior_for
+from fogspec.numerics.priors import PriorData, prior_for
 from fogspec.numerics.surrogate import Posterior, Space, prepare
 
 Mask = NDArray[np.bool_]
@@ -106,7 +106,7 @@ class PredictionSpace:
         offers: Catalog,
         machines: Sequence[Machine],
         catalog: Catalog | None = None,
-        library: Library | None = None,
+        library: PriorData | None = None,
     ) -> "PredictionSpace":
         """`machines` are measured, and described by `catalog` where they are no offers."""
         measured = [one for one in machines if counts(one, offers)]
@@ -146,7 +146,7 @@ def predict(
     offers: Catalog,
     targets: Sequence[str],
     catalog: Catalog | None = None,
-    library: Library | None = None,
+    library: PriorData | None = None,
 ) -> PredictionSet:
     """Predictions of these targets for every offer; `catalog` describes measured machines that are no offers."""
     body = models.spec
@@ -170,7 +170,7 @@ def predict_from(
     offers: Catalog,
     targets: Sequence[str],
     catalog: Catalog | None = None,
-    library: Library | None = None,
+    library: PriorData | None = None,
 ) -> PredictionSet:
     """Return predictions of these targets from observations and rejected samples."""
     machines = [*(one.machine for one in known), *(one.machine for one in unusable)]

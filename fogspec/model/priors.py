@@ -24,7 +24,7 @@ from fogspec.base.errors import CloudError, InvalidInput, OutOfDate
 from fogspec.base.files import write_bytes
 from fogspec.base.layout import Layout
 from fogspec.model.tables import LATENCY_COLUMNS, MACHINE_COLUMNS, found, read_latencies, read_machines, read_table
-from fogspec.numerics.priors import Library
+from fogspec.numerics.priors import PriorData
 from fogspec.spec.lockfile import Pins
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # archives of the same data have the same bytes
@@ -53,7 +53,7 @@ MACHINE = (
 Row = dict[str, Any]
 
 
-def read_priors(path: Path) -> Library:
+def read_priors(path: Path) -> PriorData:
     """Return a library; its digest is over both files' bytes. Raise InvalidInput and DiagnosticError."""
     folder = _opened(path)
     machines, latencies = found(folder, "machines.csv"), found(folder, "latencies.csv")
@@ -62,7 +62,7 @@ def read_priors(path: Path) -> Library:
     workloads = tuple(sorted(measured.latency_s))
     if not workloads:
         raise InvalidInput(f"{path}: no workload was measured on any machine")
-    return Library(
+    return PriorData(
         names=table.names,
         machines=table.machines,
         workloads=workloads,
@@ -72,7 +72,7 @@ def read_priors(path: Path) -> Library:
     )
 
 
-def locked_priors(layout: Layout, pins: Pins | None) -> Library | None:
+def locked_priors(layout: Layout, pins: Pins | None) -> PriorData | None:
     """Return the machine library that the lock pins, None without one; raise OutOfDate if its digest changed."""
     if pins is None or pins.priors is None:
         return None

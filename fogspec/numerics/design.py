@@ -1,4 +1,4 @@
-"""Sampling designs: which of n machines to measure. Arrays in, row numbers out."""
+"""Sampling designs: the machines to measure, as row numbers of n machines."""
 
 import statistics
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ LEVELS: tuple[Level, ...] = ("smallest", "median", "largest")
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One cell of the grid: its vCPUs, the memory that was asked for and the memory of the nearest row, in GiB.
+    """One cell of the grid: its vCPUs, the requested memory and the memory of the nearest row, in GiB.
 
-    `row` is the cheapest row there; `levels` name the row and column of the grid, and `same_as` is the position
-    in the grid of an earlier cell that took the same row, None for a cell that adds a machine.
+    `row` is the most preferred row there; `levels` name the row and column of the grid, and `same_as` is the position in
+    the grid of an earlier cell with the same row, None for a cell that adds a machine.
     """
 
     vcpus: float
@@ -29,20 +29,20 @@ class Cell:
 
     @property
     def snapped(self) -> bool:
-        """Whether no machine has the memory that the cell asks for."""
+        """Flag: no machine has the requested memory."""
         return self.memory_gib != self.asked_gib
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """The cells of a grid, row by row, and the vCPU levels that were skipped because an earlier level is the same."""
+    """The cells of a grid, row by row, and the vCPU levels skipped because they equal another level."""
 
     cells: tuple[Cell, ...]
     skipped: tuple[Level, ...]
 
 
 def upper_median(values: Floats) -> float:
-    """The upper median of the distinct values: 16 of 2, 4, 8, 16, 32, 64. Raises ValueError for no values."""
+    """Return the upper median of the distinct values: 16 of 2, 4, 8, 16, 32, 64. Raise ValueError for no values."""
     distinct = sorted(set(values.tolist()))
     if not distinct:
         raise ValueError("the median of nothing")
@@ -50,12 +50,12 @@ def upper_median(values: Floats) -> float:
 
 
 def edge_grid(vcpus: Floats, memory_gib: Floats, order: NDArray[np.intp]) -> Grid:
-    """The edge cases of a set of machines (FogROS2-Config, section 2.A and Table I), as ADR 0007 settles them.
+    """Return the edge cases of a set of machines (FogROS2-Config, section 2.A and Table I) as defined in ADR 0007.
 
-    `vcpus` and `memory_gib` have shape (n,), n > 0; `order` lists the n rows from the most to the least
-    preferred. vCPU levels are the smallest, the upper median and the largest of the distinct counts; for each,
-    memory levels are the smallest, the median and the largest distinct size on offer there. A median between two
-    sizes snaps to the larger one, for both are equally near. Every cell takes its most preferred row.
+    `vcpus` and `memory_gib` have shape (n,), n > 0; `order` lists the n rows from the most to the least preferred. vCPU
+    levels are the smallest, the upper median and the largest of the distinct counts; for each, memory levels are the
+    smallest, the median and the largest distinct size available there. A median between two sizes snaps to the larger, as
+    both are equally near. Every cell takes its most preferred row.
     """
     cells: list[Cell] = []
     place = np.empty(len(order), dtype=np.intp)
@@ -76,7 +76,7 @@ def edge_grid(vcpus: Floats, memory_gib: Floats, order: NDArray[np.intp]) -> Gri
 
 
 def _levels(values: Floats, median: float) -> dict[Level, float]:
-    """Distinct levels, the outer ones first in what they claim."""
+    """Return the distinct levels; the outer levels take precedence over the median."""
     low, high = float(values.min()), float(values.max())
     found: dict[Level, float] = {"smallest": low}
     if low < median < high:

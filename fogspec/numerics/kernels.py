@@ -1,7 +1,7 @@
-"""Machines as arrays, and the covariance components that say which machines behave alike.
+"""Machines as arrays, and kernel features: the covariance components of machines that behave alike.
 
-A component is a feature matrix F (N x r): it contributes F F' to the covariance of log-latencies. Low rank keeps
-a cloud's catalog of a thousand machines cheap, and joint draws come for free (F z with z ~ N(0, I)).
+A component is a feature matrix F (N, r), which contributes F F' to the covariance of log-latencies. Low rank keeps a
+catalog of a thousand machines cheap, and a joint draw is F z with z ~ N(0, I).
 """
 
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ MOST_NUMBERS = 20_000_000  # in a table of machines by kinds: far beyond any clo
 
 @dataclass(frozen=True, slots=True)
 class Machines:
-    """N machines, column by column.
+    """N machines as columns.
 
-    Codes are those of `codes`, -1 where unknown (`gpu`: -1 = none); unknown
-    numbers are NaN. Raises ValueError where lengths differ or a vCPU count, memory or price is not positive.
+    Codes are those of `codes`, -1 if unknown (`gpu`: -1 = none); unknown numbers are NaN. Raise ValueError if lengths differ
+    or a vCPU count, memory or price is not positive.
     """
 
     vcpus: Floats
@@ -51,32 +51,32 @@ class Machines:
         return len(self.vcpus)
 
     def take(self, rows: NDArray[np.intp]) -> "Machines":
-        """The machines at these indices."""
+        """Return the machines at these indices."""
         return Machines(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
     @property
     def cores(self) -> Floats:
-        """Physical cores; where unknown, vCPUs over the median of vCPUs per core among machines that say it."""
+        """Physical cores; if unknown, vCPUs over the median vCPUs per core of the machines with known cores."""
         known = np.isfinite(self.physical_cores) & (self.physical_cores > 0)
         ratio = _median(self.vcpus[known] / self.physical_cores[known]) if known.any() else 1.0
         return np.where(known, self.physical_cores, self.vcpus / ratio)
 
 
 def _median(values: Floats) -> float:
-    """The median, without what numpy's own imports for it."""
+    """Return the median without np.median, whose first call imports numpy.ma."""
     ordered = np.sort(values)
     return float((ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2)
 
 
 def codes(names: list[str]) -> Ints:
-    """Integer codes of names, the same in every table (CRC-32 of the lower-case name); -1 for an empty name."""
+    """Return integer codes of names, equal in every table (CRC-32 of the lower-case name); -1 for an empty name."""
     return np.array([crc32(name.lower().encode()) if name else -1 for name in names], dtype=np.int64)
 
 
-def same(code: Ints) -> Floats:
-    """One column per value (N x values): machines of one code share a term; an unknown one shares it with none.
+def one_hot(code: Ints) -> Floats:
+    """Return one column per value, (N, values): machines of one code share a term, machines of unknown code have none.
 
-    Of more values than fit into `MOST_NUMBERS`, the most frequent ones are kept.
+    If the table would exceed `MOST_NUMBERS`, keep the most frequent values.
     """
     values, column, count = np.unique(code, return_inverse=True, return_counts=True)
     kept = np.flatnonzero(values >= 0)
@@ -91,7 +91,9 @@ def same(code: Ints) -> Floats:
 
 
 def matern(columns: Floats, lengths: Floats) -> Floats:
-    """Square root (N x distinct rows) of the Matérn-5/2 covariance of the rows of `columns` (N x d).
+    """Return a square root (N, distinct rows) of the Matérn-5/2 covariance of the rows of `columns` (N, d).
+
+    `lengths` (d,) are the length scales.
 
     Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, eq. 4.17.
     """
@@ -102,8 +104,8 @@ def matern(columns: Floats, lengths: Floats) -> Floats:
     return np.asarray(root[np.asarray(where).ravel()])
 
 
-def spread(column: Floats) -> Floats:
-    """A column centred and scaled to unit standard deviation; unknown entries become 0, a constant all 0."""
+def standardise(column: Floats) -> Floats:
+    """Return a column of mean 0 and standard deviation 1; unknown entries become 0, a constant column all 0."""
     known = np.isfinite(column)
     if not known.any():
         return np.zeros(len(column))
@@ -112,11 +114,11 @@ def spread(column: Floats) -> Floats:
     return centred / deviation if deviation > 1e-9 else np.zeros(len(column))
 
 
-def interacted(matrix: Floats, column: Floats) -> Floats:
-    """Each column of `matrix` (N x r) times `column` (N)."""
+def interaction(matrix: Floats, column: Floats) -> Floats:
+    """Return each column of `matrix` (N, r) times `column` (N,)."""
     return matrix * column[:, None]
 
 
-def stacked(*parts: Floats) -> Floats:
-    """Feature matrices side by side: the sum of their covariances."""
+def hstack(*parts: Floats) -> Floats:
+    """Return the feature matrices side by side: the sum of their covariances."""
     return np.concatenate([part if part.ndim == 2 else part[:, None] for part in parts], axis=1)

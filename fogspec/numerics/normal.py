@@ -1,4 +1,4 @@
-"""The normal distribution for arrays, without the start-up cost of scipy."""
+"""The normal distribution for arrays, without the import time of scipy.special (ADR 0071)."""
 
 import math
 
@@ -9,7 +9,7 @@ Floats = NDArray[np.float64]
 
 
 def normal_cdf(z: Floats) -> Floats:
-    """P(Z <= z), absolute error below 1e-7.
+    """Return P(Z <= z) with an absolute error below 1e-7.
 
     Source: Abramowitz and Stegun, Handbook of Mathematical Functions, 26.2.17.
     """
@@ -21,9 +21,9 @@ def normal_cdf(z: Floats) -> Floats:
 
 
 def truncated_above_moments(mean: float, variance: float, bound: float) -> tuple[float, float]:
-    """Mean and variance of a normal variable given that it exceeds the bound.
+    """Return the mean and variance of a normal variable conditional on exceeding the bound.
 
-    Far beyond the mean the hazard's asymptotic series is used, where the ratio of two tiny numbers would fail.
+    Far above the mean the hazard comes from its asymptotic series, because the ratio of two tiny numbers loses precision.
     """
     sd = math.sqrt(variance)
     z = (bound - mean) / sd

@@ -1,4 +1,4 @@
-"""Samples of machines: latencies with their errors, repeats, and lower bounds from runs that were given up."""
+"""Observations: latencies with their errors, replicates, and lower bounds from aborted runs."""
 
 from dataclasses import dataclass
 
@@ -6,17 +6,17 @@ import numpy as np
 
 from fogspec.numerics.kernels import Floats
 
-DEFAULT_NOISE = 0.025  # relative standard error of a sample that does not say its own
-SYSTEMATIC_NOISE = 0.008  # two machines of one type differ at least by this, however many requests were timed
+DEFAULT_NOISE = 0.025  # relative standard error of a sample without a known one
+SYSTEMATIC_NOISE = 0.008  # relative difference between machines of one type, however many requests were timed
 
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """n samples: which machine, its latency, how sure.
+    """n samples: index of the machine, latency, and its error.
 
-    `relative_error` is the standard error of the latency over the latency, NaN where unknown. A `lower_bound`
-    is a run that was aborted or failed after that time: the latency is at least this. Raises ValueError for
-    latencies that are not positive and finite, and for negative errors.
+    `relative_error` is the standard error of the latency over the latency, NaN if unknown. A `lower_bound` is a run that
+    was aborted or failed after that time: the latency is at least this. Raise ValueError for latencies that are not
+    positive and finite, for negative errors, and for unequal lengths.
     """
 
     machine: np.ndarray
@@ -41,7 +41,7 @@ def observations(
     relative_error: np.ndarray | list[float] | None = None,
     lower_bound: np.ndarray | list[bool] | None = None,
 ) -> Observations:
-    """`Observations` from sequences; errors unknown and nothing aborted unless said."""
+    """Return `Observations` from sequences; by default errors are unknown and no run was aborted."""
     n = len(machine)
     return Observations(
         np.asarray(machine, dtype=np.intp).reshape(n),
@@ -52,33 +52,33 @@ def observations(
 
 
 def pooled(samples: Observations) -> tuple[np.ndarray, Floats, Floats]:
-    """Complete samples, one a machine: index, mean log-latency, variance of its error.
+    """Return the complete samples pooled by machine: index, mean log-latency, and variance of its error, each (M,).
 
-    Repeats are weighed by their precision; repeats that contradict each other widen the error by the Birge ratio
-    (Birge, Phys. Rev. 40 (1932) 207).
+    Replicates are weighted by their precision; inconsistent replicates widen the error by the Birge ratio (Birge, Phys.
+    Rev. 40 (1932) 207).
     """
     use = ~samples.lower_bound
     error = np.where(np.isnan(samples.relative_error), DEFAULT_NOISE, samples.relative_error)
     variance = error[use] ** 2 + SYSTEMATIC_NOISE**2
     log = np.log(samples.latency_s[use])
     machines = np.unique(samples.machine[use])
-    value, spread = np.empty(len(machines)), np.empty(len(machines))
+    value, error_variance = np.empty(len(machines)), np.empty(len(machines))
     for i, machine in enumerate(machines):
         mine = samples.machine[use] == machine
         precision = 1 / variance[mine]
         value[i] = (precision * log[mine]).sum() / precision.sum()
         chi2 = (precision * (log[mine] - value[i]) ** 2).sum()
-        spread[i] = max(1.0, chi2 / max(1, mine.sum() - 1)) / precision.sum()
-    return machines, value, spread
+        error_variance[i] = max(1.0, chi2 / max(1, mine.sum() - 1)) / precision.sum()
+    return machines, value, error_variance
 
 
-def level_of(samples: Observations) -> float:
-    """Mean log-latency of all samples, lower bounds too; 0 for none."""
+def mean_level(samples: Observations) -> float:
+    """Return the mean log-latency of all samples, including lower bounds; 0 for no samples."""
     return float(np.log(samples.latency_s).mean()) if len(samples.latency_s) else 0.0
 
 
 def lower_bounds(samples: Observations) -> list[tuple[int, float]]:
-    """The highest lower bound of each machine that has one."""
+    """Return the highest lower bound of log-latency of each machine that has one, by machine."""
     highest: dict[int, float] = {}
     for machine, latency in zip(
         samples.machine[samples.lower_bound], samples.latency_s[samples.lower_bound], strict=True

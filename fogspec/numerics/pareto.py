@@ -5,13 +5,12 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def pareto(first: ArrayLike, second: ArrayLike) -> NDArray[np.intp]:
-    """Indices of the points that no other point beats on one quantity without losing on the other.
+    """Return the indices of the non-dominated points in ascending order of `first`.
 
-    Both have length n and hold no NaN; in order of rising `first`. Of points that are equal in both, the one
-    that comes first is kept.
+    Both quantities have shape (n,) without NaN. Of points equal in both, the first is kept.
     """
     x, y = np.asarray(first, float), np.asarray(second, float)
-    kept = _not_beaten_by_the_middle(x, y)
+    kept = _not_dominated_by_compromise(x, y)
     x, y = x[kept], y[kept]
     order = np.lexsort((y, x))
     ahead = np.minimum.accumulate(y[order])
@@ -20,11 +19,11 @@ def pareto(first: ArrayLike, second: ArrayLike) -> NDArray[np.intp]:
     return np.asarray(kept[order[better]])
 
 
-def _not_beaten_by_the_middle(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Without the points that lose to one good compromise on both: most of a large catalog, before any sorting."""
+def _not_dominated_by_compromise(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the indices without the points that one good compromise dominates: it removes most points before sorting."""
     if len(x) < 2:
         return np.arange(len(x))
     with np.errstate(invalid="ignore"):
         middle = int(np.argmin(x * (1 / max(np.ptp(x), 1e-300)) + y * (1 / max(np.ptp(y), 1e-300))))
-    beaten = (x >= x[middle]) & (y >= y[middle]) & ((x > x[middle]) | (y > y[middle]))
-    return np.flatnonzero(~beaten)
+    dominated = (x >= x[middle]) & (y >= y[middle]) & ((x > x[middle]) | (y > y[middle]))
+    return np.flatnonzero(~dominated)

@@ -1,4 +1,4 @@
-"""What other workloads do on the same machines, brought into the shape that the surrogate reads."""
+"""Prior data: log-latencies of other workloads on the same machines, imputed and completed for the surrogate."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
@@ -8,15 +8,18 @@ import numpy as np
 from fogspec.numerics.kernels import Floats, Machines
 from fogspec.numerics.surrogate import Prior
 
-SHARE_KNOWN = 0.4  # a workload known on fewer of the machines in question says too little about them
+MIN_COVERAGE = 0.4  # fraction of the machines on which a workload must be known to count
 RANK = 8
 NEIGHBOURS = 4
-FEWEST_WORKLOADS = 4
+MIN_WORKLOADS = 4
 
 
 @dataclass(frozen=True)
-class Library:
-    """Log-latencies (W, M) of W workloads on M machines, NaN where not measured; suites group variants of a program."""
+class PriorData:
+    """Log-latencies (W, M) of W workloads on M machines, NaN if not measured; suites group variants of a program.
+
+    Raise ValueError if `log_latency` does not have that shape.
+    """
 
     names: tuple[str, ...]
     machines: Machines
@@ -33,51 +36,54 @@ class Library:
 
 
 def prior_for(
-    library: Library, names: Sequence[str], machines: Machines, leave_out: Collection[str] = ()
+    data: PriorData, names: Sequence[str], machines: Machines, leave_out: Collection[str] = ()
 ) -> Prior | None:
-    """The library's profiles at the machines (`cloud/type`), suites in `leave_out` excluded; None if it knows too little.
+    """Return the profiles of the data at the machines (`cloud/type`) without the suites in `leave_out`; None if too few.
 
-    Machines that the library lacks borrow from their nearest kin in it, with a variance that says so; single
-    missing cells are filled from the other workloads by a low-rank fit.
+    Machines absent from the data are imputed from their nearest neighbours, with a nugget variance for the imputation;
+    single missing cells are completed from the other workloads by a low-rank fit.
     """
-    kept = [i for i, suite in enumerate(library.suites) if suite not in leave_out]
+    kept = [i for i, suite in enumerate(data.suites) if suite not in leave_out]
     if not kept:
         return None
-    rows = np.array([library.row.get(name, -1) for name in names])
-    known = library.log_latency[kept]
+    rows = np.array([data.row.get(name, -1) for name in names])
+    known = data.log_latency[kept]
     profiles = np.where(rows >= 0, known[:, np.maximum(rows, 0)], np.nan)
-    own = np.zeros(len(names))
+    nugget = np.zeros(len(names))
     absent = np.flatnonzero(np.isnan(profiles).all(0))
     if len(absent) == len(names):
-        own += 0.02
-    there = _log_cores(library.machines), _log_cores(machines)
+        nugget += 0.02
+    there = _log_cores(data.machines), _log_cores(machines)
     for machine in absent:
-        profiles[:, machine], own[machine] = _borrowed(library.machines, known, machines, int(machine), there)
-    enough = np.isfinite(profiles).mean(1) >= SHARE_KNOWN
-    if enough.sum() < FEWEST_WORKLOADS:
+        profiles[:, machine], nugget[machine] = _impute_from_neighbours(
+            data.machines, known, machines, int(machine), there
+        )
+    enough = np.isfinite(profiles).mean(1) >= MIN_COVERAGE
+    if enough.sum() < MIN_WORKLOADS:
         return None
-    suites = [library.suites[i] for i in np.array(kept)[enough]]
+    suites = [data.suites[i] for i in np.array(kept)[enough]]
     weight = np.array([suites.count(suite) ** -0.5 for suite in suites])
-    return Prior(_completed(profiles[enough]), weight / weight.sum(), own)
+    return Prior(_complete_matrix(profiles[enough]), weight / weight.sum(), nugget)
 
 
 def _log_cores(machines: Machines) -> Floats:
-    """Physical cores per vCPU, log2."""
+    """Return the physical cores per vCPU, log2, (N,)."""
     return np.asarray(np.log2(machines.cores / machines.vcpus))
 
 
-def _borrowed(
-    library: Machines, known: Floats, machines: Machines, at: int, cores: tuple[Floats, Floats]
+def _impute_from_neighbours(
+    known_machines: Machines, known: Floats, machines: Machines, at: int, cores: tuple[Floats, Floats]
 ) -> tuple[Floats, float]:
-    """Profile of a machine from its nearest kin: same kind of CPU before same size before same memory."""
+    """Return the imputed profile (W,) of a machine and its variance: kind of CPU counts before size, size before memory."""
     distance = (
-        4 * (np.log2(library.vcpus / machines.vcpus[at])) ** 2
-        + 0.25 * np.log2(library.memory_gib / library.vcpus / machines.memory_gib[at] * machines.vcpus[at]) ** 2
-        + 8 * (library.arch != machines.arch[at])
-        + 2 * (library.cpu_model != machines.cpu_model[at])
-        + 1 * (library.family != machines.family[at])
-        + 1 * (library.cloud != machines.cloud[at])
-        + 16 * (library.gpu != machines.gpu[at])
+        4 * (np.log2(known_machines.vcpus / machines.vcpus[at])) ** 2
+        + 0.25
+        * np.log2(known_machines.memory_gib / known_machines.vcpus / machines.memory_gib[at] * machines.vcpus[at]) ** 2
+        + 8 * (known_machines.arch != machines.arch[at])
+        + 2 * (known_machines.cpu_model != machines.cpu_model[at])
+        + 1 * (known_machines.family != machines.family[at])
+        + 1 * (known_machines.cloud != machines.cloud[at])
+        + 16 * (known_machines.gpu != machines.gpu[at])
         + np.nan_to_num(4 * (cores[0] - cores[1][at]) ** 2)
     )
     distance = np.where(np.isfinite(known).any(0), distance, np.inf)
@@ -88,8 +94,8 @@ def _borrowed(
     return np.where(total > 0, profile, np.nan), float(0.005 + 0.01 * distance[nearest[0]])
 
 
-def _completed(profiles: Floats) -> Floats:
-    """Missing cells from the low-rank structure of the others (iterated singular value thresholding).
+def _complete_matrix(profiles: Floats) -> Floats:
+    """Return the profiles centred by workload, with missing cells completed (iterated singular value thresholding).
 
     Source: Mazumder, Hastie, Tibshirani, Spectral Regularization Algorithms, JMLR 11 (2010).
     """

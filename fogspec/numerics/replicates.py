@@ -1,8 +1,8 @@
-"""What one more sample of a measured machine may tell: single samples err by more than most of them say.
+"""Replicate noise: the distribution of a machine's estimate after one more sample of it.
 
-Repeated benchmarks of one machine type differ little mostly and much at times: their coefficient of variation has a median
-of 1.5 % and a 90th percentile of 4.5 % (Spare Cores' public benchmarks). So a machine's noise is itself unknown, and the
-best of many samples is partly the luckiest.
+Repeated benchmarks of one machine type have a heavy-tailed coefficient of variation, with a median of 1.5 % and a 90th
+percentile of 4.5 % (Spare Cores' public benchmarks). The noise of a machine is therefore unknown, and the best of many
+single samples is partly the luckiest.
 """
 
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ from fogspec.numerics.surrogate import Posterior
 
 TYPICAL_NOISE = 0.015  # median of a machine's relative noise
 NOISE_SPREAD = 0.95  # standard deviation of its logarithm
-FLAT = 0.01  # precision of log-latency below which the other machines say nothing
-SCALES = np.linspace(-1.5, 3.0, 8)  # noise that is considered, in such deviations from the median
+FLAT = 0.01  # precision of log-latency below which the other machines are uninformative
+SCALES = np.linspace(-1.5, 3.0, 8)  # grid of the noise, in these standard deviations from the median
 
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """What the log-latency of the M measured machines `at` may be estimated to be after one more sample of each.
+    """The distribution of the estimated log-latency of the M measured machines `at` after one more sample of each.
 
-    `log_latency` (S, M) are possible estimates, `probability` (S, M) theirs, each column summing to 1.
+    `log_latency` (S, M) are possible estimates and `probability` (S, M) their probabilities; each column sums to 1.
     """
 
     at: np.ndarray
@@ -33,11 +33,11 @@ class Estimates:
 
 
 def after_one_more(posterior: Posterior) -> Estimates:
-    """Possible estimates, as many for each machine as the posterior has draws.
+    """Return the possible estimates of each measured machine, as many as the posterior has draws.
 
-    A machine's noise is averaged over by what its samples and the other machines say of it; how much an estimate moves is
-    the variance that one more sample takes off (knowledge gradient: Frazier, Powell and Dayanik, SIAM J. Control Optim. 47
-    (2008) 2410).
+    The noise of a machine is averaged over its posterior given its samples and the other machines; the variance of the new
+    estimate is the variance that one more sample removes (knowledge gradient: Frazier, Powell and Dayanik, SIAM J. Control
+    Optim. 47 (2008) 2410).
     """
     at, value, variance = pooled(posterior.observations)
     count = len(posterior.draws)
@@ -56,18 +56,18 @@ def after_one_more(posterior: Posterior) -> Estimates:
 
 
 def _without(posterior: Posterior, machine: int, value: float, noise: float) -> tuple[float, float]:
-    """Mean and variance from the other machines alone: each model's posterior divided by the machine's own samples."""
+    """Return the mean and variance given only the other machines: each model's posterior without the machine's samples."""
     mean, variance = posterior.means[:, machine], posterior.variances[:, machine]
     precision = 1 / variance - 1 / noise
-    says = precision > FLAT
-    left = np.where(says, precision, FLAT)
-    means = np.where(says, (mean / variance - value / noise) / left, value)
+    informative = precision > FLAT
+    left = np.where(informative, precision, FLAT)
+    means = np.where(informative, (mean / variance - value / noise) / left, value)
     middle = float(posterior.weights @ means)
     return middle, float(posterior.weights @ (1 / left + (means - middle) ** 2))
 
 
 def _by_noise(own: Floats, value: float, mean: float, variance: float) -> tuple[Floats, Floats, Floats]:
-    """For each scale of the noise: its probability, the estimate, and by how much one more sample moves that."""
+    """Return for each scale of the noise its probability, the estimate, and the standard deviation of its change."""
     sd, n = TYPICAL_NOISE * np.exp(NOISE_SPREAD * SCALES), len(own)
     total = variance + sd**2 / n
     log = -0.5 * SCALES**2 - 0.5 * (value - mean) ** 2 / total - 0.5 * np.log(total)
@@ -78,5 +78,5 @@ def _by_noise(own: Floats, value: float, mean: float, variance: float) -> tuple[
 
 
 def _normal_quantiles(count: int) -> Floats:
-    """The middles of equally likely parts of the standard normal distribution."""
+    """Return the medians of equally likely parts of the standard normal distribution, (count,)."""
     return np.array([NormalDist().inv_cdf((i + 0.5) / count) for i in range(count)])

@@ -1,8 +1,8 @@
-"""Latency over machines from few samples, with honest uncertainty.
+"""Surrogate model: latency over machines from few samples, with calibrated uncertainty.
 
-The small, stable interface that everything else calls::
+Interface::
 
-    space = prepare(machines, prior)            # once for a set of machines; prior is optional
+    space = prepare(machines, prior)            # once per set of machines; prior is optional
     posterior = space.fit(observations)         # after every wave; fit(machines, observations, prior) does both
     posterior.mean, posterior.sd                # log-latency of every machine (N,), measured ones included
     posterior.quantile(0.95)                    # latency_s (N,)
@@ -11,11 +11,10 @@ The small, stable interface that everything else calls::
     posterior.draws                             # joint draws of log-latency (S, N)
     acquisition.next_wave(posterior, question, ...)
 
-Model: log-latency = level + mean curve + Gaussian process, averaged over a grid of mean curves and
-hyper-parameters by their evidence instead of picking one (Rasmussen and Williams, Gaussian Processes for Machine
-Learning, ch. 2 and 5). Mean curves are Amdahl's law with contention (Gunther's Universal Scalability Law), and,
-with a prior, what other workloads do on the same machines. Same inputs give the same numbers: the draws' random
-numbers come from a fixed seed.
+Model: log-latency = level + mean curve + Gaussian process, averaged over an ensemble of mean curves and hyper-parameters by
+evidence (Rasmussen and Williams, Gaussian Processes for Machine Learning, ch. 2 and 5). Mean curves are Amdahl's law with
+contention (Gunther's Universal Scalability Law) or, with a prior, the mean profile of other workloads on the same machines.
+Equal inputs give equal numbers: random draws have a fixed seed. Tests hold evidence, posterior and quantiles to scipy.
 """
 
 from collections.abc import Callable
@@ -24,36 +23,36 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fogspec.numerics.ensemble import Grid, grid_with_prior, grid_without_prior
+from fogspec.numerics.ensemble import Ensemble, ensemble_with_prior, ensemble_without_prior
 from fogspec.numerics.kernels import Floats, Machines
 from fogspec.numerics.normal import normal_cdf, truncated_above_moments
-from fogspec.numerics.observations import Observations, level_of, lower_bounds, pooled
+from fogspec.numerics.observations import Observations, lower_bounds, mean_level, pooled
 
 VERSION = 1  # of the model: predictions of another version may differ from the same samples
-STRANGE = 0.5  # log-latency: no noise makes a machine so much faster or slower than the others have it
+OUTLIER = 0.5  # deviation of log-latency from the other machines' prediction that noise does not explain
 KEPT_MODELS = 64
-WEIGHED_BY = 100  # samples that decide between models; all of them predict
-MOST_AT_ONCE = 4_000_000  # numbers in a table: with many samples of many machines, models are conditioned in turn
+MAX_EVIDENCE = 100  # samples in the evidence of the models; predictions use all samples
+MAX_BLOCK = 4_000_000  # numbers in a table: with many samples of many machines, models are conditioned in blocks
 DRAWS = 512
-MOST_DRAWN = 600_000  # numbers in a table of draws: over thousands of machines there are fewer draws
+MAX_DRAWN = 600_000  # numbers in a table of draws: over thousands of machines there are fewer draws
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What other workloads do on the same N machines: W log-latency profiles, no cell missing.
+    """Log-latency profiles (W, N) of W other workloads on the same N machines, without missing cells.
 
-    `weight` (W,) says how much each counts (a suite of thirty variants of one program is not thirty
-    workloads); `own` (N,) is the variance added where a machine's cells were inferred from similar machines.
+    `weight` (W,) is the weight of each workload (thirty variants of one program are not thirty workloads); `nugget` (N,) is
+    the variance added for a machine whose cells were imputed from similar machines.
     """
 
     profiles: Floats
     weight: Floats
-    own: Floats
+    nugget: Floats
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """What is known of every machine's log-latency: a mixture of Gaussian processes, weights summing to 1."""
+    """Posterior of every machine's log-latency: a mixture of Gaussian processes, weights summing to 1."""
 
     machines: Machines
     observations: Observations
@@ -79,7 +78,7 @@ class Posterior:
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """How often each machine was measured (N,), complete samples only."""
+        """Number of complete samples of each machine, (N,)."""
         complete = self.observations.machine[~self.observations.lower_bound]
         return np.bincount(complete, minlength=len(self.machines))
 
@@ -90,7 +89,7 @@ class Posterior:
 
     @cached_property
     def extrapolated(self) -> np.ndarray:
-        """Machines outside the sampled range of vCPUs or memory, or of a GPU type or architecture not sampled."""
+        """Machines outside the sampled range of vCPUs or memory, or of a GPU type or architecture without a sample, (N,)."""
         m, known = self.machines, self.measured
         if not known.any():
             return np.ones(len(m), dtype=bool)
@@ -103,18 +102,21 @@ class Posterior:
         return np.asarray(outside & ~known)
 
     def probability_below(self, limit_s: Floats | float) -> Floats:
-        """Probability (N,) that latency is at most the limit; a limit of infinity gives 1, of 0 or less gives 0."""
+        """Return the probability (N,) that latency is at most the limit; 1 for an infinite limit, 0 for a limit <= 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             limit = np.broadcast_to(np.log(np.maximum(limit_s, 0.0)), self.mean.shape)
         return np.asarray(self.weights @ normal_cdf((limit - self.means) / np.sqrt(self.variances)))
 
     @cached_property
     def _quantiles(self) -> dict[float, Floats]:
-        """What was asked for already: other limits on the same samples cost no bisection."""
+        """Cache of quantiles: other limits on the same samples need no bisection."""
         return {}
 
     def quantile(self, p: Floats | float) -> Floats:
-        """Latency in seconds (N,) that is not exceeded with probability p, a number or (N,)."""
+        """Return the latency in seconds (N,) not exceeded with probability p, a number or (N,).
+
+        Raise ValueError for a probability outside 0 to 1.
+        """
         if not isinstance(p, float):
             return self._bisected(p)
         if p not in self._quantiles:
@@ -134,22 +136,22 @@ class Posterior:
 
 
 def prepare(machines: Machines, prior: Prior | None = None, *, seed: int = 0, draws: int = DRAWS) -> "Space":
-    """Everything about the machines that does not depend on samples; `draws` joint draws will be made."""
-    grid = grid_without_prior(machines) if prior is None else grid_with_prior(machines, prior)
-    return Space(machines, grid, seed, min(draws, max(MOST_DRAWN // max(len(machines), 1), 64)))
+    """Return the part of the model that does not depend on samples; the posterior will have at most `draws` draws."""
+    ensemble = ensemble_without_prior(machines) if prior is None else ensemble_with_prior(machines, prior)
+    return Space(machines, ensemble, seed, min(draws, max(MAX_DRAWN // max(len(machines), 1), 64)))
 
 
 def fit(machines: Machines, samples: Observations, prior: Prior | None = None) -> Posterior:
-    """Posterior of one workload's latency on every machine; see `Space.fit`."""
+    """Return the posterior of one workload's latency on every machine; see `Space.fit`."""
     return prepare(machines, prior).fit(samples)
 
 
 @dataclass(frozen=True)
 class Space:
-    """Machines, the grid of models over them, and reusable random draws, made when they are first needed."""
+    """Machines, the ensemble of models over them, and reusable random draws, made on first use."""
 
     machines: Machines
-    grid: Grid
+    ensemble: Ensemble
     seed: int
     count: int
 
@@ -157,33 +159,32 @@ class Space:
     def _normal(self) -> tuple[Floats, Floats, Floats]:
         """Standard normal draws of each component at each machine (J, S, N), of each machine alone, and of errors."""
         random = np.random.default_rng(self.seed)
-        base = [random.standard_normal((self.count, f.shape[1])) @ f.T for f in self.grid.features]
+        base = [random.standard_normal((self.count, f.shape[1])) @ f.T for f in self.ensemble.features]
         shape = (self.count, len(self.machines))
         return np.array(base), random.standard_normal(shape), random.standard_normal(shape)
 
     def fit(self, samples: Observations) -> Posterior:
-        """Condition every model of the grid on the samples and weigh it by its evidence.
+        """Condition every model of the ensemble on the samples and weight it by its evidence.
 
-        A machine far off from what all others say of it, such as one that swaps, is as it was measured, and says
-        little of others.
+        Outliers, such as machines that swap, keep their measured value but are down-weighted for other machines.
         """
         at, value, variance = pooled(samples)
         posterior = self._conditioned(samples, at, value, variance)
         off = value - posterior.mean[at]
-        strange = np.flatnonzero(np.abs(off) > STRANGE)
-        known = at[strange], value[strange], variance[strange].copy()
-        if len(strange):
-            variance[strange] += off[strange] ** 2
+        outlier = np.flatnonzero(np.abs(off) > OUTLIER)
+        known = at[outlier], value[outlier], variance[outlier].copy()
+        if len(outlier):
+            variance[outlier] += off[outlier] ** 2
             posterior = self._conditioned(samples, at, value, variance)
         for machine, bound in lower_bounds(samples):
             site = _site(posterior, machine, bound)
             if site is not None:
                 at, value, variance = np.append(at, machine), np.append(value, site[0]), np.append(variance, site[1])
                 posterior = self._conditioned(samples, at, value, variance)
-        return self._as_measured(posterior, *known) if len(strange) else posterior
+        return self._as_measured(posterior, *known) if len(outlier) else posterior
 
     def _as_measured(self, posterior: Posterior, at: np.ndarray, value: Floats, variance: Floats) -> Posterior:
-        """The posterior with some machines as they were measured, whatever the others say of them."""
+        """Return the posterior with the machines `at` (M,) at their measured values."""
         means, variances = posterior.means.copy(), posterior.variances.copy()
         means[:, at], variances[:, at] = value, variance
 
@@ -195,33 +196,37 @@ class Space:
         return replace(posterior, means=means, variances=variances, draw=draw)
 
     def _conditioned(self, samples: Observations, at: np.ndarray, value: Floats, noise: Floats) -> Posterior:
-        grid, level = self.grid, level_of(samples)
+        ensemble, level = self.ensemble, mean_level(samples)
         if not len(at):
-            keep, weights = _kept(np.zeros(len(grid.theta)))
-            means = grid.curves[grid.curve[keep]] + level
-            variances = grid.theta[keep] @ grid.diagonal + grid.own[keep]
+            keep, weights = _resampled(np.zeros(len(ensemble.theta)))
+            means = ensemble.curves[ensemble.curve[keep]] + level
+            variances = ensemble.theta[keep] @ ensemble.diagonal + ensemble.nugget[keep]
             draw = partial(self._draws, keep, weights, means, at, noise, None)
             return Posterior(self.machines, samples, weights, means, variances, draw)
-        cross = np.array([f @ f[at].T for f in grid.features])
+        cross = np.array([f @ f[at].T for f in ensemble.features])
         few = (
-            np.unique(np.linspace(0, len(at) - 1, WEIGHED_BY).round().astype(int))
-            if len(at) > WEIGHED_BY
+            np.unique(np.linspace(0, len(at) - 1, MAX_EVIDENCE).round().astype(int))
+            if len(at) > MAX_EVIDENCE
             else slice(None)
         )
-        keep, weights = _kept(self._evidence(cross[:, at][:, few][:, :, few], at[few], value[few] - level, noise[few]))
+        keep, weights = _resampled(
+            self._evidence(cross[:, at][:, few][:, :, few], at[few], value[few] - level, noise[few])
+        )
         means, variances = np.empty((2, len(keep), len(self.machines)))
-        at_once = max(1, MOST_AT_ONCE // (len(at) * len(self.machines)))
+        at_once = max(1, MAX_BLOCK // (len(at) * len(self.machines)))
         found = None
         for first in range(0, len(keep), at_once):
             some = keep[first : first + at_once]
             link, inverse = found = self._terms(some, cross, at, noise)
-            mean = grid.curves[grid.curve[some]]
+            mean = ensemble.curves[ensemble.curve[some]]
             solved = np.einsum("hij,hj->hi", inverse, value - level - mean[:, at])
             means[first : first + at_once] = mean + level + np.einsum("hni,hi->hn", link, solved)
             explained = ((link @ inverse) * link).sum(-1)
-            variances[first : first + at_once] = grid.theta[some] @ grid.diagonal + grid.own[some] - explained
+            variances[first : first + at_once] = (
+                ensemble.theta[some] @ ensemble.diagonal + ensemble.nugget[some] - explained
+            )
         variances = np.maximum(variances, 1e-8)
-        variances[:, np.isin(np.arange(len(self.machines)), at, invert=True)] *= grid.widened
+        variances[:, np.isin(np.arange(len(self.machines)), at, invert=True)] *= ensemble.inflation
 
         def terms(model: int) -> tuple[Floats, Floats]:
             if found is not None and len(found[0]) == len(keep):
@@ -233,23 +238,23 @@ class Space:
         return Posterior(self.machines, samples, weights, means, variances, draw)
 
     def _inner(self, models: np.ndarray, cross: Floats, at: np.ndarray, noise: Floats) -> Floats:
-        """Covariance of the samples under these models (h, n, n); `cross` is each component's among them."""
+        """Return the covariance of the samples under these models, (h, n, n); `cross` (J, n, n) is that of each component."""
         same_machine = (at[:, None] == at[None, :]).astype(float)
-        inner = np.tensordot(self.grid.theta[models], cross, axes=1)
-        inner += self.grid.own[models][:, at][:, :, None] * same_machine + np.diag(noise)
+        inner = np.tensordot(self.ensemble.theta[models], cross, axes=1)
+        inner += self.ensemble.nugget[models][:, at][:, :, None] * same_machine + np.diag(noise)
         return np.asarray(inner)
 
     def _evidence(self, cross: Floats, at: np.ndarray, value: Floats, noise: Floats) -> Floats:
-        """Log-evidence (H,) of every model of the grid."""
-        inner = self._inner(np.arange(len(self.grid.theta)), cross, at, noise)
-        residual = value - self.grid.curves[self.grid.curve][:, at]
+        """Return the log-evidence (H,) of every model up to a constant."""
+        inner = self._inner(np.arange(len(self.ensemble.theta)), cross, at, noise)
+        residual = value - self.ensemble.curves[self.ensemble.curve][:, at]
         solved = np.einsum("hij,hj->hi", np.linalg.inv(inner), residual)
         return np.asarray(-0.5 * (residual * solved).sum(1) - 0.5 * np.linalg.slogdet(inner)[1])
 
     def _terms(self, models: np.ndarray, cross: Floats, at: np.ndarray, noise: Floats) -> tuple[Floats, Floats]:
-        """Covariance of every machine with the samples (h, N, n), and the inverse of that of the samples (h, n, n)."""
-        link = np.tensordot(self.grid.theta[models], cross, axes=1)
-        link += self.grid.own[models][:, :, None] * (np.arange(len(self.machines))[:, None] == at[None, :])
+        """Return the covariance of the machines with the samples (h, N, n) and the samples' precision (h, n, n)."""
+        link = np.tensordot(self.ensemble.theta[models], cross, axes=1)
+        link += self.ensemble.nugget[models][:, :, None] * (np.arange(len(self.machines))[:, None] == at[None, :])
         inverse = np.asarray(np.linalg.inv(self._inner(models, cross[:, at], at, noise)), dtype=float)
         return np.asarray(link), inverse
 
@@ -257,14 +262,14 @@ class Space:
         self, keep: np.ndarray, weights: Floats, means: Floats, at: np.ndarray, noise: Floats,
         terms: Callable[[int], tuple[Floats, Floats]] | None,
     ) -> Floats:  # fmt: skip
-        """Joint draws by Matheron's rule: a prior draw plus what its own error at the samples corrects."""
+        """Return joint draws by Matheron's rule: a prior draw minus the prediction of its error at the samples."""
         count, (base, own, errors) = self.count, self._normal
         which = np.minimum(np.searchsorted(np.cumsum(weights), (np.arange(count) + 0.5) / count), len(weights) - 1)
         out = np.empty((count, len(self.machines)))
         for model in np.unique(which).tolist():
             rows = np.flatnonzero(which == model)
-            root = np.sqrt(self.grid.theta[keep[model]])
-            prior = np.tensordot(root, base[:, rows], axes=1) + np.sqrt(self.grid.own[keep[model]]) * own[rows]
+            root = np.sqrt(self.ensemble.theta[keep[model]])
+            prior = np.tensordot(root, base[:, rows], axes=1) + np.sqrt(self.ensemble.nugget[keep[model]]) * own[rows]
             out[rows] = means[model] + prior
             if terms is not None:
                 link, inverse = terms(model)
@@ -274,7 +279,7 @@ class Space:
 
 
 def _site(posterior: Posterior, machine: int, bound: float) -> tuple[float, float] | None:
-    """A Gaussian stand-in (value, variance) for "log-latency is above the bound", by moment matching."""
+    """Return the Gaussian site (value, variance) of "log-latency is above the bound" by moment matching, None if flat."""
     mean, variance = float(posterior.mean[machine]), float(posterior.sd[machine] ** 2)
     after_mean, after_variance = truncated_above_moments(mean, variance, bound)
     precision = 1 / after_variance - 1 / variance
@@ -283,11 +288,11 @@ def _site(posterior: Posterior, machine: int, bound: float) -> tuple[float, floa
     return (after_mean / after_variance - mean / variance) / precision, 1 / precision
 
 
-def _kept(evidence: Floats) -> tuple[np.ndarray, Floats]:
-    """Models that stand for all, and their weights: systematic resampling along the grid's order.
+def _resampled(evidence: Floats) -> tuple[np.ndarray, Floats]:
+    """Return representative models and their weights by systematic resampling in the order of the ensemble.
 
-    The most likely ones alone would not do: where samples say little, thousands of models are about equally likely,
-    and what they disagree on is the uncertainty.
+    The most likely models alone are not enough: with few samples, thousands of models are about equally likely, and their
+    disagreement is the uncertainty.
     """
     share = np.exp(evidence - evidence.max())
     at = np.cumsum(share / share.sum())

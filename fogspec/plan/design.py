@@ -41,7 +41,7 @@ from fogspec.spec.lockfile import image_named
 from fogspec.spec.schema import Application, Spec, local_shape
 
 if TYPE_CHECKING:
-    from fogspec.numerics.priors import Library
+    from fogspec.numerics.priors import PriorData
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def make_plan(
     *,
     pins: Mapping[str, str] = NO_PINS,
     admissible: Filtered | None = None,
-    library: "Library | None" = None,
+    library: "PriorData | None" = None,
 ) -> Plan:
     """Return the sampling plan of a spec at `path` (as written into the plan), without its tasks.
 
@@ -116,7 +116,7 @@ def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
     return [] if image is None or "image" in pins else [f"image {image} is not pinned to a digest: fogspec lock"]
 
 
-def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "Library | None" = None) -> Design:
+def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "PriorData | None" = None) -> Design:
     """Return the samples of the spec's sampler; the adaptive one uses the performance priors in `library`.
 
     Raises Infeasible if there are none, InvalidInput for an unknown instance type.
@@ -145,7 +145,7 @@ def max_cost_usd(spec: Spec, price_usd_per_hour: Floats) -> Floats:
     return price_usd_per_hour * (spec.benchmark.setup_timeout + spec.benchmark.stop.duration) / 3600
 
 
-def _adaptive(spec: Spec, admissible: Filtered, library: "Library | None") -> Design:
+def _adaptive(spec: Spec, admissible: Filtered, library: "PriorData | None") -> Design:
     """Return the first batch; `fogspec.choice.next_samples` chooses the next ones after it was measured."""
     from fogspec.numerics.acquisition import Policy
     from fogspec.plan.initial_batch import initial_batch

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.instance_types import InstanceTypes, instance_types
 from fogspec.catalog.table import Catalog, Floats
-from fogspec.numerics.acquisition import Wave, initial_wave
+from fogspec.numerics.acquisition import Batch, initial_design
 from fogspec.numerics.observations import observations
-from fogspec.numerics.priors import Library, prior_for
+from fogspec.numerics.priors import PriorData, prior_for
 from fogspec.numerics.surrogate import prepare
 
 
@@ -40,21 +40,21 @@ class SampleCosts:
 
 
 def initial_batch(
-    offers: Catalog, usd_per_sample: Floats, left_usd: float = np.inf, library: Library | None = None
+    offers: Catalog, usd_per_sample: Floats, left_usd: float = np.inf, library: PriorData | None = None
 ) -> NextBatch:
     """Return the machines that together tell most about all offers for their price, before anything was measured."""
     types = instance_types(offers)
     costs = SampleCosts.of(types, usd_per_sample)
     prior = None if library is None else prior_for(library, types.names, types.machines)
     posterior = prepare(types.machines, prior).fit(observations([], []))
-    wave = initial_wave(posterior, sample_cost=costs.usd, left=left_usd)
-    reasons = ["one of the first: together they say most about all machines for their price"] * len(wave.machines)
-    return next_batch(wave, costs, reasons, left_usd)
+    batch = initial_design(posterior, sample_cost=costs.usd, left=left_usd)
+    reasons = ["one of the first: together they say most about all machines for their price"] * len(batch.machines)
+    return next_batch(batch, costs, reasons, left_usd)
 
 
-def next_batch(wave: Wave, costs: SampleCosts, reasons: Sequence[str], left_usd: float) -> NextBatch:
+def next_batch(batch: Batch, costs: SampleCosts, reasons: Sequence[str], left_usd: float) -> NextBatch:
     """Return a batch of types as offers."""
-    why = wave.reason
-    if not wave.machines and left_usd < costs.usd.min(initial=np.inf):
+    why = batch.reason
+    if not batch.machines and left_usd < costs.usd.min(initial=np.inf):
         why = f"the cheapest sample may cost ${costs.usd.min():.4g}, and ${left_usd:.4g} of the budget is left"
-    return NextBatch(tuple(int(costs.row[one]) for one in wave.machines), tuple(reasons), why)
+    return NextBatch(tuple(int(costs.row[one]) for one in batch.machines), tuple(reasons), why)

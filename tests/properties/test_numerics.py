@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.numerics.acquisition import Policy, next_wave
+from fogspec.numerics.acquisition import Policy, propose_batch
 from fogspec.numerics.observations import observations
 from fogspec.numerics.surrogate import prepare
 from tests.support.machines import family, rule_over, selected
@@ -55,8 +55,8 @@ def test_what_is_chosen_meets_the_limits_more_likely_than_not(rows, alpha, limit
     if chosen.best is not None:
         assert chosen.probability(chosen.best) >= 0.5 - 1e-6
         assert chosen.level < 0.9 or chosen.probability(chosen.best) >= 0.9 - 1e-6
-    wave = next_wave(posterior, chosen.utility(), sample_cost=PRICE)
+    batch = propose_batch(posterior, chosen.utility(), sample_cost=PRICE)
     times = Counter(at for at, _, bound in rows if not bound)
     tried = {at for at, _, _ in rows}
-    assert all(at not in tried or 0 < times[at] < Policy().each for at in wave.machines)
-    assert bool(wave.machines) == bool(wave.worth) or not posterior.measured.any()
+    assert all(at not in tried or 0 < times[at] < Policy().each for at in batch.machines)
+    assert bool(batch.machines) == bool(batch.gains) or not posterior.measured.any()

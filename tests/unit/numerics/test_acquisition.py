@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fogspec.choice.rule import Scale
-from fogspec.numerics.acquisition import Policy, next_wave
+from fogspec.numerics.acquisition import Policy, propose_batch
 from fogspec.numerics.observations import observations
 from fogspec.numerics.surrogate import fit, prepare
 from tests.support.machines import amdahl, family, rule_over, selected
@@ -26,10 +26,10 @@ def campaign(rule, policy=None, left=np.inf):
     while True:
         posterior = space.fit(observations(at, latencies))
         utility = selected(posterior, rule).utility()
-        wave = next_wave(posterior, utility, sample_cost=PRICE, left=left - PRICE[at].sum(), policy=policy)
-        if not wave.machines:
-            return posterior, at, wave.reason
-        at += wave.machines
+        batch = propose_batch(posterior, utility, sample_cost=PRICE, left=left - PRICE[at].sum(), policy=policy)
+        if not batch.machines:
+            return posterior, at, batch.reason
+        at += batch.machines
         latencies = list(TRUTH[at])
 
 
@@ -55,18 +55,20 @@ def test_no_more_than_the_budget_is_spent():
 
 
 def test_no_more_than_the_most_samples_and_none_twice():
-    _, at, reason = campaign(asked(1.0), Policy(worth=0.0, most=5))
+    _, at, reason = campaign(asked(1.0), Policy(min_gain=0.0, most=5))
     assert len(at) == len(set(at)) == 5
     assert "most allowed" in reason
-    _, at, reason = campaign(asked(1.0), Policy(worth=0.0, most=1000))
+    _, at, reason = campaign(asked(1.0), Policy(min_gain=0.0, most=1000))
     assert len(set(at)) == len(at) <= len(PRICE)
 
 
 def test_waves_measure_several_machines_at_once():
     posterior = fit(MACHINES, observations([0, 3], TRUTH[[0, 3]]))
-    wave = next_wave(posterior, selected(posterior, asked(1.0)).utility(), sample_cost=PRICE, policy=Policy(wave=3))
-    assert len(set(wave.machines)) == 3
-    assert len(wave.worth) == 3
+    batch = propose_batch(
+        posterior, selected(posterior, asked(1.0)).utility(), sample_cost=PRICE, policy=Policy(batch=3)
+    )
+    assert len(set(batch.machines)) == 3
+    assert len(batch.gains) == 3
 
 
 def test_none_is_chosen_where_none_can_meet_the_limit():

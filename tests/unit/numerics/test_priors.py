@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fogspec.numerics.observations import observations
-from fogspec.numerics.priors import Library, prior_for
+from fogspec.numerics.priors import PriorData, prior_for
 from fogspec.numerics.surrogate import fit
 from tests.support.machines import amdahl, family
 
@@ -18,7 +18,7 @@ def library(missing=(), suites=None):
     for workload, machine in missing:
         log[workload, machine] = np.nan
     names = tuple(f"w{i}" for i in range(len(SERIAL)))
-    return Library(NAMES, MACHINES, names, suites or names, log)
+    return PriorData(NAMES, MACHINES, names, suites or names, log)
 
 
 def test_a_library_sharpens_predictions():
@@ -48,14 +48,14 @@ def test_missing_cells_are_filled_close_to_what_they_were():
 def test_an_unknown_machine_borrows_from_its_kin_and_says_so():
     renamed = (*NAMES[:-1], "aws/new")
     prior = prior_for(library(), renamed, MACHINES)
-    assert prior.own[-1] > 0
-    assert (prior.own[:-1] == 0).all()
+    assert prior.nugget[-1] > 0
+    assert (prior.nugget[:-1] == 0).all()
     assert np.abs(prior.profiles[:, -1] - prior_for(library(), NAMES, MACHINES).profiles[:, -1]).max() < 0.2
 
 
 def test_a_table_of_the_wrong_shape_is_refused():
     with pytest.raises(ValueError, match="workloads x machines"):
-        Library(NAMES, MACHINES, ("w",), ("s",), np.zeros((2, len(NAMES))))
+        PriorData(NAMES, MACHINES, ("w",), ("s",), np.zeros((2, len(NAMES))))
 
 
 def _error(posterior, truth):

@@ -106,6 +106,6 @@ def test_a_fit_of_one_family_is_little_work():
 
 def test_of_too_many_kinds_the_most_frequent_are_kept(monkeypatch):
     code = np.array([7, 7, 7, 3, 3, 9, -1])
-    assert kernels.same(code).tolist() == [[0, 1, 0]] * 3 + [[1, 0, 0]] * 2 + [[0, 0, 1], [0, 0, 0]]
+    assert kernels.one_hot(code).tolist() == [[0, 1, 0]] * 3 + [[1, 0, 0]] * 2 + [[0, 0, 1], [0, 0, 0]]
     monkeypatch.setattr(kernels, "MOST_NUMBERS", 2 * len(code))
-    assert kernels.same(code).tolist() == [[0, 1]] * 3 + [[1, 0]] * 2 + [[0, 0]] * 2
+    assert kernels.one_hot(code).tolist() == [[0, 1]] * 3 + [[1, 0]] * 2 + [[0, 0]] * 2
