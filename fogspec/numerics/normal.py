@@ -23,14 +23,14 @@ def normal_cdf(z: Floats) -> Floats:
 def truncated_above_moments(mean: float, variance: float, bound: float) -> tuple[float, float]:
     """Return the mean and variance of a normal variable conditional on exceeding the bound.
 
-    Far above the mean the hazard comes from its asymptotic series, because the ratio of two tiny numbers loses precision.
+    From 25 standard deviations above the mean both come from their asymptotic series, before the tail underflows.
     """
     sd = math.sqrt(variance)
     z = (bound - mean) / sd
-    if z > 8:
-        hazard = z + 1 / z - 2 / z**3
+    if z > 25:
+        hazard, shrink = z + 1 / z - 2 / z**3 + 10 / z**5, 1 / z**2 - 6 / z**4 + 50 / z**6
     else:
         tail = 0.5 * math.erfc(z / math.sqrt(2))
         hazard = math.exp(-0.5 * z * z) / math.sqrt(2 * math.pi) / tail
-    shrink = max(1e-6, 1 - hazard * (hazard - z))
-    return mean + sd * hazard, variance * min(1.0, shrink)
+        shrink = 1 - hazard * (hazard - z)
+    return mean + sd * hazard, variance * min(1.0, max(1e-6, shrink))
