@@ -1,0 +1,31 @@
+"""Imports: numerics needs numpy and scipy only, and commands that only read and compile do not import scipy."""
+
+import ast
+import subprocess
+import sys
+
+import pytest
+
+from tests.conftest import ROOT
+
+
+@pytest.mark.parametrize("module", sorted(path.name for path in (ROOT / "fogspec/numerics").glob("*.py")))
+def test_numerics_imports_numpy_and_scipy_only(module):
+    tree = ast.parse((ROOT / "fogspec/numerics" / module).read_text())
+    names = [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    names += [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    others = {name for name in names if name.partition(".")[0] not in {*sys.stdlib_module_names, "numpy", "scipy"}}
+    assert all(name.startswith("fogspec.numerics") for name in others)
+    assert not any(part.startswith("_") for name in names for part in name.split("."))
+
+
+@pytest.mark.parametrize("words", [("validate",), ("compile", "--check"), ("menu",)], ids=lambda words: words[0])
+def test_scipy_is_not_imported_to_compile(words):
+    verb, *options = words
+    ended = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "fogspec", verb, "specs/vslam.yaml", *options], cwd=ROOT,
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    assert "fogspec" in ended.stderr
+    assert "scipy" not in ended.stderr
