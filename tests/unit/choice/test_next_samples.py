@@ -42,7 +42,7 @@ def campaign(offers: Catalog, app: Application, left: float = np.inf, wave: int 
     usd = offers.price_usd_per_hour * 0.2
     records: list[Measured] = []
     for _ in range(40):
-        asked = next_samples(app, offers, records, usd_per_sample=usd, left_usd=left, wave=wave)
+        asked = next_samples(app, offers, records, usd_per_sample=usd, left_usd=left, batch=wave)
         assert len(asked.rows) == len(asked.reasons)
         assert usd[list(asked.rows)].sum() <= left * (1 + 1e-9)
         left -= float(usd[list(asked.rows)].sum())
@@ -99,7 +99,7 @@ def test_a_machine_that_was_suspiciously_fast_is_measured_again(family):
 
 
 def test_waves_measure_several_at_once(family):
-    asked = next_samples(adaptive(), family, [record(family, 0)], usd_per_sample=family.price_usd_per_hour, wave=3)
+    asked = next_samples(adaptive(), family, [record(family, 0)], usd_per_sample=family.price_usd_per_hour, batch=3)
     assert len(set(asked.rows)) == len(asked.rows) > 1
 
 
