@@ -34,6 +34,13 @@ class Observations:
         if bool((self.relative_error < 0).any()):
             raise ValueError("relative_error must not be negative")
 
+    def in_order(self) -> "Observations":
+        """Return the samples in an order of their own values, so that sums over them do not depend on the given order."""
+        order = np.lexsort((self.lower_bound, self.relative_error, self.latency_s, self.machine))
+        return Observations(
+            self.machine[order], self.latency_s[order], self.relative_error[order], self.lower_bound[order]
+        )
+
 
 def observations(
     machine: np.ndarray | list[int],

@@ -168,6 +168,7 @@ class Space:
 
         Outliers, such as machines that swap, keep their measured value but are down-weighted for other machines.
         """
+        samples = samples.in_order()
         at, value, variance = pooled(samples)
         posterior = self._conditioned(samples, at, value, variance)
         off = value - posterior.mean[at]
