@@ -1,9 +1,9 @@
-"""Reads recorded bags (rosbag2: db3 and mcap) without ROS, and times the requests in them.
+"""Read recorded bags (rosbag2: db3 and mcap) without ROS, and time the requests in them.
 
-    python3 -m fogspec_machine.bag --bag data/run --request /camera/color/image --response /RGBD/pose --match stamp
+    python3 agent.pyz bag --bag data/run --request /camera/color/image --response /RGBD/pose --match stamp
 
-Times are those of the recorder. Standard library for db3, PyPI `mcap` for mcap, and PyPI `rosbags` where a condition or a
-metric looks into messages. A bag that is cut off gives what is before the cut.
+Times are those of the recorder. db3 needs the standard library, mcap the PyPI package `mcap`, and conditions and metrics
+on fields of messages the PyPI package `rosbags`. A truncated bag is read up to its end.
 """
 
 import argparse
@@ -12,15 +12,15 @@ import os
 import re
 import sqlite3
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .pairing import Pairing, stamp_of
+from .matching import Matcher, stamp_of
 from .records import Condition, Done, Writer, field_of
 
-# Where set-up puts what this module needs; last, so that a machine's own packages stay what they are.
+# Set-up installs the packages of this module here; last on the path, so that the machine's own packages win.
 INSTALLED = os.path.expanduser("~/.fogspec/python")
 sys.path.append(INSTALLED)
 HEADER_FIRST = re.compile(r"(?:\s*(?:#.*)?\n)*\s*(?:std_msgs/(?:msg/)?)?Header\s+\w+")
@@ -28,12 +28,16 @@ COMPRESSED = (".zstd", ".zst", ".lz4")
 
 
 class BagError(Exception):
-    """A bag that cannot be read, or not to its end; the text says why."""
+    """A bag that cannot be read, or not to its end."""
 
 
 @dataclass(frozen=True)
 class Message:
-    """One recorded message; `kind` is `package/msg/Name`, `definition` its text where the bag has it, `data` its CDR."""
+    """One recorded message.
+
+    `kind` is `package/msg/Name`, `at_s` the time of recording, `data` the CDR, and `definition` the text of the type if the
+    bag contains it.
+    """
 
     topic: str
     kind: str
@@ -43,9 +47,9 @@ class Message:
 
 
 def messages(path: Path, topics: Collection[str] | None = None) -> Iterator[Message]:
-    """Every message of the bag, or those of some topics, in the order in which they were recorded.
+    """Yield the messages of the bag, or of some of its topics, in the order of recording.
 
-    Raises BagError: at once for what is no bag, at the end of what can be read for one that is cut off.
+    Raise BagError: immediately for something that is not a bag, after the last readable message for a truncated one.
     """
     for file in storage_files(path):
         read = _read_db3 if file.suffix == ".db3" else _read_mcap
@@ -53,7 +57,7 @@ def messages(path: Path, topics: Collection[str] | None = None) -> Iterator[Mess
 
 
 def storage_files(path: Path) -> list[Path]:
-    """The files that hold the messages, in order; raises BagError."""
+    """Return the files that contain the messages, in order; raise BagError if there are none."""
     if not path.exists():
         raise BagError(f"the bag {path} is not there")
     found = [path] if path.is_file() else [file for file in path.iterdir() if file.suffix in (".db3", ".mcap")]
@@ -68,9 +72,9 @@ def storage_files(path: Path) -> list[Path]:
     )
 
 
-def recorded_since(path: Path, begun_s: float) -> None:
-    """Raises BagError for a bag that was there before: it holds another sample's times."""
-    if all(file.stat().st_mtime < begun_s for file in storage_files(path)):
+def recorded_since(path: Path, started_s: float) -> None:
+    """Raise BagError for a bag that is older than this sample, and so has another sample's times."""
+    if all(file.stat().st_mtime < started_s for file in storage_files(path)):
         raise BagError(f"{path} was recorded before this sample began")
 
 
@@ -118,19 +122,19 @@ def _read_mcap(file: Path, topics: Collection[str] | None) -> Iterator[Message]:
                         schema = schemas[channel.schema_id]
                         definition = schema.data.decode("utf-8", "replace") if schema.encoding == "ros2msg" else ""
                         yield Message(channel.topic, schema.name, record.log_time / 1e9, record.data, definition)
-    # The library lets errors of what it unpacks through.
+    # The library does not wrap the errors of its decompressors.
     except (McapError, OSError, ValueError, KeyError, EOFError, AttributeError, RuntimeError) as problem:
-        said = str(problem) or type(problem).__name__
-        raise BagError(f"{file} is damaged or cut off after {count} messages: {said}") from problem
+        reason = str(problem) or type(problem).__name__
+        raise BagError(f"{file} is damaged or cut off after {count} messages: {reason}") from problem
 
 
 def has_header(message: Message) -> bool | None:
-    """Whether its type begins with a std_msgs/Header; None where the bag does not say."""
+    """Return whether its type begins with a std_msgs/Header; None if the bag has no definition."""
     return bool(HEADER_FIRST.match(message.definition)) if message.definition else None
 
 
 class Decoder:
-    """Deserialises messages without ROS; needs PyPI `rosbags`, and knows the bag's own types and those of ROS 2 Jazzy."""
+    """Deserialise messages without ROS, of types that the bag or ROS 2 Jazzy define; needs the PyPI package `rosbags`."""
 
     def __init__(self) -> None:
         try:
@@ -140,7 +144,7 @@ class Decoder:
         self.store, self.types_from = get_typestore(Stores.ROS2_JAZZY), get_types_from_msg
 
     def decode(self, message: Message) -> Any:
-        """The message as an object with fields; raises BagError for a type that nobody knows."""
+        """Return the message as an object with fields; raise BagError for an unknown type."""
         if message.kind not in self.store.types and message.definition:
             self.store.register(self.types_from(message.definition, message.kind))
         if message.kind not in self.store.types:
@@ -148,12 +152,12 @@ class Decoder:
         return self.store.deserialize_cdr(message.data, message.kind)
 
 
-class Offline:
-    """Times the requests of a bag."""
+class BagTimer:
+    """Time the requests of a bag."""
 
     def __init__(self, options: argparse.Namespace, writer: Writer) -> None:
         self.options, self.writer = options, writer
-        self.pairing = Pairing(options.match, options.timeout)
+        self.matcher = Matcher(options.match, options.timeout)
         self.metrics: dict[str, dict[str, str]] = {}
         for text in options.metric:
             name, _, rest = text.partition("=")
@@ -164,22 +168,22 @@ class Offline:
         self.seen: set[str] = set()
 
     def run(self) -> None:
-        """Write a record for each request; raises BagError after what could be read, ValueError for a wrong field."""
+        """Write a record for each request; raise BagError after the readable messages, ValueError for a wrong field."""
         topics = {self.options.request, self.options.response, *self.metrics}
         for message in messages(Path(self.options.bag), topics):
             self._clock(message.at_s)
             self._take(message)
         for topic in sorted(topics - self.seen):
             raise BagError(f"{self.options.bag} has no message of {topic}")
-        self.writer.warning(self.pairing.warning())
+        self.writer.warning(self.matcher.warning())
 
     def _clock(self, at_s: float) -> None:
         # Messages of several topics may be recorded slightly out of order.
         if at_s < self.now_s - 0.5:
-            for start_s in self.pairing.open.values():
+            for start_s in self.matcher.open.values():
                 self.writer.request(Done(start_s, 0.0), "the recorder's clock was set back")
-            self.pairing.open.clear()
-            self.pairing.departed_s = float("-inf")
+            self.matcher.open.clear()
+            self.matcher.departed_s = float("-inf")
         self.now_s = at_s
 
     def _take(self, message: Message) -> None:
@@ -191,12 +195,11 @@ class Offline:
                 raise BagError(f"{what}: match by order instead")
         stamp = stamp_of(message.data) if options.match == "stamp" else None
         if message.topic == options.request:
-            for lost in self.pairing.take_request(stamp, message.at_s):
+            for lost in self.matcher.take_request(stamp, message.at_s):
                 self.writer.request(lost)
         if message.topic == options.response:
-            self._respond(message, self.pairing.take_response(stamp, message.at_s))
-        if paths := self.metrics.get(message.topic):
-            assert self.decoder is not None
+            self._respond(message, self.matcher.take_response(stamp, message.at_s))
+        if self.decoder is not None and (paths := self.metrics.get(message.topic)):
             decoded = self.decoder.decode(message)
             values = {name: float(field_of(decoded, path)) for name, path in paths.items()}
             self.writer.metric(values, message.at_s, stamp_of(message.data) if has_header(message) else None)
@@ -212,8 +215,8 @@ class Offline:
             self.writer.request(done, condition.failure(decoded) if condition else None)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Write the records; exits with a reason for a bag that cannot be read, after what could be."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write the records; exit with the reason if the bag cannot be read, after the readable messages."""
     parser = argparse.ArgumentParser(prog="bag", allow_abbrev=False)
     parser.add_argument("--bag", required=True)
     parser.add_argument("--request", required=True)
@@ -226,7 +229,7 @@ def main(arguments: list[str] | None = None) -> None:
     writer = Writer(options.response)
     try:
         recorded_since(Path(options.bag), float(os.environ.get("FOGSPEC_BEGUN", "-inf")))
-        Offline(options, writer).run()
+        BagTimer(options, writer).run()
     except (BagError, ValueError) as problem:
         writer.warning(str(problem))
         sys.exit(str(problem))

@@ -1,14 +1,14 @@
-// Times requests inside your own C++ code, in three lines; does nothing unless fogspec is measuring.
+// Time requests inside your own C++ code, in three lines; it does nothing unless fogspec is measuring.
 //
 //     #include "fogspec_probe.hpp"
 //     fogspec_probe::start("plan");
 //     ...
 //     fogspec_probe::stop("plan");
 //
-// The same records as fogspec_probe.py: one line of JSON a request, appended to the file FOGSPEC_TIMINGS by one write. A
-// request whose answer fails your own check is stopped with ok = false and a reason; metrics are numbers by name:
-// stop("plan", true, "", {{"path_length_m", 12.5}}). A request belongs to the thread that started it. Header only, C++17,
-// nothing but the standard library and POSIX: copy it into your workspace.
+// It writes the same records as fogspec_probe.py: one line of JSON per request, appended to the file FOGSPEC_TIMINGS by one
+// write. If a response fails your own check, stop its request with ok = false and a reason; metrics are numbers by name:
+// stop("plan", true, "", {{"path_length_m", 12.5}}). A request belongs to the thread that started it. Header only, C++17 and
+// POSIX: copy it into your workspace.
 #pragma once
 
 #include <fcntl.h>
@@ -35,7 +35,7 @@ inline double now_s() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-inline std::map<std::string, double>& begun() {
+inline std::map<std::string, double>& started() {
   thread_local std::map<std::string, double> requests;
   return requests;
 }
@@ -65,24 +65,24 @@ inline std::string number(double value) {
 
 }  // namespace detail
 
-// A request begins now, on this thread.
+// Start a request on this thread.
 inline void start(const std::string& name) {
-  if (std::getenv("FOGSPEC_TIMINGS")) detail::begun()[name] = detail::now_s();
+  if (std::getenv("FOGSPEC_TIMINGS")) detail::started()[name] = detail::now_s();
 }
 
-// The request that this thread started ends now; without one, nothing happens. `scenario` is its kind, where the spec weighs
-// several. Throws std::invalid_argument for a metric that is no finite number, std::runtime_error when the line cannot be
-// written: a benchmark that lost measurements must not look like one that has them.
+// End the request that this thread started; do nothing if there is none. `scenario` is its kind, if the spec weighs several.
+// Throws std::invalid_argument for a metric that is not a finite number, std::runtime_error if the line cannot be written: a
+// benchmark that lost measurements must not look complete.
 inline void stop(const std::string& name, bool ok = true, const std::string& reason = "", const Metrics& metrics = {},
                  const std::string& scenario = "") {
   const double now = detail::now_s();
-  const auto found = detail::begun().find(name);
+  const auto found = detail::started().find(name);
   const char* path = std::getenv("FOGSPEC_TIMINGS");
-  if (found == detail::begun().end() || !path) return;
-  const double begun = found->second;
-  detail::begun().erase(found);
-  std::string line = "{\"name\":" + detail::quoted(name) + ",\"start_s\":" + detail::number(begun) +
-                     ",\"latency_s\":" + detail::number(now - begun) + ",\"ok\":" + (ok ? "true" : "false") +
+  if (found == detail::started().end() || !path) return;
+  const double start = found->second;
+  detail::started().erase(found);
+  std::string line = "{\"name\":" + detail::quoted(name) + ",\"start_s\":" + detail::number(start) +
+                     ",\"latency_s\":" + detail::number(now - start) + ",\"ok\":" + (ok ? "true" : "false") +
                      ",\"reason\":" + (reason.empty() ? "null" : detail::quoted(reason)) + ",\"metrics\":{";
   for (const auto& [key, value] : metrics) {
     if (!std::isfinite(value)) throw std::invalid_argument("fogspec_probe: metric " + key + " is no finite number");
@@ -95,7 +95,7 @@ inline void stop(const std::string& name, bool ok = true, const std::string& rea
   if (!written) throw std::runtime_error("fogspec_probe: a timing cannot be written");
 }
 
-// Times a block. It is stopped when the block is left; by an exception, as a failed request.
+// Time a block: the request ends with the block, and has failed if an exception leaves it.
 class Request {
  public:
   explicit Request(std::string name) : name_(std::move(name)), exceptions_(std::uncaught_exceptions()) { start(name_); }

@@ -1,27 +1,27 @@
-"""Sends the requests of a recorded bag: the next one after the response (closed-loop), or at a rate (open-loop).
+"""Send the requests of a recorded bag: the next one after the response (closed-loop), or at a rate (open-loop).
 
-    python3 -m fogspec_machine.player --bag data/kitchen --request /camera/color/image --response /RGBD/pose --timeout 10
-    python3 -m fogspec_machine.player --bag data/calls --service /plan --rate 5 --success 'found == true'
+    python3 agent.pyz player --bag data/kitchen --request /camera/color/image --response /RGBD/pose --timeout 10
+    python3 agent.pyz player --bag data/calls --service /plan --rate 5 --success 'found == true'
 
-The bag is played there and back, so that no request follows one that it never followed in the world by a jump. A request is
-sent with all that was recorded since the one before it, on every topic that somebody subscribes to and nobody else
-publishes; headers get new stamps, the same distance apart. Requests of a service are read from its `_service_event`
-topic. Standard library and rclpy; PyPI `mcap` for mcap bags.
+The bag is played forwards and backwards, so that successive requests stay neighbours and the scene never jumps. A request
+is sent with all messages recorded since the previous one, on every topic that has a subscriber and no other publisher;
+headers get new stamps at the same distances. Requests of a service are read from its `_service_event` topic. It needs
+the standard library and rclpy, and the PyPI package `mcap` for mcap bags.
 """
 
 import argparse
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from .bag import BagError, Message, messages
-from .pairing import stamp_of, stamped
+from .matching import stamp_of, with_stamp
 from .records import VERDICT, Condition, Stamp, Writer
-from .ros import hearing, message_of, need_rclpy, type_of
+from .ros import listening_qos, message_of, need_rclpy, type_of
 
 START_S = 120.0
 SETTLE_S = 0.5
@@ -32,16 +32,16 @@ REQUEST_SENT, REQUEST_RECEIVED = 0, 1  # service_msgs/msg/ServiceEventInfo
 
 @dataclass
 class Turn:
-    """One request and all that was recorded since the one before it."""
+    """One request and the messages recorded since the previous one."""
 
     request: Message
     before: list[Message] = field(default_factory=list)
 
 
 def turns(path: Path, request: str, others: bool) -> list[Turn]:
-    """The bag cut into turns, each ending with a request; raises BagError when there is none.
+    """Return the bag in turns, each ending with a request; `others` includes the other topics' messages.
 
-    A bag that is cut off gives the turns before the cut.
+    A truncated bag gives its complete turns. Raise BagError if there is none.
     """
     found: list[Turn] = []
     before: list[Message] = []
@@ -66,14 +66,14 @@ def turns(path: Path, request: str, others: bool) -> list[Turn]:
 
 
 def there_and_back(count: int) -> Iterator[int]:
-    """0, 1, ..., n-1, n-2, ..., 1, 0, 1, ... for ever: neighbours stay neighbours."""
+    """Yield 0, 1, ..., n-1, n-2, ..., 1, 0, 1, ... without end."""
     while True:
         yield from range(count)
         yield from range(count - 2, 0, -1)
 
 
 class Topics:
-    """Sends a turn's messages, each with a new stamp."""
+    """Send a turn's messages, each with a new stamp."""
 
     def __init__(self, node: Any, found: list[Turn], options: argparse.Namespace) -> None:
         self.node, self.turns, self.request = node, found, options.request
@@ -81,9 +81,9 @@ class Topics:
         kinds.pop(options.response, None)
         types = {topic: message_of(kind) for topic, kind in kinds.items()}
         self.headed = {topic for topic, (_, has_header) in types.items() if has_header}
-        self.answers = 0
-        self.last: Stamp | None = None
-        self._answers_to(options.response)
+        self.responses = 0
+        self.last_stamp: Stamp | None = None
+        self._subscribe_to(options.response)
         self.publishers = {options.request: self._publisher(options.request, types)}
         self._wait(
             lambda: self.publishers[options.request].get_subscription_count() > 0, "subscribes to", options.request
@@ -99,17 +99,20 @@ class Topics:
         durability = DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE
         return self.node.create_publisher(types[topic][0], topic, QoSProfile(depth=100, durability=durability))
 
-    def _answers_to(self, topic: str) -> None:
+    def _subscribe_to(self, topic: str) -> None:
         self._wait(lambda: bool(dict(self.node.get_topic_names_and_types()).get(topic)), "publishes", topic)
         kind = dict(self.node.get_topic_names_and_types())[topic][0]
         message_type, has_header = message_of(kind)
 
         def received(message: bytes) -> None:
-            # The answer to an earlier request, which was given up, is not this one's.
-            if not (has_header and self.last and self.request in self.headed) or stamp_of(message) >= self.last:
-                self.answers += 1
+            # A late response to an earlier request that timed out is not this request's.
+            if (
+                not (has_header and self.last_stamp and self.request in self.headed)
+                or stamp_of(message) >= self.last_stamp
+            ):
+                self.responses += 1
 
-        self.node.create_subscription(message_type, topic, received, hearing(), raw=True)
+        self.node.create_subscription(message_type, topic, received, listening_qos(), raw=True)
 
     def _wait(self, there: Callable[[], bool], verb: str, topic: str) -> None:
         import rclpy
@@ -121,14 +124,14 @@ class Topics:
             rclpy.spin_once(self.node, timeout_sec=0.1)
 
     def send(self, number: int) -> Callable[[], bool]:
-        """Send one turn; what is returned says whether it is answered."""
+        """Send one turn; return a function that tells whether there was a response since."""
         turn, now = self.turns[number], self.node.get_clock().now().nanoseconds
         old = self._nanoseconds(turn.request)
-        before = self.answers
+        before = self.responses
         for message in [*turn.before, turn.request]:
             if message.topic in self.publishers:
                 self.publishers[message.topic].publish(self._restamped(message, now, old))
-        return lambda: self.answers > before
+        return lambda: self.responses > before
 
     def _nanoseconds(self, message: Message) -> int:
         seconds, nanoseconds = stamp_of(message.data) if message.topic in self.headed else (0, 0)
@@ -140,12 +143,12 @@ class Topics:
         at = self._nanoseconds(message) + now - old if self.request in self.headed else now
         new = (at // 10**9, at % 10**9)
         if message.topic == self.request:
-            self.last = new
-        return stamped(message.data, new)
+            self.last_stamp = new
+        return with_stamp(message.data, new)
 
 
 class Service:
-    """Calls a service with the requests that were recorded of it."""
+    """Call a service with its recorded requests."""
 
     def __init__(self, node: Any, found: list[Turn], options: argparse.Namespace) -> None:
         import rclpy
@@ -158,12 +161,12 @@ class Service:
             rclpy.spin_once(node, timeout_sec=0.1)
         service_type = type_of(kinds[0])
         events = [deserialize_message(turn.request.data, service_type.Event) for turn in found]
-        asked = [
+        requested = [
             event for event in events if event.info.event_type in (REQUEST_SENT, REQUEST_RECEIVED) and event.request
         ]
-        # A call is recorded by who sends it, by who receives it, or by both.
-        sides = {event.info.event_type for event in asked}
-        self.requests = [event.request[0] for event in asked if event.info.event_type == min(sides)]
+        # A call is recorded by its sender, by its receiver, or by both.
+        sides = {event.info.event_type for event in requested}
+        self.requests = [event.request[0] for event in requested if event.info.event_type == min(sides)]
         if not self.requests:
             sys.exit(
                 f"the events of {options.service} hold no requests: record them with service introspection 'contents'"
@@ -175,33 +178,33 @@ class Service:
             sys.exit(f"{options.service} does not answer")
 
     def send(self, number: int) -> Callable[[], bool]:
-        """Call; what is returned says whether it is answered."""
-        answer = self.client.call_async(self.requests[number])
+        """Call; return a function that tells whether there is a response."""
+        response = self.client.call_async(self.requests[number])
         if self.success is not None:
-            answer.add_done_callback(self._judge)
-        return lambda: bool(answer.done())
+            response.add_done_callback(self._check)
+        return lambda: bool(response.done())
 
-    def _judge(self, answer: Any) -> None:
+    def _check(self, response: Any) -> None:
         now_s = time.monotonic()
         try:
-            self.writer.metric({VERDICT: self.success.failure(answer.result())}, now_s, None)
+            self.writer.metric({VERDICT: self.success.failure(response.result())}, now_s, None)
         except ValueError as problem:
             sys.exit(str(problem))
 
 
 def play(node: Any, sender: Topics | Service, count: int, rate: float | None, timeout_s: float) -> None:
-    """Send for ever."""
+    """Send requests without end, at `rate` per second or after each response or `timeout_s`."""
     import rclpy
 
-    begun = time.monotonic()
+    started_s = time.monotonic()
     for sent, number in enumerate(there_and_back(count), start=1):
         answered = sender.send(number)
-        until = begun + sent / rate if rate else time.monotonic() + timeout_s
+        until = started_s + sent / rate if rate else time.monotonic() + timeout_s
         while (left := until - time.monotonic()) > 0 and (rate or not answered()):
             rclpy.spin_once(node, timeout_sec=left)
 
 
-def main(arguments: list[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Play until interrupted."""
     parser = argparse.ArgumentParser(prog="player", allow_abbrev=False)
     parser.add_argument("--bag", required=True)
@@ -209,12 +212,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--response")
     parser.add_argument("--service")
     parser.add_argument(
-        "--success", type=Condition.parse, help="of a service's response; topics are judged by who listens"
+        "--success", type=Condition.parse, help="condition on a service's response; topics are checked by the listener"
     )
     parser.add_argument("--rate", type=float)
     parser.add_argument("--timeout", type=float, default=60.0)
-    options = parser.parse_args(arguments)
-    need_rclpy("player")
+    words = sys.argv[1:] if arguments is None else arguments
+    options = parser.parse_args(words)
+    need_rclpy("player", words)
     import rclpy
     from rclpy.executors import ExternalShutdownException
 

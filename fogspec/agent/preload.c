@@ -119,7 +119,7 @@ ret_t rcl_take_request_with_info(const void *service, void *info, void *request)
 }
 
 ret_t rcl_take_request(const void *service, void *header, void *request) {
-  uint64_t info[INFO / 8] = {0};  // asked for with times, so that a request's arrival is known
+  uint64_t info[INFO / 8] = {0};  // with times, which give the request's arrival
   ret_t code = rcl_take_request_with_info(service, info, request);
   memcpy(header, (const times_t *)info + 1, KEY);
   return code;

@@ -1,4 +1,4 @@
-// What of a request is remembered, and the records that are written of it. See preload.c.
+// Pending requests and the records that are written about them. See preload.c.
 //
 // A request arrives when the middleware received it (received_timestamp, where the middleware gives one), is taken when the
 // node asks for it, and departs when its response was handed over. Response time is departure - arrival; service time is
@@ -40,7 +40,7 @@ static int64_t now_ns(clockid_t clock) {
 
 // ---- records ---------------------------------------------------------------------------------------------------------
 
-// Opened anew each time: the file may be set aside when it is large, and nothing is shared with forked processes.
+// Reopened each time: the file is moved when it is large, and nothing is shared with forked processes.
 static void append(const char *text, int length) {
   const char *path = setting("FOGSPEC_TIMINGS");
   int file = path ? open(path, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0644) : -1;
@@ -72,13 +72,13 @@ static void write_unmatched(const char *name) {
     now_ns(CLOCK_MONOTONIC) / 1e9));
 }
 
-// For whoever wonders why nothing is timed: the last such note is what they are told.
+// A hint why nothing is timed: the last note becomes part of the sample's outcome.
 static void write_unanswered(const char *name) {
   char line[320];
   append(line, snprintf(line, sizeof line, "{\"note\":\"requests are taken, and none is answered on %.200s\"}\n", name));
 }
 
-// A name that was taken and is not the one asked for: said once each, until one is the one asked for.
+// Another name than the configured one: reported once each, until a request of the configured name arrives.
 static void write_other(const char *name) {
   static char seen[8][128];
   static int count;
@@ -140,9 +140,9 @@ static void depart(const char *name, const uint8_t *key, const char *failure) {
   pthread_mutex_lock(&lock);
   request_t *one = find(key);
   if (one) {
-    int64_t begun_ns = one->taken_ns > departed_ns ? one->taken_ns : departed_ns;
+    int64_t begin_ns = one->taken_ns > departed_ns ? one->taken_ns : departed_ns;
     one->used = false;
-    write_request(name, one, end_ns, end_ns - begun_ns, failure);
+    write_request(name, one, end_ns, end_ns - begin_ns, failure);
   } else {
     write_unmatched(name);
   }

@@ -1,13 +1,13 @@
-"""The records that every probe writes, and conditions on the fields of a message. Standard library only.
+"""The records that every probe writes, and conditions on the fields of a message.
 
-One line of JSON each, appended to FOGSPEC_TIMINGS (standard output without it) by one write:
+Each record is one line of JSON, appended by one write to FOGSPEC_TIMINGS (standard output if it is not set):
 
-- a request: name, start_s, latency_s (response time, waiting included), service_s (departure - max(arrival, previous
-  departure)), ok, reason, metrics, and stamp where it has one; `lost` marks one that got no response
-- `unmatched`: a response that belongs to no request
-- `metric`: values of a topic's fields, which whoever reads the file gives to their request; under `!` what a client thinks of
-  an answer
-- `note`: what whoever waits in vain should know; `warning`: why the figures may not be what they seem
+- a request: name, start_s, latency_s (response time including waiting), service_s (departure - max(arrival, previous
+  departure)), ok, reason, metrics, and stamp if it has one; `lost` marks a request without a response
+- `unmatched`: a response without a request
+- `metric`: values of a topic's fields, which the reader of the file assigns to a request; under `!` a client's verdict on
+  a response
+- `note`: a hint why nothing is timed; `warning`: why the latencies may be misleading
 """
 
 import json
@@ -20,15 +20,20 @@ from typing import Any
 
 CONDITION = re.compile(r"\s*(len\()?([A-Za-z_]\w*(?:\.\w+|\[\d+\])*)(?(1)\))\s*(==|!=|<=|>=|<|>)\s*(.+?)\s*")
 RELATIONS: dict[str, Callable[[Any, Any], bool]] = {
-    "==": operator.eq, "!=": operator.ne, "<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt,
-}  # fmt: skip
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<=": operator.le,
+    ">=": operator.ge,
+    "<": operator.lt,
+    ">": operator.gt,
+}
 Stamp = tuple[int, int]
-VERDICT = "!"  # in the place of a metric's name: why an answer does not count, or null
+VERDICT = "!"  # instead of a metric's name: why a response does not count, or null
 
 
 @dataclass(frozen=True)
 class Done:
-    """A request that is over; `latency_s` None stands for one that gets no response."""
+    """A finished request, times in seconds; `latency_s` is None for one that gets no response."""
 
     start_s: float
     latency_s: float | None
@@ -37,20 +42,24 @@ class Done:
 
 
 class Writer:
-    """Appends records of one name."""
+    """Append records with one name."""
 
     def __init__(self, name: str, path: str | None = None) -> None:
         self.name = name
         self.path = path or os.environ.get("FOGSPEC_TIMINGS")
 
     def request(self, done: Done, failure: str | None = None) -> None:
-        """A finished or lost request; `failure` says why its answer does not count."""
+        """Write a finished or lost request; `failure` is the reason why its response does not count."""
         lost = done.latency_s is None
         reason = "no response" if lost else failure
         record: dict[str, Any] = {
-            "name": self.name, "start_s": done.start_s, "latency_s": done.latency_s or 0.0, "ok": reason is None,
-            "reason": reason, "metrics": {},
-        }  # fmt: skip
+            "name": self.name,
+            "start_s": done.start_s,
+            "latency_s": done.latency_s or 0.0,
+            "ok": reason is None,
+            "reason": reason,
+            "metrics": {},
+        }
         if lost:
             record["lost"] = True
         if done.service_s is not None:
@@ -60,20 +69,20 @@ class Writer:
         self.line(record)
 
     def unmatched(self, at_s: float) -> None:
-        """A response that belongs to no request."""
+        """Write a response without a request."""
         self.line({"name": self.name, "unmatched": True, "at_s": at_s})
 
     def metric(self, values: dict[str, float] | dict[str, str | None], at_s: float, stamp: Stamp | None) -> None:
-        """Values for the request with this stamp, or for the one that was worked on at this time."""
+        """Write values for the request with this stamp, or for the one in progress at this time."""
         self.line({"metric": values, "at_s": at_s, "stamp": stamp})
 
     def warning(self, text: str | None) -> None:
-        """Why the figures may not be what they seem; nothing when there is no reason."""
+        """Write why the latencies may be misleading; do nothing for None."""
         if text is not None:
             self.line({"warning": text})
 
     def line(self, record: dict[str, Any]) -> None:
-        """One record, by one write. The file is opened anew each time: it may be set aside when it is large."""
+        """Write one record by one write. The file is reopened each time because it is moved when it is large."""
         file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644) if self.path else os.dup(1)
         try:
             os.write(file, (json.dumps(record) + "\n").encode())
@@ -93,7 +102,7 @@ class Condition:
 
     @staticmethod
     def parse(text: str) -> "Condition":
-        """Raises ValueError for what is no condition."""
+        """Return the condition in a text; raise ValueError if it is not one."""
         found = CONDITION.fullmatch(text)
         if found is None:
             raise ValueError(f"{text!r} is no condition: write a field, a relation and a value, such as status == 0")
@@ -104,7 +113,7 @@ class Condition:
         return Condition(text, found[2], found[1] is not None, found[3], value)
 
     def failure(self, message: Any) -> str | None:
-        """Why the message does not meet it; None when it does. Raises ValueError for a field that is not there."""
+        """Return why the message does not meet it, or None if it does; raise ValueError for an unknown field."""
         value = field_of(message, self.path)
         value = len(value) if self.length else value
         try:
@@ -115,7 +124,7 @@ class Condition:
 
 
 def field_of(message: Any, path: str) -> Any:
-    """The field at a path such as `poses[0].pose.position.x`; raises ValueError when there is none."""
+    """Return the field at a path such as `poses[0].pose.position.x`; raise ValueError if it does not exist."""
     for step in re.findall(r"\w+", path):
         try:
             message = message[int(step)] if step.isdigit() else getattr(message, step)

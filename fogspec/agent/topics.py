@@ -1,33 +1,33 @@
-"""Listens to topics of unmodified nodes, like any other subscriber: requests and responses, goals of an action, metrics.
+"""Subscribe to topics of unmodified nodes, and time requests and responses, goals of an action, and metrics.
 
-    python3 -m fogspec_machine.topics --request /image --response /poses --match stamp --success 'len(poses) > 0'
-    python3 -m fogspec_machine.topics --action /navigate_to_pose
-    python3 -m fogspec_machine.topics --metric path_length=/plan/result:path_cost
+    python3 agent.pyz topics --request /image --response /poses --match stamp --success 'len(poses) > 0'
+    python3 agent.pyz topics --action /navigate_to_pose
+    python3 agent.pyz topics --metric path_length=/plan/result:path_cost
 
-It runs on the measured machine, inside its ROS 2 environment, beside the nodes: standard library and rclpy. Messages are
-deserialised only where a condition or a metric looks into them; with `stamp` both types must begin with a std_msgs/Header.
-An action is watched on its status topic by the UUIDs of its goals: latency is from acceptance to success.
+It runs on the measured machine in its ROS 2 environment, beside the nodes, with the standard library and rclpy. Messages
+are deserialised only if a condition or a metric needs their fields; with `stamp` both types must begin with a
+std_msgs/Header. Goals are identified by their UUIDs on the action's status topic: latency is from acceptance to success.
 """
 
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from .pairing import HEADER, Pairing, stamp_of
+from .matching import HEADER, Matcher, stamp_of
 from .records import Condition, Done, Stamp, Writer, field_of
-from .ros import hearing, message_of, need_rclpy
+from .ros import listening_qos, message_of, need_rclpy
 
 DISCOVERY_S = 0.2
-# As long as DDS may take until both sides know of each other: what is missed until then would shift the order of the rest.
+# DDS discovery may take this long: a message missed before it is complete would shift the order of the rest.
 SETTLE_S = 3.5
 PATIENCE_S = 3.0
 ENDS = {4: None, 5: "the goal was canceled", 6: "the goal was aborted"}  # action_msgs/msg/GoalStatus
 
 
-def parse(arguments: list[str] | None = None) -> argparse.Namespace:
-    """The options; exits with code 2 on a wrong command line."""
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options; exit with code 2 on a wrong command line."""
     parser = argparse.ArgumentParser(prog="topics", allow_abbrev=False)
     parser.add_argument("--request")
     parser.add_argument("--response")
@@ -43,21 +43,21 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
 
 
 class Listener:
-    """Subscribes to each topic as soon as somebody publishes it, and tells which ones nobody does."""
+    """Subscribe to each topic as soon as it is published, and report those that are not."""
 
     def __init__(self, node: Any, writer: Writer) -> None:
         self.node, self.writer = node, writer
         self.missing: dict[str, Callable[[Any, bool], Callable[[bytes], None]]] = {}
-        self.begun = time.monotonic()
+        self.started_s = time.monotonic()
         self.complete_s = float("inf")
-        self.told: list[str] = []
+        self.reported: list[str] = []
 
     def want(self, topic: str, make: Callable[[Any, bool], Callable[[bytes], None]]) -> None:
-        """`make(message_type, has_header)` gives what is called with each serialised message."""
+        """Subscribe later; `make(message_type, has_header)` returns the callback for each serialised message."""
         self.missing[topic] = make
 
-    def look(self) -> None:
-        """Subscribe to what has appeared."""
+    def subscribe(self) -> None:
+        """Subscribe to the topics that are published now."""
         if not self.missing:
             return
         known = dict(self.node.get_topic_names_and_types())
@@ -66,20 +66,20 @@ class Listener:
                 sys.exit(f"{topic} is published with more than one type: {', '.join(known[topic])}")
             message_type, has_header = message_of(known[topic][0])
             received = self.missing.pop(topic)(message_type, has_header)
-            self.node.create_subscription(message_type, topic, received, hearing(), raw=True)
+            self.node.create_subscription(message_type, topic, received, listening_qos(), raw=True)
         if not self.missing:
             self.complete_s = time.monotonic()
-        elif [*self.missing] != self.told and time.monotonic() - self.begun > PATIENCE_S:
-            self.told = [*self.missing]
-            self.writer.line({"note": f"nobody publishes {', '.join(self.told)}"})
+        elif [*self.missing] != self.reported and time.monotonic() - self.started_s > PATIENCE_S:
+            self.reported = [*self.missing]
+            self.writer.line({"note": f"nobody publishes {', '.join(self.reported)}"})
 
 
 class Latencies:
-    """Times the requests on two topics."""
+    """Time the requests on two topics."""
 
     def __init__(self, listener: Listener, options: argparse.Namespace, writer: Writer) -> None:
         self.listener, self.options, self.writer = listener, options, writer
-        self.pairing, self.warn_at, self.patience_s = Pairing(options.match, options.timeout), 10, PATIENCE_S
+        self.matcher, self.warn_at, self.patience_s = Matcher(options.match, options.timeout), 10, PATIENCE_S
         listener.want(options.request, self._requests)
         listener.want(options.response, self._responses)
 
@@ -89,7 +89,7 @@ class Latencies:
         def received(message: bytes) -> None:
             now_s = time.monotonic()
             if self._settled(now_s):
-                self._lose(self.pairing.take_request(self._stamp(message), now_s))
+                self._write_lost(self.matcher.take_request(self._stamp(message), now_s))
 
         return received
 
@@ -100,7 +100,7 @@ class Latencies:
             now_s = time.monotonic()
             if not self._settled(now_s):
                 return
-            done = self.pairing.take_response(self._stamp(message), now_s)
+            done = self.matcher.take_response(self._stamp(message), now_s)
             if done is None:
                 self.writer.unmatched(now_s)
             else:
@@ -108,16 +108,16 @@ class Latencies:
 
         return received
 
-    def look(self, now_s: float) -> None:
-        """What is lost by now, and what should be known of the figures."""
-        pairing, options = self.pairing, self.options
-        self._lose(pairing.expire(now_s))
-        if pairing.answered >= self.warn_at:
-            self.warn_at = 2 * pairing.answered
-            self.writer.warning(pairing.warning())
-        elif not pairing.answered and now_s - self.listener.complete_s > self.patience_s:
+    def check(self, now_s: float) -> None:
+        """Write the requests that are lost by now, warnings and hints."""
+        matcher, options = self.matcher, self.options
+        self._write_lost(matcher.expire(now_s))
+        if matcher.answered >= self.warn_at:
+            self.warn_at = 2 * matcher.answered
+            self.writer.warning(matcher.warning())
+        elif not matcher.answered and now_s - self.listener.complete_s > self.patience_s:
             self.patience_s *= 2
-            heard = f"{pairing.count} requests" if pairing.count else "no request"
+            heard = f"{matcher.count} requests" if matcher.count else "no request"
             self.writer.line({"note": f"{heard} on {options.request}, no response to them on {options.response}"})
 
     def _settled(self, now_s: float) -> bool:
@@ -126,7 +126,7 @@ class Latencies:
     def _stamp(self, message: bytes) -> Stamp | None:
         return stamp_of(message) if self.options.match == "stamp" else None
 
-    def _lose(self, lost: list[Done]) -> None:
+    def _write_lost(self, lost: list[Done]) -> None:
         for one in lost:
             self.writer.request(one)
 
@@ -137,7 +137,7 @@ class Latencies:
 
 
 def failure(condition: Condition | None, message: bytes, message_type: Any) -> str | None:
-    """Why a response does not count; ends the process when its type does not have the field."""
+    """Return why a response does not count, or None; exit if its type does not have the field."""
     if condition is None:
         return None
     from rclpy.serialization import deserialize_message
@@ -149,8 +149,8 @@ def failure(condition: Condition | None, message: bytes, message_type: Any) -> s
 
 
 def goals(listener: Listener, action: str, writer: Writer) -> None:
-    """Times the goals of an action, by UUID."""
-    begun: dict[bytes, float] = {}
+    """Time the goals of an action, by UUID."""
+    started: dict[bytes, float] = {}
     ended: dict[bytes, None] = {}
     departed_s = float("-inf")
 
@@ -164,12 +164,12 @@ def goals(listener: Listener, action: str, writer: Writer) -> None:
                 goal = bytes(one.goal_info.goal_id.uuid)
                 if goal in ended:
                     continue
-                start_s = begun.setdefault(goal, now_s)
+                start_s = started.setdefault(goal, now_s)
                 if one.status in ENDS:
                     ended[goal] = None
-                    del begun[goal]
+                    del started[goal]
                     if start_s == now_s:
-                        continue  # its beginning was not heard
+                        continue  # its acceptance was not received
                     done = Done(start_s, now_s - start_s, now_s - max(start_s, departed_s))
                     departed_s = now_s
                     writer.request(done, ENDS[one.status])
@@ -180,7 +180,7 @@ def goals(listener: Listener, action: str, writer: Writer) -> None:
 
 
 def metrics(listener: Listener, wanted: list[str], writer: Writer) -> None:
-    """Tells values of topics' fields."""
+    """Write values of topics' fields."""
     by_topic: dict[str, dict[str, str]] = {}
     for text in wanted:
         name, _, rest = text.partition("=")
@@ -205,7 +205,7 @@ def metrics(listener: Listener, wanted: list[str], writer: Writer) -> None:
         return make
 
     for topic, paths in by_topic.items():
-        # The response's own topic may carry a metric as well.
+        # The metric may be a field of the response.
         if topic in listener.missing:
             listener.want(topic, both(listener.missing[topic], received_as(paths)))
         else:
@@ -213,7 +213,7 @@ def metrics(listener: Listener, wanted: list[str], writer: Writer) -> None:
 
 
 def both(one: Callable[..., Any], other: Callable[..., Any]) -> Callable[[Any, bool], Callable[[bytes], None]]:
-    """What makes a receiver that calls both, `one` first: it is the one that takes the time."""
+    """Return a factory of callbacks that call both, `one` first, because it reads the clock."""
 
     def make(message_type: Any, has_header: bool) -> Callable[[bytes], None]:
         first, second = one(message_type, has_header), other(message_type, has_header)
@@ -227,10 +227,11 @@ def both(one: Callable[..., Any], other: Callable[..., Any]) -> Callable[[Any, b
     return make
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Listen until interrupted."""
-    options = parse()
-    need_rclpy("topics")
+    words = sys.argv[1:] if arguments is None else arguments
+    options = parse(words)
+    need_rclpy("topics", words)
     import rclpy
     from rclpy.executors import ExternalShutdownException
 
@@ -242,15 +243,15 @@ def main() -> None:
     if options.action is not None:
         goals(listener, options.action, writer)
     metrics(listener, options.metric, writer)
-    looked_s = float("-inf")
+    checked_s = float("-inf")
     try:
         while rclpy.ok():
             rclpy.spin_once(node, timeout_sec=DISCOVERY_S)
-            if time.monotonic() - looked_s >= DISCOVERY_S:
-                looked_s = time.monotonic()
-                listener.look()
+            if time.monotonic() - checked_s >= DISCOVERY_S:
+                checked_s = time.monotonic()
+                listener.subscribe()
                 if timed is not None:
-                    timed.look(looked_s)
+                    timed.check(checked_s)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
 

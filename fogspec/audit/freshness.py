@@ -97,7 +97,7 @@ def status(inputs: Inputs, compiled: Artifacts | FogspecError) -> Status:
 
 def stage_of(path: Path, layout: Layout) -> str:
     """Return the stage that writes a file."""
-    if path == layout.plan or path.parent in (layout.tasks, layout.agent):
+    if path in (layout.plan, layout.agent) or path.parent in (layout.tasks, layout.former_agent):
         return "plan"
     if path == layout.models:
         return "models"

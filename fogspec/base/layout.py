@@ -49,7 +49,12 @@ class Layout:
 
     @property
     def agent(self) -> Path:
-        """Folder of what is sent to every machine; no application can have this name."""
+        """The agent, which is sent to every machine; no application can have this name."""
+        return self.root / "compiled" / "agent.pyz"
+
+    @property
+    def former_agent(self) -> Path:
+        """The directory that the agent's files were copied to before it was one file."""
         return self.root / "compiled" / "_agent"
 
     @property

@@ -10,7 +10,7 @@ from fogspec.base.errors import UsageError
 from fogspec.base.files import open_untrusted, write_bytes
 
 if TYPE_CHECKING:
-    from fogspec.agent.secrecy import Secrets
+    from fogspec.agent.redaction import Secrets
 
 HIDDEN = "(redacted)"
 FILE_LIMIT = 256 * 2**20
@@ -49,7 +49,7 @@ def redacted(value: Any, names: Iterable[str] = (), key: str = "") -> Any:
     `names` are environment variables whose values are secrets. A non-empty string under a key that names a secret is
     always hidden.
     """
-    from fogspec.agent.secrecy import Secrets
+    from fogspec.agent.redaction import Secrets
 
     return _redacted(value, Secrets.of(names), key)
 
@@ -61,7 +61,7 @@ def _redacted(value: Any, known: "Secrets", key: str) -> Any:
         return [_redacted(one, known, key) for one in value]
     if isinstance(value, str) and value and SECRET_KEY.search(key):
         return HIDDEN
-    return known.out_of(value) if isinstance(value, str) else value
+    return known.redact(value) if isinstance(value, str) else value
 
 
 def redact_files(secrets: "Secrets", directory: Path) -> None:
@@ -74,6 +74,6 @@ def redact_files(secrets: "Secrets", directory: Path) -> None:
                 before = file.read(FILE_LIMIT)
         except OSError:
             continue
-        after = secrets.out_of_bytes(before)
+        after = secrets.redact_bytes(before)
         if after != before:
             write_bytes(path, after)

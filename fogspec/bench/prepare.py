@@ -10,6 +10,7 @@ from fogspec.base import digest
 from fogspec.base.errors import OutOfDate, UsageError
 from fogspec.base.files import read_file
 from fogspec.base.layout import Layout
+from fogspec.compile.agent_archive import agent_archive
 from fogspec.plan.schema import Plan, Sample
 from fogspec.results.io import read_results
 from fogspec.results.schema import Results, completed
@@ -65,6 +66,7 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
         raise OutOfDate(f"{', '.join(drifted)}: not what {layout.lock} pins", f"fogspec lock {layout.spec}", again)
     if plan.spec.pins != pins_of_measurement(application, pins):
         raise OutOfDate(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
+    _check_agent(layout, again)
     tasks = {sample.id: _task(layout, sample, again) for sample in plan.spec.samples}
     results = read_results(layout)
     outdated = results is not None and (
@@ -90,6 +92,16 @@ def _changed(application: Application, plan: Plan) -> str:
     now = fingerprints.measured_fields(application)
     fields = [name for name, value in now.items() if plan.spec.application.field_digests.get(name) != value]
     return f"spec's {', '.join(fields)}" if fields else "hardware, infra or how machines are sampled"
+
+
+def _check_agent(layout: Layout, again: str) -> None:
+    """Raise OutOfDate unless the agent on disk is this version's: a diff does not show its content."""
+    try:
+        content = read_file(layout.agent)
+    except OSError as problem:
+        raise OutOfDate(f"{layout.agent}: cannot be read: {problem.strerror}", again) from None
+    if content != agent_archive():
+        raise OutOfDate(f"{layout.agent} is not the agent of this version of fogspec", again)
 
 
 def _task(layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
-from fogspec.agent.secrecy import Secrets
+from fogspec.agent.redaction import Secrets
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base import units
 from fogspec.base.files import open_untrusted
@@ -139,7 +139,7 @@ class RedactingProgress:
             self.folders[event.sample.id] = event.folder
             if event.kind in FINAL:
                 redact_files(self.secrets, event.folder)
-        detail = None if event.detail is None else self.secrets.out_of(event.detail)
+        detail = None if event.detail is None else self.secrets.redact(event.detail)
         self.reporter(replace(event, detail=detail))
 
 

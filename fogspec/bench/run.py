@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fogspec.agent.secrecy import Secrets
+from fogspec.agent.redaction import Secrets
 from fogspec.backends.protocol import SampleBackend
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
@@ -177,7 +177,7 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
         source=backend.source,
         budget_usd=spec.benchmark.budget,
         sample_ids=[sample.id for sample in body.samples],
-        redact=redacting.out_of,
+        redact=redacting.redact,
         pins=body.pins or None,
         field_digests=body.application.field_digests,
     )

@@ -1,5 +1,6 @@
 """Writing: the files that follow from an application's inputs, compared with those on disk, and written."""
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,4 +73,6 @@ class Artifacts:
                 write_bytes(path, self.files[path])
             else:
                 path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    path.parent.rmdir()  # if it is empty now
         return differing

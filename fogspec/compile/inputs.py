@@ -11,13 +11,13 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import fogspec.agent
 from fogspec.base.clouds import cloud_name
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import Layout
 from fogspec.catalog.sources import load_catalog
 from fogspec.catalog.table import Catalog
+from fogspec.compile.agent_archive import agent_archive, is_former_agent_file
 from fogspec.results.io import check_integrity
 from fogspec.results.schema import Results
 from fogspec.spec.loader import LoadedSpec, SourceFile, load
@@ -28,10 +28,6 @@ from fogspec.spec.schema import Application
 if TYPE_CHECKING:
     from fogspec.numerics.priors import PriorData
 
-PROBE_FILES = (
-    "agent.py", "counting.py", "keeper.py", "fogspec_probe.py", "fogspec_probe.hpp", "bag.py", "pairing.py", "player.py",
-    "preload.c", "preload.h", "preload.py", "processes.py", "records.py", "ros.py", "secrecy.py", "topics.py",
-)  # fmt: skip
 LINK_FILES = (
     "link.sh",
     "policy.xml",
@@ -174,8 +170,8 @@ class _Reader:
             results_file=file,
             damaged=damaged,
             lock=self.files.get(layout.lock),
-            agent=self.agent(layout),
-            on_disk={path: self.file(path) for path in _ours(layout)},
+            agent={layout.agent: agent_archive()},
+            on_disk=self.on_disk(layout),
             drifted=tuple(lock_drift(application, layout, pins)) if audit else (),
             notes=tuple(notes),
         )
@@ -184,6 +180,12 @@ class _Reader:
         if path not in self.files:
             self.files[path] = SourceFile.read(path)
         return self.files[path]
+
+    def on_disk(self, layout: Layout) -> dict[Path, SourceFile]:
+        """Return the files of ours in `compiled/`."""
+        former = [path for path in sorted(layout.former_agent.glob("*.*")) if path.is_file()]
+        ours = (path for path in former if is_former_agent_file(path.name, self.file(path).content))
+        return {path: self.file(path) for path in (*_ours(layout), *ours)}
 
     def pins(self, layout: Layout) -> Pins | None:
         path = layout.lock
@@ -222,11 +224,6 @@ class _Reader:
                 self.libraries[path] = library
         return library
 
-    def agent(self, layout: Layout) -> dict[Path, bytes]:
-        """Return what is sent to a sampled machine beside the task, from this package."""
-        folder = Path(next(iter(fogspec.agent.__path__)))
-        return {layout.agent / name: self.file(folder / name).content for name in PROBE_FILES}
-
 
 def _results(layout: Layout, file: SourceFile | None) -> tuple[Results | None, DiagnosticError | None]:
     if file is None:
@@ -242,6 +239,7 @@ def _results(layout: Layout, file: SourceFile | None) -> tuple[Results | None, D
 def _ours(layout: Layout) -> Iterator[Path]:
     """Yield the files in `compiled/` that compile writes, or wrote once; what others put there is not ours."""
     named = [
+        layout.agent,
         layout.plan,
         layout.models,
         layout.menu,
@@ -256,7 +254,6 @@ def _ours(layout: Layout) -> Iterator[Path]:
     globbed = [
         *layout.compiled.glob("deploy.*.sky.yaml"),
         *layout.tasks.glob("*.sky.yaml"),
-        *layout.agent.glob("*.*"),
     ]
     yield from (path for path in dict.fromkeys([*named, *sorted(globbed)]) if path.is_file())
 

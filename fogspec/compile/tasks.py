@@ -18,7 +18,7 @@ from fogspec.spec.schema import Application, Node, Spec
 
 DEPLOYMENT_IDLE_MINUTES = 30
 BAG_PACKAGES = ["mcap==1.6.0", "rosbags==0.11.9"]  # from PyPI, to read bags on the measured machine
-AGENT_FOLDER = "~/.fogspec/agent"
+AGENT_FILE = "~/.fogspec/agent.pyz"
 LAUNCH_FILE = "~/.fogspec/launch/cloud.launch.py"
 LINK_FOLDER = "~/.fogspec/link"
 # The robot's public half, given when the task is launched: the task itself is the same for every robot.
@@ -43,7 +43,7 @@ def sample_task(
     setup: str | None,
     run: str,
 ) -> dict[str, Any]:
-    """Return the task that measures one sample; `workdir` and `agent` are folders relative to where it is launched.
+    """Return the task that measures one sample; `workdir` and `agent` are paths relative to where it is launched.
 
     The machine ends `lifetime_s` after its start at the latest: SkyPilot's autostop with `wait_for: none` counts
     whether or not the job still runs, so that one that hangs keeps no machine.
@@ -89,7 +89,7 @@ def _task(
         task["workdir"] = workdir
     if spec.secrets:
         task["secrets"] = dict.fromkeys(spec.secrets)
-    task["file_mounts"] = {AGENT_FOLDER: agent}
+    task["file_mounts"] = {AGENT_FILE: agent}
     if setup is not None:
         task["setup"] = setup
     task["run"] = run

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from fogspec.agent.secrecy import Secrets
+from fogspec.agent.redaction import Secrets
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, Job, LaunchRefused, Unreachable
 
 
@@ -25,7 +25,7 @@ class RedactingBackend:
         """Return its status."""
         with self._redacted():
             status = self._backend.poll(job)
-        return status if status.detail is None else replace(status, detail=self._secrets.out_of(status.detail))
+        return status if status.detail is None else replace(status, detail=self._secrets.redact(status.detail))
 
     def stop(self, job: Job) -> None:
         """Stop it."""
@@ -42,9 +42,9 @@ class RedactingBackend:
         try:
             yield
         except LaunchRefused as no:
-            raise LaunchRefused(no.reason, self._secrets.out_of(no.detail), again=no.again) from None
+            raise LaunchRefused(no.reason, self._secrets.redact(no.detail), again=no.again) from None
         except Unreachable as lost:
-            raise Unreachable(self._secrets.out_of(str(lost))) from None
+            raise Unreachable(self._secrets.redact(str(lost))) from None
 
 
 def redacting(

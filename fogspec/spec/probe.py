@@ -1,8 +1,8 @@
-"""The seam of the probes: what `probe:` says, and which on-machine half does it.
+"""Probes: the agent's programs that time the requests of a spec's `probe`.
 
-Every half is a module of `fogspec/agent`, run on the measured machine as `fogspec_machine`, and writes the same records
-(`fogspec.agent.records`), so that one reader reads them all (`fogspec.results.requests`). None publishes
-anything, serves anything, or otherwise changes the graph that it watches, save for subscriptions.
+Each is a module of `fogspec.agent`, which is the package `fogspec_agent` on the measured machine. All write the same records
+(`fogspec.agent.records`), so that one reader reads them all (`fogspec.results.requests`). None changes the graph that it
+observes, except for subscriptions.
 """
 
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ from fogspec.base import units
 from fogspec.spec.schema import Probe, Spec, Workload
 
 Kind = Literal["topics", "service", "action", "callback", "bag"]
-PACKAGE = "fogspec_machine"
+PACKAGE = "fogspec_agent"
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeParts:
-    """What runs on the machine for a probe.
+    """The programs of a probe.
 
-    `beside`: processes that listen. `inside`: words in front of a measured node's command. `afterwards`: what reads the
-    records once everything else has ended, None when they are written as it happens.
+    `beside`: commands of processes that listen. `inside`: arguments in front of a measured node's command. `afterwards`: the
+    command that writes the records once everything else has ended; None if they are written during the measurement.
     """
 
     beside: tuple[tuple[str, ...], ...] = ()
@@ -40,7 +40,7 @@ def kind_of(probe: Probe) -> Kind:
 
 
 def via(probe: Probe) -> Literal["rclpy", "preload"] | None:
-    """Return how topics, services and actions are watched; requests to a service are visible only inside its node."""
+    """Return how topics, services and actions are observed; calls of a service are visible only inside its node."""
     kind = kind_of(probe)
     if kind in ("callback", "bag"):
         return None
@@ -48,13 +48,13 @@ def via(probe: Probe) -> Literal["rclpy", "preload"] | None:
 
 
 def name_of(probe: Probe) -> str:
-    """Return the name in the probe's records; a node's own calls of start and stop may write others into the same file."""
+    """Return the name of the probe's records; a node's own calls of start and stop may write others to the same file."""
     name = probe.callback or probe.service or probe.action or str(probe.response)
     return name if probe.callback else absolute(name)
 
 
 def probe_parts(spec: Spec) -> ProbeParts:
-    """Return what runs on the machine for the spec's probe and metrics."""
+    """Return the programs of the spec's probe and metrics."""
     probe, kind = spec.probe, kind_of(spec.probe)
     metrics = tuple(
         word
@@ -73,7 +73,7 @@ def probe_parts(spec: Spec) -> ProbeParts:
 
 
 def optional(inside: tuple[str, ...], argv: list[str]) -> list[str]:
-    """Return the command with a prefix, without which it starts if the prefix is unavailable."""
+    """Return a node's command behind `inside`, so that the node also starts if it cannot be timed."""
     return [*inside[:-1], "--optional", *inside[-1:], *argv] if inside else argv
 
 
@@ -82,19 +82,19 @@ def player(spec: Spec) -> list[list[str]]:
     workload, probe = spec.benchmark.workload, spec.probe
     if workload.bag is None:
         return []
-    whom = _topics(probe)[:4]
+    target = _topics(probe)[:4]
     if probe.service is not None:
-        whom = ("--service", absolute(probe.service), *(("--success", probe.success) if probe.success else ()))
-    return [list(module("player", "--bag", workload.bag, *whom, *_pace(workload, probe)))]
+        target = ("--service", absolute(probe.service), *(("--success", probe.success) if probe.success else ()))
+    return [list(module("player", "--bag", workload.bag, *target, *_pace(workload, probe)))]
 
 
 def absolute(name: str) -> str:
-    """Return a graph name in absolute form."""
+    """Return the absolute form of a name in the graph."""
     return name if name.startswith(("/", "~")) else f"/{name}"
 
 
 def module(name: str, *words: str) -> tuple[str, ...]:
-    """Return the argv of an on-machine module."""
+    """Return the command of one of the agent's programs."""
     return ("python3", "-m", f"{PACKAGE}.{name}", *words)
 
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-import fogspec.agent
 from fogspec.backends import registry
 from fogspec.backends.local import backend as local_backend
 from fogspec.backends.local import processes
@@ -28,9 +27,9 @@ from fogspec.base.templates import render
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.results.io import Recording
 from fogspec.results.schema import LatencySummary, Measured
+from tests.support.agent import AGENT
 from tests.support.fake_sky import Cloud, SimulatedClient
 
-AGENT = Path(next(iter(fogspec.agent.__path__)))
 RECORD = {"name": "work", "start_s": 1.0, "latency_s": 0.25, "ok": True, "metrics": {}, "reason": None}
 LINE = json.dumps(RECORD)
 WORK = f"""import os, time
@@ -41,14 +40,15 @@ while not os.path.exists("crash"):
 raise SystemExit("no such model")
 """
 MEASURE = (
-    'exec python3 "$FOGSPEC_AGENT" --out "$FOGSPEC_OUT" --steps 3 --after 600 --warmup 1 --startup 120'
+    'exec python3 "$FOGSPEC_AGENT" sample --out "$FOGSPEC_OUT" --steps 3 --after 600 --warmup 1 --startup 120'
     """ --process '["python3", "work.py"]'\n"""
 )
 SERVE = (
-    "agent=${FOGSPEC_AGENT:-$HOME/.fogspec/agent/agent.py}\nout=${FOGSPEC_OUT:-$HOME/.fogspec/deployment}\n"
-    'exec python3 "$(dirname "$agent")/keeper.py" --out "$out" %s'
+    "agent=${FOGSPEC_AGENT:-$HOME/.fogspec/agent.pyz}\nout=${FOGSPEC_OUT:-$HOME/.fogspec/deployment}\n"
+    'exec python3 "$agent" supervisor --out "$out" %s'
     """ --process '["python3", "work.py"]'\n"""
 )
+MOUNTS = {"~/.fogspec/agent.pyz": "agent.pyz"}
 PATIENCE_S = 120.0  # it only bounds hangs
 Status = SampleStatus | DeploymentStatus
 
@@ -100,7 +100,7 @@ def machine(instance: str, infra: str = "local", cpus: float = 1, gpu: Gpu | Non
 def project(folder: Path) -> Path:
     (folder / "specs").mkdir()
     (folder / "specs" / "work.py").write_text(WORK)
-    (folder / "agent").symlink_to(AGENT)
+    (folder / "agent.pyz").symlink_to(AGENT)
     return folder
 
 
@@ -109,7 +109,7 @@ def sample(folder: Path, ref: Machine, run: str = MEASURE, **task: Any) -> Job:
     return Job(
         name=name,
         machine=ref,
-        task={"run": run, "workdir": "specs", **task},
+        task={"run": run, "workdir": "specs", "file_mounts": MOUNTS, **task},
         root=folder,
         directory=folder / ".fogspec" / "demo" / "attempts" / name,
         lifetime_s=900.0,
@@ -118,12 +118,11 @@ def sample(folder: Path, ref: Machine, run: str = MEASURE, **task: Any) -> Job:
 
 def deployment(folder: Path, ref: Machine, ready: str = "", **task: Any) -> Job:
     name = deployment_name("demo", f"sha256:{secrets.token_hex(4)}", secrets.token_hex(3))
-    mounts = {"~/.fogspec/agent": "agent"}
     labels = {"labels": {"fogspec-application": "demo"}}
     return Job(
         name=name,
         machine=ref,
-        task={"run": SERVE % ready, "workdir": "specs", "file_mounts": mounts, "resources": labels, **task},
+        task={"run": SERVE % ready, "workdir": "specs", "file_mounts": MOUNTS, "resources": labels, **task},
         root=folder,
         directory=folder / ".fogspec" / "demo" / "deployed" / name,
     )
@@ -167,7 +166,7 @@ def skypilot_samples(folder: Path) -> Bed:
                  processes=[["python3", "work.py"]])  # fmt: skip
 
     def job(instance: str = "2CPU--4GB") -> Job:
-        return sample(folder, machine(instance, "slurm/lab/small"), run, file_mounts={"~/.fogspec/agent": "agent"})
+        return sample(folder, machine(instance, "slurm/lab/small"), run)
 
     big = job("9999CPU--1GB")
     cloud.refused[big.name] = CloudProblem("capacity", "no partition has 9999 CPUs")
@@ -490,7 +489,7 @@ def test_a_killed_supervisor_leaves_no_process(tmp_path: Path) -> None:
     bed.backend.start(job)
     bed.until(job, up)
     for pid in processes.marked(MARK, job.name):
-        if b"keeper.py" in Path("/proc", str(pid), "cmdline").read_bytes():
+        if b"agent.pyz\0supervisor" in Path("/proc", str(pid), "cmdline").read_bytes():
             os.kill(pid, signal.SIGKILL)
     assert processes.marked(MARK, job.name), "the node goes on"
     bed.backend.stop(job)

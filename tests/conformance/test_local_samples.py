@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -14,8 +15,11 @@ from fogspec.backends.local import processes
 from fogspec.backends.local.backend import MARK, LocalSamples
 from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus
 from fogspec.catalog.machine import Machine
+from tests.support.agent import AGENT
 
-RUN = 'exec python3 "$FOGSPEC_AGENT" --out "$FOGSPEC_OUT" --after 600 --startup 120 --warmup 1 --steps {steps} --process {argv}'
+RUN = """exec python3 "$FOGSPEC_AGENT" sample --out "$FOGSPEC_OUT" \\
+  --after 600 --startup 120 --warmup 1 --steps {steps} --process {argv}
+"""
 PROBED = """
 import fogspec_probe, os, time
 while True:
@@ -29,7 +33,9 @@ def job(folder: Path, script: str = PROBED, steps: int = 5, cpus: float = 1, mem
                                          spot=False, price=0.0)  # fmt: skip
     (folder / "workload.py").write_text(script)
     argv = json.dumps(["python3", str(folder / "workload.py")])
-    task = {"run": RUN.format(steps=steps, argv=f"'{argv}'"), "workdir": "."} | task
+    shutil.copy(AGENT, folder)
+    mounts = {"~/.fogspec/agent.pyz": AGENT.name}
+    task = {"run": RUN.format(steps=steps, argv=f"'{argv}'"), "workdir": ".", "file_mounts": mounts} | task
     name = f"fogspec-test-{os.getpid()}-{time.monotonic_ns()}"
     directory = folder / "attempts" / name
     return Job(name=name, machine=machine, task=task, root=folder, directory=directory, lifetime_s=900.0)
@@ -91,9 +97,7 @@ if os.fork() == 0:
 fogspec_probe.start("plan"); fogspec_probe.stop("plan"); os._exit(0)
 """
     # Not even the agent is there to tidy up.
-    asked = job(
-        tmp_path, run=f"PYTHONPATH=$(dirname $FOGSPEC_AGENT) exec {sys.executable} workload.py", script=stubborn
-    )
+    asked = job(tmp_path, run=f"PYTHONPATH=$FOGSPEC_AGENT exec {sys.executable} workload.py", script=stubborn)
     backend.start(asked)
     until(backend, asked, over)
     assert len(processes.marked(MARK, asked.name)) >= 1

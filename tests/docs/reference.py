@@ -79,8 +79,10 @@ def files_page() -> str:
     for kind in KINDS:
         where, by = WHERE[kind]
         parts.append(f"| [{kind}](#{kind.lower()}) | `{where}` | {by} | `schemas/{kind}.json` |")
-    parts.append("\nBeside them: `compiled/NAME/tasks/*.sky.yaml` and `deploy.sky.yaml` are SkyPilot tasks, as "
-                 "`sky launch` reads them; `.fogspec/` is live state and stays out of git.")  # fmt: skip
+    parts.append(
+        "\nBeside them: `compiled/agent.pyz` runs on every machine; `compiled/NAME/tasks/*.sky.yaml` and `deploy.sky.yaml` are "
+        "SkyPilot tasks, as `sky launch` reads them; `.fogspec/` is live state and stays out of git."
+    )
     for kind in KINDS:
         parts.append(f"\n## {kind}\n")
         if kind == "Application":

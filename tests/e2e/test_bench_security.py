@@ -157,3 +157,17 @@ def sockets_of(pid: int) -> list[str]:
         if target.startswith("socket:"):
             found.append(target)
     return found
+
+
+def test_an_edited_or_missing_agent_is_refused(tmp_path):
+    scene = Scene.made(tmp_path / "scene")
+    agent = scene.folder / "compiled" / "agent.pyz"
+    agent.write_bytes(agent.read_bytes() + b"\0")
+    edited = scene.bench()
+    assert (edited.returncode, scene.records()) == (3, {})
+    assert "compiled/agent.pyz is not the agent of this version of fogspec" in edited.stderr
+    assert "fogspec compile specs/tiny.yaml" in edited.stderr
+    agent.unlink()
+    missing = scene.bench()
+    assert (missing.returncode, scene.records()) == (3, {})
+    assert "compiled/agent.pyz: cannot be read: No such file or directory" in missing.stderr

@@ -234,7 +234,7 @@ def test_the_statement_is_in_toto_and_the_same_each_time(done: Shell) -> None:
     for name, value in subjects.items():
         path = (done.folder / "compiled/demo" / name) if name.startswith("..") else done.folder / name
         assert digest.of_bytes(path.read_bytes()) == f"sha256:{value}"
-    assert {MANIFEST, "compiled/demo/deploy.sky.yaml", "compiled/_agent/keeper.py"} <= subjects.keys()
+    assert {MANIFEST, "compiled/demo/deploy.sky.yaml", "compiled/agent.pyz"} <= subjects.keys()
     definition = said["predicate"]["buildDefinition"]
     materials = definition["resolvedDependencies"]
     assert [one["name"] for one in materials] == ["spec", "plan", "results", "timings", "models", "catalog"]

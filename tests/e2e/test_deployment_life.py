@@ -156,13 +156,13 @@ def test_dry_run_and_no_answer_start_nothing(tiny: Deployed) -> None:
     [
         (MANIFEST, lambda text: text.replace("1cpu-1gib", "2cpu-1gib"), "manifest: "),
         ("compiled/tiny/deploy.sky.yaml", lambda text: text + "# mine\n", "is not what the manifest says"),
-        ("compiled/_agent/keeper.py", lambda text: text + "# mine\n", "keeper.py is not what"),
+        ("compiled/agent.pyz", lambda text: text + "# mine\n", "agent.pyz is not what"),
         ("results/tiny.yaml", lambda text: text.replace("requests: ", "requests: 1"), "results: "),
     ],
 )
 def test_what_was_edited_is_refused(tiny: Deployed, name: str, edit, says: str) -> None:
     path = tiny.folder / name
-    path.write_text(edit(path.read_text()))
+    path.write_text(edit(path.read_text("latin-1")), "latin-1")  # byte by byte: the agent is not text
     assert says in tiny.apply(code=3).stderr
     assert tiny.machines() == []
 

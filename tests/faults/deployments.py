@@ -139,10 +139,10 @@ def cut(polls: int, stops: int) -> Fault:
 
 
 def orphaned(deployed: Deployed) -> None:
-    """Only whoever keeps the nodes is killed: they go on without it."""
+    """Kill the supervisor alone: the nodes keep running without it."""
     for pid in deployed.alive():
         with contextlib.suppress(OSError):
-            if b"keeper.py" in Path("/proc", str(pid), "cmdline").read_bytes():
+            if b"agent.pyz\0supervisor" in Path("/proc", str(pid), "cmdline").read_bytes():
                 os.kill(pid, signal.SIGKILL)
 
 
@@ -155,7 +155,7 @@ def faults(chance: random.Random) -> Iterator[tuple[str, Fault | None]]:
         yield "kill -9 after", killed(at, False)
         yield "the clock jumps", jumped(chance.choice([-400, 400]))
         yield "the network is cut", cut(chance.randint(0, 9), chance.randint(0, 2))
-        yield "the keeper is killed", None
+        yield "the supervisor is killed", None
 
 
 def life(deployed: Deployed, chance: random.Random, fault: Fault | None) -> float | None:

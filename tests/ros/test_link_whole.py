@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-import fogspec.agent
 from fogspec.base.templates import render
 from fogspec.compile.launch_files import link_of_machine, robot_launch
 from fogspec.compile.tasks import LINK_PEER, deployed_processes, ros_environment
 from fogspec.spec.schema import Application
 from tests.ros.joined import ADDRESS, joined, missing, until
 from tests.ros.namespaces import PYTHON, ROOT
+from tests.support.agent import AGENT
 
 NODE = str(Path(__file__).parent / "nodes" / "tunnel.py")
 pytestmark = pytest.mark.skipif(missing("wireguard") is not None, reason=str(missing("wireguard")))
@@ -40,12 +40,11 @@ def test_the_generated_files_bring_the_robots_request_to_the_cloud_and_back(tmp_
         both.layout.robot.write_bytes(text)
 
         public = both.script("robot", "keys").stdout.strip()
-        agent = Path(next(iter(fogspec.agent.__path__))) / "agent.py"
         words = {**ros_environment(app.spec), "processes": deployed_processes(app), "listeners": [], "ready": None}
         run = render("run_deploy.sh.j2", **words, link=link_of_machine(app))
         out = tmp_path / "out"
         machine = both.nets["cloud"].start(
-            "machine", ["bash", "-c", run], FOGSPEC_AGENT=str(agent), FOGSPEC_OUT=str(out), FOGSPEC_LINK=str(both.layout.link),
+            "machine", ["bash", "-c", run], FOGSPEC_AGENT=str(AGENT), FOGSPEC_OUT=str(out), FOGSPEC_LINK=str(both.layout.link),
             FOGSPEC_LINKS=str(tmp_path / "cloud"), **{LINK_PEER: public},
         )  # fmt: skip
         assert until(lambda: (out / "link.pub").is_file() and (out / "link.pub").read_text()), machine.said()

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fogspec.agent.agent import place
 from tests.ros.namespaces import PYTHON, Net
+from tests.support.agent import AGENT
 
 NODES = Path(__file__).parent / "nodes"
 ASKED = {
@@ -48,12 +48,11 @@ def run(
     net: Net, kind: str, busy_s: float, count: int, rate: float | None = None, *more: str, program: Path | None = None
 ) -> Trial:
     """`count` requests, closed-loop or at a rate; `more` are words for the node, `program` takes the place of busy.py."""
-    modules = place(net.folder)
     listeners = {"service": (), "action": ("rclpy",), "topic": MATCHES}[kind]
     started = {}
     for name in listeners:
         words = [*ASKED[kind], *(["--match", name] if kind == "topic" else [])]
-        started[name] = net.python(name, "-m", "fogspec_machine.topics", *words, PYTHONPATH=modules,
+        started[name] = net.python(name, "-m", "fogspec_agent.topics", *words, PYTHONPATH=str(AGENT),
                                    FOGSPEC_TIMINGS=str(net.folder / f"{name}.jsonl"))  # fmt: skip
     node = [
         *([str(program)] if program else [str(PYTHON), str(NODES / "busy.py")]),
@@ -63,7 +62,7 @@ def run(
         *more,
     ]
     node += ["--watchers", str(len(listeners))] if kind == "topic" else []
-    server = net.python("server", "-m", "fogspec_machine.preload", *ASKED[kind], "--", *node, PYTHONPATH=modules,
+    server = net.python("server", "-m", "fogspec_agent.preload", *ASKED[kind], "--", *node, PYTHONPATH=str(AGENT),
                         FOGSPEC_TIMINGS=str(net.folder / "preload.jsonl"))  # fmt: skip
     pace = [] if rate is None else ["--rate", str(rate)]
     words = [

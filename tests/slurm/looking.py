@@ -16,7 +16,7 @@ from tests.tools.slurm import login
 EVERY_S = 1.0
 LISTENING = {"tcp": "0A", "tcp6": "0A", "udp": "07", "udp6": "07"}
 # What fogspec starts on a machine; the programs that SkyPilot starts have all of the task among their words.
-OURS = re.compile(rb"[^\0]*python3?\0[^\0]*/(agent|keeper|work)\.py\0|[^\0]*python3?\0work\.py\0")
+OURS = re.compile(rb"[^\0]*python3?\0[^\0]*/(agent\.pyz|work\.py)\0|[^\0]*python3?\0work\.py\0")
 
 
 @dataclass

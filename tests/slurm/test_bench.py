@@ -54,7 +54,7 @@ def test_a_secret_reaches_the_workload_and_is_in_no_file_and_on_no_command_line(
 
 def test_on_a_machine_fogspec_listens_on_no_port_and_lets_nobody_write(benched: Benched) -> None:
     seen = benched.seen
-    assert seen.seen == {"agent.py", "work.py"}, "both were looked at"
+    assert seen.seen == {"agent.pyz", "work.py"}, "both were looked at"
     assert [name for name, ours in seen.ports if ours] == []
     assert "skylet" in {name for name, _ in seen.ports}, "what SkyPilot runs there is seen"
     assert seen.writable == set()

@@ -49,7 +49,10 @@ class Cloud:
             Path(root) / str(task.get("workdir", ".")), machine.folder / "sky_workdir", ignore=_ours(self.folder)
         )
         for to, source in task.get("file_mounts", {}).items():
-            shutil.copytree(Path(root) / source, machine.folder / to.removeprefix("~/"))
+            there = machine.folder / to.removeprefix("~/")
+            there.parent.mkdir(parents=True, exist_ok=True)
+            copy = shutil.copytree if (Path(root) / source).is_dir() else shutil.copy
+            copy(Path(root) / source, there)
         (machine.folder / "run.sh").write_text(str(task["run"]))
         machine.labels = task.get("resources", {}).get("labels", {})
         return {"request": name}

@@ -24,9 +24,9 @@ GRACE_S = 10.0
 # job's CPUs. Names that a task lists are passed on.
 CREDENTIALS = r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_KEY|PRIVATE_KEY|^AWS_|^AZURE_|^GOOGLE_|^SSH_AUTH"
 WITHHELD = re.compile(CREDENTIALS + r"|_NUM_THREADS$|^OMP_THREAD_LIMIT$")
-# Mounts that the scripts of a deployment find by a variable: the reviewed files, in place.
+# Mounts that the scripts find by a variable: the reviewed files, in place.
 MOUNTED = (
-    ("~/.fogspec/agent", "FOGSPEC_AGENT", "agent.py"),
+    ("~/.fogspec/agent.pyz", "FOGSPEC_AGENT", ""),
     ("~/.fogspec/link", "FOGSPEC_LINK", ""),
     ("~/.fogspec/launch/cloud.launch.py", "FOGSPEC_LAUNCH", ".."),
 )
@@ -37,7 +37,6 @@ class LocalBackend:
 
     name = "local"
     no_accelerators: ClassVar[str]
-    mounted: ClassVar[Sequence[tuple[str, str, str]]] = ()
 
     def __init__(self) -> None:
         self._capacity = limits.host_capacity()
@@ -108,7 +107,7 @@ class LocalBackend:
         task = {key: str(value) for key, value in _mapping(job.task.get("envs")).items()}
         environment = processes.equipped({**shell, **task}, job.directory / "out")
         mounts = _mapping(job.task.get("file_mounts"))
-        for target, variable, below in self.mounted:
+        for target, variable, below in MOUNTED:
             if target in mounts:
                 environment[variable] = os.path.abspath(job.root / str(mounts[target]) / below)
         return {**environment, MARK: job.name}
@@ -184,7 +183,6 @@ class LocalDeployments(LocalBackend):
 
     poll_s = 0.1
     no_accelerators = "this host has no accelerators known to fogspec"
-    mounted = MOUNTED
 
     def poll(self, job: Job) -> DeploymentStatus:
         """Return the supervisor's report while the job has processes."""

@@ -8,8 +8,6 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-import fogspec.agent
-
 CHECKS = 4
 
 
@@ -58,7 +56,6 @@ def end(variable: str, value: str, grace_s: float) -> list[int]:
 
 
 def equipped(environment: Mapping[str, str], out: Path) -> dict[str, str]:
-    """Return the environment with what a run script needs on this host: this Python first, the agent, the output directory."""
+    """Return the environment of a task's run script on this host: this Python comes first, output goes to `out`."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
-    agent = Path(next(iter(fogspec.agent.__path__))) / "agent.py"
-    return {**environment, "PATH": path, "FOGSPEC_AGENT": str(agent), "FOGSPEC_OUT": str(out.absolute())}
+    return {**environment, "PATH": path, "FOGSPEC_OUT": str(out.absolute())}

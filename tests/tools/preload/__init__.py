@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from fogspec.agent.preload import compiled
+from fogspec.agent.preload import compiled_library
 
 HERE = Path(__file__).parent
 ASKED = {"FOGSPEC_PRELOAD_SERVICE": "/plan"}
@@ -46,7 +46,7 @@ def played(node: Path, commands: str, asked: dict[str, str] | None = None) -> tu
     environment = {
         **os.environ,
         "FOGSPEC_TIMINGS": str(timings),
-        "LD_PRELOAD": str(compiled(node.parent)),
+        "LD_PRELOAD": str(compiled_library(node.parent)),
         **(asked or ASKED),
     }
     ran = subprocess.run(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.agent.counting import Timings, interval
+from fogspec.agent.stopping import Timings, interval
 
 RUNS = 200
 SHARES = {"p50": 0.5, "p95": 0.95}

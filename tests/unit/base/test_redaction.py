@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.agent import secrecy
-from fogspec.agent.secrecy import Output, Secrets, Stream
+from fogspec.agent.redaction import Output, Secrets, Stream
+from tests.support.agent import AGENT
 
 VALUES = st.dictionaries(st.text("abc", min_size=2, max_size=5), st.sampled_from(["$X", "$Y", "$Z"]), max_size=3)
-FILTER = str(secrecy.__file__)
 PIECES = st.lists(st.text("abc", max_size=6).map(str.encode), max_size=8)
 
 
@@ -21,7 +20,7 @@ def test_pieces_say_what_the_whole_says(values: dict[str, str], pieces: list[byt
     secrets = Secrets(values)
     stream = Stream(secrets)
     said = b"".join([*(stream.feed(piece) for piece in pieces), stream.rest()])
-    assert said == secrets.out_of_bytes(b"".join(pieces))
+    assert said == secrets.redact_bytes(b"".join(pieces))
 
 
 @given(VALUES, PIECES)
@@ -35,16 +34,16 @@ def test_as_json_writes_it(value: str) -> None:
     secrets = Secrets({value: "$KEY"})
     for ascii in (True, False):
         assert (
-            secrets.out_of(json.dumps({"reason": f"refused {value}"}, ensure_ascii=ascii))
+            secrets.redact(json.dumps({"reason": f"refused {value}"}, ensure_ascii=ascii))
             == '{"reason": "refused $KEY"}'
         )
-    assert secrets.out_of(value) == "$KEY"
+    assert secrets.redact(value) == "$KEY"
 
 
 def test_short_values_are_words_like_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ON", "yes")
     assert not Secrets.of(["ON", "NOT_SET_AT_ALL"])
-    assert Secrets.of(["ON"]).out_of("yes") == "yes"
+    assert Secrets.of(["ON"]).redact("yes") == "yes"
 
 
 def test_what_a_process_prints_last_is_there(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
@@ -63,7 +62,7 @@ def test_records_keep_their_figures_and_what_is_too_long_for_one_loses_its_secre
     environment = {"PIN": "1234", "KEY": "hunter2-hunter2"}
     lines = [b'{"latency_s": 0.1234, "reason": "1234 hunter2-hunter2"}', b"no json 1234", b"\xff\0hunter2-hunter2"]
     long = b"x" * (2**20 - 5) + b"hunter2-hunter2" + b"y" * 2**20
-    said = subprocess.run([sys.executable, FILTER, "PIN", "KEY"], env=environment, capture_output=True,
+    said = subprocess.run([sys.executable, AGENT, "redaction", "PIN", "KEY"], env=environment, capture_output=True,
                           input=b"\n".join([*lines, long, lines[0], b"torn hunter2-hunter2"])).stdout  # fmt: skip
     clean = b'{"latency_s": 0.1234, "reason": "$PIN $KEY"}'
     assert said.split(b"\n") == [

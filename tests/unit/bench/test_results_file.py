@@ -4,7 +4,7 @@ import gzip
 
 import pytest
 
-from fogspec.agent.secrecy import Secrets
+from fogspec.agent.redaction import Secrets
 from fogspec.base import digest
 from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.layout import Layout
@@ -79,7 +79,7 @@ def test_a_results_folder_that_cannot_be_written_is_said(file):
 
 def test_secrets_do_not_reach_the_results(file, monkeypatch):
     monkeypatch.setenv("MAP_TOKEN", "s3cr3t-value")
-    file.redact = Secrets.of(["MAP_TOKEN", "NOT_SET"]).out_of
+    file.redact = Secrets.of(["MAP_TOKEN", "NOT_SET"]).redact
     assert file.keep(record("a", "401 for s3cr3t-value"), None).detail == "401 for $MAP_TOKEN"
 
 

@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-from pathlib import Path
 
 import pytest
 
@@ -19,6 +18,7 @@ from fogspec.compile.tasks import (
 )
 from fogspec.plan.schema import Sample
 from fogspec.spec.schema import Application, Node
+from tests.support.agent import AGENT
 
 NASTY = """it's "$(touch owned)" `x` \\ $HOME ; & | é"""
 
@@ -36,7 +36,7 @@ def sample(**machine) -> Sample:
 
 
 def task_of(app: Application, one: Sample, run: str = "true") -> dict:
-    return sample_task(app, one, 601.0, workdir="specs", agent="compiled/app/agent", setup=None, run=run)
+    return sample_task(app, one, 601.0, workdir="specs", agent="compiled/agent.pyz", setup=None, run=run)
 
 
 def test_every_task_ends_its_machine_by_itself():
@@ -94,7 +94,7 @@ def test_topics_are_listened_to_by_a_process_of_their_own():
     assert first == [
         "python3",
         "-m",
-        "fogspec_machine.topics",
+        "fogspec_agent.topics",
         "--request",
         "/in",
         "--response",
@@ -111,7 +111,7 @@ def rendered_sample(app: Application) -> str:
 
 def test_hostile_words_reach_the_process_unchanged(tmp_path):
     app = application(cloud=[{"cmd": ["printf", "%s", NASTY]}])
-    fake = tmp_path / "agent.py"
+    fake = tmp_path / "agent.pyz"
     fake.write_text("import json, sys\nprint(json.dumps(sys.argv))")
     run = subprocess.run(["bash", "-c", rendered_sample(app)], capture_output=True, text=True, cwd=tmp_path,
                          env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake),
@@ -121,7 +121,6 @@ def test_hostile_words_reach_the_process_unchanged(tmp_path):
     assert not (tmp_path / "owned").exists()
 
 
-AGENT_FILE = Path(__file__).resolve().parents[3] / "fogspec" / "agent" / "agent.py"
 DEPLOYED = {"ready": ["true"], "listeners": [["sleep", "1"]], "link": None}
 
 
@@ -131,7 +130,7 @@ def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_p
     environment = {
         "PATH": "/usr/bin:/bin",
         "HOME": "/",
-        "FOGSPEC_AGENT": str(AGENT_FILE),
+        "FOGSPEC_AGENT": str(AGENT),
         "FOGSPEC_OUT": str(tmp_path / "out"),
     }
     subprocess.run(["bash", "-c", script], cwd=tmp_path, timeout=120, env=environment)
@@ -152,7 +151,7 @@ def test_scripts_pass_shellcheck(tmp_path, template):
     assert checked.returncode == 0, checked.stdout
 
 
-AGENT = """import json, os, sys
+FAKE_AGENT = """import json, os, sys
 out = sys.argv[sys.argv.index("--out") + 1]
 os.makedirs(out)
 with open(out + "/outcome.json", "w") as file:
@@ -164,8 +163,8 @@ sys.exit(3)
 
 
 def test_without_a_runner_that_reads_folders_the_lines_are_in_the_log(tmp_path):
-    fake = tmp_path / "agent.py"
-    fake.write_text(AGENT)
+    fake = tmp_path / "agent.pyz"
+    fake.write_text(FAKE_AGENT)
     environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake)}
     for more, omp in (({}, "1"), ({"SKYPILOT_TASK_ID": "x"}, "")):
         run = subprocess.run(["bash", "-c", rendered_sample(application())], capture_output=True, text=True, cwd=tmp_path,
@@ -191,8 +190,8 @@ with open(out + "/timings.jsonl", "wb") as file:
 @pytest.mark.slow
 def test_what_nodes_put_in_place_of_results_is_not_followed_and_fills_no_disk(tmp_path):
     """A terabyte without a byte on disk, and a link to somebody else's file."""
-    (tmp_path / "agent.py").write_text(HOSTILE)
-    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(tmp_path / "agent.py")}
+    (tmp_path / "agent.pyz").write_text(HOSTILE)
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(tmp_path / "agent.pyz")}
     script = rendered_sample(application())
     run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment)
     assert run.stdout.splitlines()[1:] == [
@@ -207,11 +206,11 @@ def test_what_nodes_put_in_place_of_results_is_not_followed_and_fills_no_disk(tm
 
 
 def test_secrets_come_in_a_file_that_is_gone_before_a_node_starts(tmp_path):
-    (tmp_path / "agent.py").write_text('import os\nprint(os.environ["API_KEY"], os.path.exists(".fogspec/secrets"))')
+    (tmp_path / "agent.pyz").write_text('import os\nprint(os.environ["API_KEY"], os.path.exists(".fogspec/secrets"))')
     (tmp_path / ".fogspec").mkdir()
     handed = tmp_path / ".fogspec" / "secrets"
     handed.write_text("export API_KEY='it'\"'\"'s; $(touch owned)'\n")
-    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(tmp_path / "agent.py"),
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(tmp_path / "agent.pyz"),
                    "FOGSPEC_OUT": str(tmp_path / "out"), "SKYPILOT_TASK_ID": "x"}  # fmt: skip
     script = rendered_sample(application(secrets=["API_KEY"]))
     run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment)

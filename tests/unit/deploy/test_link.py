@@ -207,10 +207,10 @@ def machine(tmp_path: Path, **environment: str) -> "subprocess.CompletedProcess[
     for path, content in launch_files(app, layout).items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
-    (tmp_path / "keeper.py").write_text("import os; print(os.environ['RMW_IMPLEMENTATION'])")
+    (tmp_path / "agent.pyz").write_text("import os; print(os.environ['RMW_IMPLEMENTATION'])")
     (tmp_path / "setup.bash").write_text("")
     script = run_script(app).replace("/opt/ros/jazzy/setup.bash", str(tmp_path / "setup.bash"))
-    words = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path / "home"), "FOGSPEC_AGENT": str(tmp_path / "agent.py"),
+    words = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path / "home"), "FOGSPEC_AGENT": str(tmp_path / "agent.pyz"),
              "FOGSPEC_OUT": str(tmp_path / "out"), "FOGSPEC_LINK": str(folder / "link")}  # fmt: skip
     return subprocess.run(["bash", "-c", script], capture_output=True, text=True, env=words | environment)
 

@@ -5,9 +5,7 @@ import subprocess
 
 import pytest
 
-from fogspec.agent import agent
 from fogspec.base.templates import render
-from fogspec.compile.inputs import PROBE_FILES
 from fogspec.compile.tasks import deployed_processes, measured_processes, ros_environment
 from fogspec.spec.probe import ProbeParts, kind_of, player, probe_parts, via
 from fogspec.spec.schema import Application, Spec
@@ -32,22 +30,22 @@ def words(*argv: str) -> tuple[str, ...]:
         ({"callback": "plan"}, ProbeParts()),
         (
             TOPICS,
-            ProbeParts(beside=(words("fogspec_machine.topics", "--request", "/in", "--response", "/out", "--match", "stamp"),)),
+            ProbeParts(beside=(words("fogspec_agent.topics", "--request", "/in", "--response", "/out", "--match", "stamp"),)),
         ),
         (
             {**TOPICS, "match": "order", "via": "preload"},
             ProbeParts(inside=(
-                *words("fogspec_machine.preload", "--request", "/in", "--response", "/out", "--match", "order"), "--",
+                *words("fogspec_agent.preload", "--request", "/in", "--response", "/out", "--match", "order"), "--",
             )),
         ),
-        ({"service": "plan"}, ProbeParts(inside=(*words("fogspec_machine.preload", "--service", "/plan"), "--"))),
-        ({"action": "/go"}, ProbeParts(beside=(words("fogspec_machine.topics", "--action", "/go"),))),
-        ({"action": "/go", "via": "preload"}, ProbeParts(inside=(*words("fogspec_machine.preload", "--action", "/go"), "--"))),
+        ({"service": "plan"}, ProbeParts(inside=(*words("fogspec_agent.preload", "--service", "/plan"), "--"))),
+        ({"action": "/go"}, ProbeParts(beside=(words("fogspec_agent.topics", "--action", "/go"),))),
+        ({"action": "/go", "via": "preload"}, ProbeParts(inside=(*words("fogspec_agent.preload", "--action", "/go"), "--"))),
         (
             {**TOPICS, "bag": "run", "success": "x == 1", "timeout": "2s"},
             ProbeParts(
                 afterwards=words(
-                    "fogspec_machine.bag", "--bag", "run", "--request", "/in", "--response", "/out",
+                    "fogspec_agent.bag", "--bag", "run", "--request", "/in", "--response", "/out",
                     "--match", "stamp", "--success", "x == 1", "--timeout", "2",
                 )
             ),
@@ -60,7 +58,7 @@ def test_each_probe_starts_its_half(probe: dict, expected: ProbeParts) -> None:
 
 def test_metrics_are_heard_beside_every_probe() -> None:
     metrics = {"length": {"topic": "plan", "field": "cost.total"}, "own": {"callback": "own"}}
-    heard = words("fogspec_machine.topics", "--metric", "length=/plan:cost.total")
+    heard = words("fogspec_agent.topics", "--metric", "length=/plan:cost.total")
     for probe in ({"callback": "plan"}, {"service": "/plan"}):
         assert probe_parts(spec(probe, metrics=metrics)).beside == (heard,)
     assert probe_parts(spec({"action": "/go"}, metrics=metrics)).beside[0][3:] == ("--action", "/go", *heard[3:])
@@ -84,14 +82,14 @@ def test_only_the_measured_nodes_have_the_library_in_their_process() -> None:
 )  # fmt: skip
 def test_bags_are_played_to_whom_the_probe_watches(probe: dict, workload: dict, expected: list[str] | None) -> None:
     found = player(spec(probe, benchmark={"budget": "$1", "workload": workload}))
-    assert found == ([] if expected is None else [[*words("fogspec_machine.player"), *expected]])
+    assert found == ([] if expected is None else [[*words("fogspec_agent.player"), *expected]])
 
 
 def test_a_deployment_is_watched_by_the_same_library_and_starts_without_it() -> None:
     app = {"apiVersion": "fogspec.dev/v1alpha1", "kind": "Application", "metadata": {"name": "app"}}
     whole = {"cloud": [{"cmd": ["node"]}], "probe": {"service": "/s"}, "infra": ["aws"]}
     found = deployed_processes(Application.model_validate({**app, "spec": whole}))
-    assert found == [[*words("fogspec_machine.preload", "--service", "/s", "--optional", "--"), "node"]]
+    assert found == [[*words("fogspec_agent.preload", "--service", "/s", "--optional", "--"), "node"]]
     found = deployed_processes(Application.model_validate({**app, "spec": {**whole, "probe": {"callback": "plan"}}}))
     assert found == [["node"]]
 
@@ -102,23 +100,6 @@ def test_kinds_and_ways() -> None:
     assert [(kind_of(one), via(one)) for one in found] == [
         ("topics", "rclpy"), ("service", "preload"), ("action", "rclpy"), ("callback", None), ("bag", None),
     ]  # fmt: skip
-
-
-def test_every_module_that_a_half_needs_is_sent(tmp_path) -> None:
-    sent = tmp_path / "sent"
-    sent.mkdir()
-    source = agent.Path(agent.__file__).parent
-    for name in PROBE_FILES:
-        shutil.copy(source / name, sent)
-    code = "import agent, sys; sys.path.insert(0, agent.place(agent.Path(sys.argv[1]))); import fogspec_probe"
-    code += "".join(
-        f", fogspec_machine.{name}" for name in ("topics", "preload", "bag", "player", "records", "pairing", "ros")
-    )
-    subprocess.run(["python3", "-I", "-c", f"import sys; sys.path.insert(0, {str(sent)!r}); {code}", str(tmp_path / "out")],
-                   check=True, timeout=60)  # fmt: skip
-    assert {path.name for path in (tmp_path / "out" / "python").iterdir()} == {
-        "fogspec_machine", "fogspec_probe.py", "fogspec_probe.hpp",
-    } | ({"__pycache__"} if (tmp_path / "out" / "python" / "__pycache__").exists() else set())  # fmt: skip
 
 
 @pytest.mark.parametrize("distro", ["humble", "jazzy", "lyrical"])

@@ -1,4 +1,4 @@
-"""The on-machine agent: every way a workload can behave ends in an outcome that says so."""
+"""Measuring a sample: every way a workload can behave ends in an outcome that reports it."""
 
 import json
 import os
@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.agent import agent, counting, processes
+from fogspec.agent import processes, sample, stopping
+from tests.support.agent import AGENT
 
-AGENT = Path(agent.__file__)
+SAMPLE = [sys.executable, str(AGENT), "sample"]
 TIMED = """
 import json, os, sys, time
 def say(latency, ok=True, end="\\n"):
@@ -27,7 +28,7 @@ def say(latency, ok=True, end="\\n"):
 def run(tmp_path: Path, *scripts: str, steps=5, after=600.0, warmup=1, startup=120.0, extra=(), environment=None):
     processes = [w for s in scripts for w in ("--process", json.dumps([sys.executable, "-c", TIMED + s]))]
     limits = ["--after", str(after), "--warmup", str(warmup), "--startup", str(startup)]
-    command = [sys.executable, str(AGENT), "--out", str(tmp_path / "out"), *limits, *extra, *processes]
+    command = [*SAMPLE, "--out", str(tmp_path / "out"), *limits, *extra, *processes]
     if steps is not None:
         command += ["--steps", str(steps)]
     ended = subprocess.run(command, timeout=240, capture_output=True, text=True, env=environment)
@@ -84,9 +85,10 @@ def test_the_kernel_s_kills_for_want_of_memory_explain_what_came_of_them(tmp_pat
     # Running a whole machine out of memory is no test's business: the counter is what it would be.
     kills = iter([7])
     monkeypatch.setattr(processes, "memory_kills", lambda: next(kills, 8))
+    monkeypatch.setattr(sample, "ARCHIVE", AGENT)
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     arguments = ["--out", str(tmp_path), "--after", "0.3", "--startup", "0.5", "--warmup", "1"]
-    assert agent.main([*arguments, "--process", json.dumps([sys.executable, "-c", TIMED + script])]) == 1
+    assert sample.main([*arguments, "--process", json.dumps([sys.executable, "-c", TIMED + script])]) == 1
     outcome = json.loads((tmp_path / "outcome.json").read_text())
     assert (outcome["state"], outcome["reason"]) == ("failed", "out_of_memory")
     assert "the kernel ended a process for want of memory" in outcome["detail"]
@@ -95,7 +97,7 @@ def test_the_kernel_s_kills_for_want_of_memory_explain_what_came_of_them(tmp_pat
 def test_the_kernel_s_counter_is_read(tmp_path, monkeypatch):
     assert processes.memory_kills() >= 0
     monkeypatch.setattr(processes, "VMSTAT", tmp_path / "vmstat")
-    monkeypatch.setattr(processes, "own_counters", list)
+    monkeypatch.setattr(processes, "memory_counters", list)
     assert processes.memory_kills() == 0
     (tmp_path / "vmstat").write_text("pgfault 12\noom_kill 3\nnr_x 1\n")
     assert processes.memory_kills() == 3
@@ -103,7 +105,7 @@ def test_the_kernel_s_counter_is_read(tmp_path, monkeypatch):
 
 def test_a_program_that_is_not_there(tmp_path):
     limits = ["--after", "1", "--startup", "1", "--process", '["/no/such/program"]']
-    subprocess.run([sys.executable, str(AGENT), "--out", str(tmp_path), *limits], timeout=120)
+    subprocess.run([*SAMPLE, "--out", str(tmp_path), *limits], timeout=120)
     outcome = json.loads((tmp_path / "outcome.json").read_text())
     assert (outcome["state"], outcome["reason"]) == ("failed", "setup")
     assert "/no/such/program cannot be started: No such file" in outcome["detail"]
@@ -170,7 +172,7 @@ while True: say(0.01); time.sleep(0.05)
 
 def test_term_is_answered_with_an_outcome(tmp_path):
     limits = ["--after", "600", "--startup", "120", "--process", json.dumps([sys.executable, "-c", TIMED + FOREVER])]
-    started = subprocess.Popen([sys.executable, str(AGENT), "--out", str(tmp_path), *limits])
+    started = subprocess.Popen([*SAMPLE, "--out", str(tmp_path), *limits])
     while not (tmp_path / "timings.jsonl").exists() or not (tmp_path / "timings.jsonl").stat().st_size:
         time.sleep(0.02)
     started.send_signal(signal.SIGTERM)
@@ -187,23 +189,23 @@ def test_logs_are_kept_small(tmp_path, monkeypatch):
 while True:
     print('x' * 2**20, flush=True)
     say(0.01)
-    while os.fstat(1).st_size > {agent.LOG_LIMIT}: time.sleep(0.005)
+    while os.fstat(1).st_size > {sample.LOG_LIMIT}: time.sleep(0.005)
 """
     outcome = run(tmp_path, chatty, steps=60, after=60)
     assert outcome["stopped_by"] == "steps"
-    assert (tmp_path / "out" / "process-0.log").stat().st_size < 2 * agent.LOG_LIMIT
+    assert (tmp_path / "out" / "process-0.log").stat().st_size < 2 * sample.LOG_LIMIT
 
 
-def test_the_probes_are_importable_and_this_file_shadows_nobodys_agent(tmp_path):
-    looks = "import fogspec_probe, fogspec_machine.topics, importlib.util as u\nassert u.find_spec('agent') is None\nsay(1.0)"
+def test_the_probes_are_importable_and_shadow_no_module_of_the_workload(tmp_path):
+    looks = "import fogspec_probe, fogspec_agent.topics, importlib.util as u\nassert u.find_spec('sample') is None\nsay(1.0)"
     outcome = run(tmp_path, looks, warmup=0)
     assert outcome["state"] == "ok"
 
 
 def test_a_full_disk_does_not_silence_it(tmp_path, monkeypatch):
-    agent.reserve(tmp_path)
+    sample.reserve(tmp_path)
     assert (tmp_path / "outcome.part").stat().st_size >= 16384
-    agent.write_outcome(tmp_path, {"state": "ok", "detail": "x" * 9000})
+    sample.write_outcome(tmp_path, {"state": "ok", "detail": "x" * 9000})
     assert json.loads((tmp_path / "outcome.json").read_text())["state"] == "ok"
     assert not (tmp_path / "outcome.part").exists()
 
@@ -211,7 +213,7 @@ def test_a_full_disk_does_not_silence_it(tmp_path, monkeypatch):
 def test_an_out_folder_that_cannot_be_written_is_said_on_standard_error(tmp_path):
     (tmp_path / "out").write_text("a file")
     limits = ["--after", "1", "--startup", "1", "--process", '["true"]']
-    ended = subprocess.run([sys.executable, str(AGENT), "--out", str(tmp_path / "out"), *limits],
+    ended = subprocess.run([*SAMPLE, "--out", str(tmp_path / "out"), *limits],
                            capture_output=True, text=True, timeout=120)  # fmt: skip
     assert ended.returncode == 1
     assert "the agent could not work" in ended.stderr
@@ -221,7 +223,7 @@ def test_an_out_folder_that_cannot_be_written_is_said_on_standard_error(tmp_path
 @pytest.mark.parametrize("wrong", ['"text"', "[]", "[1]", "{", '{"a": 1}'])
 def test_a_wrong_process_is_refused(wrong):
     with pytest.raises(SystemExit) as end:
-        agent.parse(["--out", "x", "--after", "1", "--startup", "1", "--process", wrong])
+        sample.parse(["--out", "x", "--after", "1", "--startup", "1", "--process", wrong])
     assert end.value.code == 2
 
 
@@ -231,7 +233,7 @@ def test_the_interval_covers_the_truth_as_often_as_it_says(statistic, truth):
     covered = 0
     for _ in range(400):
         values = [source.gauss(1.0, 0.1) for _ in range(150)]
-        value, half = counting.interval(values, statistic)
+        value, half = stopping.interval(values, statistic)
         # The quantile's interval is not centred on it; ± half of it is what stopping looks at.
         covered += abs(value - truth) <= half
     assert 0.88 <= covered / 400 <= 0.995
@@ -242,13 +244,13 @@ def test_successive_requests_that_resemble_each_other_widen_the_interval():
     for _ in range(400):
         level = 0.8 * level + source.gauss(0, 0.1)
         values.append(1 + level)
-    _, half = counting.interval(values, "mean")
+    _, half = stopping.interval(values, "mean")
     assert half > 2 * 1.96 * statistics.stdev(values) / 20
 
 
 def test_equal_latencies_are_known_exactly_and_rare_quantiles_not_at_all():
-    assert counting.interval([0.5] * 10, "mean") == (0.5, 0.0)
-    assert counting.interval([0.5] * 50, "p99")[1] == float("inf")
+    assert stopping.interval([0.5] * 10, "mean") == (0.5, 0.0)
+    assert stopping.interval([0.5] * 50, "p99")[1] == float("inf")
 
 
 def test_only_requests_of_the_callback_count(tmp_path):
@@ -287,10 +289,11 @@ def test_what_cannot_be_read_afterwards_says_why_and_a_crash_stays_one(tmp_path)
 
 
 def test_reading_afterwards_has_an_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(agent, "AFTERWARDS_S", 0.3)
+    monkeypatch.setattr(sample, "AFTERWARDS_S", 0.3)
+    monkeypatch.setattr(sample, "ARCHIVE", AGENT)
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     limits = ["--out", str(tmp_path), "--after", "1", "--startup", "1", *afterwards("time.sleep(600)")]
-    assert agent.main([*limits, "--process", '["true"]']) == 1
+    assert sample.main([*limits, "--process", '["true"]']) == 1
     detail = json.loads((tmp_path / "outcome.json").read_text())["detail"]
     assert detail == "nothing was timed within 0.3 s after the end"
 

@@ -1,8 +1,8 @@
-"""Finds the request of each response on two topics. Standard library only.
+"""Match each response on a topic with its request on another.
 
-`stamp` pairs by header stamp, `order` the n-th response with the oldest open request. The other two are the heuristics of
+`stamp` matches by header stamp, `order` the n-th response with the oldest open request. The other two are the heuristics of
 the paper's own code, for comparison: `first_request` counts from the first request since the last response, `last_response`
-from the last response. Each is right in one regime only, and says so in `warning` when the load is outside it.
+from the last response. Each is right in one regime only; `Matcher.warning` reports a load outside of it.
 """
 
 import struct
@@ -17,11 +17,11 @@ HEADER_BYTES = 12
 HEADER = "std_msgs/Header"
 
 
-class Pairing:
-    """Takes requests and responses in the order of their times, gives the requests that are over.
+class Matcher:
+    """Take requests and responses in the order of their times, and return the requests that are finished.
 
-    A request that has no response after `timeout_s`, or after `PENDING` later ones, is lost; save for those before the first
-    one that was answered, which came while the node was not ready or not everybody knew of everybody yet.
+    A request without a response after `timeout_s` seconds, or after `PENDING` later requests, is lost. Requests before the
+    first answered one do not count: the node was not ready, or discovery was not complete.
     """
 
     def __init__(self, match: str, timeout_s: float | None = None) -> None:
@@ -31,10 +31,10 @@ class Pairing:
         self.departed_s = float("-inf")
 
     def take_request(self, stamp: Stamp | None, now_s: float) -> list[Done]:
-        """A request arrived; returns those that are lost by now."""
+        """Take a request; return those that are lost by now."""
         self.count += 1
         lost = self.expire(now_s)
-        # Each response is thought to answer one request: then nothing was left to do at the last one.
+        # If each response answers one request, the node was idle since the last one.
         self.outside += self.match == "last_response" and self.answered == self.count - 1 and self.answered > 0
         if self.match in ("first_request", "last_response") and self.open:
             self.outside += self.match == "first_request"
@@ -45,7 +45,7 @@ class Pairing:
         return lost
 
     def take_response(self, stamp: Stamp | None, now_s: float) -> Done | None:
-        """A response arrived; None when it belongs to no request."""
+        """Take a response; return its request, or None if there is none."""
         if self.match == "last_response":
             return self._since_last(now_s)
         if self.match == "stamp":
@@ -57,14 +57,14 @@ class Pairing:
         return None if start_s is None else self._done(start_s, now_s, stamp)
 
     def expire(self, now_s: float) -> list[Done]:
-        """The requests that are lost by now."""
+        """Return the requests that are lost by now."""
         lost: list[Done] = []
         while self.timeout_s is not None and self.open and now_s - next(iter(self.open.values())) > self.timeout_s:
             lost += self._lost()
         return lost
 
     def warning(self) -> str | None:
-        """Why the figures mislead, when the load is not what the way of matching takes for granted."""
+        """Return why the latencies are misleading if the load is not what the method assumes, else None."""
         if self.answered < 1 or self.outside <= OUTSIDE * max(self.count, 1):
             return None
         share = f"{self.outside / max(self.count, 1):.0%}"
@@ -75,7 +75,7 @@ class Pairing:
         return f"last_response: {share} of the requests found the node idle, and the idle time is counted as latency"
 
     def _since_last(self, now_s: float) -> Done | None:
-        # Counts from the last response, or from the first request of all; the regime is a node that is never idle.
+        # Right for a node that is never idle. The first response counts from the first request.
         start_s = self.departed_s if self.answered else next(iter(self.open.values()), None)
         if start_s is None:
             return None
@@ -94,15 +94,18 @@ class Pairing:
 
 
 def stamp_of(message: bytes) -> Stamp:
-    """Seconds and nanoseconds of the std_msgs/Header that a CDR message begins with; raises ValueError when it is too short."""
+    """Return seconds and nanoseconds of the std_msgs/Header that a CDR message begins with.
+
+    Raise ValueError if the message is too short.
+    """
     if len(message) < HEADER_BYTES:
         raise ValueError("the message is too short to begin with a header")
     seconds, nanoseconds = struct.unpack_from(f"{_order(message)}iI", message, 4)
     return seconds, nanoseconds
 
 
-def stamped(message: bytes, stamp: Stamp) -> bytes:
-    """The message with another stamp in the header that it begins with."""
+def with_stamp(message: bytes, stamp: Stamp) -> bytes:
+    """Return the message with another stamp in the header that it begins with."""
     return message[:4] + struct.pack(f"{_order(message)}iI", *stamp) + message[HEADER_BYTES:]
 
 

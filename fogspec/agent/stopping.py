@@ -1,4 +1,4 @@
-"""Counts a sample's requests while it runs, and says when they are enough. Standard library only, beside agent.py."""
+"""The stopping rule: count a sample's requests as they are written, and decide whether there are enough."""
 
 import contextlib
 import itertools
@@ -11,48 +11,51 @@ from pathlib import Path
 TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
 LINE_LIMIT = 2**16
-OTHER = {"unmatched", "metric", "note", "warning"}  # records that are no requests
+NOT_REQUESTS = {"unmatched", "metric", "note", "warning"}
+FIRST_CHECK = 10  # valid requests before the precision is checked
+QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
+Z95 = 1.959964  # two-sided 95 % quantile of the standard normal distribution
 
 
 class Timings:
-    """The growing file of records; a partial last line is left until it is whole."""
+    """The growing file of records; an incomplete last line is left until it is complete."""
 
     def __init__(self, path: Path, warmup: int, callback: str | None = None) -> None:
         self.path, self.warmup, self.callback = path, warmup, callback
-        self.offset = self.requests = self.unreadable = self.next_look = 0
+        self.offset = self.requests = self.unreadable = self.next_check = 0
         self.valid: list[float] = []
         self.rest = b""
         self.note: str | None = None
 
     def read(self) -> bool:
-        """Read what is new; True when there was at least one whole record."""
+        """Read new records; return True if there was at least one complete request."""
         before = self.requests
-        with contextlib.suppress(FileNotFoundError), open(self.path, "rb", opener=at_once) as file:
+        with contextlib.suppress(FileNotFoundError), open(self.path, "rb", opener=open_nonblocking) as file:
             file.seek(self.offset)
-            # Python takes the space of what it is asked to read, which is the workload's.
+            # Python allocates the size of each read, and the memory is the workload's.
             while new := file.read(min(READ_BYTES, TIMINGS_LIMIT - self.offset)):
                 self.offset += len(new)
                 *lines, self.rest = (self.rest + new).split(b"\n")
                 for line in filter(None, lines):
                     self._take(line)
-                if len(self.rest) > LINE_LIMIT:  # no record is so long
+                if len(self.rest) > LINE_LIMIT:  # longer than any record
                     self.rest, self.unreadable = b"", self.unreadable + 1
         return self.requests > before
 
     def cut(self) -> None:
-        """Drop what was written after the last look: a request that was broken off by ending it did not fail."""
+        """Truncate the file to what was read: a request that was interrupted by ending its process did not fail."""
         with contextlib.suppress(OSError):
             os.truncate(self.path, min(self.offset - len(self.rest), self.path.stat().st_size))
 
     def _take(self, line: bytes) -> None:
         try:
             record = json.loads(line)
-            if OTHER & record.keys():
+            if NOT_REQUESTS & record.keys():
                 self.note = str(record["note"])[:200] if "note" in record else self.note
                 return
-            latency, ok = float(record["latency_s"]), record["ok"] is True
-            if not 0 <= latency < math.inf:
-                raise ValueError(latency)
+            latency_s, ok = float(record["latency_s"]), record["ok"] is True
+            if not 0 <= latency_s < math.inf:
+                raise ValueError(latency_s)
         except (ArithmeticError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
             self.unreadable += 1
             return
@@ -60,53 +63,56 @@ class Timings:
             return
         self.requests += 1
         if ok and self.requests > self.warmup:
-            self.valid.append(latency)
+            self.valid.append(latency_s)
 
-    def so_far(self) -> str:
-        """How many requests there were, and the mean latency of the valid ones."""
+    def summary(self) -> str:
+        """Return the number of requests and the mean latency of the valid ones, as text."""
         mean = f", mean {statistics.fmean(self.valid):.6g} s" if self.valid else ""
         return f"{self.requests} requests{mean}"
 
     def precise(self, precision: float, statistic: str) -> bool:
-        """Whether the 95 % interval is narrower than ± precision; looked at rarely, since it is not free."""
-        if len(self.valid) < max(10, self.next_look):
+        """Return whether the half-width of the 95 % interval is at most `precision` times the statistic.
+
+        Checked only after every 5 % more requests, because it sorts all of them.
+        """
+        if len(self.valid) < max(FIRST_CHECK, self.next_check):
             return False
-        self.next_look = math.ceil(len(self.valid) * 1.05) + 1
+        self.next_check = math.ceil(len(self.valid) * 1.05) + 1
         value, half = interval(self.valid, statistic)
         return half <= precision * value
 
 
-def at_once(path: str, flags: int) -> int:
-    """Open without waiting: a workload may have put a pipe in the place of its timings."""
+def open_nonblocking(path: str, flags: int) -> int:
+    """Open without blocking: a workload may have replaced its timings by a pipe."""
     return os.open(path, flags | os.O_NONBLOCK)
 
 
 def interval(values: list[float], statistic: str) -> tuple[float, float]:
-    """The statistic of at least 10 values, and half the width of its 95 % interval.
+    """Return the statistic of at least 10 values and the half-width of its 95 % interval.
 
     Mean: Student's t (Cornish-Fisher expansion of its quantile). Quantiles: binomial order statistics; infinite while
-    the upper one does not exist. Both are widened by the lag-1 autocorrelation, of the values or of which of them lie
-    below the quantile, since successive requests resemble each other.
+    the upper one does not exist. Both are widened by the lag-1 autocorrelation, of the values or of the indicator of
+    being below the quantile, because successive requests are correlated.
     """
     n = len(values)
-    if statistic != "mean":
-        share = {"p50": 0.5, "p95": 0.95, "p99": 0.99}[statistic]
+    if statistic in QUANTILES:
+        share = QUANTILES[statistic]
         ordered = sorted(values)
         value = ordered[math.floor(n * share)]
         below = [1.0 if one < value else 0.0 for one in values]
-        spread = 1.959964 * math.sqrt(n * share * (1 - share)) * widening(below)
+        spread = Z95 * math.sqrt(n * share * (1 - share)) * widening(below)
         low, high = math.floor(n * share - spread), math.ceil(n * share + spread)
         half = (ordered[high] - ordered[low]) / 2 if low >= 0 and high < n else math.inf
         return value, half
     mean = statistics.fmean(values)
     square = math.fsum((value - mean) ** 2 for value in values)
-    z, v = 1.959964, n - 1
+    z, v = Z95, n - 1
     t = z + (z**3 + z) / (4 * v) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * v**2)
     return mean, t * math.sqrt(square / v / n) * widening(values)
 
 
 def widening(values: list[float]) -> float:
-    """How much wider an interval is than that of independent values, where each resembles the one before it."""
+    """Return the ratio of an interval's width to that of independent values, from the lag-1 autocorrelation."""
     mean = statistics.fmean(values)
     square = math.fsum((value - mean) ** 2 for value in values)
     if square == 0:

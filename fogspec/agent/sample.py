@@ -1,0 +1,295 @@
+"""Measure one sample: start its processes, watch their timings, stop them, and write the outcome.
+
+    python3 agent.pyz sample --out DIR [--steps N] --after SECONDS --warmup N --startup SECONDS
+                             [--precision P --statistic S] [--callback NAME] [--afterwards '<json argv>']
+                             [--progress] [--secret NAME ...] --process '<json argv>' [--process ...]
+
+The processes find the probe module on PYTHONPATH and append one line of JSON per request to FOGSPEC_TIMINGS
+(DIR/timings.jsonl). Their output is kept without the values of secret variables. However the sample ends, DIR/outcome.json
+is written unless the agent itself is killed: state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s,
+duration_s, waited_s, requests and unreadable lines.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from . import processes, redaction
+from .stopping import TIMINGS_LIMIT, Timings
+
+# The zip application that this module was loaded from.
+ARCHIVE = Path(__file__).parents[1]
+POLL_S = 0.1
+PROGRESS_EVERY_S = 2.0
+LOG_LIMIT = 16 * 2**20
+AFTERWARDS_S = 300.0
+OUTCOME_BYTES = 16384
+OUT_OF_MEMORY = re.compile(r"MemoryError|bad_alloc|[Cc]annot allocate memory|[Oo]ut of memory")
+
+End = tuple[str, str | None, str | None, str | None]  # state, reason, detail, stopped_by
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one sample; return 0 if it was measured, 1 otherwise."""
+    options = parse(arguments)
+    signals = processes.received_signals()
+    started_s = time.monotonic()
+    out = Path(options.out).absolute()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        reserve(out)
+        outcome = SampleRun(options, out, started_s, signals).run()
+    except OSError as problem:
+        outcome = {"state": "failed", "reason": "setup", "detail": f"the agent could not work: {problem}"}
+    outcome["duration_s"] = time.monotonic() - started_s
+    write_outcome(out, outcome)
+    return 0 if outcome["state"] == "ok" else 1
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options; exit with code 2 on a wrong command line."""
+    parser = argparse.ArgumentParser(prog="sample", allow_abbrev=False)
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--after", type=float, required=True)
+    parser.add_argument("--warmup", type=int, default=0)
+    parser.add_argument("--startup", type=float, required=True)
+    parser.add_argument("--precision", type=float)
+    parser.add_argument("--statistic", choices=("mean", "p50", "p95", "p99"), default="mean")
+    parser.add_argument("--callback", help="count requests of this name only; without it, all")
+    parser.add_argument("--afterwards", type=json.loads, help="writes the records once the processes have ended")
+    parser.add_argument("--secret", action="append", default=[], help="a variable whose value is not to be printed")
+    parser.add_argument("--progress", action="store_true", help="print the number of requests now and then")
+    parser.add_argument("--process", type=json.loads, action="append", required=True)
+    options = parser.parse_args(arguments)
+    for argv in [*options.process, *([options.afterwards] if options.afterwards is not None else [])]:
+        if not processes.is_argv(argv):
+            parser.error("--process must be a JSON list of strings")
+    return options
+
+
+class SampleRun:
+    """One run of the processes, from their start to their end."""
+
+    def __init__(self, options: argparse.Namespace, out: Path, started_s: float, signals: list[int]) -> None:
+        self.options, self.out, self.started_s, self.signals = options, out, started_s, signals
+        self.children: list[subprocess.Popen[bytes]] = []
+        self.output = redaction.Output(options.secret)
+        self.timings = Timings(out / "timings.jsonl", options.warmup, options.callback)
+        self.setup_s: float | None = None
+        self.last_request_s: float | None = None
+        self.next_progress_s = started_s
+
+    def run(self) -> dict[str, Any]:
+        """Return the outcome, without its duration."""
+        processes.adopt_orphans()
+        kills = processes.memory_kills()
+        try:
+            state, reason, detail, stopped_by = self._start() or self._watch()
+            waited_s = self._waited_s(stopped_by)
+        finally:
+            killed = processes.memory_kills() > kills
+            processes.finish(self.children)
+            self.output.settle()
+        if stopped_by not in (None, "exit"):
+            self.timings.cut()
+        if self.options.afterwards:
+            state, reason, detail = self._read_afterwards(state, reason, detail)
+        # The kernel may kill one of several processes while the others wait for it or fail differently.
+        if killed and (state == "timeout" or reason in ("crash", "no_response")):
+            cause = "the kernel ended a process for want of memory"
+            state, reason, detail = "failed", "out_of_memory", f"{detail}; {cause}" if detail else cause
+        self.timings.read()
+        return {
+            "state": state,
+            "reason": reason,
+            "detail": detail,
+            "stopped_by": stopped_by,
+            "exit_codes": [child.returncode for child in self.children],
+            "setup_s": self.setup_s,
+            "waited_s": waited_s,
+            "requests": self.timings.requests,
+            "unreadable": self.timings.unreadable,
+        }
+
+    def _waited_s(self, stopped_by: str | None) -> float | None:
+        """Return the time since the last finished request.
+
+        None if it indicates nothing: a process that has ended may have been the one that sent requests.
+        """
+        if stopped_by not in ("time", "signal") or self.last_request_s is None:
+            return None
+        if any(child.poll() is not None for child in self.children):
+            return None
+        return time.monotonic() - self.last_request_s
+
+    def _start(self) -> End | None:
+        extract(self.out)
+        environment = self._environment()
+        self.timings.path.write_bytes(b"")
+        for number, argv in enumerate(self.options.process):
+            # In append mode a log can be truncated while its process writes to it.
+            with open(self._log(number), "ab") as log:
+                try:
+                    child = self.output.start(
+                        argv, log, stdin=subprocess.DEVNULL, env=environment, start_new_session=True
+                    )
+                except OSError as problem:
+                    return "failed", "setup", f"{argv[0]} cannot be started: {problem.strerror}", None
+                self.children.append(child)
+        return None
+
+    def _environment(self) -> dict[str, str]:
+        return processes.environment(self.out, self.timings.path)
+
+    def _read_afterwards(
+        self, state: str, reason: str | None, detail: str | None
+    ) -> tuple[str, str | None, str | None]:
+        """Run the program that writes the records; its failure counts only if nothing else went wrong."""
+        log = self.out / "afterwards.log"
+        started = time.time() - (time.monotonic() - self.started_s)
+        environment = self._environment() | {"FOGSPEC_BEGUN": str(started)}
+        message = ""
+        with open(log, "wb") as file, contextlib.suppress(subprocess.TimeoutExpired, OSError):
+            ended = subprocess.run(
+                self.options.afterwards,
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                timeout=AFTERWARDS_S,
+            )
+            message = last_line(log) if ended.returncode else ""
+        self.timings.read()
+        if state != "ok" or self.timings.valid:
+            return state, reason, detail
+        message = message or f"nothing was timed within {AFTERWARDS_S:g} s after the end{self._notes()}"
+        return "failed", "no_response", message
+
+    def _log(self, number: int) -> Path:
+        return self.out / f"process-{number}.log"
+
+    def _watch(self) -> End:
+        while True:
+            codes = [child.poll() for child in self.children]
+            self._read()
+            self._print_progress()
+            end = self._enough() or self._exited(codes) or self._late(time.monotonic())
+            if end:
+                return end
+            for number in range(len(self.children)):
+                if self._log(number).stat().st_size > LOG_LIMIT:
+                    os.truncate(self._log(number), 0)
+            time.sleep(POLL_S)
+
+    def _read(self) -> None:
+        if self.timings.read():
+            self.last_request_s = time.monotonic()
+            self.setup_s = self.last_request_s - self.started_s if self.setup_s is None else self.setup_s
+
+    def _print_progress(self) -> None:
+        if self.options.progress and self.timings.requests and time.monotonic() >= self.next_progress_s:
+            self.next_progress_s = time.monotonic() + PROGRESS_EVERY_S
+            print(f"=== fogspec so far: {self.timings.summary()} ===", flush=True)
+
+    def _enough(self) -> End | None:
+        options, timings = self.options, self.timings
+        if options.steps is not None and timings.requests >= options.steps + options.warmup:
+            return "ok", None, None, "steps"
+        if options.precision is not None and timings.precise(options.precision, options.statistic):
+            return "ok", None, None, "precision"
+        if timings.offset >= TIMINGS_LIMIT:
+            return "ok", None, f"the timings file reached {TIMINGS_LIMIT >> 20} MiB", "size"
+        return None
+
+    def _exited(self, codes: list[int | None]) -> End | None:
+        if self.signals:
+            return "failed", "interrupted", f"ended by {processes.signal_name(self.signals[0])}", "signal"
+        for number, code in enumerate(codes):
+            if code:
+                return self._crashed(number, code)
+        if None in codes:
+            return None
+        self._read()
+        if not self.timings.requests and not self.options.afterwards:
+            return "failed", "no_response", f"the processes ended without one timed request{self._notes()}", "exit"
+        return "ok", None, None, "exit"
+
+    def _crashed(self, number: int, code: int) -> End:
+        self.output.settle(self.children[number])
+        message, program = last_line(self._log(number)), os.path.basename(self.options.process[number][0])
+        reason = "out_of_memory" if OUT_OF_MEMORY.search(message) else "crash"
+        detail = f"{program} {processes.exit_text(code)}"
+        return "failed", reason, f"{detail}: {message}" if message else detail, "exit"
+
+    def _late(self, now_s: float) -> End | None:
+        if self.options.afterwards:
+            return ("ok", None, None, "time") if now_s - self.started_s >= self.options.after else None
+        if self.setup_s is None:
+            if now_s - self.started_s < self.options.startup:
+                return None
+            detail = f"no timed request within {self.options.startup:g} s of the start{self._notes()}"
+            return "failed", "no_response", detail, "startup"
+        if now_s - self.started_s - self.setup_s < self.options.after:
+            return None
+        return "ok" if self.timings.valid else "timeout", None, None, "time"
+
+    def _notes(self) -> str:
+        count, note = self.timings.unreadable, self.timings.note
+        return (f": {note}" if note else "") + (f"; unreadable lines in its timings: {count}" if count else "")
+
+
+def extract(out: Path) -> None:
+    """Extract the modules that the processes import, and the C++ header, to `out`/python, the first entry of PYTHONPATH.
+
+    A copy, because the archive may be replaced while the processes run.
+    """
+    with zipfile.ZipFile(ARCHIVE) as archive:
+        archive.extractall(out / "python", [name for name in archive.namelist() if name.startswith("fogspec_")])
+
+
+def last_line(path: Path) -> str:
+    """Return the last non-empty line of a log, without control characters, at most 300 characters."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(max(0, path.stat().st_size - 4096))
+            lines = file.read().decode("utf-8", "replace").splitlines()
+    except OSError:
+        return ""
+    found = [line.strip() for line in lines if line.strip()]
+    return "".join(c for c in found[-1] if c.isprintable())[:300] if found else ""
+
+
+def reserve(out: Path) -> None:
+    """Allocate the outcome's space now, so that it can be written even if the workload fills the disk."""
+    with open(out / "outcome.part", "wb") as file:
+        file.write(b" " * OUTCOME_BYTES)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def write_outcome(out: Path, outcome: dict[str, Any]) -> None:
+    """Write the outcome into the reserved space and rename it; print it to standard error if that fails."""
+    text = json.dumps(outcome) + "\n"
+    try:
+        with open(out / "outcome.part", "r+b") as file:
+            file.write(text.encode())
+            file.truncate()
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(out / "outcome.part", out / "outcome.json")
+    except OSError as problem:
+        print(f"fogspec agent: {problem}; {text}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
