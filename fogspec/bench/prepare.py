@@ -46,10 +46,16 @@ class Prepared:
             raise OutOfDate(f"{self.layout.results} has changed since this bench began", "run the bench again")
 
 
-def prepare(application: Application, spec_path: str | Path, only: Sequence[str]) -> Prepared:
+def prepare(
+    application: Application,
+    spec_path: str | Path,
+    only: Sequence[str],
+    known: dict[Path, SourceFile] | None = None,
+) -> Prepared:
     """Check everything that a benchmark of this application relies on.
 
-    `only` names samples to measure, even if they are measured; without it, all that are not measured yet. Raise OutOfDate for
+    `only` names samples to measure, even if they are measured; without it, all that are not measured yet. `known` holds
+    files that applications share, so that each is read once; what is read is added to it. Raise OutOfDate for
     a missing or stale plan or an edited task, DiagnosticError for a file that cannot be read, UsageError for a sample
     that the plan does not have.
     """
@@ -66,7 +72,7 @@ def prepare(application: Application, spec_path: str | Path, only: Sequence[str]
         raise OutOfDate(f"{', '.join(drifted)}: not what {layout.lock} pins", f"fogspec lock {layout.spec}", again)
     if plan.spec.pins != pins_of_measurement(application, pins):
         raise OutOfDate(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
-    _check_agent(layout, again)
+    _check_agent(layout, again, {} if known is None else known)
     tasks = {sample.id: _task(layout, sample, again) for sample in plan.spec.samples}
     results = read_results(layout)
     outdated = results is not None and (
@@ -94,13 +100,14 @@ def _changed(application: Application, plan: Plan) -> str:
     return f"spec's {', '.join(fields)}" if fields else "hardware, infra or how machines are sampled"
 
 
-def _check_agent(layout: Layout, again: str) -> None:
+def _check_agent(layout: Layout, again: str, known: dict[Path, SourceFile]) -> None:
     """Raise OutOfDate unless the agent on disk is this version's: a diff does not show its content."""
-    try:
-        content = read_file(layout.agent)
-    except OSError as problem:
-        raise OutOfDate(f"{layout.agent}: cannot be read: {problem.strerror}", again) from None
-    if content != agent_archive():
+    if layout.agent not in known:
+        known[layout.agent] = SourceFile.read(layout.agent)
+    file = known[layout.agent]
+    if file.problem is not None:
+        raise OutOfDate(f"{layout.agent}: cannot be read: {file.problem.strerror}", again)
+    if file.content != agent_archive():
         raise OutOfDate(f"{layout.agent} is not the agent of this version of fogspec", again)
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fogspec.bench.run import BenchResult
     from fogspec.catalog.table import Catalog
     from fogspec.numerics.priors import PriorData
-    from fogspec.spec.loader import LoadedSpec
+    from fogspec.spec.loader import LoadedSpec, SourceFile
 
 RUNNERS = ["local", "replay", "skypilot"]
 
@@ -73,8 +73,9 @@ def command(
 
     names = [name.strip() for name in only.split(",") if name.strip()]
     unusable = []
+    known: dict[Path, SourceFile] = {}
     for one in applications_of(spec):
-        prepared = prepare(one.application, one.path, names)
+        prepared = prepare(one.application, one.path, names, known)
         backend = _backend(prepared, runner_name, recorded, pace)
         backend.at_once = min(backend.at_once, at_once or backend.at_once)
         _check_place(prepared, backend)
