@@ -89,11 +89,15 @@ def test_background_grandchildren_that_ignore_signals_are_ended(tmp_path, backen
     monkeypatch.setattr(local, "GRACE_S", 1.0)
     stubborn = """
 import os, signal, time, fogspec_probe
+ready, left = os.pipe()
 if os.fork() == 0:
     os.setsid()
     for number in (signal.SIGINT, signal.SIGTERM): signal.signal(number, signal.SIG_IGN)
-    if os.fork() == 0: time.sleep(600)
+    if os.fork() == 0:
+        os.write(left, b".")
+        time.sleep(600)
     os._exit(0)
+os.read(ready, 1)  # it has left the session and ignores signals
 fogspec_probe.start("plan"); fogspec_probe.stop("plan"); os._exit(0)
 """
     # Not even the agent is there to tidy up.
