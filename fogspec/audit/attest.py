@@ -32,8 +32,9 @@ def statement(opened: ManifestBundle) -> dict[str, Any]:
     if broken := [link for link in links if link.breaks]:
         raise OutOfDate(
             f"{opened.layout.manifest}: not attested, for the chain breaks at {broken[0].name}",
-            *broken[0].breaks, f"see: fogspec verify {opened.layout.manifest}",
-        )  # fmt: skip
+            *broken[0].breaks,
+            f"see: fogspec verify {opened.layout.manifest}",
+        )
     return {
         "_type": STATEMENT,
         "subject": subjects(opened),
@@ -41,13 +42,16 @@ def statement(opened: ManifestBundle) -> dict[str, Any]:
         "predicate": {
             "buildDefinition": {
                 "buildType": BUILD,
-                "externalParameters": {"spec": opened.manifest.provenance.application.path, "application": opened.layout.name},
+                "externalParameters": {
+                    "spec": opened.manifest.provenance.application.path,
+                    "application": opened.layout.name,
+                },
                 "internalParameters": {"links": [link.name for link in links]},
                 "resolvedDependencies": materials(opened),
             },
             "runDetails": {"builder": {"id": BUILDER, "version": {"fogspec": __version__}}},
         },
-    }  # fmt: skip
+    }
 
 
 def text(data: dict[str, Any]) -> str:
@@ -76,9 +80,16 @@ def materials(opened: ManifestBundle) -> list[dict[str, Any]]:
         _file("results", layout, layout.results, inputs.results_content, named.results.digest),
         *_timings(inputs),
         _file("models", layout, layout.models, inputs.content(layout.models)),
-        {"name": "catalog", "digest": _digest(named.catalog.digest),
-         "annotations": {"source": named.catalog.source, "revision": named.catalog.revision, "date": named.catalog.date}},
-    ]  # fmt: skip
+        {
+            "name": "catalog",
+            "digest": _digest(named.catalog.digest),
+            "annotations": {
+                "source": named.catalog.source,
+                "revision": named.catalog.revision,
+                "date": named.catalog.date,
+            },
+        },
+    ]
     image = opened.manifest.spec.image
     if image is not None and is_pinned(image):
         parts = image_of(image)
@@ -120,6 +131,9 @@ def check(opened: ManifestBundle, data: Any) -> Check:
         if isinstance(listed, list)
         else {}
     )
-    breaks = [f"it does not attest {name}" if name not in said else f"{name} is not what was attested"
-              for name, value in now.items() if said.get(name) != value]  # fmt: skip
+    breaks = [
+        f"it does not attest {name}" if name not in said else f"{name} is not what was attested"
+        for name, value in now.items()
+        if said.get(name) != value
+    ]
     return Check("attestation", f"{len(now)} files", tuple(breaks))

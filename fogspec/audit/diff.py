@@ -283,8 +283,12 @@ def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
     if one.differs:
         lines += [*(f"- {escaped(reason)}" for reason in one.why), f"- {escaped(measuring_text(one))}", ""]
     if one.changes:
-        lines += [f"<details><summary>{len(one.changes)} fields differ</summary>", "", "| field | before | after |",
-                  "|--|--|--|"]  # fmt: skip
+        lines += [
+            f"<details><summary>{len(one.changes)} fields differ</summary>",
+            "",
+            "| field | before | after |",
+            "|--|--|--|",
+        ]
         lines += [
             f"| `{change.field}` | {escaped(short(change.before))} | {escaped(short(change.after))} |"
             for change in one.changes

@@ -86,9 +86,10 @@ def review(status: Status, repository: Repository, commit: str) -> Review:
 def removed(repository: Repository, commit: str, names: Collection[str]) -> list[Removed]:
     """Applications that had a manifest at `commit`, and have neither a manifest nor a spec any more; `names` have one."""
     gone = [
-        path for path in repository.paths(commit)
+        path
+        for path in repository.paths(commit)
         if path.match("compiled/*/manifest.yaml") and path.parent.name not in names and not path.exists()
-    ]  # fmt: skip
+    ]
     content = ((path, repository.at(commit, path) or b"") for path in gone)
     return [Removed(path.parent.name, redacted(manifest_in(SourceFile(path, text)))) for path, text in content]
 
@@ -127,8 +128,11 @@ def _application(one: Review, picture_base: str | None) -> list[str]:
     lines = [f"### {escaped(layout.name)}: {escaped(_headline(one))}", ""]
     lines += [f"- {escaped(text)}" for text in _choice(difference.after)]
     lines += [f"- why: {escaped(text)}" for text in difference.why]
-    lines += [f"- **{escaped(stage.name)} is {stage.state}**: {escaped('; '.join(stage.reasons) or 'compile it')}"
-              for stage in one.status.stages if stage.state != "fresh"]  # fmt: skip
+    lines += [
+        f"- **{escaped(stage.name)} is {stage.state}**: {escaped('; '.join(stage.reasons) or 'compile it')}"
+        for stage in one.status.stages
+        if stage.state != "fresh"
+    ]
     if one.status.refused:
         lines.append(f"- **cannot be compiled**: {escaped(one.status.refused)}")
     if one.status.to_measure:
@@ -174,8 +178,10 @@ def _choice(manifest: Mapping[str, Any] | None) -> Iterator[str]:
         return
     spec, latency = manifest["spec"], _part(manifest, "expected", "latency")
     cost = _part(manifest, "expected", "cost")
-    yield (f"runs on {spec.get('instance')} in {spec.get('infra')}, {spec.get('price')}, {cost.get('month')}"
-           f"; image {spec.get('image') or 'none'}")  # fmt: skip
+    yield (
+        f"runs on {spec.get('instance')} in {spec.get('infra')}, {spec.get('price')}, {cost.get('month')}"
+        f"; image {spec.get('image') or 'none'}"
+    )
     interval = latency.get("interval")
     within = f" [{', '.join(map(str, interval))}]" if isinstance(interval, list) else ""
     limit = f", limit {latency['limit']}" if latency.get("limit") else ""

@@ -40,12 +40,17 @@ def as_dict(one: Status) -> dict[str, Any]:
     return {
         "name": one.layout.name,
         "stages": [
-            {"name": stage.name, "path": str(stage.path), "state": stage.state, "reasons": list(stage.reasons),
-             "notes": list(stage.notes)}
+            {
+                "name": stage.name,
+                "path": str(stage.path),
+                "state": stage.state,
+                "reasons": list(stage.reasons),
+                "notes": list(stage.notes),
+            }
             for stage in one.stages
         ],
         "refused": one.refused,
         "to_measure": one.to_measure,
         "spent_usd": one.spent_usd,
         "budget_usd": one.budget_usd,
-    }  # fmt: skip
+    }

@@ -54,8 +54,11 @@ def verify(opened: ManifestBundle) -> list[Check]:
         why = tuple(one.message for one in problems.diagnostics)
         return [*links, Check("results", str(layout.results), why), *_later("results", "models", "manifest")]
     if isinstance(compiled, FogspecError):
-        return [*links, Check("plan", str(layout.plan), (compiled.message, *compiled.hints)),
-                *_later("plan", "results", "models", "manifest")]  # fmt: skip
+        return [
+            *links,
+            Check("plan", str(layout.plan), (compiled.message, *compiled.hints)),
+            *_later("plan", "results", "models", "manifest"),
+        ]
     links += [_plan(opened, compiled), _results(opened, compiled, results)]
     if results is None or compiled.results is None:
         return [*links, *_later("results", "models", "manifest")]
@@ -234,7 +237,13 @@ def as_dict(opened: ManifestBundle, links: list[Check]) -> dict[str, Any]:
         "digest": opened.digest,
         "holds": all(not link.breaks for link in links),
         "links": [
-            {"name": link.name, "what": link.what, "state": link.state, "breaks": list(link.breaks), "notes": list(link.notes)}
+            {
+                "name": link.name,
+                "what": link.what,
+                "state": link.state,
+                "breaks": list(link.breaks),
+                "notes": list(link.notes),
+            }
             for link in links
         ],
-    }  # fmt: skip
+    }

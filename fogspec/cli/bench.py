@@ -44,10 +44,20 @@ class Dollars(click.ParamType):
 @click.option(
     "--runner", "runner_name", type=click.Choice(RUNNERS), help="where to measure; local for shapes of this host"
 )
-@click.option("--from", "recorded", type=click.Path(path_type=str), metavar="FILE",
-              help="what to replay: results (YAML) or a sweep (CSV with instance_type, latency_s)")  # fmt: skip
-@click.option("--pace", type=click.FloatRange(0), default=0.0, metavar="SECONDS",
-              help="replay: how long to wait for each recorded second")  # fmt: skip
+@click.option(
+    "--from",
+    "recorded",
+    type=click.Path(path_type=str),
+    metavar="FILE",
+    help="what to replay: results (YAML) or a sweep (CSV with instance_type, latency_s)",
+)
+@click.option(
+    "--pace",
+    type=click.FloatRange(0),
+    default=0.0,
+    metavar="SECONDS",
+    help="replay: how long to wait for each recorded second",
+)
 @click.option("--only", metavar="ID,…", default="", help="measure these samples, again if need be")
 @click.option("--at-once", type=click.IntRange(1), metavar="N", help="how many machines at the same time, at most")
 @click.option("--resume", is_flag=True, help="take down machines that another bench of this application left running")
@@ -58,10 +68,20 @@ class Dollars(click.ParamType):
 @PRIORS
 @click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="form of progress and answer")
 def command(
-    spec: str, runner_name: str | None, recorded: str | None, pace: float, only: str,
-    at_once: int | None, resume: bool, max_usd: float | None, yes: bool, dry_run: bool, catalog_path: str | None,
-    priors: Path | None, output: str,
-) -> None:  # fmt: skip
+    spec: str,
+    runner_name: str | None,
+    recorded: str | None,
+    pace: float,
+    only: str,
+    at_once: int | None,
+    resume: bool,
+    max_usd: float | None,
+    yes: bool,
+    dry_run: bool,
+    catalog_path: str | None,
+    priors: Path | None,
+    output: str,
+) -> None:
     """Measure what is not measured yet of SPEC, a spec or the name of an application in specs/.
 
     Goes on where an earlier bench stopped: finished samples are not measured again, machines that were left running

@@ -10,8 +10,13 @@ from fogspec.base.errors import UsageError
 
 @click.command()
 @click.argument("spec", required=False, type=click.Path(path_type=Path))
-@click.option("--from-launch", "launch", type=click.Path(path_type=str), metavar="FILE",
-              help="read nodes and constraints from this Python, XML or YAML launch file; it is not run")  # fmt: skip
+@click.option(
+    "--from-launch",
+    "launch",
+    type=click.Path(path_type=str),
+    metavar="FILE",
+    help="read nodes and constraints from this Python, XML or YAML launch file; it is not run",
+)
 @click.option("--name", help="name of the application; that of the file unless said otherwise")
 def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten."""

@@ -18,9 +18,13 @@ from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from
 @click.option("--check", is_flag=True, help="write nothing and ask no registry; exit 3 when the lock is not complete")
 @click.option("--upgrade", multiple=True, metavar="X", help="ask again for: catalog, an image as a spec names it, all")
 def command(
-    specs: tuple[str, ...], catalog_path: str | None, priors: Path | None, output: str, check: bool,
+    specs: tuple[str, ...],
+    catalog_path: str | None,
+    priors: Path | None,
+    output: str,
+    check: bool,
     upgrade: tuple[str, ...],
-) -> None:  # fmt: skip
+) -> None:
     """Write fogspec.lock: catalog, machine library, image digests, and digests of workspace and workload.
 
     SPECS are those in specs/.

@@ -24,9 +24,16 @@ from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named
 @OUTPUT
 @COLOR
 def command(
-    spec: str, alpha: float | None, latency: str | None, cost: str | None, name: str | None, catalog_path: str | None,
-    priors: Path | None, output: str, color: bool | None,
-) -> None:  # fmt: skip
+    spec: str,
+    alpha: float | None,
+    latency: str | None,
+    cost: str | None,
+    name: str | None,
+    catalog_path: str | None,
+    priors: Path | None,
+    output: str,
+    color: bool | None,
+) -> None:
     """Show the choices and the Pareto front of SPEC, a spec or the name of an application in specs/.
 
     Nothing is measured anew and nothing is written.

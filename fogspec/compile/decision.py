@@ -12,7 +12,7 @@ from fogspec.charts import menu_svg, model_svg
 from fogspec.choice.choose import Choice, choose
 from fogspec.choice.menu import Menu, make_menu
 from fogspec.choice.relaxed import Relaxed, chosen_by_relaxing, relaxed_optimum
-from fogspec.compile.deploy_files import deployable
+from fogspec.compile.deploy_files import Deployable, deployable
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.links import link_of
 from fogspec.compile.manifest import FileRef, Manifest, Sources, make_manifest
@@ -82,8 +82,31 @@ def decide(
     files |= _charts(application, choice, models, layout)
     manifest = None
     if choice.chosen is not None:
-        sources = _sources(inputs, application, choice, results, plan_digest, files)
-        manifest = make_manifest(application, choice, models, sources, warnings, selection.relaxed)
+        deployed = deployable(
+            application,
+            layout,
+            choice,
+            chosen=choice.chosen,
+            sent=inputs.agent,
+            files=files,
+        )
+        models_digest = digest.of_bytes(files[layout.models])
+        sources = _sources(
+            inputs,
+            application,
+            deployed,
+            plan_digest=plan_digest,
+            results_digest=results.integrity,
+            models_digest=models_digest,
+        )
+        manifest = make_manifest(
+            application,
+            choice,
+            models,
+            sources,
+            warnings=warnings,
+            relaxed=selection.relaxed,
+        )
         files[layout.manifest] = _yaml(manifest, layout)
     return Decision(
         models=models,
@@ -98,14 +121,14 @@ def decide(
 def _sources(
     inputs: Inputs,
     application: Application,
-    choice: Choice,
-    results: Results,
+    deployed: Deployable,
+    *,
     plan_digest: str,
-    files: dict[Path, bytes],
+    results_digest: str,
+    models_digest: str,
 ) -> Sources:
-    """Lay the files of the deployment into `files`, and refer to them and to what the choice was made from."""
+    """Return references to the inputs of a choice and to the files of its deployment."""
     layout, about = inputs.layout, inputs.catalog.about
-    deployed = deployable(application, layout, choice, inputs.agent, files)
     return Sources(
         application=ApplicationRef(
             path=inputs.source,
@@ -114,8 +137,8 @@ def _sources(
         ),
         catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
         plan=FileRef(path=layout.beside_manifest(layout.plan), digest=plan_digest),
-        results=FileRef(path=layout.relative(layout.results), digest=results.integrity),
-        models=FileRef(path=layout.beside_manifest(layout.models), digest=digest.of_bytes(files[layout.models])),
+        results=FileRef(path=layout.relative(layout.results), digest=results_digest),
+        models=FileRef(path=layout.beside_manifest(layout.models), digest=models_digest),
         task=deployed.task,
         robot_launch=deployed.robot_launch,
         robot_environment=deployed.robot_environment,

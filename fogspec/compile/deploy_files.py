@@ -33,11 +33,16 @@ class Deployable:
 
 
 def deployable(
-    application: Application, layout: Layout, choice: Choice, sent: Mapping[Path, bytes], files: dict[Path, bytes]
+    application: Application,
+    layout: Layout,
+    choice: Choice,
+    *,
+    chosen: int,
+    sent: Mapping[Path, bytes],
+    files: dict[Path, bytes],
 ) -> Deployable:
-    """Lay the files of a choice into `files`; `sent` are those that every machine gets."""
-    assert choice.chosen is not None
-    files[layout.deploy] = _task(application, layout, choice, choice.chosen)
+    """Add the files that deploy the machine in row `chosen` to `files`; `sent` are copied to every machine."""
+    files[layout.deploy] = _task(application, layout, choice, chosen)
     rows = fallback_rows(choice, application.spec.deployment.fallbacks)
     for number, row in enumerate(rows, 1):
         files[layout.fallback(number)] = _task(application, layout, choice, row)
@@ -48,11 +53,15 @@ def deployable(
         files[layout.robot] = text
         robot = reference(layout, layout.robot, text)
     return Deployable(
-        reference(layout, layout.deploy, files[layout.deploy]), robot,
-        link_of(application).end(application, "robot").environment,
-        [reference(layout, path, content) for path, content in sorted(sent.items())],
-        {row: reference(layout, layout.fallback(n), files[layout.fallback(n)]) for n, row in enumerate(rows, 1)},
-    )  # fmt: skip
+        task=reference(layout, layout.deploy, files[layout.deploy]),
+        robot_launch=robot,
+        robot_environment=link_of(application).end(application, "robot").environment,
+        files=[reference(layout, path, content) for path, content in sorted(sent.items())],
+        fallbacks={
+            row: reference(layout, layout.fallback(number), files[layout.fallback(number)])
+            for number, row in enumerate(rows, 1)
+        },
+    )
 
 
 def reference(layout: Layout, path: Path, content: bytes) -> TaskRef:
@@ -65,14 +74,23 @@ def _task(application: Application, layout: Layout, choice: Choice, row: int) ->
     ros: dict[str, Any] = ros_environment(spec)
     link = link_of_machine(application)
     run = render(
-        "run_deploy.sh.j2", **ros, processes=deployed_processes(application), listeners=listener(spec), link=link,
+        "run_deploy.sh.j2",
+        **ros,
+        processes=deployed_processes(application),
+        listeners=listener(spec),
+        link=link,
         ready=spec.deployment.ready,
-    )  # fmt: skip
+    )
     parts = [] if ros["distro"] is None else [render("setup_ros2.sh.j2", **ros)]
     parts += [render("setup_link.sh.j2", **link)] if link else []
     task = deploy_task(
-        application, choice.offers.machine(row), workdir=layout.relative(layout.spec.parent),
-        agent=layout.relative(layout.agent), setup="\n".join(parts) or None, run=run,
-        launch=layout.relative(layout.cloud) if spec.ros else None, link=layout.relative(layout.link) if link else None,
-    )  # fmt: skip
+        application,
+        choice.offers.machine(row),
+        workdir=layout.relative(layout.spec.parent),
+        agent=layout.relative(layout.agent),
+        setup="\n".join(parts) or None,
+        run=run,
+        launch=layout.relative(layout.cloud) if spec.ros else None,
+        link=layout.relative(layout.link) if link else None,
+    )
     return yaml_text(task, f"fogspec compile {source}", source).encode()

@@ -83,7 +83,7 @@ class Inputs:
         longer the locked one.
         """
         loaded = [one for one in load(specs) if name in (None, one.application.metadata.name)]
-        reader = _Reader(dict(known or {}), catalog, priors)
+        reader = _Reader(files=dict(known or {}), catalog_path=catalog, priors=priors)
         return [reader.inputs(one, audit) for one in loaded]
 
     @property
@@ -121,13 +121,14 @@ def catalogs_for(loaded: Sequence[LoadedSpec], path: str | None) -> tuple[list[C
 
     Raise as `Inputs.load`.
     """
-    reader, notes = _Reader({}, path, None), dict[str, None]()
+    reader = _Reader(files={}, catalog_path=path, priors=None)
+    notes: dict[str, None] = {}
     found = []
     for one in loaded:
         layout = Layout.of(one.path, one.application.metadata.name)
-        catalog, said = reader.catalog(one, layout, reader.pins(layout))
+        catalog, found_notes = reader.catalog(one, layout, reader.pins(layout))
         found.append(catalog)
-        notes |= dict.fromkeys(said)
+        notes |= dict.fromkeys(found_notes)
     return found, list(notes)
 
 
@@ -141,9 +142,9 @@ def located(origin: str, layout: Layout) -> str:
     return origin if origin in ("snapshot", "skypilot") else os.path.normpath(layout.root / origin)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Reader:
-    """Reads the files of one command, each once."""
+    """Read the files of one command, each once."""
 
     files: dict[Path, SourceFile]
     catalog_path: str | None

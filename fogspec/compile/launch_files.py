@@ -46,10 +46,14 @@ def robot_launch(application: Application, layout: Layout) -> bytes | None:
         "SetEnvironmentVariable": environment,
     }
     text = render(
-        "robot.launch.py.j2", **words, link=link.protocol is not None, environment=environment, together=False,
+        "robot.launch.py.j2",
+        **words,
+        link=link.protocol is not None,
+        environment=environment,
+        together=False,
         actions=[name for name, wanted in needed.items() if wanted],
         spec_folder=Path(os.path.relpath(layout.spec.parent, layout.compiled)).as_posix(),
-    )  # fmt: skip
+    )
     return text.encode()
 
 
@@ -57,10 +61,14 @@ def link_script(application: Application, layout: Layout) -> str:
     """Return what makes keys, takes the other end's public half and runs the link: the same text at both ends."""
     name = application.metadata.name
     return render(
-        "link.sh.j2", kind=link_of(application).name, name=name, source=layout.relative(layout.spec),
-        port=port_of(application), common_name={side: common_name(name, side) for side in SIDES},
+        "link.sh.j2",
+        kind=link_of(application).name,
+        name=name,
+        source=layout.relative(layout.spec),
+        port=port_of(application),
+        common_name={side: common_name(name, side) for side in SIDES},
         interface={side: interface(name, side) for side in SIDES},
-    )  # fmt: skip
+    )
 
 
 def link_of_machine(application: Application) -> dict[str, Any] | None:

@@ -52,8 +52,11 @@ def relock(
         image = _image(one.application, old, upgrade, ask)
         files = files_beside(one.application, one.layout)
         found[path][name] = Pins(
-            catalog=_catalog(one, old, upgrade), image=image, priors=one.priors or (old.priors if old else None), files=files
-        )  # fmt: skip
+            catalog=_catalog(one, old, upgrade),
+            image=image,
+            priors=one.priors or (old.priors if old else None),
+            files=files,
+        )
     return {path: Lock(spec=LockBody(applications=pins)) for path, pins in found.items()}
 
 

@@ -222,7 +222,7 @@ class Manifest(Strict):
     provenance: Provenance
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sources:
     """The files that a manifest is made from, and those that stand beside it."""
 
@@ -243,27 +243,33 @@ def make_manifest(
     choice: Choice,
     models: Models,
     sources: Sources,
+    *,
     warnings: list[str],
     relaxed: Relaxed | None = None,
 ) -> Manifest:
     """Return the manifest of the chosen machine, and where `relaxed` ends if elsewhere. Raise ValueError for no choice."""
-    if choice.chosen is None:
+    row = choice.chosen
+    if row is None:
         raise ValueError("there is no manifest without a choice")
-    entry = entry_of(choice, choice.chosen)
+    entry = entry_of(choice, row)
     return Manifest(
         metadata=PlanMetadata(name=application.metadata.name),
         spec=_pinned(application, entry, sources, choice),
-        expected=_expected(application, choice, entry),
+        expected=_expected(application, choice, row, entry),
         warnings=warnings,
-        alternatives=alternatives(choice),
+        alternatives=alternatives(choice, row),
         provenance=Provenance(
-            application=sources.application, catalog=sources.catalog, plan=sources.plan, results=sources.results,
-            models=_model_ref(models, entry, sources.models), method=application.spec.objective.method,
-            relaxed=None if relaxed is None or relaxed.row == choice.chosen else _paper_choice(choice, relaxed),
-            exhaustive=None if choice.best in (None, choice.chosen) else _best_of_all(choice, choice.best),
+            application=sources.application,
+            catalog=sources.catalog,
+            plan=sources.plan,
+            results=sources.results,
+            models=_model_ref(models, entry, sources.models),
+            method=application.spec.objective.method,
+            relaxed=None if relaxed is None or relaxed.row == row else _paper_choice(choice, relaxed),
+            exhaustive=None if choice.best in (None, row) else _best_of_all(choice, choice.best),
             builder=Builder(version=__version__),
         ),
-    )  # fmt: skip
+    )
 
 
 def _best_of_all(choice: Choice, row: int) -> BestOfAll:
@@ -274,87 +280,114 @@ def _best_of_all(choice: Choice, row: int) -> BestOfAll:
 def _paper_choice(choice: Choice, relaxed: Relaxed) -> PaperChoice:
     end = None if relaxed.row is None else entry_of(choice, relaxed.row)
     return PaperChoice(
-        cpus=rounded(relaxed.vcpus), memory=rounded(relaxed.memory_gib),
+        cpus=rounded(relaxed.vcpus),
+        memory=rounded(relaxed.memory_gib),
         rounded=str(choice.offers.instance[relaxed.rounded]),
-        instance=end and end.instance, infra=end and end.infra, objective=end and end.objective,
-    )  # fmt: skip
+        instance=end and end.instance,
+        infra=end and end.infra,
+        objective=end and end.objective,
+    )
 
 
 def _pinned(application: Application, entry: Entry, sources: Sources, choice: Choice) -> Pinned:
     spec = application.spec
     image = spec.ros.image if spec.ros else None
     return Pinned(
-        **dict(entry.machine), image=image,
+        **dict(entry.machine),
+        image=image,
         image_pinned=None if image is None else "@sha256:" in image,
-        cloud=spec.cloud, robot=spec.robot, connectivity=spec.connectivity,
-        task=sources.task, robot_launch=sources.robot_launch,
-        robot_environment=dict(sources.robot_environment), files=sources.files,
-        ready=spec.deployment.ready, ready_timeout=spec.deployment.ready_timeout,
+        cloud=spec.cloud,
+        robot=spec.robot,
+        connectivity=spec.connectivity,
+        task=sources.task,
+        robot_launch=sources.robot_launch,
+        robot_environment=dict(sources.robot_environment),
+        files=sources.files,
+        ready=spec.deployment.ready,
+        ready_timeout=spec.deployment.ready_timeout,
         fallbacks=[_fallback(entry_of(choice, row), task) for row, task in sources.fallbacks.items()],
-    )  # fmt: skip
+    )
 
 
 def _fallback(entry: Entry, task: TaskRef) -> Fallback:
     return Fallback(**dict(entry.machine), latency=entry.latency, cost=entry.cost, task=task)
 
 
-def _expected(application: Application, choice: Choice, entry: Entry) -> Expected:
-    spec, row = application.spec, choice.chosen
-    assert row is not None
+def _expected(application: Application, choice: Choice, row: int, entry: Entry) -> Expected:
+    spec = application.spec
     limit, objective = latency_limit_s(application), spec.objective
     probability = None if limit is None else choice.latency.probability_below(row, limit)
     metric = None
     if objective.metric:
         metric = ExpectedMetric(
-            name=objective.metric, predicted=entry.metrics[objective.metric],
-            limit=spec.constraints.metrics.get(objective.metric), unit=spec.metrics[objective.metric].unit,
-        )  # fmt: skip
+            name=objective.metric,
+            predicted=entry.metrics[objective.metric],
+            limit=spec.constraints.metrics.get(objective.metric),
+            unit=spec.metrics[objective.metric].unit,
+        )
     return Expected(
         limits=_limits(choice, row),
         latency=ExpectedLatency(
-            statistic=spec.constraints.statistic, predicted=entry.latency, interval=entry.interval, level=LEVEL,
-            limit=spec.constraints.latency, network_allowance=spec.constraints.network_allowance,
+            statistic=spec.constraints.statistic,
+            predicted=entry.latency,
+            interval=entry.interval,
+            level=LEVEL,
+            limit=spec.constraints.latency,
+            network_allowance=spec.constraints.network_allowance,
             probability_met=None if probability is None else round(probability, 3),
-            measured=entry.measured, extrapolated=entry.extrapolated,
+            measured=entry.measured,
+            extrapolated=entry.extrapolated,
         ),
         cost=ExpectedCost(
-            predicted=entry.cost, limit=spec.constraints.cost, billing=objective.billing, hour=entry.price,
+            predicted=entry.cost,
+            limit=spec.constraints.cost,
+            billing=objective.billing,
+            hour=entry.price,
             month=entry.month,
         ),
         metric=metric,
         objective=ExpectedObjective(
-            alpha=objective.alpha, words=weights(application), latency_weight=objective.alpha,
-            cost_weight=round(1 - objective.alpha, 12), scale=scale_texts(application, choice), value=entry.objective,
+            alpha=objective.alpha,
+            words=weights(application),
+            latency_weight=objective.alpha,
+            cost_weight=round(1 - objective.alpha, 12),
+            scale=scale_texts(application, choice),
+            value=entry.objective,
         ),
-    )  # fmt: skip
+    )
 
 
 def _limits(choice: Choice, row: int) -> ExpectedLimits:
     met = choice.probability(row)
     return ExpectedLimits(
-        confidence=choice.confidence, probability_met=None if met is None else round(met, 3),
-        meets_confidence=None if met is None else choice.meets_confidence, verified=bool(choice.latency.measured[row]),
-    )  # fmt: skip
+        confidence=choice.confidence,
+        probability_met=None if met is None else round(met, 3),
+        meets_confidence=None if met is None else choice.meets_confidence,
+        verified=bool(choice.latency.measured[row]),
+    )
 
 
-def alternatives(choice: Choice) -> list[Alternative]:
+def alternatives(choice: Choice, chosen: int) -> list[Alternative]:
     """Return the other named choices, the runner-up, and the nearest machine that a limit rules out."""
     found: list[Alternative] = []
     for role, row in shortlist(choice).items():
         entry = entry_of(choice, row)
-        found.append(Alternative(
-            role=role, infra=entry.infra, instance=entry.instance, latency=entry.latency, cost=entry.cost,
-            price=entry.price, why_not=entry.why_not or _lost_on(choice, row),
-        ))  # fmt: skip
+        found.append(
+            Alternative(
+                role=role,
+                infra=entry.infra,
+                instance=entry.instance,
+                latency=entry.latency,
+                cost=entry.cost,
+                price=entry.price,
+                why_not=entry.why_not or _lost_on(choice, row, chosen),
+            )
+        )
     return found
 
 
-def _lost_on(choice: Choice, row: int) -> str:
-    assert choice.chosen is not None
-    mine, best = (
-        rounded(float(choice.objective[row])),
-        rounded(float(choice.objective[choice.chosen])),
-    )
+def _lost_on(choice: Choice, row: int, chosen: int) -> str:
+    mine, best = (rounded(float(choice.objective[at])) for at in (row, chosen))
     if mine == best:
         return "equal objective; ties go by cost, latency, name"
     return f"objective {units.format_number(mine)} against {units.format_number(best)}"
@@ -362,15 +395,27 @@ def _lost_on(choice: Choice, row: int) -> str:
 
 def _model_ref(models: Models, entry: Entry, file: FileRef) -> ModelRef:
     body, model = models.spec, model_for(models, entry)
-    curve = None if model is None else CurveRef(
-        gpu=model.gpu, family=f"{model.cpu_family} + {model.memory_family}", formula=model.formula,
-        coefficients={k: rounded(v) for k, v in model.coefficients.items()}, n=model.n, p=model.p, r2=_maybe(model.r2),
-        loo_median_error=_maybe(model.loo_median_error), loo_max_error=_maybe(model.loo_max_error),
-    )  # fmt: skip
+    curve = None
+    if model is not None:
+        curve = CurveRef(
+            gpu=model.gpu,
+            family=f"{model.cpu_family} + {model.memory_family}",
+            formula=model.formula,
+            coefficients={k: rounded(v) for k, v in model.coefficients.items()},
+            n=model.n,
+            p=model.p,
+            r2=_maybe(model.r2),
+            loo_median_error=_maybe(model.loo_median_error),
+            loo_max_error=_maybe(model.loo_max_error),
+        )
     return ModelRef(
-        path=file.path, digest=file.digest, surrogate=None if body.measured_on_local else body.predictor.surrogate,
-        priors=body.predictor.priors, samples=len(body.observations), curve=curve,
-    )  # fmt: skip
+        path=file.path,
+        digest=file.digest,
+        surrogate=None if body.measured_on_local else body.predictor.surrogate,
+        priors=body.predictor.priors,
+        samples=len(body.observations),
+        curve=curve,
+    )
 
 
 def model_for(models: Models, entry: Entry) -> Model | None:

@@ -74,9 +74,15 @@ def as_text(one: Diagnostic, color: bool = False) -> str:
 def as_data(one: Diagnostic) -> dict[str, Any]:
     """Return the diagnostic as JSON has it; lines and columns count from 1."""
     return {
-        "severity": one.severity, "code": one.code, "message": one.message, "fix": one.fix, "path": one.span.path,
-        "line": one.span.line, "column": one.span.column, "width": one.span.width,
-    }  # fmt: skip
+        "severity": one.severity,
+        "code": one.code,
+        "message": one.message,
+        "fix": one.fix,
+        "path": one.span.path,
+        "line": one.span.line,
+        "column": one.span.column,
+        "width": one.span.width,
+    }
 
 
 def annotation(one: Diagnostic) -> str:

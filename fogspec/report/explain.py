@@ -82,28 +82,22 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
     decision = compiled.decision
     analysis = Analysis.of(compiled, decision, refits_of(compiled, decision))
     choice, menu = decision.choice, decision.menu.spec.model_dump(mode="json")
-    most_probable = choice.most_probable
     return {
         **found,
         **{key: menu[key] for key in ("objective", "balanced", "cheapest", "fastest", "nearest", "missed", "warnings")},
         "confidence": choice.confidence,
         "probability_met": None if choice.chosen is None else choice.probability(choice.chosen),
         "sure": choice.meets_confidence,
-        "likeliest": None if most_probable is None else {
-            "instance": str(choice.offers.instance[most_probable]), "probability_met": choice.probability(most_probable)
-        },
+        "likeliest": _likeliest_dict(choice),
         "limits": [_slack_dict(b) for b in analysis.bindings],
         "samples": [asdict(one) for one in analysis.influences],
         "weak": [
             {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in widest_intervals(choice)
         ],
-        "next_sample": None if analysis.next is None else {
-            "infra": choice.offers.infra(analysis.next.row), "instance": str(choice.offers.instance[analysis.next.row]),
-            "gain": analysis.next.gain, "probability_better": analysis.next.probability_better, "usd": analysis.next.usd,
-        },
+        "next_sample": None if analysis.next is None else _next_sample_dict(choice, analysis.next),
         "models": [model.model_dump(mode="json") for model in decision.models.spec.models],
         "alternatives": [] if decision.manifest is None else decision.manifest.model_dump(mode="json")["alternatives"],
-    }  # fmt: skip
+    }
 
 
 def refits_of(compiled: Artifacts, decision: Decision) -> Refits:
@@ -111,12 +105,33 @@ def refits_of(compiled: Artifacts, decision: Decision) -> Refits:
     return Refits(decision.predicted.space, decision.models, targets(compiled.application))
 
 
+def _likeliest_dict(choice: Choice) -> dict[str, Any] | None:
+    row = choice.most_probable
+    if row is None:
+        return None
+    return {"instance": str(choice.offers.instance[row]), "probability_met": choice.probability(row)}
+
+
+def _next_sample_dict(choice: Choice, sample: NextSample) -> dict[str, Any]:
+    return {
+        "infra": choice.offers.infra(sample.row),
+        "instance": str(choice.offers.instance[sample.row]),
+        "gain": sample.gain,
+        "probability_better": sample.probability_better,
+        "usd": sample.usd,
+    }
+
+
 def _slack_dict(b: Slack) -> dict[str, Any]:
     return {
-        "limit": b.limit, "bound": limit_text(b.limit, b.bound), "value": limit_text(b.limit, b.value),
-        "needs": limit_text(b.limit, b.required), "rules_out_alone": b.rules_out_alone, "changes_to": b.changes_to,
+        "limit": b.limit,
+        "bound": limit_text(b.limit, b.bound),
+        "value": limit_text(b.limit, b.value),
+        "needs": limit_text(b.limit, b.required),
+        "rules_out_alone": b.rules_out_alone,
+        "changes_to": b.changes_to,
         "changes_at": None if b.changes_at is None else limit_text(b.limit, b.changes_at),
-    }  # fmt: skip
+    }
 
 
 def _why(choice: Choice, scale: dict[str, str]) -> list[str]:

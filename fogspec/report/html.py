@@ -39,17 +39,29 @@ def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
     samples = planned_table(compiled.plan) if results is None else measured_table(results)
     there = {"menu": data is not None, "why": chosen is not None, "models": chosen is not None}
     return render(
-        "report.html.j2", name=compiled.layout.name, lead=_lead(compiled), version=__version__, command=command,
+        "report.html.j2",
+        name=compiled.layout.name,
+        lead=_lead(compiled),
+        version=__version__,
+        command=command,
         warnings=chosen.menu.spec.warnings if chosen else [compiled.stale] if compiled.stale else [],
         sections=[(id, words) for id, words in SECTIONS.items() if there.get(id, True)],
-        data=None if data is None else _json(data), script=script,
+        data=None if data is None else _json(data),
+        script=script,
         script_digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        menu_picture=_image(compiled, compiled.layout.picture), latency_picture=_image(compiled, compiled.layout.latencies),
-        menu_note="" if data is None else _menu_note(data), x_words=_x_words(compiled),
-        explanation=explain(compiled, refits) if chosen is not None else "", funnel=_funnel(compiled), samples=samples,
-        models=_models(compiled, refits), costs=_costs(compiled), provenance=_flat("", _provenance(compiled)),
-        source=compiled.layout.relative(compiled.layout.spec), spec_text=_text(compiled.inputs.spec_content),
-    ).encode()  # fmt: skip
+        menu_picture=_image(compiled, compiled.layout.picture),
+        latency_picture=_image(compiled, compiled.layout.latencies),
+        menu_note="" if data is None else _menu_note(data),
+        x_words=_x_words(compiled),
+        explanation=explain(compiled, refits) if chosen is not None else "",
+        funnel=_funnel(compiled),
+        samples=samples,
+        models=_models(compiled, refits),
+        costs=_costs(compiled),
+        provenance=_flat("", _provenance(compiled)),
+        source=compiled.layout.relative(compiled.layout.spec),
+        spec_text=_text(compiled.inputs.spec_content),
+    ).encode()
 
 
 def _lead(compiled: Artifacts) -> str:

@@ -93,10 +93,18 @@ def _table(entries: list[Entry]) -> list[str]:
     for e in entries:
         gpu = f" {e.gpu.count:g}x{e.gpu.name}" if e.gpu else ""
         remark = "measured" if e.measured else "extrapolated" if e.extrapolated else ""
-        rows.append((
-            e.instance + (" spot" if e.spot else "") + gpu, e.infra, f"{e.cpus:g}", units.format_memory(e.memory),
-            units.format_price(e.price), units.format_duration(e.latency), units.format_cost(e.cost), remark,
-        ))  # fmt: skip
+        rows.append(
+            (
+                e.instance + (" spot" if e.spot else "") + gpu,
+                e.infra,
+                f"{e.cpus:g}",
+                units.format_memory(e.memory),
+                units.format_price(e.price),
+                units.format_duration(e.latency),
+                units.format_cost(e.cost),
+                remark,
+            )
+        )
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return [
         "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows

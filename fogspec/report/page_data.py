@@ -36,17 +36,27 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
     rows = types if len(types) <= MOST else undominated(choice, needed, types)
     offers = choice.offers
     metric, given = spec.objective.metric, spec.objective.scale
-    fixed = {name: (values, choice.bounds[name]) for name, values in choice.values.items()
-             if name not in ("latency", "cost", "rate")}  # fmt: skip
+    fixed = {
+        name: (values, choice.bounds[name])
+        for name, values in choice.values.items()
+        if name not in ("latency", "cost", "rate")
+    }
     low, high = _ends(choice, rows, metric)
     return {
-        "name": application.metadata.name, "alpha": spec.objective.alpha, "statistic": spec.constraints.statistic,
-        "metric": metric, "unit": (spec.metrics[metric].unit or "") if metric else "s", "level": LEVEL,
+        "name": application.metadata.name,
+        "alpha": spec.objective.alpha,
+        "statistic": spec.constraints.statistic,
+        "metric": metric,
+        "unit": (spec.metrics[metric].unit or "") if metric else "s",
+        "level": LEVEL,
         "limits": {"latency": spec.constraints.latency, "cost": spec.constraints.cost},
         "network": spec.constraints.network_allowance,
-        "confidence": choice.confidence, "floors": list(choice.rule.levels),
-        "probabilities": choice.latency.posterior is not None, "adaptive": spec.benchmark.sampler == "adaptive",
-        "tie": TIE, "relaxed": spec.objective.method == "relaxed",
+        "confidence": choice.confidence,
+        "floors": list(choice.rule.levels),
+        "probabilities": choice.latency.posterior is not None,
+        "adaptive": spec.benchmark.sampler == "adaptive",
+        "tie": TIE,
+        "relaxed": spec.objective.method == "relaxed",
         "scale": {
             "x": (given.metric or spec.constraints.metrics.get(metric)) if metric else given.latency,
             "cost": given.cost,
@@ -54,27 +64,38 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
             "best_cost": best_attainable(choice.cost_usd_per_request, choice.eligible),
         },
         "costs": {
-            "transfer": costs.transfer_usd, "requests_per_s": costs.requests_per_s,
+            "transfer": costs.transfer_usd,
+            "requests_per_s": costs.requests_per_s,
             "interruptions_per_s": costs.interruptions_per_s,
         },
-        "admissible": len(offers), "types": len(types), "complete": len(rows) == len(types),
+        "admissible": len(offers),
+        "types": len(types),
+        "complete": len(rows) == len(types),
         "fixed": [
             {"name": name, "bound": bound, "value": _numbers(values[rows]), "needs": _numbers(needs[name][rows])}
             for name, (values, bound) in fixed.items()
         ],
         "offers": {
-            "row": rows.tolist(), "name": offers.instance[rows].tolist(),
+            "row": rows.tolist(),
+            "name": offers.instance[rows].tolist(),
             "infra": [offers.infra(row) for row in rows],
-            "spot": offers.spot[rows].astype(int).tolist(), "measured": choice.latency.measured[rows].astype(int).tolist(),
-            "vcpus": offers.vcpus[rows].tolist(), "memory": offers.memory_gib[rows].tolist(),
+            "spot": offers.spot[rows].astype(int).tolist(),
+            "measured": choice.latency.measured[rows].astype(int).tolist(),
+            "vcpus": offers.vcpus[rows].tolist(),
+            "memory": offers.memory_gib[rows].tolist(),
             "gpu": [f"{offers.gpu_count[row]:g} {offers.gpu[row]}" if offers.gpu[row] else "" for row in rows],
-            "price": offers.price_usd_per_hour[rows].tolist(), "usd_per_s": costs.usd_per_s[rows].tolist(),
-            "x": choice.metric_value[rows].tolist(), "latency": choice.latency.value[rows].tolist(),
-            "cost": choice.cost_usd_per_request[rows].tolist(), "low": low, "high": high,
-            "needed": [_numbers(column[rows]) for column in needed], "needs": _numbers(choice.lenient_latency_s[rows]),
+            "price": offers.price_usd_per_hour[rows].tolist(),
+            "usd_per_s": costs.usd_per_s[rows].tolist(),
+            "x": choice.metric_value[rows].tolist(),
+            "latency": choice.latency.value[rows].tolist(),
+            "cost": choice.cost_usd_per_request[rows].tolist(),
+            "low": low,
+            "high": high,
+            "needed": [_numbers(column[rows]) for column in needed],
+            "needs": _numbers(choice.lenient_latency_s[rows]),
         },
         "faint": _faint(choice, types, rows),
-    }  # fmt: skip
+    }
 
 
 def _needed(choice: Choice) -> list[Floats]:
@@ -108,9 +129,17 @@ def _keys(choice: Choice, rows: Rows) -> list[tuple[object, ...]]:
 def undominated(choice: Choice, needed: list[Floats], rows: Rows) -> Rows:
     """Return the rows that no other equals or beats in everything that a choice depends on, ties included."""
     measured = choice.latency.measured[rows]
-    columns = [choice.metric_value, choice.latency.value, choice.cost_usd_per_request, choice.rule.costs.usd_per_s,
-               choice.offers.price_usd_per_hour, *needed, choice.lenient_latency_s, *choice.values.values(),
-               *choice.required(choice.rule.levels[-1]).values()]  # fmt: skip
+    columns = [
+        choice.metric_value,
+        choice.latency.value,
+        choice.cost_usd_per_request,
+        choice.rule.costs.usd_per_s,
+        choice.offers.price_usd_per_hour,
+        *needed,
+        choice.lenient_latency_s,
+        *choice.values.values(),
+        *choice.required(choice.rule.levels[-1]).values(),
+    ]
     table = np.column_stack([column[rows] for column in columns])
     names = choice.offers.instance[rows].tolist()
     order = sorted(range(len(rows)), key=lambda i: (*table[i, [2, 1]].tolist(), names[i], int(rows[i])))

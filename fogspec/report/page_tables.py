@@ -16,6 +16,11 @@ from fogspec.numerics import families
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import Measured, Results
 
+MEASURED_HEADS = (
+    "machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "state", "requests", "mean", "sd", "p50", "p95", "p99",
+    "metrics", "took", "spent",
+)  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class Table:
@@ -37,16 +42,16 @@ def planned_table(plan: Plan) -> Table:
 
 def measured_table(results: Results) -> Table:
     """Return what was measured."""
-    heads = ("machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "state", "requests", "mean", "sd", "p50", "p95",
-             "p99", "metrics", "took", "spent")  # fmt: skip
     source = f"; {results.spec.source}" if results.spec.source else ""
     rows = [_measured(one) for one in results.spec.samples]
     numbers = (2, 3, 5, 7, 8, 9, 10, 11, 12, 14, 15)
-    used = [at for at in range(len(heads)) if any(row[at] for row in rows)]
+    used = [at for at in range(len(MEASURED_HEADS)) if any(row[at] for row in rows)]
     return Table(
-        f"Runner: {results.spec.runner}{source}", tuple(heads[at] for at in used),
-        [tuple(row[at] for at in used) for row in rows], tuple(i for i, at in enumerate(used) if at in numbers),
-    )  # fmt: skip
+        f"Runner: {results.spec.runner}{source}",
+        tuple(MEASURED_HEADS[at] for at in used),
+        [tuple(row[at] for at in used) for row in rows],
+        tuple(i for i, at in enumerate(used) if at in numbers),
+    )
 
 
 def _shape(machine: Machine) -> tuple[str, str, str, str]:
@@ -60,10 +65,16 @@ def _measured(one: Measured) -> tuple[str, ...]:
     times = (latency.mean, latency.sd, latency.p50, latency.p95, latency.p99) if latency else (None,) * 5
     metrics = ", ".join(f"{name} {rounded(value):g}" for name, value in one.metrics.items())
     return (
-        one.machine.instance + (" spot" if one.machine.spot else ""), one.machine.infra, *_shape(one.machine),
-        f"{one.state} ({why})" if why else one.state, str(one.requests), *(_time(value) for value in times), metrics,
-        units.format_duration(rounded(one.duration)), units.format_money(one.spent),
-    )  # fmt: skip
+        one.machine.instance + (" spot" if one.machine.spot else ""),
+        one.machine.infra,
+        *_shape(one.machine),
+        f"{one.state} ({why})" if why else one.state,
+        str(one.requests),
+        *(_time(value) for value in times),
+        metrics,
+        units.format_duration(rounded(one.duration)),
+        units.format_money(one.spent),
+    )
 
 
 def _time(seconds: float | None) -> str:
@@ -74,12 +85,16 @@ def curve_rows(models: Models) -> list[tuple[str, ...]]:
     """Return the curves, one a GPU type and target."""
     return [
         (
-            model.target + (f" with {model.gpu}" if model.gpu else ""), model.formula,
-            ", ".join(f"{name} = {rounded(value):g}" for name, value in model.coefficients.items()), str(model.n),
-            "" if model.r2 is None else f"{model.r2:.4f}", _share(model.loo_median_error), _share(model.loo_max_error),
+            model.target + (f" with {model.gpu}" if model.gpu else ""),
+            model.formula,
+            ", ".join(f"{name} = {rounded(value):g}" for name, value in model.coefficients.items()),
+            str(model.n),
+            "" if model.r2 is None else f"{model.r2:.4f}",
+            _share(model.loo_median_error),
+            _share(model.loo_max_error),
         )
         for model in models.spec.models
-    ]  # fmt: skip
+    ]
 
 
 def residual_rows(models: Models, refits: Refits) -> Sequence[tuple[str, ...]]:

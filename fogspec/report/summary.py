@@ -117,10 +117,12 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         "removed": sorted(str(path) for path in compiled.removed),
         "samples": len(body.samples),
         "estimate_usd": {
-            "measuring": body.estimate.measuring, "setup": body.estimate.setup, "total": body.estimate.total
+            "measuring": body.estimate.measuring,
+            "setup": body.estimate.setup,
+            "total": body.estimate.total,
         },
         "budget_usd": body.budget,
         "stale": compiled.stale,
         "menu": None if chosen is None else chosen.menu.spec.model_dump(mode="json"),
         "manifest": None if chosen is None or chosen.manifest is None else str(layout.manifest),
-    }  # fmt: skip
+    }

@@ -12,9 +12,13 @@ from fogspec.spec.schema import Application, Node
 # What every node of ROS 2 does besides: its log, its parameters, the clock.
 OF_EVERY_NODE = {"publish": ("rosout", "parameter_events"), "subscribe": ("parameter_events", "clock")}
 SERVICES_OF_EVERY_NODE = (
-    "describe_parameters", "get_parameter_types", "get_parameters", "list_parameters", "set_parameters",
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
     "set_parameters_atomically",
-)  # fmt: skip
+)
 
 
 def policy(application: Application) -> str:

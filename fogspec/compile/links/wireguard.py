@@ -80,28 +80,30 @@ def fast_dds(only: Sequence[str]) -> str:
     """
     interfaces = [f"        <address>{address}</address>" for address in only]
     listed = ["      <interfaceWhiteList>", *interfaces, "      </interfaceWhiteList>"] if only else []
-    return "\n".join([
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        '<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">',
-        "  <transport_descriptors>",
-        "    <transport_descriptor>",
-        "      <transport_id>udp</transport_id>",
-        "      <type>UDPv4</type>",
-        f"      <sendBufferSize>{BUFFER_BYTES}</sendBufferSize>",
-        f"      <receiveBufferSize>{BUFFER_BYTES}</receiveBufferSize>",
-        f"      <maxMessageSize>{FRAGMENT_BYTES}</maxMessageSize>",
-        *listed,
-        "    </transport_descriptor>",
-        "  </transport_descriptors>",
-        '  <participant profile_name="fogspec" is_default_profile="true">',
-        "    <rtps>",
-        "      <userTransports><transport_id>udp</transport_id></userTransports>",
-        "      <useBuiltinTransports>false</useBuiltinTransports>",
-        "    </rtps>",
-        "  </participant>",
-        "</profiles>",
-        "",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            '<?xml version="1.0" encoding="UTF-8"?>',
+            '<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">',
+            "  <transport_descriptors>",
+            "    <transport_descriptor>",
+            "      <transport_id>udp</transport_id>",
+            "      <type>UDPv4</type>",
+            f"      <sendBufferSize>{BUFFER_BYTES}</sendBufferSize>",
+            f"      <receiveBufferSize>{BUFFER_BYTES}</receiveBufferSize>",
+            f"      <maxMessageSize>{FRAGMENT_BYTES}</maxMessageSize>",
+            *listed,
+            "    </transport_descriptor>",
+            "  </transport_descriptors>",
+            '  <participant profile_name="fogspec" is_default_profile="true">',
+            "    <rtps>",
+            "      <userTransports><transport_id>udp</transport_id></userTransports>",
+            "      <useBuiltinTransports>false</useBuiltinTransports>",
+            "    </rtps>",
+            "  </participant>",
+            "</profiles>",
+            "",
+        ]
+    )
 
 
 def addresses(name: str) -> tuple[ipaddress.IPv4Address, ipaddress.IPv4Address]:

@@ -72,32 +72,42 @@ def router(application: Application, side: Literal["cloud", "robot"], port: int)
         "scouting": {"multicast": {"enabled": False}},
         "timestamping": {"enabled": True},
         "queries_default_timeout": 600000,
-        "transport": {"link": {"tls": {
-            "enable_mtls": True,
-            # The only certificate that is trusted is the other end's own: its key is its name, and the machine's
-            # address is not known when the certificate is made.
-            "verify_name_on_connect": False,
-            "root_ca_certificate": "@PEER@",
-            "listen_private_key": "@KEYS@/private.key", "listen_certificate": "@KEYS@/public.pem",
-            "connect_private_key": "@KEYS@/private.key", "connect_certificate": "@KEYS@/public.pem",
-        }}},
+        "transport": {
+            "link": {
+                "tls": {
+                    "enable_mtls": True,
+                    # The only certificate that is trusted is the other end's own: its key is its name, and the machine's
+                    # address is not known when the certificate is made.
+                    "verify_name_on_connect": False,
+                    "root_ca_certificate": "@PEER@",
+                    "listen_private_key": "@KEYS@/private.key",
+                    "listen_certificate": "@KEYS@/public.pem",
+                    "connect_private_key": "@KEYS@/private.key",
+                    "connect_certificate": "@KEYS@/public.pem",
+                }
+            }
+        },
         "access_control": access(application.metadata.name, peer, exposed(application.spec)),
-    }  # fmt: skip
+    }
 
 
 def access(name: str, peer: str, passing: AllowedNames) -> dict[str, Any]:
     """Default deny; nodes of this end, on loopback, may say everything, the other end only what is named."""
     everything = {
-        "id": "everything", "permission": "allow", "messages": [*DATA, *CALLS, *GRAPH],
+        "id": "everything",
+        "permission": "allow",
+        "messages": [*DATA, *CALLS, *GRAPH],
         "key_exprs": ["**", "@ros2_lv/**", "**/@adv/**"],
-    }  # fmt: skip
+    }
     graph = {"id": "graph", "permission": "allow", "messages": GRAPH, "key_exprs": ["@ros2_lv/**"]}
     rules = [everything, graph]
     for kind, messages, keys in _rules(passing):
         if keys:
             rules.append({"id": kind, "permission": "allow", "messages": messages, "key_exprs": keys})
     return {
-        "enabled": True, "default_permission": "deny", "rules": rules,
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
         "subjects": [
             {"id": "here", "interfaces": ["lo"], "link_protocols": ["tcp"]},
             {"id": peer, "link_protocols": ["tls"], "cert_common_names": [common_name(name, peer)]},
@@ -106,7 +116,7 @@ def access(name: str, peer: str, passing: AllowedNames) -> dict[str, Any]:
             {"rules": ["everything"], "subjects": ["here"]},
             {"rules": [rule["id"] for rule in rules[1:]], "subjects": [peer]},
         ],
-    }  # fmt: skip
+    }
 
 
 def _rules(passing: AllowedNames) -> Iterator[tuple[str, list[str], list[str]]]:
