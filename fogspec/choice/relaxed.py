@@ -100,7 +100,8 @@ def relax(
         metric_value = metrics[rule.metric] if rule.metric else latency_s
         return here.objective(metric_value, here.costs.per_request(latency_s), scale)
 
-    typical_s = float(np.median(np.abs(surfaces["latency"](vcpus, memory_gib)))) or 1.0
+    # Not np.median, whose first call imports numpy.ma.
+    typical_s = float(np.sort(np.abs(surfaces["latency"](vcpus, memory_gib)))[len(vcpus) // 2]) or 1.0
 
     def slack(c: Floats, m: Floats) -> Floats:
         here, latency_s, metrics = at(c, m)

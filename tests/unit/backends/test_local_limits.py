@@ -75,7 +75,8 @@ if child == 0:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     time.sleep(600)
 print(child, "ready", flush=True)
-time.sleep(600)
+while True:  # Python runs a handler between two sleeps: one that comes right before a long sleep would wait for its end.
+    time.sleep(0.05)
 """
     started, log = run(tmp_path, script)
     while "ready" not in (log.read_text() if log.exists() else ""):
