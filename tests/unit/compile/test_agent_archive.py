@@ -18,6 +18,14 @@ from tests.support.agent import AGENT
 from tests.support.running import Shell, project, shell  # noqa: F401
 
 BUILD = "import sys; from fogspec.compile.agent_archive import agent_archive; sys.stdout.buffer.write(agent_archive())"
+# Builds it without installed packages: the modules that need any are replaced.
+BUILD_ALONE = f"""
+import sys, types
+sys.modules["fogspec.spec"] = types.ModuleType("fogspec.spec")
+sys.modules["fogspec.spec.probe"] = types.ModuleType("fogspec.spec.probe")
+sys.modules["fogspec.spec.probe"].PACKAGE = {PACKAGE!r}
+{BUILD}
+"""
 PROGRAMS = ("sample", "supervisor", "topics", "preload", "bag", "player")
 
 
@@ -38,6 +46,27 @@ def test_two_builds_give_the_same_bytes(tmp_path: Path) -> None:
             subprocess.run(words, cwd=copy, env=environment, umask=umask, capture_output=True, check=True).stdout
         )
     assert builds[0] == builds[1] == archive.agent_archive()
+
+
+def python(version: str) -> str | None:
+    """Return an interpreter of this version, from PATH or pyenv."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
+    for path in (shutil.which(f"python{version}"), *pyenv.glob(f"versions/{version}.*/bin/python")):
+        # A shim of pyenv may be on PATH for a version that is not active.
+        if path and subprocess.run([path, "-c", ""], capture_output=True, check=False).returncode == 0:
+            return str(path)
+    return None
+
+
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13"])
+def test_every_python_version_gives_the_same_bytes(tmp_path: Path, version: str) -> None:
+    other = python(version)
+    if other is None:
+        pytest.skip(f"needs Python {version}")
+    words = [other, "-B", "-S", "-c", BUILD_ALONE]
+    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT)}
+    built = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, check=True).stdout
+    assert built == archive.agent_archive()
 
 
 def test_every_source_is_in_it_and_nothing_else() -> None:
