@@ -7,6 +7,7 @@ from ruamel.yaml import YAML
 from fogspec.backends.protocol import Costs
 from fogspec.backends.replay import ReplaySamples
 from fogspec.base.errors import InvalidInput
+from fogspec.catalog import sources
 from tests.support.running import CATALOG, Ended, Shell, project, shell  # noqa: F401
 
 SWEEP = "instance_type,latency_s\na.small,2\na.large,0.8\nb.small,2\nb.large,0.8\nb.huge,0.3\na.huge,0.3\n"
@@ -21,7 +22,7 @@ def paid(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Shell:
     def none(*_: object) -> None:
         raise InvalidInput("no SkyPilot here")
 
-    monkeypatch.setattr("fogspec.cli.options.load_catalog", _Shop(none))
+    monkeypatch.setattr(sources, "load_catalog", _Shop(none))
     project(shell)
     shell.write("sweep.csv", SWEEP)
     return shell
@@ -31,9 +32,7 @@ class _Shop:
     """`load_catalog` without SkyPilot's own catalogs."""
 
     def __init__(self, none):
-        from fogspec.cli import options
-
-        self._none, self._real = none, options.load_catalog
+        self._none, self._real = none, sources.load_catalog
 
     def __call__(self, origin, clouds):
         return self._none() if origin == "skypilot" else self._real(origin, clouds)
