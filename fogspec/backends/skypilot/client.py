@@ -59,11 +59,10 @@ class Client:
         with self._lock:
             process = self._started()
             self._calls[number] = (process, call)
-            try:
+            # A worker that has ended takes no request: its listener, which waits for the lock, then fails the call with the
+            # reason that the worker printed.
+            with contextlib.suppress(OSError):
                 print(json.dumps({"id": number, "op": op, "arguments": arguments}), file=process.stdin, flush=True)
-            except OSError:
-                del self._calls[number]
-                call.set_exception(Unreachable("SkyPilot's worker has ended"))
         return call
 
     def call(self, op: str, timeout_s: float, **arguments: Any) -> Any:
