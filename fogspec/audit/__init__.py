@@ -1,1 +1,1 @@
-"""A change told to whoever approves it, and the chain behind a manifest recomputed and attested."""
+"""Report changes to reviewers, and recompute and attest the chain behind a manifest."""

@@ -1,8 +1,8 @@
-"""A manifest's provenance as an in-toto Statement (v1) with SLSA's provenance predicate (v1).
+"""Build a manifest's provenance as an in-toto Statement (v1) with SLSA's provenance predicate (v1).
 
 Specifications: in-toto Attestation Framework v1, https://github.com/in-toto/attestation/tree/main/spec/v1, and SLSA
 v1.0 Provenance, https://slsa.dev/spec/v1.0/provenance. The statement depends on the files alone: it has no clock, host
-or user, so that whoever makes it from the same files gets the same bytes.
+or user, so that the same files always give the same bytes.
 """
 
 import json
@@ -21,13 +21,13 @@ from fogspec.spec.lockfile import image_of, is_pinned
 
 STATEMENT = "https://in-toto.io/Statement/v1"
 PREDICATE = "https://slsa.dev/provenance/v1"
-# A type of build is named by a URI; a tag URI (RFC 4151) needs no web page to stand behind it.
+# A build type is a URI; a tag URI (RFC 4151) does not require a web page.
 BUILD = "tag:fogspec.dev,2026:compile/v1"
 BUILDER = "tag:fogspec.dev,2026:fogspec"
 
 
 def statement(opened: ManifestBundle) -> dict[str, Any]:
-    """Return the statement; raise OutOfDate when the chain behind the manifest does not hold: nothing else may be attested."""
+    """Return the statement. Raise OutOfDate if the chain behind the manifest is broken, because it must not be attested."""
     links = verify(opened)
     if broken := [link for link in links if link.breaks]:
         raise OutOfDate(
@@ -55,12 +55,12 @@ def statement(opened: ManifestBundle) -> dict[str, Any]:
 
 
 def text(data: dict[str, Any]) -> str:
-    """Return the statement's bytes: JSON with sorted keys."""
+    """Return the statement as JSON with sorted keys."""
     return json.dumps(data, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
 
 
 def subjects(opened: ManifestBundle) -> list[dict[str, Any]]:
-    """Return what is attested: the manifest and every file that is approved with it, by path from the folder of specs' root."""
+    """Return the attested files: the manifest and all files approved with it, by path relative to the root of the project."""
     layout = opened.layout
     found = [(layout.manifest, opened.digest)]
     found += [(layout.compiled / one.path, one.digest) for one in references(opened.manifest)]
@@ -68,9 +68,9 @@ def subjects(opened: ManifestBundle) -> list[dict[str, Any]]:
 
 
 def materials(opened: ManifestBundle) -> list[dict[str, Any]]:
-    """Return what it was made from: spec, lock, plan, results with their raw timings, models, catalog, and a pinned image.
+    """Return the inputs of the manifest: spec, lock, plan, results with raw timings, models, catalog, and a pinned image.
 
-    Digests are of the files' bytes, which any tool can check; annotated is fogspec's own digest, of what is read of them.
+    Digests are over the files' bytes, which any tool can check; annotations have fogspec's digests over the parsed content.
     """
     layout, named, inputs = opened.layout, opened.manifest.provenance, opened.inputs
     found = [
@@ -98,7 +98,7 @@ def materials(opened: ManifestBundle) -> list[dict[str, Any]]:
 
 
 def _timings(inputs: Inputs) -> Iterator[dict[str, Any]]:
-    """Yield the files of raw timings; those that a record names were compared with its digest."""
+    """Yield the files of raw timings; `verify` has compared those that a record names with its digest."""
     layout = inputs.layout
     records = inputs.results.spec.samples if inputs.results is not None else []
     known = {layout.results.parent / one.timings.path: one.timings.digest for one in records if one.timings}
@@ -121,19 +121,19 @@ def _digest(text: str) -> dict[str, str]:
 
 
 def check(opened: ManifestBundle, data: Any) -> Check:
-    """Return whether a statement attests this manifest as it is now."""
+    """Check that a statement attests this manifest in its current state."""
     now = {one["name"]: one["digest"] for one in subjects(opened)}
     if not isinstance(data, dict) or (data.get("_type"), data.get("predicateType")) != (STATEMENT, PREDICATE):
         return Check("attestation", "", ("it is no in-toto Statement v1 with SLSA provenance v1",))
     listed = data.get("subject")
-    said = (
+    attested = (
         {one.get("name"): one.get("digest") for one in listed if isinstance(one, dict)}
         if isinstance(listed, list)
         else {}
     )
     breaks = [
-        f"it does not attest {name}" if name not in said else f"{name} is not what was attested"
+        f"it does not attest {name}" if name not in attested else f"{name} is not what was attested"
         for name, value in now.items()
-        if said.get(name) != value
+        if attested.get(name) != value
     ]
     return Check("attestation", f"{len(now)} files", tuple(breaks))

@@ -1,4 +1,4 @@
-"""Two documents compared field by field."""
+"""Compare two documents field by field."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ LONGEST = 80
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One field that differs; None stands for a field that is not there, or is null."""
+    """One field that differs; None stands for a missing or null field."""
 
     field: str
     before: Any
@@ -20,7 +20,7 @@ class Change:
 
     @property
     def is_digest(self) -> bool:
-        """Whether it says no more than that something else differs."""
+        """True for a digest, which only reflects that other content differs."""
         return any(isinstance(one, str) and one.startswith("sha256:") for one in (self.before, self.after))
 
 
@@ -36,9 +36,9 @@ def changes(before: Any, after: Any, at: str = "") -> Iterator[Change]:
 
 
 def changes_in_file(file: SourceFile, content: bytes) -> list[Change]:
-    """Return the fields in which a YAML file on disk differs from the content that it should have.
+    """Return the fields in which a YAML file on disk differs from its expected content.
 
-    Digests only if nothing else differs; one change of the whole if the file is damaged.
+    Include digests only if nothing else differs. A damaged file is a single change of the whole document.
     """
     after = SourceFile(file.name, content).plain()
     try:
@@ -50,12 +50,12 @@ def changes_in_file(file: SourceFile, content: bytes) -> list[Change]:
 
 
 def change_text(change: Change) -> str:
-    """`expected.latency.limit: 2s -> 1s`."""
+    """Format a change, such as `expected.latency.limit: 2s -> 1s`."""
     return f"{change.field}: {short(change.before)} -> {short(change.after)}".removeprefix(": ")
 
 
 def short(value: Any) -> str:
-    """Return a value in a few words."""
+    """Format a value, truncated to `LONGEST` characters."""
     if value is None:
         return "none"
     if isinstance(value, Mapping):
@@ -66,7 +66,7 @@ def short(value: Any) -> str:
 
 
 def _is_table(value: Any) -> bool:
-    """Return whether it is a list of machines or of files, which are compared by name, whatever their order."""
+    """Return True for a list of machines or files, which are compared by name in any order."""
     return isinstance(value, list) and bool(value) and all(isinstance(one, Mapping) and _name(one) for one in value)
 
 
@@ -75,7 +75,7 @@ def _by_name(table: list[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _name(one: Mapping[str, Any]) -> str:
-    """Return what a machine or a file in a list is called; nothing for anything else."""
+    """Return the name of a machine or file in a list; an empty string for other items."""
     if "instance" in one:
         return f"{one['instance']} in {one.get('infra', '')}{' spot' if one.get('spot') else ''}"
     return str(one["path"]) if one.keys() == {"path", "digest"} else ""

@@ -1,6 +1,6 @@
-"""What is committed against what compile would write now: field by field, what it costs, and why it changed.
+"""Compare the committed manifest with a recompiled one: fields, costs, and the reasons of the changes.
 
-A difference is rendered as text, as data for programs, and as Markdown for a pull request.
+A difference is rendered as text, as JSON, and as Markdown for a pull request.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,11 +33,11 @@ NAMES = {"price": "machine", "month": "a month", "request": "a request", "latenc
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """One application's manifest before and after; None for one that is not there.
+    """An application's manifest before and after; None stands for a missing manifest.
 
-    `costs` has what changed of price, month, request and latency: (before, after, difference in words). `why` names
-    what changed of the inputs, `to_measure` the samples that a benchmark would have to measure first, for at most
-    `measuring_usd`; `refused` says why nothing can be compiled.
+    `costs` has the changes in price, month, request and latency as (before, after, relative change). `why` lists the
+    changed inputs, `to_measure` the samples that must be measured first, for at most `measuring_usd`. `refused` is the
+    reason why nothing can be compiled.
     """
 
     layout: Layout
@@ -52,12 +52,12 @@ class Difference:
 
     @property
     def differs(self) -> bool:
-        """Whether anything would be written that is not there."""
+        """True if compile would write something that is not on disk."""
         return bool(self.changes or self.why or self.refused)
 
 
 def difference(status: Status) -> Difference:
-    """Return the committed manifest against the one that compile would write now."""
+    """Compare the committed manifest with the one that compile would write now."""
     inputs, compiled = status.inputs, status.artifacts
     secrets = inputs.application.spec.secrets
     before = redacted(committed_manifest(inputs), secrets)
@@ -85,7 +85,7 @@ def difference(status: Status) -> Difference:
 
 
 def committed_manifest(inputs: Inputs) -> Mapping[str, Any] | None:
-    """Return the manifest on disk as plain values, None if there is none; damaged, it has one field that says so."""
+    """Return the manifest on disk as plain values, None if it is missing; see `manifest_in` for a damaged one."""
     file = inputs.on_disk.get(inputs.layout.manifest)
     return None if file is None else manifest_in(file)
 
@@ -96,7 +96,7 @@ def read_manifest(layout: Layout) -> Mapping[str, Any] | None:
 
 
 def manifest_in(file: SourceFile) -> Mapping[str, Any]:
-    """Return the manifest in a file; damaged, it has one field that says so."""
+    """Return the manifest in a file as plain values; a damaged one has the single field `damaged`, with the error."""
     try:
         found = file.plain()
     except DiagnosticError as problems:
@@ -105,20 +105,20 @@ def manifest_in(file: SourceFile) -> Mapping[str, Any]:
 
 
 def _manifest_now(compiled: Artifacts) -> Mapping[str, Any] | None:
-    """Return the manifest that compile would write, as a reader of the file would see it."""
+    """Return the manifest that compile would write, as plain values; None if there is none."""
     if compiled.decision is None or compiled.decision.manifest is None:
         return None
     return compiled.decision.manifest.model_dump(mode="json")
 
 
 def significant(found: Iterator[Change]) -> list[Change]:
-    """Return the changes that say something: digests only where nothing else differs."""
+    """Return the significant changes, with digests only if nothing else differs."""
     every = list(found)
     return [one for one in every if not one.is_digest and ".field_digests." not in one.field] or every
 
 
 def costs(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -> dict[str, tuple[str, str, str]]:
-    """Return what changed of price, month, request and latency: before, after, and the difference in words."""
+    """Return the changes in price, month, request and latency: before, after, and relative change."""
     found = {}
     for name, steps in COSTS.items():
         was, now = _at(before, steps), _at(after, steps)
@@ -136,7 +136,7 @@ def _at(document: Mapping[str, Any] | None, steps: tuple[str, ...]) -> str | Non
 
 
 def _relative(was: str, now: str) -> str:
-    """`+12 %`, of two quantities in the same words."""
+    """Format the relative change between two quantities, such as `+12%`; empty if they are not comparable."""
     numbers = []
     for text in (was, now):
         value = _number(text)
@@ -148,7 +148,7 @@ def _relative(was: str, now: str) -> str:
 
 
 def _number(text: str) -> float | None:
-    """Return a duration, price or cost in base units; None for what is none of these."""
+    """Return a duration, price or cost in base units; None for any other text."""
     for parse in (units.parse_duration_s, units.parse_price_usd_per_hour, units.parse_cost_usd_per_request):
         try:
             return parse(text)
@@ -161,7 +161,7 @@ def _number(text: str) -> float | None:
 
 
 def _why(status: Status, manifest: Mapping[str, Any] | None) -> Iterator[str]:
-    """Yield which input changed, stage by stage, from the first that is not fresh."""
+    """Yield the changed inputs, by stage, from the first stage that is not fresh."""
     for stage in status.stages:
         if stage.name in ("plan", "results") and (stage.state != "fresh" or stage.notes):
             yield from (f"{stage.name}: {text}" for text in (*stage.reasons, *stage.notes))
@@ -170,7 +170,7 @@ def _why(status: Status, manifest: Mapping[str, Any] | None) -> Iterator[str]:
 
 
 def _changed_inputs(inputs: Inputs, manifest: Mapping[str, Any] | None) -> Iterator[str]:
-    """Yield which of the inputs that a manifest names are others now."""
+    """Yield the inputs of a manifest that have changed since."""
     named = manifest.get("provenance") if manifest else None
     if not isinstance(named, Mapping):
         yield "there is no manifest yet"
@@ -204,7 +204,7 @@ def _no_manifest(compiled: Artifacts) -> str | None:
 
 
 def measuring_text(one: Difference) -> str:
-    """Return whether a benchmark is needed, and which samples it would measure."""
+    """Return the samples that a benchmark would measure and their cost, or that none is needed."""
     if not one.to_measure:
         return "no benchmark needed: everything that counts is measured"
     count = len(one.to_measure)
@@ -214,7 +214,7 @@ def measuring_text(one: Difference) -> str:
 
 
 def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
-    """Return the difference in lines; `running` is what differs between what runs and the manifest."""
+    """Return the difference as text; `running` are the changes from the manifest to the deployed state."""
     lines = [f"{one.layout.name}: {headline(one)}"]
     lines += [f"  {change.field}: {short(change.before)} -> {short(change.after)}" for change in one.changes]
     lines += [f"  cost: {line}" for line in _cost_lines(one)]
@@ -228,7 +228,7 @@ def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
 
 
 def headline(one: Difference) -> str:
-    """Return what would happen, in one line."""
+    """Return a one-line summary of the difference."""
     if one.refused and one.after is None:
         return f"cannot be compiled to a manifest now: {one.refused}"
     if one.before is None:
@@ -252,7 +252,7 @@ def _cost_lines(one: Difference) -> Iterator[str]:
 
 
 def as_dict(one: Difference, running: Sequence[Change] | None = None) -> dict[str, Any]:
-    """Return the same as data."""
+    """Return the difference as a dict for JSON."""
     return {
         "name": one.layout.name,
         "differs": one.differs,
@@ -271,7 +271,7 @@ def _change(change: Change) -> dict[str, Any]:
 
 
 def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
-    """Return the same as Markdown, for a pull request."""
+    """Return the difference as Markdown, for a pull request."""
     lines = [f"### {one.layout.name}: {escaped(headline(one))}", ""]
     if one.costs:
         lines += ["| | before | after | |", "|--|--|--|--|"]
@@ -301,8 +301,8 @@ def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
 
 
 def escaped(words: str) -> str:
-    """Text that Markdown shows as it is, in a table too."""
-    cleaned = "".join(one if one.isprintable() else " " for one in words)
+    """Escape text for Markdown, including tables."""
+    cleaned = "".join(letter if letter.isprintable() else " " for letter in words)
     for character in "\\`*_[]<>|":
         cleaned = cleaned.replace(character, f"\\{character}")
     return cleaned

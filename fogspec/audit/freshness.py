@@ -1,7 +1,7 @@
-"""Which stage of an application is fresh, which is stale, and why, field by field. Nothing is read or written.
+"""Determine which stages of an application are fresh or stale, and why, without reading or writing files.
 
-There is one rule for all commands: a stage is fresh if its files on disk are what compile would write now. What each stage
-reads of the spec is declared on the spec's fields (`fogspec.spec.fingerprints`), so that a change elsewhere leaves it fresh.
+All commands use one rule: a stage is fresh if its files on disk are what compile would write now. The fields of the spec
+that a stage reads are declared in the schema (`fogspec.spec.fingerprints`), so that other changes leave it fresh.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,7 +29,7 @@ NAMED = 6
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stage: its file, its state, and why; `notes` say what changed and does not matter to it."""
+    """A stage with its file, state and reasons; `notes` list changes that do not affect the state."""
 
     name: str
     path: Path
@@ -42,8 +42,8 @@ class Stage:
 class Status:
     """All stages of an application.
 
-    `refused` says why nothing can be compiled now; otherwise there are `artifacts`. `to_measure` counts the samples that cost
-    money, `differing` are the files that are not what compile would write.
+    `refused` is the reason why nothing can be compiled; otherwise there are `artifacts`. `to_measure` counts the samples
+    that are still to be measured. `differing` are the files that differ from what compile would write.
     """
 
     inputs: Inputs
@@ -55,32 +55,32 @@ class Status:
 
     @property
     def layout(self) -> Layout:
-        """Where the application's files are."""
+        """The paths of the application's files."""
         return self.inputs.layout
 
     @property
     def spent_usd(self) -> float:
-        """What measuring has cost so far."""
+        """The amount spent on measuring so far, in USD."""
         return self.inputs.results.spec.spent if self.inputs.results else 0.0
 
     @property
     def budget_usd(self) -> float | None:
-        """What measuring may cost."""
+        """The budget for measuring in USD; None without one."""
         return self.inputs.application.spec.benchmark.budget
 
     @property
     def current(self) -> bool:
-        """Whether the files on disk are what compile would write, and the files beside the spec as the lock says."""
+        """True if the files on disk are what compile would write, and the files next to the spec match the lock."""
         return self.refused is None and not self.differing and not self.inputs.drifted
 
     @property
     def fresh(self) -> bool:
-        """Whether that is so and everything is measured: every stage is fresh."""
+        """True if the files are current and every stage is fresh, so that nothing is left to measure."""
         return self.current and all(stage.state == "fresh" for stage in self.stages)
 
 
 def status(inputs: Inputs, compiled: Artifacts | FogspecError) -> Status:
-    """Return how things stand with one application, from its inputs and what compiling them gives, or why it is refused."""
+    """Return the status of an application from its inputs and their compilation, or the error that refused it."""
     if isinstance(compiled, FogspecError):
         return Status(inputs=inputs, refused=compiled.message)
     differing = compiled.compare()
@@ -121,7 +121,7 @@ def _plan(compiled: Artifacts, differing: Sequence[Path]) -> Stage:
 
 
 def _plan_reasons(compiled: Artifacts, was: PlanBody, drifted: Sequence[str]) -> list[str]:
-    """Return why the plan on disk is not what compile would write, what must be measured again first."""
+    """Return why the plan on disk differs from a compiled one; reasons to measure again come first."""
     inputs, now = compiled.inputs, compiled.plan.spec
     application = inputs.application
     reasons = [*changed_reads(was.application.field_digests, application), *_changed_pins(was.pins, now.pins), *drifted]
@@ -144,14 +144,14 @@ def _plan_reasons(compiled: Artifacts, was: PlanBody, drifted: Sequence[str]) ->
 
 
 def _samples(body: PlanBody, other_catalog: bool) -> dict[str, TaskRef | None]:
-    """Samples and their tasks; under another catalog tasks differ in their prices, which is no reason to measure again."""
+    """Return the samples and their tasks; no tasks for another catalog, whose prices are no reason to measure again."""
     return {sample.id: None if other_catalog else sample.task for sample in body.samples}
 
 
 def changed_reads(before: Mapping[str, str] | None, application: Application) -> list[str]:
-    """Return which fields of the spec that measuring reads changed since these digests were taken."""
+    """Return the spec fields read by measuring that changed since these digests were computed."""
     now = fingerprints.measured_fields(application)
-    changed = (name for name, one in now.items() if (before or {}).get(name) != one)
+    changed = (name for name, value in now.items() if (before or {}).get(name) != value)
     return [f"{fingerprints.field_of_measured(name)} changed" for name in changed]
 
 
@@ -184,7 +184,7 @@ def _results(compiled: Artifacts) -> Stage:
 
 
 def _changed_since(inputs: Inputs, results: Results) -> list[str]:
-    """Return what changed since results were measured that do not count any more."""
+    """Return the changes since stale results were measured."""
     application = inputs.application
     pins = pins_of_measurement(application, inputs.pins)
     others = [f"{name} is locked to something else" for name in fingerprints.changed_pins(results.spec.pins, pins)]
@@ -195,7 +195,7 @@ def _changed_since(inputs: Inputs, results: Results) -> list[str]:
 
 
 def _derived(compiled: Artifacts, differing: Sequence[Path], measured: Stage) -> Iterator[Stage]:
-    """Yield the stages that follow from results."""
+    """Yield the stages that depend on the results."""
     layout = compiled.layout
     paths = {"models": layout.models, "menu": layout.menu, "manifest": layout.manifest}
     for name, path in paths.items():

@@ -1,4 +1,4 @@
-"""What git knows of a file: its content at another commit."""
+"""Read files at other commits of a git repository."""
 
 import os
 import subprocess
@@ -8,10 +8,10 @@ from fogspec.base.errors import UsageError
 
 
 class Repository:
-    """The git repository that the working directory is in."""
+    """The git repository that contains the working directory."""
 
     def __init__(self) -> None:
-        """Raise UsageError where the working directory is in no repository, or git does not want to look at it."""
+        """Find the repository. Raise UsageError if there is none, or git refuses to read it."""
         try:
             self.top = Path(self._run("rev-parse", "--show-toplevel").decode().strip())
         except UsageError as failed:
@@ -23,9 +23,9 @@ class Repository:
             ) from None
 
     def base_of(self, range_: str) -> str:
-        """Return the commit that a change starts from: of `BASE..HEAD` or `BASE`, where it and the checked-out commit part.
+        """Return the commit that a change starts from: the merge base of BASE in `BASE..HEAD` or `BASE` and the checkout.
 
-        Raise UsageError for a commit that is not here, or a HEAD that is not the one checked out.
+        Raise UsageError for a missing commit, or a HEAD that is not checked out.
         """
         base, dots, head = range_.partition("..")
         if dots and (head := head.lstrip(".")) and self._commit(head) != self._commit("HEAD"):
@@ -37,7 +37,7 @@ class Repository:
             return commit
 
     def at(self, commit: str, path: Path) -> bytes | None:
-        """Return the file's content at a commit, None where it was not there."""
+        """Return the content of a file at a commit, None if it did not exist."""
         inside = Path(os.path.relpath(path.absolute(), self.top)).as_posix()
         try:
             return self._run("show", f"{commit}:{inside}")
@@ -45,7 +45,7 @@ class Repository:
             return None
 
     def paths(self, commit: str) -> list[Path]:
-        """Return every file at a commit below the working directory, from here."""
+        """Return the files at a commit below the working directory, as relative paths."""
         return [
             Path(os.fsdecode(name))
             for name in self._run("ls-tree", "-r", "-z", "--name-only", commit).split(b"\0")[:-1]
@@ -66,5 +66,5 @@ class Repository:
         except OSError as problem:
             raise UsageError(f"git cannot be started: {problem.strerror}") from None
         except subprocess.CalledProcessError as failed:
-            said = failed.stderr.decode("utf-8", "replace").strip() or f"exit code {failed.returncode}"
-            raise UsageError(f"git {words[0]}: {said.splitlines()[0]}") from None
+            report = failed.stderr.decode("utf-8", "replace").strip() or f"exit code {failed.returncode}"
+            raise UsageError(f"git {words[0]}: {report.splitlines()[0]}") from None

@@ -1,4 +1,4 @@
-"""A change of manifests for whoever reviews a pull request: the choice, what it costs, why, and whether it is fresh."""
+"""Describe a change of manifests for reviewers of a pull request: the choice, its cost, reasons and freshness."""
 
 import itertools
 import os
@@ -36,32 +36,32 @@ INPUTS = {
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """One application: its manifest at the base and now, and how fresh everything is."""
+    """An application's manifest at the base and now, and its status."""
 
     difference: Difference
     status: Status
 
     @property
     def fresh(self) -> bool:
-        """Whether what is committed follows from its inputs."""
+        """True if all stages are fresh."""
         return self.status.fresh
 
     @property
     def touched(self) -> bool:
-        """Whether there is anything to look at."""
+        """True if there is something to review."""
         return bool(self.difference.changes) or not self.fresh
 
 
 @dataclass(frozen=True, slots=True)
 class Removed:
-    """An application that is no longer there, and the manifest that it had."""
+    """A removed application and its last manifest."""
 
     name: str
     manifest: Mapping[str, Any]
 
 
 def review(status: Status, repository: Repository, commit: str) -> Review:
-    """Return the manifest as committed at `commit` against the one on disk."""
+    """Compare the manifest at `commit` with the one on disk."""
     inputs, layout = status.inputs, status.layout
     secrets = inputs.application.spec.secrets
     now, content = inputs.on_disk.get(layout.manifest), repository.at(commit, layout.manifest)
@@ -84,7 +84,10 @@ def review(status: Status, repository: Repository, commit: str) -> Review:
 
 
 def removed(repository: Repository, commit: str, names: Collection[str]) -> list[Removed]:
-    """Applications that had a manifest at `commit`, and have neither a manifest nor a spec any more; `names` have one."""
+    """Return the applications that had a manifest at `commit` and have neither a manifest nor a spec now.
+
+    `names` are the applications that have a spec.
+    """
     gone = [
         path
         for path in repository.paths(commit)
@@ -95,7 +98,7 @@ def removed(repository: Repository, commit: str, names: Collection[str]) -> list
 
 
 def _inputs(every: Sequence[Change]) -> Iterator[str]:
-    """Yield which inputs the two manifests were made from differ, from what they say of their provenance."""
+    """Yield the inputs that differ between two manifests, from the changes in their provenance."""
     for change in every:
         steps = change.field.split(".")
         if steps[0] != "provenance" or len(steps) < 2:
@@ -111,7 +114,7 @@ def _inputs(every: Sequence[Change]) -> Iterator[str]:
 
 
 def markdown(reviews: Sequence[Review], gone: Sequence[Removed], picture_base: str | None) -> str:
-    """Return the comment: applications that changed or are not fresh in full, the others by name; and those that are gone."""
+    """Return the comment: changed or stale applications in full, removed ones, and the names of the others."""
     touched = [one for one in reviews if one.touched]
     lines = [MARK, "## fogspec: what this change deploys", ""]
     for one in touched:
@@ -157,14 +160,14 @@ def _headline(one: Review) -> str:
 
 
 def _removal(one: Removed) -> list[str]:
-    """Return what is no longer deployed; merging ends nothing that runs."""
+    """Return the section about a removed application; merging terminates no machine."""
     lines = [f"### {escaped(one.name)}: no longer deployed", ""]
     lines += [f"- {escaped(text)}" for text in itertools.islice(_choice(one.manifest), 1)]
     return [*lines, f"- what runs of it goes on: `fogspec down {escaped(one.name)}` ends it, before the files are gone"]
 
 
 def _warnings(difference: Difference) -> list[str]:
-    """New ones in full; those that were there before are folded away."""
+    """Return the warnings: new ones in full, earlier ones folded."""
     was, now = ((document or {}).get("warnings") or [] for document in (difference.before, difference.after))
     lines = [f"- **warning**: {escaped(str(text))}" for text in now if text not in was]
     if old := [f"- {escaped(str(text))}" for text in now if text in was]:
@@ -173,7 +176,7 @@ def _warnings(difference: Difference) -> list[str]:
 
 
 def _choice(manifest: Mapping[str, Any] | None) -> Iterator[str]:
-    """Yield what runs and what is expected of it, from the manifest."""
+    """Yield the machine and the expected latency and cost in a manifest."""
     if manifest is None or not isinstance(manifest.get("spec"), Mapping):
         return
     spec, latency = manifest["spec"], _part(manifest, "expected", "latency")

@@ -1,6 +1,6 @@
-"""Signing statements: DSSE envelopes (https://github.com/secure-systems-lab/dsse) with a key in a PEM file.
+"""Sign statements in DSSE envelopes (https://github.com/secure-systems-lab/dsse) with a key in a PEM file.
 
-The cryptography is securesystemslib's: `pip install 'fogspec[attest]'`.
+securesystemslib implements the cryptography: `pip install 'fogspec[attest]'`.
 """
 
 import json
@@ -17,9 +17,9 @@ INSTALL = "pip install 'fogspec[attest]'"
 
 
 class _Library(NamedTuple):
-    """Modules that are only there with the extra.
+    """Modules of the `attest` extra.
 
-    `wrong` are what they raise for keys that cannot be used, `unsound` for envelopes that are none or not signed.
+    `wrong` are their exceptions for unusable keys, `unsound` those for malformed or unsigned envelopes.
     """
 
     dsse: Any
@@ -30,7 +30,7 @@ class _Library(NamedTuple):
 
 
 def sign(text: str, key: str) -> str:
-    """Return the statement in an envelope signed with the private key, as JSON; raise InvalidInput for a key that is none."""
+    """Return the statement in a signed envelope, as JSON. Raise InvalidInput for a file that is not a private key."""
     library, content = _library(), _read(key)
     try:
         private = library.keys.load_pem_private_key(content, None)
@@ -42,7 +42,10 @@ def sign(text: str, key: str) -> str:
 
 
 def check_signed(opened: ManifestBundle, path: str, key: str) -> Check:
-    """Return whether the envelope at `path` is signed with the key and attests the manifest as it is now."""
+    """Check that the envelope at `path` is signed with the key and attests the manifest in its current state.
+
+    Raise InvalidInput for a file that cannot be read or is not a public key.
+    """
     library, content = _library(), _read(key)
     try:
         public = library.signer.SSlibKey.from_crypto(library.keys.load_pem_public_key(content))

@@ -1,4 +1,4 @@
-"""A status in words, and as data."""
+"""Render a status as text and as JSON."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from fogspec.base.units import dollars, rounded
 
 
 def as_text(one: Status, running: Sequence[str] = ()) -> str:
-    """Return the status as text, each stage with its reasons; `running` are lines about what runs."""
+    """Return the status as text, each stage with its reasons; `running` are lines about the deployment."""
     lines = [one.layout.name]
     for stage in one.stages:
         lines.append(f"  {stage.name:<9} {stage.state:<8} {stage.path}")
@@ -22,7 +22,7 @@ def as_text(one: Status, running: Sequence[str] = ()) -> str:
 
 
 def interval_text(ends_s: tuple[float, float] | None) -> str:
-    """` [1.58s, 1.72s]`; nothing for no interval."""
+    """Format an interval, such as ` [1.58s, 1.72s]`; an empty string for None."""
     return "" if ends_s is None else f" [{', '.join(units.format_duration(rounded(end)) for end in ends_s)}]"
 
 
@@ -36,7 +36,7 @@ def _next(one: Status) -> list[str]:
 
 
 def as_dict(one: Status) -> dict[str, Any]:
-    """Return the same as data."""
+    """Return the status as a dict for JSON."""
     return {
         "name": one.layout.name,
         "stages": [

@@ -1,6 +1,6 @@
-"""Recomputing the chain behind a manifest: every link from the spec to the pinned machine, byte for byte.
+"""Recompute the chain behind a manifest: every link from the spec to the pinned machine, byte for byte.
 
-Each link is checked by itself, so that what is said is where the chain breaks, not only that it does.
+Each link is checked separately, so that the report locates the break.
 """
 
 import io
@@ -30,7 +30,7 @@ SHOWN = 8
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One link of the chain: what was compared, and how it breaks; `notes` are worth knowing and break nothing."""
+    """A link of the chain: the compared files, and how they break it; `notes` do not break the link."""
 
     name: str
     what: str
@@ -39,12 +39,12 @@ class Check:
 
     @property
     def state(self) -> Literal["holds", "breaks"]:
-        """In one word."""
+        """The result in one word."""
         return "breaks" if self.breaks else "holds"
 
 
 def verify(opened: ManifestBundle) -> list[Check]:
-    """Return every link of the chain of one manifest, from what was written to what will run."""
+    """Check every link of the chain of a manifest, from the spec to the deployed files."""
     layout, results = opened.layout, opened.inputs.results
     named = opened.manifest.provenance
     links = [_spec(opened), _catalog(opened), _beside(opened)]
@@ -96,7 +96,7 @@ def _catalog(opened: ManifestBundle) -> Check:
 
 
 def _beside(opened: ManifestBundle) -> Check:
-    """Files and folders that the spec names, and that the lock pins."""
+    """Check the files and directories that the spec names and the lock pins."""
     layout, inputs = opened.layout, opened.inputs
     if inputs.pins is None:
         return Check(
@@ -128,7 +128,7 @@ def _results(opened: ManifestBundle, compiled: Artifacts, results: Results | Non
 
 
 def _timings(opened: ManifestBundle, results: Results) -> Check:
-    """Raw timings: as they were recorded, and the records follow from them."""
+    """Check that the raw timings are unmodified and that the records follow from them."""
     layout = opened.layout
     rules = RecordRules.of(opened.loaded.application)
     kept = [(record, record.timings.path) for record in results.spec.samples if record.timings is not None]
@@ -140,7 +140,7 @@ def _timings(opened: ManifestBundle, results: Results) -> Check:
 
 
 def _record(record: Measured, folder: Path, timings: str, rules: RecordRules) -> Iterator[str]:
-    """Yield how a record differs from its raw timings, a file relative to `folder`."""
+    """Yield the differences between a record and its raw timings, a file relative to `folder`."""
     path = folder / timings
     try:
         content = raw_timings(record, folder)
@@ -159,7 +159,7 @@ def _record(record: Measured, folder: Path, timings: str, rules: RecordRules) ->
 
 
 def _same(was: Any, found: Any) -> bool:
-    """Equal, numbers to nine digits: sums may be taken in another order by another version."""
+    """Compare values, numbers to nine digits: another version may sum in another order."""
     if isinstance(was, LatencySummary) and isinstance(found, LatencySummary):
         return all(_same(getattr(was, name), getattr(found, name)) for name in LatencySummary.model_fields)
     if isinstance(was, float) and isinstance(found, float):
@@ -195,7 +195,7 @@ def _builder(opened: ManifestBundle) -> tuple[str, ...]:
 
 
 def _deployment(opened: ManifestBundle, compiled: Artifacts) -> Check:
-    """Return what will run: the task, what stays on the robot, and what is sent along."""
+    """Check the deployed files: tasks, launch files, and files sent to the machine."""
     layout = opened.layout
     derived = {
         layout.manifest,
@@ -211,7 +211,7 @@ def _deployment(opened: ManifestBundle, compiled: Artifacts) -> Check:
 
 
 def remedy(opened: ManifestBundle, broken: Check) -> str:
-    """Return what to do about a link that breaks."""
+    """Return the commands that repair a broken link."""
     layout = opened.layout
     if broken.name in ("results", "timings"):
         return f"put back what was measured (git checkout {layout.results.parent}), or measure it: fogspec bench {layout.spec}"
@@ -222,7 +222,7 @@ def remedy(opened: ManifestBundle, broken: Check) -> str:
 
 
 def as_text(opened: ManifestBundle, links: list[Check]) -> str:
-    """Return the links as text, each with how it breaks."""
+    """Return the links as text, each with its breaks and notes."""
     lines = [f"{opened.layout.manifest}  {opened.digest}"]
     for link in links:
         lines.append(f"  {link.name:<10} {link.state:<6} {link.what}".rstrip())
@@ -231,7 +231,7 @@ def as_text(opened: ManifestBundle, links: list[Check]) -> str:
 
 
 def as_dict(opened: ManifestBundle, links: list[Check]) -> dict[str, Any]:
-    """Return the same as data."""
+    """Return the links as a dict for JSON."""
     return {
         "manifest": str(opened.layout.manifest),
         "digest": opened.digest,

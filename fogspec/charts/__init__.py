@@ -1,4 +1,4 @@
-"""Pictures: pure functions of their arguments that give the same bytes for the same data.
+"""Draw charts: pure functions of their arguments that return the same bytes for the same data.
 
-SVG without script that follows the reader's light or dark setting and is legible at 600 px, and plain characters.
+Charts are SVG without scripts, which follows the light or dark setting and is legible at 600 px, or plain characters.
 """

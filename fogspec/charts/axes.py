@@ -1,4 +1,4 @@
-"""Logarithmic axes, their ticks, and how values are written on them."""
+"""Place values on logarithmic axes, and format ticks and values."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,21 +20,21 @@ class Axis:
     end: float
 
     def at(self, value: float) -> float:
-        """Where a positive value is drawn."""
+        """Return the position of a positive value, in px."""
         return self.place(math.log10(value))
 
     def place(self, log: float) -> float:
-        """Where a logarithm is drawn."""
-        share = (log - self.low) / (self.high - self.low)
-        return round(self.start + share * (self.end - self.start), 1)
+        """Return the position of a logarithm to the base 10, in px."""
+        fraction = (log - self.low) / (self.high - self.low)
+        return round(self.start + fraction * (self.end - self.start), 1)
 
     def clipped(self, value: float) -> float:
-        """Where a value is drawn, at the frame's edge if it lies outside."""
+        """Return the position of a positive value in px, at the edge of the frame if it lies outside."""
         low, high = sorted((self.start, self.end))
         return min(max(self.at(value), low), high)
 
     def ticks(self, words: Callable[[float], str], room: Callable[[str], float]) -> list[tuple[float, str]]:
-        """Place and text of round values, thinned until neighbours have the room that their texts need."""
+        """Return the positions and texts of round values, thinned until adjacent texts do not overlap."""
         found: list[tuple[float, str]] = []
         for stride in range(1, 20):
             for steps in STEPS if stride == 1 else STEPS[-1:]:
@@ -44,13 +44,13 @@ class Axis:
                 ]
                 found = [(self.at(value), words(value)) for value in values]
                 gaps = ((b[0] - a[0], room(a[1]), room(b[1])) for a, b in pairwise(found))
-                if all(abs(gap) >= (one + other) / 2 for gap, one, other in gaps):
+                if all(abs(gap) >= (left + right) / 2 for gap, left, right in gaps):
                     return found
         return found[:1]
 
 
 def axis(values: Sequence[float], start: float, end: float) -> Axis:
-    """An axis that shows these positive values with some air; one value alone is in the middle."""
+    """Return an axis that shows these positive values with a margin; a single value is in the middle."""
     logs = [math.log10(value) for value in values]
     low, high = min(logs), max(logs)
     pad = max(0.07 * (high - low), (LEAST_SPAN - (high - low)) / 2, 0.03)
@@ -58,29 +58,29 @@ def axis(values: Sequence[float], start: float, end: float) -> Axis:
 
 
 def wide(text: str) -> float:
-    """About how many px a text needs on a horizontal axis."""
+    """Estimate the width of a text on a horizontal axis, in px."""
     return CHARACTER * len(text) + 12
 
 
 def tall(_text: str) -> float:
-    """How many px a line of text needs on a vertical axis."""
+    """Return the height of a line of text on a vertical axis, in px."""
     return 18.0
 
 
 def seconds(value: float) -> str:
-    """`12 ms` or `1.5 s`."""
+    """Format a duration, such as `12 ms` or `1.5 s`."""
     if value < 0.0009995:
         return f"{value * 1e6:.3g} µs"
     return f"{value * 1000:.3g} ms" if value < 0.9995 else f"{value:.4g} s"
 
 
 def number(value: float) -> str:
-    """`12.5`, for measures whose unit is the application's."""
+    """Format the value of an application's metric, such as `12.5`."""
     return f"{value:.4g}"
 
 
 def requests_unit(costs: Sequence[float]) -> tuple[float, str]:
-    """How many requests' cost is shown, so that the figures are short: factor and words."""
+    """Return the number of requests whose cost has short figures, and its name."""
     middle = sorted(costs)[len(costs) // 2]
     for factor, words in ((1, "one request"), (1000, "1,000 requests"), (10**6, "a million requests")):
         if middle * factor >= 0.01:

@@ -1,4 +1,4 @@
-"""What the menu's pictures show, however they are drawn: machines, limits, and the two views of them."""
+"""Describe the menu charts independently of the renderer: machines, limits, and the two views of them."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,16 +17,16 @@ Floats = NDArray[np.float64]
 
 
 def interval_of(predictions: Predictions, row: int) -> tuple[float, float] | None:
-    """Return the interval that is drawn; None if the model has none."""
+    """Return the interval to draw; None if the model predicts none."""
     found = predictions.interval(row, LEVEL)
     return None if found is None or not (found[0] > 0 and math.isfinite(found[1])) else found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlottedMachine:
-    """A machine that is drawn by itself; `y` is the latency in seconds, or the metric that takes its place.
+    """A machine that is drawn individually; `y` is the latency in seconds, or the metric that replaces it.
 
-    `role` is what it stands out for, `words` what it is, for the list of those that do.
+    `role` labels a highlighted machine, and `words` describes it in the list of highlighted machines.
     """
 
     name: str
@@ -44,7 +44,7 @@ class PlottedMachine:
 
 @dataclass(frozen=True, slots=True)
 class Crowd:
-    """Every admissible machine, as columns (n,): `meets` says whether it meets all limits."""
+    """All admissible machines, as columns (n,); `meets` is True for a machine that meets all limits."""
 
     y: Floats
     cost_usd_per_request: Floats
@@ -54,9 +54,9 @@ class Crowd:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
-    """What is drawn; limits are drawn as regions that are not allowed.
+    """A menu chart; limits are drawn as forbidden regions.
 
-    `requests_per_hour` is there where a whole hour is paid (provisioned billing): then cost does not depend on latency.
+    `requests_per_hour` is set for provisioned billing, under which the cost does not depend on the latency.
     """
 
     title: str
@@ -75,9 +75,9 @@ class Chart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """One of the two views: machines by the cost of a request, or by the price of an hour.
+    """One of the two views: machines by cost per request, or by price per hour.
 
-    `x` and `front` are the names of `PlottedMachine`'s fields; `forbidden` are (a, b, c): not allowed is where
+    `x` and `front` are names of fields of `PlottedMachine`. Each (a, b, c) in `forbidden` forbids the region
     a·log10 x + b·log10 y > c.
     """
 
@@ -90,20 +90,20 @@ class View:
     limit: float | None
 
     def column(self, chart: Chart) -> Floats:
-        """Every machine's x."""
+        """Return the x values of all machines."""
         return chart.crowd.cost_usd_per_request if self.x == "cost_usd_per_request" else chart.crowd.price_usd_per_hour
 
     def steps(self, chart: Chart) -> list[tuple[float, float]]:
-        """The corners of the Pareto staircase, (x, y), in order of x."""
+        """Return the corners (x, y) of the Pareto staircase, in order of x."""
         return sorted({(getattr(m, self.x), m.y) for m in chart.machines if getattr(m, self.front)})
 
     def x_axis(self, chart: Chart, start: float, end: float) -> Axis:
-        """The horizontal axis, limits included that lie near the machines."""
+        """Return the horizontal axis, which includes a limit near the machines."""
         return axis(_shown(self.column(chart), [getattr(m, self.x) for m in chart.machines], self.limit), start, end)
 
 
 def per_request(chart: Chart) -> View:
-    """By the cost of a request, for as many requests as make its figures short."""
+    """Return the view by cost per request, for a number of requests that keeps the figures short."""
     costs = [*chart.crowd.cost_usd_per_request.tolist(), *positive(chart.cost_limit_usd_per_request)]
     factor, unit = requests_unit(costs or [m.cost_usd_per_request for m in chart.machines])
     forbidden = _y_limits(chart) + [(1.0, 0.0, math.log10(cost)) for cost in positive(chart.cost_limit_usd_per_request)]
@@ -124,7 +124,7 @@ def per_request(chart: Chart) -> View:
 
 
 def per_hour(chart: Chart) -> View:
-    """By the price of an hour, as the paper draws it; the limit on the cost is a slope here."""
+    """Return the view by price per hour, as in the paper; the cost limit is a slope in this view."""
     forbidden = _y_limits(chart) + [(1.0, 0.0, math.log10(price)) for price in positive(chart.price_limit_usd_per_hour)]
     for cost in positive(chart.cost_limit_usd_per_request):
         if requests := chart.requests_per_hour:
@@ -143,18 +143,18 @@ def per_hour(chart: Chart) -> View:
 
 
 def y_axis(chart: Chart, start: float, end: float) -> Axis:
-    """The vertical axis: every machine, and intervals as far as a factor of four from theirs."""
+    """Return the vertical axis: all machines, and interval ends within a factor of four of their machine."""
     ends = [v for m in chart.machines for v in (m.y, m.low, m.high) if v and m.y / 4 < v < 4 * m.y]
     return axis(_shown(chart.crowd.y, ends, chart.y_limit), start, end)
 
 
 def y_words(chart: Chart) -> Callable[[float], str]:
-    """How y is written."""
+    """Return the function that formats y values."""
     return seconds if chart.y_is == "duration" else number
 
 
 def positive(limit: float | None) -> list[float]:
-    """The limit, where there is one that a logarithmic axis can show."""
+    """Return the limit in a list, or no item if it is missing or a logarithmic axis cannot show it."""
     return [] if limit is None or limit <= 0 else [limit]
 
 
@@ -163,7 +163,7 @@ def _y_limits(chart: Chart) -> list[tuple[float, float, float]]:
 
 
 def _shown(column: Floats, others: Sequence[float], limit: float | None) -> list[float]:
-    """The ends of what an axis must show: a limit that lies far from every machine is left outside."""
+    """Return the values that an axis must show; a limit far from every machine is excluded."""
     values = [*others, *([float(column.min()), float(column.max())] if len(column) else [])]
     low, high = min(values), max(values)
-    return [low, high, *(one for one in positive(limit) if low / 10 < one < high * 10)]
+    return [low, high, *(bound for bound in positive(limit) if low / 10 < bound < high * 10)]

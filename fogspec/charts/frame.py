@@ -1,4 +1,4 @@
-"""One coordinate system of a picture: axes, forbidden regions, and texts that keep clear of each other."""
+"""Lay out one coordinate system of a chart: axes, forbidden regions, and labels that do not overlap."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Label:
-    """A text beside a point, with a leader where it had to move away."""
+    """A label next to a point, with a leader line if it was moved away."""
 
     x: float
     y: float
@@ -23,7 +23,7 @@ class Label:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dot:
-    """A machine: `kind` is its class in the style; `bar` are the ends of its interval; `title` is read out."""
+    """A machine: `kind` is its CSS class, `bar` the ends of its interval, `title` the text for screen readers."""
 
     x: float
     y: float
@@ -35,7 +35,7 @@ class Dot:
 
 @dataclass(slots=True, kw_only=True)
 class Frame:
-    """What the template draws of one coordinate system; `specks`, `lines` and `areas` are (class, path) pairs."""
+    """One coordinate system as the template draws it; `specks`, `lines` and `areas` are (class, path) pairs."""
 
     x: Axis
     y: Axis
@@ -53,7 +53,7 @@ class Frame:
 
     @property
     def box(self) -> Box:
-        """Left, top, right, bottom in px."""
+        """The left, top, right and bottom edges, in px."""
         return self.x.start, self.y.end, self.x.end, self.y.start
 
     def forbid(self, a: float, b: float, limit: float) -> None:
@@ -82,7 +82,7 @@ def frame(
     y_words: Callable[[float], str],
     heading: str = "",
 ) -> Frame:
-    """An empty coordinate system with its ticks."""
+    """Return an empty coordinate system with its ticks."""
     return Frame(
         x=x,
         y=y,
@@ -99,20 +99,20 @@ def _path(points: Sequence[Point]) -> str:
 
 
 def _clipped(polygon: Sequence[Point], a: float, b: float, limit: float) -> list[Point]:
-    """The part of a polygon above the limit (Sutherland and Hodgman, Commun. ACM 17 (1974) 32)."""
+    """Return the part of a polygon above the limit (Sutherland and Hodgman, Commun. ACM 17 (1974) 32)."""
     found: list[Point] = []
     for (p, q), (r, s) in zip(polygon, [*polygon[1:], polygon[0]], strict=True):
         here, there = a * p + b * q - limit, a * r + b * s - limit
         if here >= 0:
             found.append((p, q))
         if (here < 0) != (there < 0):
-            share = here / (here - there)
-            found.append((p + share * (r - p), q + share * (s - q)))
+            fraction = here / (here - there)
+            found.append((p + fraction * (r - p), q + fraction * (s - q)))
     return found
 
 
 def place_labels(frame: Frame, wanted: Sequence[tuple[Dot, str, str]], avoid: Sequence[Box] = ()) -> None:
-    """Put (dot, words, class) beside their dots: never over each other, over few dots and `avoid`, near their own."""
+    """Place labels (dot, words, class) near their dots, without overlaps and over few other dots and boxes to `avoid`."""
     taken: list[Box] = []
     dots = [(d.x - d.radius, d.y - d.radius, d.x + d.radius, d.y + d.radius) for d in frame.dots]
     for dot, words, kind in wanted:
@@ -129,7 +129,7 @@ def place_labels(frame: Frame, wanted: Sequence[tuple[Dot, str, str]], avoid: Se
 
 
 def _spots(dot: Dot, width: float) -> list[Box]:
-    """Boxes to the right, to the left, above and below, at growing distance."""
+    """Return candidate boxes right, left, above and below, at increasing distance."""
     found = []
     for step in range(1, 40):
         for sign in (1, -1):
@@ -141,7 +141,7 @@ def _spots(dot: Dot, width: float) -> list[Box]:
 
 
 def _badness(box: Box, dot: Dot, within: Box, taken: Sequence[Box], obstacles: Sequence[Box]) -> tuple[int, float]:
-    """How many texts and edges a box runs into, then how far it is, an obstacle counting as 40 px."""
+    """Return the number of labels and edges that a box overlaps, then its distance in px plus 40 px per obstacle."""
     outside = box[0] < within[0] + 3 or box[1] < within[1] + 2 or box[2] > within[2] - 3 or box[3] > within[3] - 2
     over = sum(_overlap(box, other) for other in obstacles)
     far = abs((box[1] + box[3]) / 2 - dot.y) + (0 if box[0] > dot.x else 4)

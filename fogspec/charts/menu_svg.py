@@ -1,6 +1,6 @@
-"""The menu as a chart: latency against the cost of a request and the price per hour, the Pareto staircases and the limits.
+"""Draw the menu as SVG: latency against cost per request and price per hour, Pareto staircases and limits.
 
-`menu_chart` selects the machines that are drawn one by one and their texts; `draw` is the SVG.
+`menu_chart` selects the machines that are drawn individually and their texts; `draw` renders the SVG.
 """
 
 import textwrap
@@ -42,7 +42,7 @@ FINE, COARSE, MANY = 2, 4, 3000
 
 
 def menu_chart(application: Application, choice: Choice, doubts: Sequence[str]) -> Chart:
-    """The menu as a picture, for a choice with at least one machine that can be predicted."""
+    """Return the menu chart of a choice that has at least one predicted machine."""
     spec = application.spec
     metric = spec.objective.metric
     rows = np.flatnonzero(choice.eligible & (choice.metric_value > 0) & (choice.cost_usd_per_request > 0))
@@ -72,7 +72,7 @@ def menu_chart(application: Application, choice: Choice, doubts: Sequence[str]) 
 
 
 def named(choice: Choice) -> dict[str, int]:
-    """What is labelled: the choice and two alternatives; where nothing meets the limits, what comes nearest."""
+    """Return the labelled rows by role: the choice and two alternatives, or the nearest if no machine meets the limits."""
     if choice.chosen is None:
         found = {} if choice.least_infeasible is None else {"nearest": choice.least_infeasible}
         for miss in choice.violations:
@@ -84,7 +84,7 @@ def named(choice: Choice) -> dict[str, int]:
 
 
 def _none(choice: Choice) -> list[str]:
-    """That no machine meets the limits, and how far off the nearest is."""
+    """Return a note that no machine meets the limits and how far the nearest is off; no note if one does."""
     if choice.feasible.any():
         return []
     far = [f"{miss.limit} would have to be {miss.factor:.3g} times as large" for miss in choice.violations]
@@ -107,7 +107,7 @@ def _subtitle(application: Application, choice: Choice) -> str:
 
 
 def _machines(choice: Choice, metric: str | None) -> list[PlottedMachine]:
-    """Those that stand out, the measured ones, and the fronts."""
+    """Return the highlighted machines, the measured ones, and the Pareto fronts."""
     roles = {row: role for role, row in reversed(named(choice).items())}
     fronts = set(thinned(choice.front)), set(thinned(choice.hourly_front))
     measured = _measured_types(choice)
@@ -145,7 +145,7 @@ def _machines(choice: Choice, metric: str | None) -> list[PlottedMachine]:
 
 
 def _measured_types(choice: Choice) -> set[int]:
-    """One offer for each type that was measured: the one with the best objective."""
+    """Return one row for each measured instance type: the offer with the best objective."""
     best: dict[tuple[str, str, str], int] = {}
     rows: NDArray[np.intp] = np.flatnonzero(choice.latency.measured & choice.eligible)
     offers = choice.offers
@@ -171,7 +171,7 @@ def _described(choice: Choice, row: int, name: str, metric: str | None, factor: 
 
 
 def draw(chart: Chart) -> str:
-    """The chart as SVG text; raises ValueError when there is no machine to draw."""
+    """Return the chart as SVG text. Raise ValueError if there is no machine to draw."""
     if not chart.machines and not len(chart.crowd.y):
         raise ValueError("a menu without machines cannot be drawn")
     named = [machine for machine in chart.machines if machine.role]
@@ -227,13 +227,13 @@ def _frame(chart: Chart, view: View, top: float) -> Frame:
 
 
 def _levels(found: Frame, front: Sequence[tuple[float, float]]) -> list[tuple[float, float, float, float]]:
-    """The staircase's level parts, which a text should not lie on."""
+    """Return boxes around the horizontal segments of the staircase, which labels should avoid."""
     corners = [(found.x.at(x), found.y.at(y)) for x, y in front]
     return [(x, y - 1, end, y + 1) for (x, y), (end, _) in pairwise([*corners, (found.x.end, 0.0)])]
 
 
 def _rank(machine: PlottedMachine, view: View) -> int:
-    """The later, the nearer to the eye."""
+    """Return the drawing order; a machine of higher rank covers the others."""
     return 3 if machine.role == "chosen" else 2 if machine.role else 1 if getattr(machine, view.front) else 0
 
 
@@ -258,7 +258,7 @@ def _dot(found: Frame, machine: PlottedMachine, view: View, words: Callable[[flo
 
 
 def _specks(found: Frame, column: Floats, crowd: Crowd) -> list[tuple[str, str]]:
-    """Every machine as a faint point; those that would fall on one another are drawn once."""
+    """Return all machines as faint points; machines that would coincide are drawn once."""
     cells: dict[int, list[int]] = {}
     grain = FINE
     for grain in (FINE, COARSE):
@@ -271,7 +271,7 @@ def _specks(found: Frame, column: Floats, crowd: Crowd) -> list[tuple[str, str]]
         if len(key) <= MANY:
             break
     return [
-        (kind, "".join(f"M{one // 4096 % 4096 * grain} {one % 4096 * grain}h0" for one in cells[meets]))
+        (kind, "".join(f"M{cell // 4096 % 4096 * grain} {cell % 4096 * grain}h0" for cell in cells[meets]))
         for meets, kind in ((0, "out"), (1, "in"))
         if cells[meets]
     ]

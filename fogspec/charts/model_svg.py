@@ -1,4 +1,4 @@
-"""Latency by vCPUs as a chart, one coordinate system for each GPU type: samples, predictions and their intervals."""
+"""Draw latency by vCPUs, one coordinate system for each GPU type: samples, predictions and their intervals."""
 
 import math
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """What is predicted at a number of vCPUs: the median latency in seconds, and the span of all machines' intervals."""
+    """The prediction at a number of vCPUs: the median latency in seconds, and the span of all machines' intervals."""
 
     vcpus: float
     latency_s: float
@@ -61,7 +61,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyChart:
-    """What is drawn; `level` is that of the intervals."""
+    """A chart with one panel for each GPU type; `level` is the level of the intervals."""
 
     title: str
     subtitle: str
@@ -72,7 +72,7 @@ class LatencyChart:
 
 
 def latency_chart(application: Application, choice: Choice, models: Models) -> LatencyChart:
-    """Latency by vCPUs for each GPU type that was sampled."""
+    """Return the chart of latency by vCPUs for each sampled GPU type."""
     statistic = application.spec.constraints.statistic
     gpus = sorted({_gpu_of(one.machine) for one in models.spec.observations}, key=lambda gpu: gpu or ("", 0.0))
     panels = [_panel(choice, models, gpu) for gpu in gpus]
@@ -107,7 +107,10 @@ def _panel(choice: Choice, models: Models, gpu: tuple[str, float] | None) -> Pan
 
 
 def _curve(models: Models, gpu: tuple[str, float] | None, vcpus: Floats, memory: Floats) -> tuple[list[Point], str]:
-    """The paper's family that leaves one out best (section 2.C), at the median memory per vCPU, and what it is."""
+    """Return the curve of the family with the best leave-one-out error (paper, section 2.C) and its formula.
+
+    Memory is the median memory per vCPU.
+    """
     key = None if gpu is None else f"{gpu[0]}:{gpu[1]:g}"
     model = next((one for one in models.spec.models if one.gpu == key and one.target == "latency"), None)
     if model is None or not len(vcpus):
@@ -120,9 +123,9 @@ def _curve(models: Models, gpu: tuple[str, float] | None, vcpus: Floats, memory:
 
 
 def _levels(choice: Choice, rows: np.ndarray) -> list[Level]:
-    """For each number of vCPUs the median prediction, and what the intervals of all machines cover together.
+    """Return the median prediction for each number of vCPUs, and the span of all machines' intervals.
 
-    Not one machine's interval: where a few machines were measured, it would be narrow and leave out the others.
+    The interval of a single machine would be narrow where few machines were measured, and exclude the others.
     """
     found = []
     for vcpus in np.unique(choice.offers.vcpus[rows]).tolist():
@@ -134,7 +137,7 @@ def _levels(choice: Choice, rows: np.ndarray) -> list[Level]:
 
 
 def _each_once(choice: Choice, rows: np.ndarray) -> list[int]:
-    """One offer of each instance type: what a machine costs elsewhere does not change how fast it is."""
+    """Return one row of each instance type, because latency does not depend on the region."""
     _, first = np.unique(choice.latency.type_index[rows], return_index=True)
     found: list[int] = rows[first].tolist()
     return found
@@ -156,7 +159,7 @@ def _gpu_of(machine: Machine) -> tuple[str, float] | None:
 
 
 def draw(chart: LatencyChart) -> str:
-    """The chart as SVG text; raises ValueError when there is nothing to draw."""
+    """Return the chart as SVG text. Raise ValueError if there is no panel to draw."""
     if not chart.panels:
         raise ValueError("no model, no picture of one")
     step = FRAME_HEIGHT + GAP
@@ -223,7 +226,7 @@ def _frame(panel: Panel, top: float, y_label: str) -> Frame:
 
 
 def _heights(panel: Panel) -> list[float]:
-    """What the axis shows: every value, and intervals as far as a factor of six from theirs."""
+    """Return the values on the axis: all latencies, and interval ends within a factor of six of their latency."""
     drawn = [(one.latency_s, one.low_s, one.high_s) for one in panel.levels]
     drawn += [(one.latency_s, one.low_s, one.high_s) for one in panel.samples]
     values = [latency for latency, _, _ in drawn] + [latency for _, latency in panel.others]

@@ -1,4 +1,4 @@
-"""The menu in plain characters: for terminals of any width, with colour or without."""
+"""Draw the menu chart in plain characters, for terminals of any width, with or without color."""
 
 from collections.abc import Sequence
 
@@ -29,9 +29,9 @@ Grid = list[list[str]]
 
 
 def plot(chart: Chart, width: int, color: bool = False) -> list[str]:
-    """The chart's lines, at most `width` characters wide; both views beside each other where there is room.
+    """Return the lines of the chart, at most `width` characters wide, with both views side by side if they fit.
 
-    A terminal of less than 44 columns gets 44.
+    The chart has at least 44 columns.
     """
     views = [per_request(chart), per_hour(chart)]
     beside = width >= 2 * NARROWEST + 12 + GAP
@@ -80,7 +80,7 @@ def _places(values: np.ndarray, axis: Axis) -> np.ndarray:
 
 
 def _limits(grid: Grid, x: Axis, y: Axis, view: View) -> None:
-    """`%` along the inner edge of what the limits forbid."""
+    """Draw `%` along the inner edge of the forbidden regions."""
 
     def over(row: int, column: int) -> bool:
         log_x = x.low + (column - x.start) / (x.end - x.start) * (x.high - x.low)
@@ -101,10 +101,10 @@ def _stairs(grid: Grid, x: Axis, y: Axis, steps: Sequence[tuple[float, float]]) 
     for i, (cost, height) in enumerate(steps):
         column, row = round(x.at(cost)), round(y.at(height))
         end = round(x.at(steps[i + 1][0])) if i + 1 < len(steps) else len(grid[0]) - 1
-        for one in range(above, row):
-            grid[one][column] = "|"
-        for one in range(column, end + 1):
-            grid[row][one] = "-"
+        for line in range(above, row):
+            grid[line][column] = "|"
+        for across in range(column, end + 1):
+            grid[row][across] = "-"
         above = row
 
 
@@ -122,7 +122,7 @@ def _named(grid: Grid, x: Axis, y: Axis, chart: Chart, view: View) -> None:
 
 
 def _signs(chart: Chart) -> dict[str, str]:
-    """`@` for the choice, digits for what else stands out."""
+    """Return the sign of each role: `@` for the choice, digits for other highlighted machines."""
     roles = [machine.role for machine in chart.machines if machine.role]
     others = [role for role in roles if role != "chosen"]
     return {"chosen": "@", **{role: str(i + 1) for i, role in enumerate(others[:2])}}

@@ -1,4 +1,4 @@
-"""The command line: a file a verb, loaded only when the verb is called."""
+"""Run the command line; each command is a module that is imported when it is called."""
 
 import importlib
 import os
@@ -57,7 +57,7 @@ def fogspec() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and leave the process with the documented exit code."""
+    """Run the command line and exit with the documented exit code."""
     try:
         ended = fogspec.main(args=list(arguments) if arguments is not None else None, standalone_mode=False)
         code = ended if isinstance(ended, int) else 0

@@ -1,4 +1,4 @@
-"""`fogspec apply`: run what a manifest says."""
+"""Implement `fogspec apply`: deploy a manifest."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""`fogspec attest`: where a manifest came from, as a statement that others can check."""
+"""Implement `fogspec attest`: write a verifiable statement of a manifest's provenance."""
 
 from pathlib import Path
 

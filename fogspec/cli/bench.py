@@ -1,4 +1,4 @@
-"""`fogspec bench`: measure the plan's samples."""
+"""Implement `fogspec bench`: measure the samples of the plan."""
 
 import json
 import sys
@@ -30,7 +30,7 @@ class Dollars(click.ParamType):
     name = "$"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """USD; raises click's own error for anything else."""
+        """Return the amount in USD. Raise click.BadParameter for any other value."""
         from fogspec.base.units import parse_money_usd
 
         try:
@@ -145,7 +145,7 @@ def _backend(prepared: "Prepared", name: str | None, recorded: str | None, pace:
 
 
 def _check_place(prepared: "Prepared", backend: "SampleBackend") -> None:
-    """A local runner cannot stand in for a cloud's machines: its figures would carry their names and prices."""
+    """Raise Refused if a local runner would measure cloud machines, whose names and prices its results would carry."""
     elsewhere = [s.machine for s in prepared.todo if not s.machine.is_local]
     if backend.name == "local" and elsewhere:
         raise Refused(
@@ -155,7 +155,7 @@ def _check_place(prepared: "Prepared", backend: "SampleBackend") -> None:
 
 
 def _check_needed(prepared: "Prepared", backend: "SampleBackend") -> None:
-    """Raises an FogspecError for files and secrets that a sample would miss, before a machine is paid to miss them."""
+    """Raise FogspecError for missing files and secrets of a sample before a machine is paid for."""
     from fogspec.base.redaction import check_set
     from fogspec.spec.lock_io import check_files
 
@@ -167,7 +167,10 @@ def _check_needed(prepared: "Prepared", backend: "SampleBackend") -> None:
 def _catalogs(
     one: "LoadedSpec", path: str | None, prepared: "Prepared", backend: "SampleBackend"
 ) -> "tuple[Catalog | None, Catalog | None]":
-    """What an adaptive campaign asks for machines of, and where prices are what they are right now."""
+    """Return the catalog for an adaptive campaign and the catalog of current prices; None if it is not needed.
+
+    Raise OutOfDate if the plan was compiled from another catalog.
+    """
     from fogspec.catalog.sources import load_catalog
     from fogspec.compile.inputs import clouds_of
 
@@ -184,16 +187,16 @@ def _catalogs(
         return catalog, None
     try:
         prices = load_catalog("skypilot", clouds_of(one))
-    except FogspecError as none:
+    except FogspecError as unavailable:
         click.echo(
-            f"prices are compared with {catalog.about.source}, not with SkyPilot's own: {none.message}", err=True
+            f"prices are compared with {catalog.about.source}, not with SkyPilot's own: {unavailable.message}", err=True
         )
         prices = catalog
     return catalog if adaptive else None, prices
 
 
 def _library(prepared: "Prepared", path: Path | None) -> "PriorData | None":
-    """What an adaptive campaign knows of machines beforehand: from the command line, else what the lock says."""
+    """Return the machine library of an adaptive campaign, from the command line or else from the lock."""
     from fogspec.model.priors import locked_priors
     from fogspec.spec.lock_io import read_pins
 
@@ -201,7 +204,7 @@ def _library(prepared: "Prepared", path: Path | None) -> "PriorData | None":
 
 
 def _confirm(offering: "Quote", yes: bool) -> None:
-    """Raises Refused unless the user agrees to spend; what costs nothing needs no consent."""
+    """Raise Refused unless the user consents to the cost; a free run needs no consent."""
     if yes or not offering.needs_consent:
         return
     if not sys.stdin.isatty():

@@ -1,4 +1,4 @@
-"""`fogspec compile`: the plan and its tasks; once measured, models, menu and manifest."""
+"""Implement `fogspec compile`: write the plan and its tasks; once measured, models, menu and manifest."""
 
 import json
 from pathlib import Path
@@ -51,6 +51,6 @@ def command(
         )
     if check and (drifted := [name for one in inputs for name in one.drifted]):
         raise OutOfDate(f"{', '.join(drifted)}: not what the lock says", f"fogspec lock {' '.join(specs)}".strip())
-    if none := [one for one in compiled if one.decision is not None and one.decision.manifest is None]:
-        names = ", ".join(one.layout.name for one in none)
-        raise Infeasible(f"{names}: no machine meets the limits", *(f"see {one.layout.menu}" for one in none))
+    if infeasible := [one for one in compiled if one.decision is not None and one.decision.manifest is None]:
+        names = ", ".join(one.layout.name for one in infeasible)
+        raise Infeasible(f"{names}: no machine meets the limits", *(f"see {one.layout.menu}" for one in infeasible))

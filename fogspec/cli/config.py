@@ -1,4 +1,4 @@
-"""`fogspec config`: a spec merged with its overlays, every default filled in."""
+"""Implement `fogspec config`: print a spec with overlays merged and defaults filled in."""
 
 import json
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""`fogspec diff`: what would change, what that costs, and why."""
+"""Implement `fogspec diff`: show pending changes, their cost, and their reasons."""
 
 import json
 

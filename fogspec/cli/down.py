@@ -1,4 +1,4 @@
-"""`fogspec down`: end everything of an application."""
+"""Implement `fogspec down`: tear down an application."""
 
 import json
 from functools import partial

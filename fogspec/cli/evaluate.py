@@ -1,4 +1,4 @@
-"""`fogspec evaluate`: replay sampling and choosing against full measurements."""
+"""Implement `fogspec evaluate`: replay sampling and choosing against full measurements."""
 
 import json
 from pathlib import Path
@@ -104,8 +104,8 @@ def _of_suite(
         raise UsageError(f"--kind is one of {', '.join(KINDS)}, got {min(unknown)!r}")
     done, digest = evaluate(suite, priors, kinds, campaigns, workers=workers)
     if choices:
-        told = [json.dumps(one.as_dict(), ensure_ascii=False) + "\n" for ended in done for one in ended]
-        write_bytes(choices, "".join(told).encode())
+        lines = [json.dumps(one.as_dict(), ensure_ascii=False) + "\n" for ended in done for one in ended]
+        write_bytes(choices, "".join(lines).encode())
     reports = []
     for campaign, ended in zip(campaigns, done, strict=True):
         rows, calibrations = by_kind(ended)
@@ -165,7 +165,7 @@ HEAD = (
 
 
 def line(title: str, row: dict[str, Any]) -> str:
-    """The scores of a kind of problem, shares in per cent."""
+    """Format the scores of a kind of problem, fractions as percentages."""
     shares = [row["regret"]["p90"], row["mdape"], row["coverage90"], row["hypervolume"]]
     known = ["-" if value is None else f"{100 * value:.1f}" for value in shares]
     return (

@@ -1,4 +1,4 @@
-"""`fogspec explain`: a field of the language, a diagnostic's code, or why a machine was chosen."""
+"""Implement `fogspec explain`: explain a field, a diagnostic code, or the choice of a machine."""
 
 import json
 import os
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def _completions(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[str]:
-    """Fields and codes that begin like this, for the shell."""
+    """Return the fields and codes with this prefix, for shell completion."""
     from fogspec.spec.codes import codes
     from fogspec.spec.field_docs import pages
     from fogspec.spec.schema import Application
@@ -74,7 +74,7 @@ def _code(name: str, output: str) -> None:
 
 
 def _field(name: str, spec: str | None, output: str) -> bool:
-    """Explain the fields of this name; whether there are any."""
+    """Explain the fields of this name. Return True if there are any."""
     from fogspec.spec.discover import spec_of
     from fogspec.spec.field_docs import matching, pages
     from fogspec.spec.locate import locate
@@ -106,7 +106,7 @@ def _nothing(name: str) -> None:
 
 
 def _below(known: list["FieldPage"], found: list["FieldPage"]) -> list[str]:
-    """The fields under a field, when it is the only one."""
+    """Return a list of the fields below a field, if it is the only one found."""
     if len(found) != 1:
         return []
     inside = [

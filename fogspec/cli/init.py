@@ -1,4 +1,4 @@
-"""`fogspec init`: a commented, valid spec; from a ROS 2 launch file where one is given."""
+"""Implement `fogspec init`: write a commented, valid spec, from a ROS 2 launch file if one is given."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`fogspec keys`: on the robot, make the key of its end of the link."""
+"""Implement `fogspec keys`: make the key of the robot's end of the link."""
 
 import click
 

@@ -1,4 +1,4 @@
-"""`fogspec lock`: pins what a spec names that may change behind its name."""
+"""Implement `fogspec lock`: pin the mutable inputs of a spec to digests."""
 
 import json
 import os
@@ -57,7 +57,7 @@ def command(
         for path, lock in locks.items():
             if changes[path] or not path.is_file():
                 write_bytes(path, lock_text(lock).encode())
-    _say(changes, output)
+    _print(changes, output)
     if check and any(changes.values()):
         count = sum(map(len, changes.values()))
         raise OutOfDate(
@@ -66,7 +66,7 @@ def command(
 
 
 def _origin(catalog: str | None, root: os.PathLike[str]) -> str | None:
-    """The catalog as the lock names it: paths relative to the lock."""
+    """Return the catalog as the lock names it, with a path relative to the lock."""
     if catalog in (None, "snapshot", "skypilot"):
         return catalog
     return _beside(catalog, root)
@@ -76,7 +76,7 @@ def _beside(path: str | os.PathLike[str], root: os.PathLike[str]) -> str:
     return os.path.relpath(path, root).replace(os.sep, "/")
 
 
-def _say(changes: dict[Path, list[str]], output: str) -> None:
+def _print(changes: dict[Path, list[str]], output: str) -> None:
     if output == "json":
         click.echo(json.dumps({str(path): lines for path, lines in changes.items()}, indent=2, ensure_ascii=False))
         return

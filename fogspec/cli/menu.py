@@ -1,4 +1,4 @@
-"""`fogspec menu`: what is on offer, also under other constraints, from the fitted models."""
+"""Implement `fogspec menu`: show the choices of a measured application, also under other constraints."""
 
 import json
 import os
@@ -53,5 +53,5 @@ def command(
         if color is None:
             color = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
         click.echo("\n\n".join(show(one.menu, one.plot(width, color)) for one in views), color=color)
-    if none := [menu.metadata.name for menu in menus if menu.spec.balanced is None]:
-        raise Infeasible(f"{', '.join(none)}: no machine meets the limits")
+    if infeasible := [menu.metadata.name for menu in menus if menu.spec.balanced is None]:
+        raise Infeasible(f"{', '.join(infeasible)}: no machine meets the limits")

@@ -1,4 +1,4 @@
-"""Options and steps that several verbs share."""
+"""Define options and steps that several commands share."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -72,7 +72,7 @@ def load_inputs(
     name: str | None = None,
     audit: bool = False,
 ) -> "list[Inputs]":
-    """Read what commands need of these specs, see `Inputs.load`, and print its notes."""
+    """Read the inputs of the applications in these specs and print the notes; see `Inputs.load`."""
     from fogspec.compile.inputs import Inputs
 
     inputs = Inputs.load(specs, catalog=catalog, priors=priors, name=name, audit=audit)
@@ -81,9 +81,9 @@ def load_inputs(
 
 
 def load_named(what: str, name: str | None, catalog: str | None, priors: Path | None) -> "list[Inputs]":
-    """Read the applications of a spec, or the one in specs/ that `what` names; `name` picks one of several.
+    """Read the applications of a spec, or the one in specs/ that `what` names; `name` selects one of several.
 
-    Raise UsageError if there is none, and as `Inputs.load`.
+    Raise UsageError if there is none, and the errors of `Inputs.load`.
     """
     path, wanted = named(what, name)
     found = load_inputs([path], catalog, priors, name=wanted)
@@ -93,7 +93,7 @@ def load_named(what: str, name: str | None, catalog: str | None, priors: Path | 
 
 
 def open_manifest(path: str, catalog: str | None) -> "ManifestBundle":
-    """Open a manifest with what it was compiled from, and print notes about that."""
+    """Open a manifest with its inputs and print the notes about them."""
     from fogspec.compile.bundle import open_bundle
 
     opened = open_bundle(path, catalog)
@@ -102,7 +102,10 @@ def open_manifest(path: str, catalog: str | None) -> "ManifestBundle":
 
 
 def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> "list[Catalog]":
-    """Return each application's catalog, from `path` or else as the lock says, and print notes; raise as `Inputs.load`."""
+    """Return the catalog of each application, from `path` or else from the lock, and print notes.
+
+    Raise the errors of `Inputs.load`.
+    """
     from fogspec.compile import inputs
 
     catalogs, notes = inputs.catalogs_for(loaded, path)
@@ -111,7 +114,7 @@ def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> "list[Cata
 
 
 def check_policies(policies: Sequence[str], inputs: "Sequence[Inputs]") -> None:
-    """Raise DiagnosticError if a spec or a manifest on disk breaks a policy, or if a policy is wrong."""
+    """Raise DiagnosticError if a spec or a manifest on disk violates a policy, or if a policy is invalid."""
     from fogspec.compile.manifest import Manifest
     from fogspec.spec.rules.policies import Policies
 
@@ -128,9 +131,9 @@ def echo_notes(notes: Iterable[str]) -> None:
 
 
 def named(what: str, name: str | None = None) -> tuple[str, str | None]:
-    """Return the spec that `what` names, by its path or by an application in specs/, and the application wanted of it.
+    """Return the spec that `what` names, by path or by application in specs/, and the name of the selected application.
 
-    Raise UsageError for a name that no application in specs/ has.
+    Raise UsageError for an unknown application.
     """
     from fogspec.spec.discover import is_name, spec_of
 
@@ -143,7 +146,7 @@ def named(what: str, name: str | None = None) -> tuple[str, str | None]:
 def applications_of(what: str) -> list["LoadedSpec"]:
     """Return the applications of a spec, or the one in specs/ that `what` names.
 
-    Raise UsageError if there is none, DiagnosticError if the spec is wrong.
+    Raise UsageError if there is none, DiagnosticError if the spec is invalid.
     """
     from fogspec.spec.loader import load
 
@@ -155,9 +158,9 @@ def applications_of(what: str) -> list["LoadedSpec"]:
 
 
 def library_from(path: Path | None) -> "PriorData | None":
-    """Return the machine library that the command line names; None leaves it to the lock.
+    """Return the machine library that the command line names; None without one, so that the lock decides.
 
-    Raise InvalidInput and DiagnosticError.
+    Raise InvalidInput or DiagnosticError for an invalid library.
     """
     if path is None:
         return None

@@ -1,4 +1,4 @@
-"""`fogspec priors`: libraries of what machines do for other workloads."""
+"""Implement `fogspec priors`: build machine libraries from measurements of other workloads."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`fogspec report`: one self-contained page of an application."""
+"""Implement `fogspec report`: write a self-contained page about an application."""
 
 import shlex
 from pathlib import Path

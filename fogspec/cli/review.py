@@ -1,4 +1,4 @@
-"""`fogspec review`: what a change deploys, for whoever reviews it."""
+"""Implement `fogspec review`: describe the deployment changes of a pull request."""
 
 from pathlib import Path
 

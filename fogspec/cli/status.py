@@ -1,4 +1,4 @@
-"""`fogspec status`: which stage is fresh, which is stale and why, and what was spent."""
+"""Implement `fogspec status`: show fresh and stale stages with reasons, and the money spent."""
 
 import json
 

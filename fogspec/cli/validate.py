@@ -1,4 +1,4 @@
-"""`fogspec validate`: every mistake in every spec at once."""
+"""Implement `fogspec validate`: report all errors in all specs."""
 
 import click
 

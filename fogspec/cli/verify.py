@@ -1,4 +1,4 @@
-"""`fogspec verify`: recompute the chain behind a manifest, byte for byte."""
+"""Implement `fogspec verify`: recompute the chain behind a manifest, byte for byte."""
 
 import json
 

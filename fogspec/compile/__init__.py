@@ -1,1 +1,1 @@
-"""From a spec, a catalog and measurements to the files that follow from them."""
+"""Compile a spec, a catalog and measurements to the files derived from them."""

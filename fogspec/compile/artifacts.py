@@ -1,4 +1,4 @@
-"""Writing: the files that follow from an application's inputs, compared with those on disk, and written."""
+"""Compare the compiled files of an application with those on disk, and write them."""
 
 import contextlib
 from collections.abc import Mapping
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Artifacts:
-    """One application's files, by path, and what they say.
+    """The compiled files of an application, by path, and the values behind them.
 
-    `application` is the spec with its image pinned. `results` are those that count; `stale` says why those on disk do not.
-    There is a `decision` once there are results that count.
+    `application` is the spec with its image pinned. `results` are the current results; `stale` is the reason why those on
+    disk are not current. There is a `decision` if there are current results.
     """
 
     inputs: Inputs
@@ -39,26 +39,26 @@ class Artifacts:
 
     @property
     def layout(self) -> Layout:
-        """Where the application's files are."""
+        """The paths of the application's files."""
         return self.inputs.layout
 
     @property
     def catalog(self) -> Catalog:
-        """The machines on offer."""
+        """The catalog of machines and prices."""
         return self.inputs.catalog
 
     @property
     def removed(self) -> tuple[Path, ...]:
-        """Files of ours on disk that no longer follow from the inputs."""
+        """Compiled files on disk that no longer follow from the inputs."""
         return tuple(path for path in self.inputs.on_disk if path not in self.files)
 
     def compare(self) -> list[Path]:
-        """Return the files on disk that are not what compile would write, and those that should not be there."""
+        """Return the files that differ from what compile would write, and those to remove."""
         changed = (path for path, content in self.files.items() if self.inputs.content(path) != content)
         return sorted([*changed, *self.removed])
 
     def written(self) -> dict[Path, SourceFile]:
-        """Return the files of ours as they are on disk once they are written."""
+        """Return the compiled files as they are on disk after writing."""
         known = self.inputs.on_disk
         same = {path for path, content in self.files.items() if self.inputs.content(path) == content}
         return {
@@ -66,7 +66,7 @@ class Artifacts:
         }
 
     def write(self) -> list[Path]:
-        """Write the files that differ, remove those that no longer follow, and return both."""
+        """Write the files that differ, remove those that no longer follow from the inputs, and return both."""
         differing = self.compare()
         for path in differing:
             if path in self.files:

@@ -1,4 +1,4 @@
-"""A manifest as a person names it, with the inputs that it was compiled from."""
+"""Open a manifest with the inputs that it was compiled from."""
 
 import os
 from dataclasses import dataclass
@@ -23,12 +23,12 @@ class ManifestBundle:
 
     @property
     def digest(self) -> str:
-        """Digest of the manifest's bytes."""
+        """The digest of the manifest's bytes."""
         return digest.of_bytes(self.content)
 
     @property
     def layout(self) -> Layout:
-        """Where the application's files are."""
+        """The paths of the application's files."""
         return self.inputs.layout
 
     @property
@@ -37,7 +37,7 @@ class ManifestBundle:
         return self.inputs.spec
 
     def edited(self) -> list[str]:
-        """Return the files that are not as the manifest's digests say, each with what is wrong."""
+        """Return an error for each file that does not match its digest in the manifest."""
         return [wrong for one in references(self.manifest) if (wrong := self._difference(one)) is not None]
 
     def file(self, reference: TaskRef) -> SourceFile:
@@ -57,11 +57,10 @@ class ManifestBundle:
 
 
 def open_bundle(path: str | os.PathLike[str], catalog: str | None = None) -> ManifestBundle:
-    """Open the manifest at `compiled/NAME/manifest.yaml`, with what it was compiled from.
+    """Open the manifest at `compiled/NAME/manifest.yaml` with its inputs.
 
-    `catalog` is what the command line gives, in place of what the lock says. Raise DiagnosticError for a damaged file or a
-    wrong spec, InvalidInput for a manifest that is missing or stands elsewhere, so that what it names by relative path
-    cannot be found, and as `Inputs.load`.
+    `catalog` overrides the catalog in the lock. Raise DiagnosticError for a damaged file or an invalid spec, InvalidInput
+    for a manifest that is missing or elsewhere, where its relative paths are wrong, and the errors of `Inputs.load`.
     """
     at = Path(path)
     if not at.is_file():

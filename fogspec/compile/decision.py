@@ -1,4 +1,4 @@
-"""From results to a choice and its files: models, menu, pictures, and the pinned manifest with what it deploys."""
+"""Choose a machine from results and make the files of the choice: models, menu, charts, and the pinned manifest."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ from fogspec.spec.schema import Application
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What is fitted to the results, predicted of every machine, and chosen among them.
+    """The models fitted to the results, the predictions for all machines, and the choice among them.
 
-    `relaxed` is where the paper's method ends.
+    `relaxed` is the optimum of the paper's method.
     """
 
     models: Models
@@ -51,7 +51,7 @@ class Decision:
 
 
 def select(inputs: Inputs, application: Application, admissible: Filtered, results: Results) -> Selection:
-    """Fit the results, predict every admissible machine, and choose one by the method that the spec asks for."""
+    """Fit the results, predict every admissible machine, and choose one by the method in the spec."""
     library = inputs.library
     models = fit(application, results, library.digest if library else None)
     return select_from(
@@ -60,9 +60,9 @@ def select(inputs: Inputs, application: Application, admissible: Filtered, resul
 
 
 def select_from(application: Application, models: Models, predicted: PredictionSet) -> Selection:
-    """Choose a machine from these predictions by the method that the spec asks for."""
+    """Choose a machine from these predictions by the method in the spec."""
     choice = choose(application, predicted)
-    # Only where the spec requires this method is scipy worth its start-up (ADR 0071); a comparison in a manifest is the grid's.
+    # Importing scipy takes time, so only this method uses it (ADR 0071); the comparison in a manifest uses the grid.
     by_relaxation = application.spec.objective.method == "relaxed"
     relaxed = relaxed_optimum(models, choice, refine=by_relaxation)
     if by_relaxation:
@@ -148,7 +148,7 @@ def _sources(
 
 
 def warnings_for(application: Application, models: Models, choice: Choice) -> list[str]:
-    """Return what a reviewer must know before believing the figures, most important first."""
+    """Return the warnings for reviewers about the predictions, most important first."""
     found, row = caveats(models, choice), choice.chosen
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
@@ -166,7 +166,7 @@ def warnings_for(application: Application, models: Models, choice: Choice) -> li
 
 
 def caveats(models: Models, choice: Choice) -> list[str]:
-    """Return what speaks against the choice itself; the pictures have room for the first."""
+    """Return the caveats about the choice; the charts show the first."""
     if models.spec.measured_on_local:
         return [
             "extrapolated: measured on one host's CPUs and memory, not on machines of the catalog, whose CPUs differ: "
@@ -182,7 +182,7 @@ def caveats(models: Models, choice: Choice) -> list[str]:
 
 
 def _caveats_of_machine(choice: Choice, row: int) -> list[str]:
-    """Return what speaks against the chosen machine."""
+    """Return the caveats about the machine in this row."""
     found, name = [], choice.offers.instance[row]
     if choice.best is not None and choice.objective[row] > choice.objective[choice.best]:
         best = choice.offers.instance[choice.best]

@@ -1,6 +1,6 @@
-"""The files of a deployment: tasks for the chosen machine and its fall-backs, what stays on the robot, what is sent along.
+"""Make the files of a deployment: tasks for the chosen machine and its fallbacks, and files for robot and machine.
 
-All of them are named by digest in the manifest: what a person approved is what runs.
+The manifest pins all of them by digest, so that only approved files are deployed.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ from fogspec.spec.schema import Application
 
 @dataclass(frozen=True, slots=True)
 class Deployable:
-    """What the manifest says of them: paths relative to its folder; `fallbacks` by the rows of their machines."""
+    """References to the files of a deployment, relative to the manifest; `fallbacks` by the rows of their machines."""
 
     task: TaskRef
     robot_launch: TaskRef | None
@@ -65,7 +65,7 @@ def deployable(
 
 
 def reference(layout: Layout, path: Path, content: bytes) -> TaskRef:
-    """Return a file as the manifest names it."""
+    """Return a reference to a file, relative to the manifest."""
     return TaskRef(path=layout.beside_manifest(path), digest=digest.of_bytes(content))
 
 

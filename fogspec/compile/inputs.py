@@ -1,7 +1,7 @@
-"""Reading: everything that an application's files follow from, and those files as they are on disk.
+"""Read the inputs of applications and their compiled files on disk.
 
-`Inputs.load` is the only reader of a command. It reads each file once, whatever the number of applications that share it;
-what is parsed is parsed once, when it is first needed.
+`Inputs.load` is the only reader of a command. It reads each file once, even if applications share it, and parses it once,
+when it is first needed.
 """
 
 import os
@@ -42,11 +42,11 @@ LINK_FILES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """What one application's files follow from.
+    """The inputs of an application.
 
-    `damaged` says why the results on disk cannot be used at all. `agent` are the files that every machine gets, by the path
-    that they are written to. `on_disk` are the files of ours in `compiled/` as they are, `lock` is the lock file. `drifted`
-    names what beside the spec is not as the lock says; it is found only for an audit. `notes` are for the user.
+    `damaged` is the error of unusable results on disk. `agent` are the files copied to every machine, by their path in
+    `compiled/`. `on_disk` are the compiled files on disk, `lock` is the lock file. `drifted` names the files next to the
+    spec that do not match the lock; it is computed only for an audit. `notes` are for the user.
     """
 
     spec: LoadedSpec
@@ -74,13 +74,13 @@ class Inputs:
         audit: bool = False,
         known: Mapping[Path, SourceFile] | None = None,
     ) -> list["Inputs"]:
-        """Read what the applications of these specs need, or of the one called `name`.
+        """Read the inputs of the applications in these specs, or of the application `name`.
 
-        `catalog` and `priors` are what the command line gives, in place of what the lock says. For an `audit` the files
-        beside the specs are compared with the lock. `known` are files that were read already.
+        `catalog` and `priors` override those in the lock. For an `audit`, compare the files next to the specs with the
+        lock. `known` are files that were read before.
 
-        Raise DiagnosticError or InvalidInput for a wrong file, OutOfDate for a catalog or machine library that is no
-        longer the locked one.
+        Raise DiagnosticError or InvalidInput for an invalid file, OutOfDate for a catalog or machine library that differs
+        from the locked one.
         """
         loaded = [one for one in load(specs) if name in (None, one.application.metadata.name)]
         reader = _Reader(files=dict(known or {}), catalog_path=catalog, priors=priors)
@@ -88,38 +88,38 @@ class Inputs:
 
     @property
     def application(self) -> Application:
-        """The spec's values."""
+        """The application as the spec defines it."""
         return self.spec.application
 
     @property
     def source(self) -> str:
-        """The spec as files name it."""
+        """The path of the spec relative to the root of the project, as compiled files name it."""
         return self.layout.relative(self.layout.spec)
 
     def content(self, path: Path) -> bytes | None:
-        """Return the bytes of a file of ours on disk, None if it is not there."""
+        """Return the bytes of a compiled file on disk, None if it is missing or unreadable."""
         file = self.on_disk.get(path)
         return None if file is None or file.problem is not None else file.content
 
     @property
     def spec_content(self) -> bytes:
-        """The bytes of the spec's file."""
+        """The bytes of the spec file."""
         return self.spec.texts.content[self.spec.path]
 
     @property
     def results_content(self) -> bytes | None:
-        """The bytes of the results' file, None without one."""
+        """The bytes of the results file; None without one."""
         return None if self.results_file is None else self.results_file.content
 
     def with_application(self, application: Application) -> "Inputs":
-        """Return the same with other values of the spec."""
+        """Return these inputs with another application."""
         return replace(self, spec=replace(self.spec, application=application))
 
 
 def catalogs_for(loaded: Sequence[LoadedSpec], path: str | None) -> tuple[list[Catalog], list[str]]:
-    """Return each application's catalog, from `path` or else as the lock says, and notes for the user.
+    """Return the catalog of each application, from `path` or else from the lock, and notes for the user.
 
-    Raise as `Inputs.load`.
+    Raise the errors of `Inputs.load`.
     """
     reader = _Reader(files={}, catalog_path=path, priors=None)
     notes: dict[str, None] = {}
@@ -133,12 +133,12 @@ def catalogs_for(loaded: Sequence[LoadedSpec], path: str | None) -> tuple[list[C
 
 
 def clouds_of(one: LoadedSpec) -> tuple[str, ...]:
-    """Return the clouds that a spec names."""
+    """Return the names of the clouds in a spec, sorted."""
     return tuple(sorted({cloud_name(entry) for entry in one.application.spec.infra}))
 
 
 def located(origin: str, layout: Layout) -> str:
-    """Return what `--catalog` would be given for the origin that a lock names."""
+    """Return the value of `--catalog` for the origin of a locked catalog."""
     return origin if origin in ("snapshot", "skypilot") else os.path.normpath(layout.root / origin)
 
 
@@ -197,7 +197,7 @@ class _Reader:
         return self.locks[path].spec.applications.get(layout.name)
 
     def catalog(self, one: LoadedSpec, layout: Layout, pins: Pins | None) -> tuple[Catalog, list[str]]:
-        """Return what the command line asks for, else what the lock says, else the snapshot; and what to tell the user."""
+        """Return the catalog of the command line, else of the lock, else the snapshot; and notes for the user."""
         path = self.catalog_path
         key = (path or (located(pins.catalog.origin, layout) if pins else None), clouds_of(one))
         if key not in self.catalogs:
@@ -238,7 +238,7 @@ def _results(layout: Layout, file: SourceFile | None) -> tuple[Results | None, D
 
 
 def _ours(layout: Layout) -> Iterator[Path]:
-    """Yield the files in `compiled/` that compile writes, or wrote once; what others put there is not ours."""
+    """Yield the files in `compiled/` that compile writes or an earlier compile wrote; other files are ignored."""
     named = [
         layout.agent,
         layout.plan,

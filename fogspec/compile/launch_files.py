@@ -1,4 +1,4 @@
-"""Launch files for both sides, and the configuration of the link between them: readable texts, named in the manifest."""
+"""Make the launch files of both sides and the configuration of the link between them, which the manifest pins."""
 
 import os
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ SIDES: tuple[Literal["cloud", "robot"], ...] = ("cloud", "robot")
 
 
 def launch_files(application: Application, layout: Layout) -> dict[Path, bytes]:
-    """Return what is sent to the machine besides the agent: the cloud's launch file and the link's folder."""
+    """Return the files sent to the machine besides the agent: the cloud launch file and the link directory."""
     files: dict[Path, str] = {}
     if application.spec.ros is not None:
         files[layout.cloud] = render(
@@ -34,7 +34,7 @@ def launch_files(application: Application, layout: Layout) -> dict[Path, bytes]:
 
 
 def robot_launch(application: Application, layout: Layout) -> bytes | None:
-    """Return the robot's launch file: its nodes, and its end of the link; None where there is neither."""
+    """Return the robot's launch file with its nodes and its end of the link; None if there is neither."""
     link, spec = link_of(application), application.spec
     if not spec.robot and link.protocol is None:
         return None
@@ -58,7 +58,7 @@ def robot_launch(application: Application, layout: Layout) -> bytes | None:
 
 
 def link_script(application: Application, layout: Layout) -> str:
-    """Return what makes keys, takes the other end's public half and runs the link: the same text at both ends."""
+    """Return the script that makes keys, imports the peer's public key and runs the link, identical at both ends."""
     name = application.metadata.name
     return render(
         "link.sh.j2",
@@ -72,7 +72,7 @@ def link_script(application: Application, layout: Layout) -> str:
 
 
 def link_of_machine(application: Application) -> dict[str, Any] | None:
-    """Return what the deployment's scripts say of the cloud's end; None without a link."""
+    """Return the template values for the cloud end of the link; None without a link."""
     link = link_of(application)
     if link.protocol is None:
         return None

@@ -1,4 +1,4 @@
-"""Writing and checking the lock: what is pinned already stays, what is missing is asked for, files are read anew."""
+"""Update the lock: keep existing pins, resolve missing ones, and digest the files next to the specs again."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ ALL = "all"
 
 @dataclass(frozen=True, slots=True)
 class LockRequest:
-    """One application to lock: `origin` is what `--catalog` says for it, `about` the catalog found there.
+    """An application to lock, with the origin of its catalog and the catalog found there.
 
-    `priors` is the machine library that `--priors` names, None to leave what is locked.
+    `priors` is the machine library that `--priors` names; None keeps the locked one.
     """
 
     application: Application
@@ -32,11 +32,11 @@ class LockRequest:
 def relock(
     wanted: Sequence[LockRequest], digest_of: Callable[[str], str], upgrade: Sequence[str], whole: bool
 ) -> dict[Path, Lock]:
-    """Return the locks as they should be, by path: one for each folder that has specs.
+    """Return the updated locks by path, one for each project.
 
-    `digest_of` asks a registry. `upgrade` names what is asked for anew though it is locked: `catalog`, an image as a
-    spec names it, or `all`. `whole` says that there are no other applications than these. Raise UsageError for a
-    name that no spec has.
+    `digest_of` queries a registry. `upgrade` names the pins to resolve again: `catalog`, an image as named in a spec, or
+    `all`. If `whole`, these are all applications and pins of others are dropped. Raise UsageError for an unknown name in
+    `upgrade`.
     """
     known = {"catalog", ALL, *filter(None, (image_named(one.application) for one in wanted))}
     if unknown := [name for name in upgrade if name not in known]:
@@ -81,7 +81,7 @@ def _image(
 
 
 def differences(before: Lock | None, now: Lock) -> list[str]:
-    """Return what differs between two locks, in lines."""
+    """Return a line for each difference between two locks."""
     old = before.spec.applications if before else {}
     new = now.spec.applications
     lines = []

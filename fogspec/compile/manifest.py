@@ -1,4 +1,4 @@
-"""The pinned manifest: the machine a human approves, what is expected of it, and where every figure came from."""
+"""Make the pinned manifest: the machine to approve, its expected performance, and the provenance of every figure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -224,7 +224,7 @@ class Manifest(Strict):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sources:
-    """The files that a manifest is made from, and those that stand beside it."""
+    """References to the inputs of a manifest and to the files of its deployment."""
 
     application: ApplicationRef
     catalog: CatalogRef
@@ -247,7 +247,10 @@ def make_manifest(
     warnings: list[str],
     relaxed: Relaxed | None = None,
 ) -> Manifest:
-    """Return the manifest of the chosen machine, and where `relaxed` ends if elsewhere. Raise ValueError for no choice."""
+    """Return the manifest of the chosen machine, with the optimum of `relaxed` if it differs.
+
+    Raise ValueError if no machine is chosen.
+    """
     row = choice.chosen
     if row is None:
         raise ValueError("there is no manifest without a choice")
@@ -419,7 +422,7 @@ def _model_ref(models: Models, entry: Entry, file: FileRef) -> ModelRef:
 
 
 def model_for(models: Models, entry: Entry) -> Model | None:
-    """Return the latency curve of the entry's GPU type; None where no such machine was measured."""
+    """Return the latency curve of the entry's GPU type; None if no machine of that type was measured."""
     return next((m for m in models.spec.models if m.gpu == entry.gpu_key and m.target == "latency"), None)
 
 

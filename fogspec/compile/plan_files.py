@@ -1,4 +1,4 @@
-"""The files of a plan: the plan, a task for each of its samples, and tasks of machines that took a sample's place."""
+"""Make the files of a plan: the plan, the task of each sample, and the tasks of substitutes that were used."""
 
 import json
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from fogspec.spec.schema import Application
 
 
 def with_substitutes(application: Application, plan: Plan, admissible: Filtered) -> Plan:
-    """Return the plan with the machines that take a sample's place if it is unavailable."""
+    """Return the plan with substitutes for unavailable machines."""
     others = substitutes(application.spec, plan.spec.samples, admissible.offers)
     return plan.model_copy(update={"spec": plan.spec.model_copy(update={"substitutes": others})})
 
@@ -42,7 +42,7 @@ def with_tasks(application: Application, plan: Plan, layout: Layout) -> tuple[Pl
 def substitute_tasks(
     application: Application, plan: Plan, layout: Layout, results: Results | None
 ) -> dict[Path, bytes]:
-    """Return the tasks of machines that took a sample's place, by path."""
+    """Return the tasks of the substitutes that were measured, by path."""
     planned = {sample.id for sample in plan.spec.samples}
     records = results.spec.samples if results is not None else []
     took = [Sample(id=one.id, machine=one.machine, reason="") for one in records if one.substitute_for in planned]
@@ -50,12 +50,12 @@ def substitute_tasks(
 
 
 def plan_file(plan: Plan, layout: Layout) -> bytes:
-    """Return the bytes of the plan's file."""
+    """Return the content of the plan file."""
     return _yaml(plan.model_dump(mode="json"), layout)
 
 
 def task_file(application: Application, plan: Plan, sample: Sample, layout: Layout) -> bytes:
-    """Return the bytes of a sample's task."""
+    """Return the content of a sample's task file."""
     return _yaml(sample_task_of(application, plan, sample, layout), layout)
 
 
@@ -84,12 +84,12 @@ def sample_task_of(application: Application, plan: Plan, sample: Sample, layout:
 
 
 def _setup_script(ros: Mapping[str, Any]) -> str | None:
-    """Return the script that provisions ROS 2 and the workspace, None for plain processes."""
+    """Return the script that installs ROS 2 and builds the workspace; None for plain processes."""
     return None if ros["distro"] is None else render("setup_ros2.sh.j2", **ros)
 
 
 def _limits(application: Application, plan: Plan) -> list[str]:
-    """Return the agent's arguments that say when a sample has measured enough."""
+    """Return the arguments of the agent that define its stopping rule."""
     body, stop = plan.spec, application.spec.benchmark.stop
     words = ["--after", units.format_number(body.duration), "--warmup", str(body.warmup)]
     words += ["--startup", units.format_number(body.setup_timeout)]

@@ -1,1 +1,1 @@
-"""What people read: diagnostics, summaries, the menu, explanations, and the page of an application."""
+"""Render output for people: diagnostics, summaries, the menu, explanations, and the report page of an application."""

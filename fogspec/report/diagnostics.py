@@ -1,4 +1,4 @@
-"""The one reporter: the same diagnostics as text for people, as JSON for programs, as annotations for GitHub."""
+"""Report diagnostics as text for people, JSON for programs, or annotations for GitHub."""
 
 import json
 import os
@@ -22,9 +22,9 @@ MOST_COLUMNS = 160
 
 
 def show_diagnostics(diagnostics: Sequence[Diagnostic], output: str = "text", color: bool | None = None) -> None:
-    """Print every diagnostic: text on stderr, JSON and GitHub's annotations on stdout.
+    """Print diagnostics: text on stderr, JSON and GitHub annotations on stdout.
 
-    `color` None: only on a terminal, and never where NO_COLOR is set.
+    If `color` is None, text is colored only on a terminal and only if NO_COLOR is not set.
     """
     if output == "json":
         click.echo(json.dumps([as_data(one) for one in diagnostics], ensure_ascii=False, indent=2))
@@ -45,7 +45,7 @@ def show_diagnostics(diagnostics: Sequence[Diagnostic], output: str = "text", co
 
 
 def as_text(one: Diagnostic, color: bool = False) -> str:
-    """Return the diagnostic with its line and a caret under what is meant; the message alone says it all."""
+    """Return the diagnostic with its source line and carets under the span."""
     span, hue = one.span, "red" if one.severity == "error" else "yellow"
 
     def paint(text: str, **style: Any) -> str:
@@ -72,7 +72,7 @@ def as_text(one: Diagnostic, color: bool = False) -> str:
 
 
 def as_data(one: Diagnostic) -> dict[str, Any]:
-    """Return the diagnostic as JSON has it; lines and columns count from 1."""
+    """Return the diagnostic as a dict for JSON; lines and columns count from 1."""
     return {
         "severity": one.severity,
         "code": one.code,
@@ -86,24 +86,24 @@ def as_data(one: Diagnostic) -> dict[str, Any]:
 
 
 def annotation(one: Diagnostic) -> str:
-    """Return a GitHub workflow command, which marks the line in a pull request."""
+    """Return a GitHub workflow command that annotates the line in a pull request."""
     span = one.span
     end = span.column + span.width - 1
     where = f"file={_property(span.path)},line={span.line},endLine={span.line},col={span.column},endColumn={end}"
-    said = f"{one.message}; {one.fix}" if one.fix else one.message
-    return f"::{one.severity} {where},title={_property(one.code)}::{_data(said)}"
+    text = f"{one.message}; {one.fix}" if one.fix else one.message
+    return f"::{one.severity} {where},title={_property(one.code)}::{_data(text)}"
 
 
 def summary(diagnostics: Sequence[Diagnostic]) -> str:
-    """`2 errors, 1 warning in 1 file; `fogspec explain FS201` says more`."""
+    """Count the diagnostics by severity and file, and name the command that explains the first."""
     count = Counter(one.severity for one in diagnostics)
     files = len({one.span.path for one in diagnostics})
-    said = [f"{number} {word}{'' if number == 1 else 's'}" for word, number in sorted(count.items())]
-    return f"{', '.join(said)} in {files} file{'' if files == 1 else 's'}; `fogspec explain {diagnostics[0].code}` says more"
+    counts = [f"{number} {word}{'' if number == 1 else 's'}" for word, number in sorted(count.items())]
+    return f"{', '.join(counts)} in {files} file{'' if files == 1 else 's'}; `fogspec explain {diagnostics[0].code}` says more"
 
 
 def bug_paragraph(bug: BaseException) -> str:
-    """One paragraph to paste into an issue: no paths, no values, only where in fogspec it happened."""
+    """Return a paragraph to paste into an issue: the location in fogspec, without paths or values."""
     frames = traceback.extract_tb(bug.__traceback__)
     ours = [frame for frame in frames if f"{os.sep}fogspec{os.sep}" in frame.filename] or frames
     steps = " < ".join(
@@ -129,14 +129,20 @@ def _window(line: str, start: int, width: int) -> tuple[str, int, int]:
 
 
 def _cells(text: str) -> int:
-    """Return how many cells of a terminal the text takes."""
-    wide = sum(1 for one in text if unicodedata.east_asian_width(one) in "WF")
-    return len(text) + wide - sum(1 for one in text if unicodedata.combining(one))
+    """Return the number of terminal cells that the text takes."""
+    wide = sum(1 for character in text if unicodedata.east_asian_width(character) in "WF")
+    return len(text) + wide - sum(1 for character in text if unicodedata.combining(character))
 
 
 def _clean(text: str | None) -> str:
-    """Return the text without anything that a terminal would obey."""
-    return "".join(one if one.isprintable() else " " if one in "\t\n" else "�" for one in text or "")
+    """Return the text without control characters, which a terminal would interpret."""
+    return "".join(_visible(character) for character in text or "")
+
+
+def _visible(character: str) -> str:
+    if character.isprintable():
+        return character
+    return " " if character in "\t\n" else "�"
 
 
 def _data(text: str) -> str:

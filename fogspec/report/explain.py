@@ -1,4 +1,4 @@
-"""Why this machine: the funnel, what binds, which samples matter, where the model is weak, and who else was close."""
+"""Explain a choice: the funnel, binding limits, influential samples, weak predictions, and close alternatives."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -21,7 +21,7 @@ MOST_SAMPLES = 3
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What is worked out for an explanation beside the choice: the samples' influence, and one more sample's worth."""
+    """The analysis behind an explanation: slack of the limits, influence of the samples, and the best next sample."""
 
     bindings: list[Slack]
     influences: list[Influence]
@@ -29,7 +29,7 @@ class Analysis:
 
     @classmethod
     def of(cls, compiled: Artifacts, decision: Decision, refits: Refits) -> "Analysis":
-        """Analyse a decision; refits without each sample in turn."""
+        """Analyze a decision; refit the model without each sample in turn."""
         offers = compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
         usd = offers.price_usd_per_hour * lifetime_s(body.duration, body.setup_timeout) / 3600
@@ -42,9 +42,9 @@ class Analysis:
 
 
 def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
-    """Return the explanation of a measured application, infeasible ones included; of an unmeasured one, its plan.
+    """Return the explanation of a measured application, feasible or not, or the plan of an unmeasured one.
 
-    `refits` are fits without some of the samples that can be shared with others.
+    `refits` caches fits without some of the samples, to share them with other analyses.
     """
     decision = compiled.decision
     if decision is None:
@@ -75,7 +75,7 @@ def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
 
 
 def as_dict(compiled: Artifacts) -> dict[str, Any]:
-    """Return the same as data."""
+    """Return the explanation as a dict for JSON."""
     found: dict[str, Any] = {"name": compiled.layout.name, "stale": compiled.stale, "funnel": _funnel_dict(compiled)}
     if compiled.decision is None:
         return found
@@ -265,7 +265,10 @@ def _others(compiled: Artifacts, decision: Decision) -> list[str]:
 
 
 def _difference_text(compiled: Artifacts, decision: Decision, row: int) -> str:
-    """Return in which part of the objective a feasible machine is worse, and how probably it is better after all."""
+    """Return the terms of the objective against the choice, and the probability that the machine is better.
+
+    The text is empty for an infeasible machine.
+    """
     choice, app = decision.choice, compiled.application
     if choice.chosen is None or not choice.feasible[row]:
         return ""

@@ -1,7 +1,7 @@
-"""One self-contained page of an application: spec, funnel, samples, models, menu, costs, provenance.
+"""Render the report page of an application: spec, funnel, samples, models, menu, costs, provenance.
 
-The page needs no network and asks for none (its content security policy forbids it). Every value passes a filter of
-the language that it stands in; the same inputs give the same bytes.
+The page is self-contained: its content security policy forbids network access. Every value is escaped for the
+language that it is embedded in; the same inputs give the same bytes.
 """
 
 import base64
@@ -28,13 +28,19 @@ SECTIONS = {
 
 
 def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
-    """Return the page; `command` makes it again, `menu_command` is what the sliders' answers can be compared with."""
+    """Return the HTML page, UTF-8 encoded.
+
+    `command` regenerates the page; `menu_command` computes the same menu as the sliders on the page.
+    """
     chosen, results = compiled.decision, compiled.results
     refits = None if chosen is None else refits_of(compiled, chosen)
     data = None
     if chosen is not None and len(chosen.choice.front):
         data = {**menu_data(compiled.application, chosen.choice), "command": menu_command}
-    scripts = ("report_picture.js", "report.js")  # what draws first: the other begins as soon as it is read
+    scripts = (
+        "report_picture.js",
+        "report.js",
+    )  # the drawing code first: the other script runs as soon as it is parsed
     script = "".join((shipped("templates") / name).read_text(encoding="utf-8") for name in scripts)
     samples = planned_table(compiled.plan) if results is None else measured_table(results)
     there = {"menu": data is not None, "why": chosen is not None, "models": chosen is not None}
@@ -94,7 +100,7 @@ def _menu_note(data: Mapping[str, Any]) -> str:
 
 
 def _json(data: Mapping[str, Any]) -> str:
-    """JSON that can stand in a script element: no character that HTML could take for markup."""
+    """Return JSON for a script element, without characters that HTML could interpret as markup."""
     text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
@@ -116,7 +122,7 @@ def _funnel(compiled: Artifacts) -> list[tuple[str, str, str]]:
 
 
 def _text(content: bytes) -> str:
-    """Return a file's text with the line ends of this program."""
+    """Return the text of a file with its line ends normalized to LF."""
     return content.decode().replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -158,7 +164,7 @@ def _provenance(compiled: Artifacts) -> dict[str, Any]:
 
 
 def _flat(name: str, value: Any) -> list[tuple[str, str]]:
-    """Nested values as rows, each named by its path."""
+    """Return nested values as rows (path, value)."""
     if isinstance(value, Mapping):
         return [row for key, one in value.items() for row in _flat(f"{name}.{key}" if name else str(key), one)]
     if isinstance(value, Sequence) and not isinstance(value, str):

@@ -1,4 +1,4 @@
-"""The menu on demand: other limits or another alpha over what was measured, and the menu as a table."""
+"""Recompute the menu for other limits or another alpha, and render it as text."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,14 +22,14 @@ NO_LIMIT = "none"
 
 @dataclass(frozen=True, slots=True)
 class MenuView:
-    """A menu, and the choice that it says."""
+    """A menu and the choice behind it."""
 
     application: Application
     choice: Choice
     menu: Menu
 
     def plot(self, width: int, color: bool) -> str:
-        """Return the menu as a picture of plain characters; empty where no machine can be predicted."""
+        """Return the menu chart in plain characters; an empty string if no machine can be predicted."""
         if not len(self.choice.front):
             return ""
         return "\n".join(plot(menu_chart(self.application, self.choice, []), width, color))
@@ -38,7 +38,7 @@ class MenuView:
 def menu_view(inputs: Inputs, alpha: float | None, latency: str | None, cost: str | None) -> MenuView:
     """Return the menu of a measured application under other limits.
 
-    Raise OutOfDate if it was not measured, DiagnosticError for damaged results, UnitError for a wrong quantity.
+    Raise OutOfDate if it has no current results, DiagnosticError for damaged results, UnitError for a wrong quantity.
     """
     layout = inputs.layout
     results, stale = usable_results(inputs)
@@ -53,7 +53,7 @@ def menu_view(inputs: Inputs, alpha: float | None, latency: str | None, cost: st
 
 
 def changed(application: Application, alpha: float | None, latency: str | None, cost: str | None) -> Application:
-    """Return the application with other limits or another alpha; `none` takes a limit away."""
+    """Return the application with other limits or another alpha; `none` removes a limit."""
     spec = application.spec
     limits: dict[str, Any] = {}
     if latency is not None:
@@ -68,7 +68,7 @@ def changed(application: Application, alpha: float | None, latency: str | None, 
 
 
 def show(menu: Menu, picture: str = "") -> str:
-    """Return the menu as text: the named choices, a picture, then the Pareto front of cost and latency."""
+    """Return the menu as text: the named choices, the chart, then the Pareto fronts."""
     body = menu.spec
     limits = ", ".join(f"{name} at most {bound}" for name, bound in body.limits.items()) or "none"
     lines = [

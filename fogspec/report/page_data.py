@@ -1,7 +1,7 @@
-"""The numbers with which the report's page chooses again: enough of them that it chooses as `fogspec menu` does.
+"""Compute the data with which the report page recomputes the choice, with the same result as `fogspec menu`.
 
-Of offers of one type only the cheapest can ever be chosen, so that each type is one row. Where there are more than
-`MOST` types, those that another type beats in everything are left out: no limit and no weight can make them win.
+Only the cheapest offer of a type can be chosen, so that each type is one row. If there are more than `MOST` types,
+dominated types are omitted: they cannot win under any limit or weight.
 """
 
 from typing import Any
@@ -24,11 +24,10 @@ Rows = NDArray[np.intp]
 
 
 def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
-    """Return what the page computes with: the rule's constants, and columns over the offers that can win.
+    """Return the data of the page: the constants of the rule, and columns over the offers that can win.
 
-    `needed` has for each floor of probability the latency that an offer must be allowed; `within` what its limits leave
-    is computed in the page. `needs` is what a limit would have to be where nothing meets them all.
-    `faint` are points of offers that are not there, for the picture.
+    `needed` has, for each probability level, the latency limit that an offer requires. `needs` is the limit that would be
+    required if no machine meets all of them. `faint` are points of omitted offers, for the chart.
     """
     spec, costs = application.spec, choice.rule.costs
     needed, needs = _needed(choice), choice.required(choice.rule.levels[-1])
@@ -105,9 +104,9 @@ def _needed(choice: Choice) -> list[Floats]:
 
 
 def cheapest_of_types(choice: Choice) -> Rows:
-    """For each type and price kind the offer with the lowest cost, the first of equals; in the offers' order.
+    """Return the cheapest offer of each type and price kind, the first of equals, in the order of the offers.
 
-    Predictions are a type's, so that among its offers this one wins whatever is weighed.
+    All offers of a type have the same predictions, so that the cheapest wins under any weight.
     """
     rows = np.flatnonzero(choice.eligible)
     if not len(rows):
@@ -127,7 +126,7 @@ def _keys(choice: Choice, rows: Rows) -> list[tuple[object, ...]]:
 
 
 def undominated(choice: Choice, needed: list[Floats], rows: Rows) -> Rows:
-    """Return the rows that no other equals or beats in everything that a choice depends on, ties included."""
+    """Return the rows that no other row equals or beats in everything that a choice depends on, ties included."""
     measured = choice.latency.measured[rows]
     columns = [
         choice.metric_value,
@@ -154,7 +153,7 @@ def undominated(choice: Choice, needed: list[Floats], rows: Rows) -> Rows:
 
 
 def _ends(choice: Choice, rows: Rows, metric: str | None) -> tuple[list[float | None], list[float | None]]:
-    """Return the ends of the interval of what is weighed."""
+    """Return the interval ends of the metric in the objective, as two columns."""
     predictions = choice.metrics[metric] if metric else choice.latency
     if predictions.posterior is None:
         return [None] * len(rows), [None] * len(rows)
@@ -165,7 +164,7 @@ def _ends(choice: Choice, rows: Rows, metric: str | None) -> tuple[list[float | 
 
 
 def _faint(choice: Choice, types: Rows, rows: Rows) -> dict[str, list[float]]:
-    """Points of types that are not among the rows, at most `FAINT`, spread evenly over their order by cost."""
+    """Return points of types that are not among the rows: at most `FAINT`, evenly spread in order of cost."""
     rest = np.setdiff1d(types, rows)
     rest = rest[np.argsort(choice.cost_usd_per_request[rest], kind="stable")]
     if len(rest) > FAINT:

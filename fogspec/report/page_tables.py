@@ -1,4 +1,4 @@
-"""Tables of the report: samples, curves, residuals."""
+"""Build the tables of the report: samples, curves, residuals."""
 
 import math
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ MEASURED_HEADS = (
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table with its caption; `numbers` are the columns that hold figures."""
+    """A table with its caption; `numbers` are the indices of numeric columns."""
 
     caption: str
     heads: tuple[str, ...]
@@ -33,7 +33,7 @@ class Table:
 
 
 def planned_table(plan: Plan) -> Table:
-    """Return what is to be measured."""
+    """Return the table of planned samples."""
     rows = [(s.machine.instance, s.machine.infra, *_shape(s.machine), s.reason) for s in plan.spec.samples]
     return Table(
         "To be measured", ("machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "why"), rows, (2, 3, 5)
@@ -41,7 +41,7 @@ def planned_table(plan: Plan) -> Table:
 
 
 def measured_table(results: Results) -> Table:
-    """Return what was measured."""
+    """Return the table of measured samples, without empty columns."""
     source = f"; {results.spec.source}" if results.spec.source else ""
     rows = [_measured(one) for one in results.spec.samples]
     numbers = (2, 3, 5, 7, 8, 9, 10, 11, 12, 14, 15)
@@ -82,7 +82,7 @@ def _time(seconds: float | None) -> str:
 
 
 def curve_rows(models: Models) -> list[tuple[str, ...]]:
-    """Return the curves, one a GPU type and target."""
+    """Return the rows of the curves, one for each GPU type and target."""
     return [
         (
             model.target + (f" with {model.gpu}" if model.gpu else ""),
@@ -98,7 +98,7 @@ def curve_rows(models: Models) -> list[tuple[str, ...]]:
 
 
 def residual_rows(models: Models, refits: Refits) -> Sequence[tuple[str, ...]]:
-    """For each sample what its curve says, and what the surrogate predicts from all the others."""
+    """Return, for each sample, the prediction of its curve and the surrogate's leave-one-out prediction."""
     fitted = {model.gpu: model for model in models.spec.models if model.target == "latency"}
     rows = []
     for one in models.spec.observations:
@@ -115,7 +115,7 @@ def residual_rows(models: Models, refits: Refits) -> Sequence[tuple[str, ...]]:
 
 
 def _without(models: Models, refits: Refits, one: Observation) -> tuple[str, str, str]:
-    """Return what all other samples say of a sample's machine: prediction, interval, and how far off it is."""
+    """Return the leave-one-out prediction of a sample: value, interval and error, empty if it is unavailable."""
     known, key = models.spec.observations, one.machine.type_key
     others = [other for other in known if other.machine.type_key != key]
     predicted = refits.of(others) if others else None
@@ -125,15 +125,15 @@ def _without(models: Models, refits: Refits, one: Observation) -> tuple[str, str
     if posterior is None:
         return "", "", ""
     at = [refits.space.place[one.machine.type_key]]
-    # Of this machine alone: a bisection over a whole catalog for each sample would take seconds.
+    # Only for this machine: a bisection over a whole catalog for each sample would take seconds.
     own = replace(posterior, means=posterior.means[:, at], variances=posterior.variances[:, at])
     low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     value = math.exp(own.mean[0])
     return _time(value), f"{_time(low)} to {_time(high)}", _off(value, one.values["latency"])
 
 
-def _off(said: float | None, measured: float) -> str:
-    return "" if said is None else f"{said / measured - 1:+.1%}"
+def _off(predicted: float | None, measured: float) -> str:
+    return "" if predicted is None else f"{predicted / measured - 1:+.1%}"
 
 
 def _share(value: float | None) -> str:

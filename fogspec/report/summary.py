@@ -1,4 +1,4 @@
-"""What compile says when it is done: what was derived, what it means, and what to run next."""
+"""Summarize a compilation: the derived files, their content, and the next command."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ NOTES = 3
 
 
 def summary(compiled: Artifacts) -> str:
-    """Return the compiled application in a few lines."""
+    """Return the summary of a compiled application as text."""
     layout, body = compiled.layout, compiled.plan.spec
     catalog = body.catalog
     from_ = f"{catalog.source}, {catalog.date}" if catalog.date else catalog.source
@@ -76,7 +76,7 @@ def _menu_text(menu: "Menu") -> str:
 
 
 def entry_text(entry: "Entry") -> str:
-    """`g4dn.xlarge in aws/us-east-1, $0.526/h: 1.65s [1.58s, 1.73s], $0.000241/request`."""
+    """Format a menu entry: the machine, its price, latency with interval, and cost."""
     interval = ""
     if entry.interval is not None:
         low, high = (units.format_duration(end) for end in entry.interval)
@@ -91,7 +91,7 @@ def entry_text(entry: "Entry") -> str:
 
 
 def infeasible_text(menu: "Menu") -> list[str]:
-    """Return why no machine meets the limits, in lines."""
+    """Return the lines that explain why no machine meets the limits."""
     body = menu.spec
     if not body.predicted:
         return ["  nothing can be said of any machine: no sample counts, or each admissible machine failed"]
@@ -108,7 +108,7 @@ def infeasible_text(menu: "Menu") -> list[str]:
 
 
 def as_dict(compiled: Artifacts) -> dict[str, Any]:
-    """Return the same as data."""
+    """Return the summary as a dict for JSON."""
     layout, body = compiled.layout, compiled.plan.spec
     chosen = compiled.decision
     return {

@@ -1,4 +1,4 @@
-"""The links between robot and cloud, by the name that a spec gives them: pure functions from a spec to configuration."""
+"""Configure links between robot and cloud, by their name in a spec."""
 
 from fogspec.compile.links.none import NoLink
 from fogspec.compile.links.protocol import Link
@@ -10,7 +10,7 @@ LINKS: dict[str, Link] = {link.name: link for link in (NoLink(), Zenoh(), WireGu
 
 
 def link_of(application: Application) -> Link:
-    """Return the link that the spec asks for."""
+    """Return the link that the spec selects."""
     return LINKS[application.spec.connectivity.link]
 
 

@@ -1,4 +1,4 @@
-"""No link: robot and cloud are joined by other means, or not at all."""
+"""Configure no link: robot and cloud are connected by other means, or not at all."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -8,7 +8,7 @@ from fogspec.spec.schema import Application
 
 
 class NoLink:
-    """Nothing is written, started or opened."""
+    """A link without files, processes and ports."""
 
     name: str = "none"
     protocol: Literal["tcp", "udp"] | None = None
@@ -16,13 +16,13 @@ class NoLink:
     packages: Sequence[str] = ()
 
     def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
-        """Nothing."""
+        """Return an end without files and environment."""
         return LinkEnd({}, {})
 
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
-        """Nothing."""
+        """Return no notes."""
         return ()
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:
-        """Nothing."""
+        """Return None: there is no port to open."""
         return None

@@ -1,4 +1,4 @@
-"""The interface of a link between robot and cloud."""
+"""Define the interface of a link between robot and cloud."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,11 +9,11 @@ from fogspec.spec.schema import Application
 
 @dataclass(frozen=True, slots=True)
 class LinkEnd:
-    """One end of a link: reviewed files by name, and what the nodes at this end see in their environment.
+    """One end of a link: reviewed files by name, and environment variables for the nodes at this end.
 
-    No file holds a key. What is known only when the machine is up stands in them as a word between two @, which
-    `link.sh` replaces on the spot: @CLOUD_ADDRESS@, @KEYS@ (the folder of this end's key), @PEER@ (the other's public half).
-    In the environment @LINK@ stands for the folder of the reviewed files.
+    No file contains a key. Values that are unknown until the machine is up are placeholders, which `link.sh` replaces:
+    @CLOUD_ADDRESS@, @KEYS@ (the directory of this end's key), @PEER@ (the peer's public key). In the environment, @LINK@
+    stands for the directory of the reviewed files.
     """
 
     files: Mapping[str, str]
@@ -21,10 +21,10 @@ class LinkEnd:
 
 
 class Link(Protocol):
-    """How robot and cloud are joined: configuration as data; what starts it is `templates/link.sh.j2`.
+    """A connection of robot and cloud, as configuration that `templates/link.sh.j2` starts.
 
-    `packages` are Debian packages that an end needs, with DISTRO for the ROS 2 distribution; `port` is the one that
-    the cloud machine listens on, `protocol` which kind; without a protocol there is no link at all.
+    `packages` are Debian packages for both ends, with DISTRO for the ROS 2 distribution. The cloud machine listens on
+    `port` of `protocol`; None means that there is no link.
     """
 
     name: str
@@ -37,9 +37,9 @@ class Link(Protocol):
         ...
 
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
-        """Return what a reviewer must know or do for this link on this cloud."""
+        """Return notes for the reviewer about this link on this cloud."""
         ...
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:
-        """Return how to open the port of the machine at `address`, where the engine does not; None where nothing is to do."""
+        """Return instructions to open the port of the machine at `address`; None if nothing is to be done."""
         ...

@@ -1,6 +1,6 @@
-"""An SROS2 policy (sros2's policy.xml, version 0.2.0): what the named nodes of a spec may say, by default nothing.
+"""Make an SROS2 policy (policy.xml, version 0.2.0) for the named nodes of a spec, which denies by default.
 
-Who publishes and who subscribes stands in no spec, so each node may do both with the names that the spec has.
+A spec does not declare publishers and subscribers, so each node may do both with the names in the spec.
 """
 
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 from fogspec.spec.graph_names import exposed
 from fogspec.spec.schema import Application, Node
 
-# What every node of ROS 2 does besides: its log, its parameters, the clock.
+# Topics that every ROS 2 node uses: its log, its parameters, the clock.
 OF_EVERY_NODE = {"publish": ("rosout", "parameter_events"), "subscribe": ("parameter_events", "clock")}
 SERVICES_OF_EVERY_NODE = (
     "describe_parameters",
@@ -22,7 +22,7 @@ SERVICES_OF_EVERY_NODE = (
 
 
 def policy(application: Application) -> str:
-    """Return the policy's text, one enclave for each side; nodes without a name have no profile, because SROS2 goes by it."""
+    """Return the policy, one enclave for each side; nodes without a name have no profile, because SROS2 needs the name."""
     sides = {"cloud": application.spec.cloud, "robot": application.spec.robot}
     enclaves = [line for side, nodes in sides.items() for line in _enclave(application, side, nodes)]
     lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<policy version="0.2.0">', "  <enclaves>", *enclaves]

@@ -1,4 +1,4 @@
-"""WireGuard: a tunnel between two addresses that no other application has, and ROS 2 discovery through it.
+"""Configure WireGuard: a tunnel between two addresses of the application, and ROS 2 discovery through it.
 
 ROS_STATIC_PEERS (ROS 2 Iron and later) names the other end, so that no multicast is needed.
 """
@@ -12,7 +12,7 @@ from fogspec.base.clouds import cloud_of
 from fogspec.compile.links.protocol import LinkEnd
 from fogspec.spec.schema import Application
 
-# Shared address space of RFC 6598: neither a home's nor a data centre's private network is there by custom.
+# Shared address space of RFC 6598, which private networks of homes and data centers rarely use.
 SPACE = ipaddress.IPv4Network("100.64.0.0/10")
 
 FRAGMENT_BYTES = 1300  # below the tunnel's MTU of 1420 with room for headers
@@ -20,7 +20,7 @@ BUFFER_BYTES = 4 << 20
 
 
 class WireGuard:
-    """One tunnel an application, with two addresses of its own."""
+    """A tunnel for each application, with two addresses derived from its name."""
 
     name: str = "wireguard"
     protocol: Literal["tcp", "udp"] | None = "udp"
@@ -28,7 +28,7 @@ class WireGuard:
     packages: Sequence[str] = ("iproute2", "wireguard-go", "wireguard-tools")
 
     def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
-        """Return the tunnel's configuration in wg-quick's words."""
+        """Return the configuration of the tunnel for wg-quick."""
         here, there = addresses(application.metadata.name)
         if side == "cloud":
             here, there = there, here
@@ -37,7 +37,7 @@ class WireGuard:
             "[Interface]",
             f"Address = {here}/32",
             *([f"ListenPort = {port}"] if side == "cloud" else []),
-            # The key is read from where it was made and is in no configuration.
+            # The key stays in its file: no configuration contains it.
             'PostUp = wg set %i private-key "@KEYS@/private.key"',
             "",
             "[Peer]",
@@ -53,7 +53,7 @@ class WireGuard:
         return LinkEnd(files, environment)
 
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
-        """Return what to open by hand, because SkyPilot opens TCP ports only."""
+        """Return the port that the user must open, because SkyPilot opens TCP ports only."""
         if not cloud_of(cloud).on_skypilot:
             return ()
         port = application.spec.connectivity.port or self.port
@@ -61,7 +61,7 @@ class WireGuard:
         return (f"open UDP port {port} of the machine yourself, because SkyPilot opens TCP ports only: {how}",)
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:
-        """One command of the cloud's own program where it is known, which opens the port to every address."""
+        """Return a command of the cloud's CLI that opens the port to every address, if it is known."""
         cloud, region = cloud_of(infra), infra.partition("/")[2]
         if not cloud.on_skypilot:
             return None
@@ -73,10 +73,10 @@ class WireGuard:
 
 
 def fast_dds(only: Sequence[str]) -> str:
-    """Return a profile for Fast DDS, the middleware that ROS 2 brings: other middlewares do not read it.
+    """Return a profile for Fast DDS, the default middleware of ROS 2; other middlewares ignore it.
 
     A message larger than one datagram is sent in fragments that fit into the tunnel's packets, so that a lost packet
-    costs one fragment and not 64 KiB; the buffers hold a burst of them. `only` are the addresses that are used at all.
+    costs one fragment and not 64 KiB; the buffers hold a burst of them. `only` restricts the interfaces to these addresses.
     """
     interfaces = [f"        <address>{address}</address>" for address in only]
     listed = ["      <interfaceWhiteList>", *interfaces, "      </interfaceWhiteList>"] if only else []
@@ -107,12 +107,12 @@ def fast_dds(only: Sequence[str]) -> str:
 
 
 def addresses(name: str) -> tuple[ipaddress.IPv4Address, ipaddress.IPv4Address]:
-    """Return the robot's and the cloud's address in the tunnel: a pair that follows from the application's name."""
+    """Return the addresses of robot and cloud in the tunnel, derived from the name of the application."""
     pairs = SPACE.num_addresses // 2
     pair = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") % pairs
     return SPACE[2 * pair], SPACE[2 * pair + 1]
 
 
 def interface(name: str, side: Literal["cloud", "robot"]) -> str:
-    """Return the tunnel's network interface at one end: at most 15 characters, its own for each application."""
+    """Return the name of the network interface at one end: at most 15 characters, distinct for each application."""
     return f"fog{side[0]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"

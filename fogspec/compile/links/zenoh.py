@@ -1,8 +1,8 @@
-"""Zenoh: one router at each end, joined by mutual TLS on one port, each letting pass only what the spec names.
+"""Configure Zenoh: a router at each end, connected by mutual TLS on one port, which passes only names in the spec.
 
-Key expressions are those that rmw_zenoh_cpp makes of ROS 2's names (its design document): topics and services are
-`<domain>/<name>/<type>/<type hash>`, actions five of these, and the graph is told by liveliness tokens under `@ros2_lv`.
-A chunk that begins with `@` is matched by no wildcard, so it is always written out.
+Key expressions follow the design document of rmw_zenoh_cpp: topics and services are `<domain>/<name>/<type>/<type hash>`,
+an action is five of these, and liveliness tokens under `@ros2_lv` announce the graph. No wildcard matches a chunk that
+begins with `@`, so it is always spelled out.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from fogspec.compile.links.protocol import LinkEnd
 from fogspec.spec.graph_names import AllowedNames, exposed
 from fogspec.spec.schema import Application
 
-LOCAL = "tcp/127.0.0.1:7447"  # where rmw_zenoh_cpp's nodes look for their router
+LOCAL = "tcp/127.0.0.1:7447"  # default router address of rmw_zenoh_cpp nodes
 DATA = ["put", "delete", "declare_subscriber"]
 CALLS = ["query", "reply", "declare_queryable"]
 GRAPH = ["liveliness_token", "declare_liveliness_subscriber", "liveliness_query"]
@@ -25,7 +25,7 @@ TOPICS_OF_ACTIONS = ("feedback", "status")
 
 
 class Zenoh:
-    """Mutual TLS between two certificates that know each other, default deny."""
+    """A link with mutual TLS between two pinned certificates, which denies by default."""
 
     name: str = "zenoh"
     protocol: Literal["tcp", "udp"] | None = "tcp"
@@ -33,24 +33,24 @@ class Zenoh:
     packages: Sequence[str] = ("openssl", "ros-DISTRO-rmw-zenoh-cpp")
 
     def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
-        """Return the router's configuration, in JSON, which is JSON5 too."""
+        """Return the configuration of the router as JSON, which is valid JSON5."""
         config = router(application, side, application.spec.connectivity.port or self.port)
         return LinkEnd({f"{side}.json5": _text(config)}, {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"})
 
     def notes(self, application: Application, cloud: str) -> Sequence[str]:
-        """Return what to open by hand."""
+        """Return the port that the user must open, if the cloud does not open ports."""
         if not cloud_of(cloud).opens_ports:
             port = application.spec.connectivity.port or self.port
             return (f"{cloud} opens no ports: let the robot reach TCP port {port} of the machine yourself",)
         return ()
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:
-        """Nothing: SkyPilot opens the port, or `apply` says that it cannot be reached."""
+        """Return None: SkyPilot opens the port, or `apply` reports that it is unreachable."""
         return None
 
 
 def _text(config: dict[str, Any]) -> str:
-    """JSON, short lists on one line."""
+    """Return JSON with short lists on one line."""
     whole = json.dumps(config, indent=2) + "\n"
     return re.sub(r"\[[^][{}]*\]", lambda found: _short(found[0]), whole)
 
@@ -76,7 +76,7 @@ def router(application: Application, side: Literal["cloud", "robot"], port: int)
             "link": {
                 "tls": {
                     "enable_mtls": True,
-                    # The only certificate that is trusted is the other end's own: its key is its name, and the machine's
+                    # Only the certificate of the peer is trusted: its key identifies it, and the machine's
                     # address is not known when the certificate is made.
                     "verify_name_on_connect": False,
                     "root_ca_certificate": "@PEER@",
@@ -92,7 +92,7 @@ def router(application: Application, side: Literal["cloud", "robot"], port: int)
 
 
 def access(name: str, peer: str, passing: AllowedNames) -> dict[str, Any]:
-    """Default deny; nodes of this end, on loopback, may say everything, the other end only what is named."""
+    """Return the access control, which denies by default: this end, on loopback, may send anything, the peer allowed names."""
     everything = {
         "id": "everything",
         "permission": "allow",
@@ -120,11 +120,17 @@ def access(name: str, peer: str, passing: AllowedNames) -> dict[str, Any]:
 
 
 def _rules(passing: AllowedNames) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Topics, services, and names of which nobody said what they are."""
-    topics = [*passing.topics, *(f"{one}/_action/{part}" for one in passing.actions for part in TOPICS_OF_ACTIONS)]
-    calls = [*passing.services, *(f"{one}/_action/{part}" for one in passing.actions for part in SERVICES_OF_ACTIONS)]
-    # A publisher that keeps its last messages for late joiners says that it is there, is queried for them under its own
-    # key, and replies with the topic's.
+    """Yield the rules (id, messages, key expressions) for topics, services, and names of unknown kind."""
+    topics = [
+        *passing.topics,
+        *(f"{action}/_action/{part}" for action in passing.actions for part in TOPICS_OF_ACTIONS),
+    ]
+    calls = [
+        *passing.services,
+        *(f"{action}/_action/{part}" for action in passing.actions for part in SERVICES_OF_ACTIONS),
+    ]
+    # A publisher that keeps messages for late joiners announces itself, is queried under its own key, and replies with the
+    # key of the topic.
     yield "topics", [*DATA, "reply"], [key_of(name) for name in topics]
     yield "kept messages", [*DATA, *CALLS, *GRAPH], [f"{key_of(name)}/@adv/**" for name in (*topics, *passing.names)]
     yield "services", CALLS, [key_of(name) for name in calls]
@@ -132,7 +138,7 @@ def _rules(passing: AllowedNames) -> Iterator[tuple[str, list[str], list[str]]]:
 
 
 def common_name(name: str, side: str) -> str:
-    """Return the name in an end's certificate: at most 64 characters (RFC 5280, ub-common-name)."""
+    """Return the common name of an end's certificate: at most 64 characters (RFC 5280, ub-common-name)."""
     whole = f"{side}.{name}"
     return whole if len(whole) <= 64 else f"{whole[:55]}.{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
