@@ -99,7 +99,7 @@ coverage: .venv/dev.stamp tests/editor/node_modules/.stamp  ## which lines those
 
 faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere; adaptive ones killed at every write; 50 deployments (minutes)
 	$(BIN)/python -m tests.faults.campaign
-	$(BIN)/python -m tests.faults.waves
+	$(BIN)/python -m tests.faults.batches
 	$(BIN)/python -m tests.faults.deployments
 
 figures: .venv/dev.stamp  ## print every figure that README and docs quote

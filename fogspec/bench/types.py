@@ -49,7 +49,7 @@ class CampaignConfig:
 
 @dataclass(frozen=True, slots=True)
 class Queued:
-    """A sample to start, not before `not_before_s` of the campaign's clock; `instead_of` is the sample that it replaces."""
+    """A sample to start, not before `not_before_s` of the campaign's clock; `substitute_for` is the sample that it replaces."""
 
     sample: Sample
     not_before_s: float = 0.0

@@ -3,7 +3,7 @@
 Interface::
 
     space = prepare(machines, prior)            # once per set of machines; prior is optional
-    posterior = space.fit(observations)         # after every wave; fit(machines, observations, prior) does both
+    posterior = space.fit(observations)         # after every batch; fit(machines, observations, prior) does both
     posterior.mean, posterior.sd                # log-latency of every machine (N,), measured ones included
     posterior.quantile(0.95)                    # latency_s (N,)
     posterior.probability_below(limit_s)        # (N,), limit_s a number or (N,)

@@ -160,7 +160,7 @@ def _adaptive(spec: Spec, admissible: Filtered, library: "PriorData | None") -> 
     most = f"{Policy().most} samples: there is no budget"
     if budget is not None:
         most = f"the budget of {units.format_money(budget)}"
-    later = f"the first wave; then the model is asked for the next machines, {at_once}, never beyond {most}"
+    later = f"the first batch; then the model is asked for the next machines, {at_once}, never beyond {most}"
     return Design(samples, (later,))
 
 

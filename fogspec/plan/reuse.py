@@ -63,7 +63,7 @@ def plan_from_campaign(
         for one in batch.samples
     ]
     notes = [
-        f"wave {number} ({len(batch.samples)}): {batch.reason}" for number, batch in enumerate(sampling.batches, 1)
+        f"batch {number} ({len(batch.samples)}): {batch.reason}" for number, batch in enumerate(sampling.batches, 1)
     ]
     notes.append(
         f"sampling ended: {sampling.stop_reason}"

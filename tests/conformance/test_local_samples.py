@@ -1,4 +1,4 @@
-"""The local backend keeps what the seam promises: a name is enough to find, look at and end a sample."""
+"""The local backend keeps what the protocol promises: a name is enough to find, look at and end a sample."""
 
 import json
 import os

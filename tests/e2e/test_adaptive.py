@@ -1,4 +1,4 @@
-"""`sampler: adaptive` as a user runs it: compile, bench in waves on a replayed sweep, compile again."""
+"""`sampler: adaptive` as a user runs it: compile, bench in batches on a replayed sweep, compile again."""
 
 import signal
 import subprocess
@@ -85,9 +85,9 @@ def test_few_samples_a_good_choice_and_everything_fresh(project):
     said = bench(project)
     assert "sampling ended: " in said.out
     found = results(project)
-    waves = found["sampling"]["batches"]
-    assert [one["id"] for one in first["samples"]] == [one["id"] for one in waves[0]["samples"]]
-    asked = [one["id"] for wave in waves for one in wave["samples"]]
+    batches = found["sampling"]["batches"]
+    assert [one["id"] for one in first["samples"]] == [one["id"] for one in batches[0]["samples"]]
+    asked = [one["id"] for batch in batches for one in batch["samples"]]
     assert [one["id"] for one in found["samples"]] == asked
     assert 4 <= len(asked) <= 9
     assert usd(found["spent"]) <= 5

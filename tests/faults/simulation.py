@@ -111,7 +111,7 @@ class VirtualClock:
 
 @dataclass
 class FaultyBackend:
-    """Machines that fail in every way the seam knows, and a network that fails beside them."""
+    """Machines that fail in every way the protocol knows, and a network that fails beside them."""
 
     world: World
     controller: int

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.faults import campaign, waves
+from tests.faults import batches, campaign
 from tests.faults.controllers import one_bench, samples
 from tests.faults.simulation import Killed, World
 
@@ -29,9 +29,9 @@ def test_the_campaign_would_notice_a_controller_that_forgets_to_end_its_machines
 
 def test_an_adaptive_campaign_killed_at_a_write_ends_as_if_nobody_had():
     """Every ninth write; `make faults` takes them all."""
-    tally = waves.main(every=9)
+    tally = batches.main(every=9)
     assert tally["ended differently"] == 0
-    assert tally["waves"] >= 3
+    assert tally["batches"] >= 3
     assert tally["machines in another's place"] >= 2
     assert tally["adaptive benches"] >= 6
 

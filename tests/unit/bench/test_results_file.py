@@ -1,4 +1,4 @@
-"""The results file while it grows: whole, sealed, in the plan's order, and without secrets."""
+"""The results file while it grows: whole, with a checksum, in the plan's order, and without secrets."""
 
 import gzip
 

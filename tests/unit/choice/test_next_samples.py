@@ -1,4 +1,4 @@
-"""The adaptive sampler's waves: within the budget, each type once, and the choice measured at the end."""
+"""The adaptive sampler's batches: within the budget, each type once, and the choice measured at the end."""
 
 import numpy as np
 import pytest
@@ -38,11 +38,11 @@ def record(offers: Catalog, row: int, **more: object) -> Measured:
     return Measured(id=f"s{row}", machine=machine, **(base | more))
 
 
-def campaign(offers: Catalog, app: Application, left: float = np.inf, wave: int = 1) -> tuple[list[Measured], str]:
+def campaign(offers: Catalog, app: Application, left: float = np.inf, batch: int = 1) -> tuple[list[Measured], str]:
     usd = offers.price_usd_per_hour * 0.2
     records: list[Measured] = []
     for _ in range(40):
-        asked = next_samples(app, offers, records, usd_per_sample=usd, left_usd=left, batch=wave)
+        asked = next_samples(app, offers, records, usd_per_sample=usd, left_usd=left, batch=batch)
         assert len(asked.rows) == len(asked.reasons)
         assert usd[list(asked.rows)].sum() <= left * (1 + 1e-9)
         left -= float(usd[list(asked.rows)].sum())

@@ -108,9 +108,9 @@ def test_a_request_costs_what_the_choice_reckons(paper) -> None:
     interruption = application.spec.objective.interruption.model_copy(update={"rate": 1 / 3600, "recovery_time": 60.0})
     objective = application.spec.objective.model_copy(update={"transfer": transfer, "interruption": interruption})
     spec = application.spec.model_copy(update={"objective": objective})
-    dearer = application.model_copy(update={"spec": spec})
+    costlier = application.model_copy(update={"spec": spec})
     spot = MACHINE.model_copy(update={"spot": True})
-    seen = observe(lines([1.65] * 50), dearer, expected, spot)
+    seen = observe(lines([1.65] * 50), costlier, expected, spot)
     restarts = 1 + 60 / 3600
     assert seen.cost_usd_per_request == pytest.approx(0.526 / 3600 * 1.65 * restarts + 0.002 * 0.09, rel=1e-3)
 

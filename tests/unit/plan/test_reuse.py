@@ -49,9 +49,9 @@ def test_a_box_holds_itself(box: tuple) -> None:
 def test_a_kept_plan_has_the_same_samples_at_the_new_prices() -> None:
     app = application({"cpus": "2..32"}, ["aws/r1"])
     plan = make_plan(app, "specs/demo.yaml", CATALOG)
-    dearer = table(*(row.replace(",0.4,", ",0.5,") for row in dict.fromkeys(ROWS)))
+    costlier = table(*(row.replace(",0.4,", ",0.5,") for row in dict.fromkeys(ROWS)))
     narrow = application({"cpus": "2..8"}, ["aws/r1"])
-    found = reuse_plan(narrow, plan, dearer)
+    found = reuse_plan(narrow, plan, costlier)
     assert found is not None
     assert [one.id for one in found.spec.samples] == [one.id for one in plan.spec.samples]
     assert {one.machine.instance: one.machine.price for one in found.spec.samples}["a.m"] == 0.5

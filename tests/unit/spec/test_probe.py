@@ -1,4 +1,4 @@
-"""The seam of the probes: what a spec says, which on-machine half starts, and what set-up installs for it."""
+"""The interface of the probes: what a spec says, which on-machine half starts, and what set-up installs for it."""
 
 import shutil
 import subprocess

@@ -127,7 +127,7 @@ def kept(folder: Path) -> dict[str, bytes]:
 
 
 def main(every: int = 1) -> dict[str, int]:
-    """Kill at every `every`-th write; counts of runs, waves, machines in another's place, and runs that ended differently."""
+    """Kill at every `every`-th write; counts of runs, batches, machines in another's place, and runs that ended differently."""
     with tempfile.TemporaryDirectory() as scratch:
         first = Path(scratch, "first")
         project(first)
@@ -135,7 +135,7 @@ def main(every: int = 1) -> dict[str, int]:
             run(first)
         writes, expected = count[0], kept(first)
         text = expected["results/demo.yaml"].decode()
-        tally = {"adaptive benches": 1, "writes": writes, "waves": text.count("- {reason:"),
+        tally = {"adaptive benches": 1, "writes": writes, "batches": text.count("- {reason:"),
                  "machines in another's place": text.count("substitute_for"), "ended differently": 0}  # fmt: skip
         for step in range(1, writes + 1, every):
             folder = Path(scratch, str(step))

@@ -23,22 +23,22 @@ def closed(site: Site) -> Iterator[None]:
 
 @pytest.mark.usefixtures("closed")
 def test_waves_go_on_with_the_nearest_machine_in_place_of_one_that_cannot_be_had(site: Site) -> None:
-    path = site.project / (spec := site.write("waves", []))
+    path = site.project / (spec := site.write("batches", []))
     text = path.read_text().replace("machines: []", "sampler: adaptive").replace("cpus: 1..128", "cpus: 1..64")
     path.write_text(text)
     site.compile(spec)
     assert site.bench(spec).ended() == 0
-    results = read_document(site.project / "results" / "waves.yaml", Results).spec
-    records = site.results("waves")
+    results = read_document(site.project / "results" / "batches.yaml", Results).spec
+    records = site.results("batches")
     refused = records["2CPU--4GB"]
     assert (refused.state, refused.reason, refused.spent) == ("failed", "capacity", 0), refused
     assert "takes its place" in (refused.detail or "")
     assert (records[NEIGHBOUR].state, records[NEIGHBOUR].substitute_for) == ("ok", refused.id)
     assert results.sampling is not None
     assert results.sampling.stop_reason
-    asked = {one.id for wave in results.sampling.batches for one in wave.samples}
+    asked = {one.id for batch in results.sampling.batches for one in batch.samples}
     assert asked <= {one.id for one in results.samples}
     assert 0 < results.spent < 0.2
     site.compile(spec)
-    assert (site.project / "compiled" / "waves" / "manifest.yaml").is_file()
+    assert (site.project / "compiled" / "batches" / "manifest.yaml").is_file()
     assert site.left(spare=ABANDONED) == []
