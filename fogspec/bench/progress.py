@@ -114,11 +114,14 @@ class Events:
     def __call__(self, event: Event) -> None:
         """Write the object unless it repeats this sample's last one."""
         facts: dict[str, Any] = {
-            "sample": event.sample.id, "event": event.kind, "detail": event.detail,
+            "sample": event.sample.id,
+            "event": event.kind,
+            "detail": event.detail,
             "logs": None if event.folder is None else str(event.folder),
-            "spent_usd": event.spent_usd, "committed_usd": event.committed_usd,
+            "spent_usd": event.spent_usd,
+            "committed_usd": event.committed_usd,
             "record": None if event.record is None else event.record.model_dump(mode="json", exclude_none=True),
-        }  # fmt: skip
+        }
         text = json.dumps(facts)
         if self._last.get(event.sample.id) != text:
             self._last[event.sample.id] = text

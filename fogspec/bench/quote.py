@@ -97,6 +97,8 @@ def check_prices(samples: tuple[Sample, ...] | list[Sample], prices: Catalog, ag
     if rises := price_rises(samples, prices):
         more = [f"and {len(rises) - NAMED} more"] if len(rises) > NAMED else []
         raise Refused(
-            "prices have risen since the plan was compiled: nothing was started", *rises[:NAMED], *more,
+            "prices have risen since the plan was compiled: nothing was started",
+            *rises[:NAMED],
+            *more,
             f"compile with the prices of today, look at the plan, and measure then: {again}",
-        )  # fmt: skip
+        )

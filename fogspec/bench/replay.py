@@ -38,6 +38,12 @@ def _record(infra: str, instance: str, latencies_s: list[float], after_s: float)
     mean = math.fsum(latencies_s) / len(latencies_s)
     latency = LatencySummary(mean=mean, sd=statistics.stdev(latencies_s) if len(latencies_s) > 1 else None)
     return Measured(
-        id=instance, machine=machine, measured_on=f"{infra}/{instance}".strip("/"), state="ok",
-        requests=len(latencies_s), latency=latency, duration=after_s, spent=0.0,
-    )  # fmt: skip
+        id=instance,
+        machine=machine,
+        measured_on=f"{infra}/{instance}".strip("/"),
+        state="ok",
+        requests=len(latencies_s),
+        latency=latency,
+        duration=after_s,
+        spent=0.0,
+    )

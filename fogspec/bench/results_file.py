@@ -84,10 +84,17 @@ class ResultsFile:
             key=lambda r: (place.get(r.substitute_for or r.id, len(place)), r.substitute_for is not None, r.id),
         )
         body = ResultsBody(
-            application=self.application, plan=self.plan, pins=self.pins, field_digests=self.field_digests,
-            runner=self.runner, source=self.source,
-            budget=self.budget_usd, spent=self.spent_usd, sampling=self.sampling, samples=ordered,
-        )  # fmt: skip
+            application=self.application,
+            plan=self.plan,
+            pins=self.pins,
+            field_digests=self.field_digests,
+            runner=self.runner,
+            source=self.source,
+            budget=self.budget_usd,
+            spent=self.spent_usd,
+            sampling=self.sampling,
+            samples=ordered,
+        )
         return with_checksum(PlanMetadata(name=self.layout.name), body)
 
     def write(self) -> None:

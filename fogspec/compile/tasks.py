@@ -50,20 +50,45 @@ def sample_task(
     """
     autostop = {"idle_minutes": math.ceil(lifetime_s / 60), "down": True, "wait_for": "none"}
     labels = {"fogspec-application": application.metadata.name, "fogspec-sample": sample.id[:63].rstrip("-")}
-    return _task(application, sample.machine, autostop, labels, workdir, agent, setup, run)
+    return _task(
+        application,
+        sample.machine,
+        autostop=autostop,
+        labels=labels,
+        workdir=workdir,
+        agent=agent,
+        setup=setup,
+        run=run,
+    )
 
 
 def deploy_task(
-    application: Application, machine: Machine, *, workdir: str, agent: str, setup: str | None, run: str,
-    launch: str | None = None, link: str | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    application: Application,
+    machine: Machine,
+    *,
+    workdir: str,
+    agent: str,
+    setup: str | None,
+    run: str,
+    launch: str | None = None,
+    link: str | None = None,
+) -> dict[str, Any]:
     """Return the task that runs the cloud nodes on the chosen machine, until they end or nobody uses it.
 
     `launch` is the cloud's launch file and `link` the folder of the link's configuration, where there are such.
     """
     autostop = {"idle_minutes": DEPLOYMENT_IDLE_MINUTES, "down": True}
     labels = {"fogspec-application": application.metadata.name}
-    task = _task(application, machine, autostop, labels, workdir, agent, setup, run)
+    task = _task(
+        application,
+        machine,
+        autostop=autostop,
+        labels=labels,
+        workdir=workdir,
+        agent=agent,
+        setup=setup,
+        run=run,
+    )
     if application.spec.deployment.ready is not None:
         task = {**{key: task[key] for key in ("name", "resources")}, "workdir": workdir, **task}
     if launch is not None:
@@ -77,9 +102,16 @@ def deploy_task(
 
 
 def _task(
-    application: Application, machine: Machine, autostop: Mapping[str, Any], labels: Mapping[str, str],
-    workdir: str, agent: str, setup: str | None, run: str,
-) -> dict[str, Any]:  # fmt: skip
+    application: Application,
+    machine: Machine,
+    *,
+    autostop: Mapping[str, Any],
+    labels: Mapping[str, str],
+    workdir: str,
+    agent: str,
+    setup: str | None,
+    run: str,
+) -> dict[str, Any]:
     spec = application.spec
     task: dict[str, Any] = {
         "name": application.metadata.name,

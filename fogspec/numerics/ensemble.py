@@ -66,10 +66,14 @@ def hardware(machines: Machines) -> list[Floats]:
     scaled = (size - size.mean()) / 3
     smt = np.log2(machines.vcpus / machines.cores)
     kinds = hstack(
-        one_hot(machines.cpu_model), 0.7 * one_hot(machines.arch), 0.5 * one_hot(machines.cloud),
-        0.5 * one_hot(machines.family), 0.5 * smt, 0.5 * standardise(np.log(machines.clock_ghz)),
+        one_hot(machines.cpu_model),
+        0.7 * one_hot(machines.arch),
+        0.5 * one_hot(machines.cloud),
+        0.5 * one_hot(machines.family),
+        0.5 * smt,
+        0.5 * standardise(np.log(machines.clock_ghz)),
         0.5 * machines.burstable.astype(float),
-    )  # fmt: skip
+    )
     has_gpu = (machines.gpu >= 0).astype(float)
     count = np.log2(np.maximum(machines.gpu_count, 1)) * has_gpu
     memory = standardise(np.log(np.where(machines.gpu_memory_gib > 0, machines.gpu_memory_gib, np.nan))) * has_gpu
@@ -149,9 +153,12 @@ def _ensemble(
     weights: list[tuple[float, ...]] = [(one,) for one in tried.prior] or [()]
     rows = [
         (curve, (LEVEL_VARIANCE, smooth**2, kind**2, (kind * tried.kind_by_size) ** 2, tried.gpu**2, *amplitude), alone)
-        for curve in range(len(curves)) for amplitude in weights
-        for smooth in tried.smooth for kind in tried.kind for alone in tried.nugget
-    ]  # fmt: skip
+        for curve in range(len(curves))
+        for amplitude in weights
+        for smooth in tried.smooth
+        for kind in tried.kind
+        for alone in tried.nugget
+    ]
     alone = np.array([row[2] for row in rows])
     return Ensemble(
         features=features,

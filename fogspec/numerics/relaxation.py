@@ -125,9 +125,13 @@ class _Problem:
 
         with np.errstate(all="ignore"):
             found = minimize(
-                scaled, start, method="SLSQP", bounds=Bounds(low, high),
-                constraints=NonlinearConstraint(self.slacks, MARGIN, np.inf), options={"ftol": 1e-12, "maxiter": 200},
-            )  # fmt: skip
+                scaled,
+                start,
+                method="SLSQP",
+                bounds=Bounds(low, high),
+                constraints=NonlinearConstraint(self.slacks, MARGIN, np.inf),
+                options={"ftol": 1e-12, "maxiter": 200},
+            )
             z = np.clip(found.x, low, high)
             better = bool((self.slacks(z) >= 0).all()) and scaled(z) < least / scale - TIE
         return (z, True) if better else (start, feasible)

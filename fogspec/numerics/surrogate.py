@@ -260,9 +260,14 @@ class Space:
         return np.asarray(link), inverse
 
     def _draws(
-        self, keep: np.ndarray, weights: Floats, means: Floats, at: np.ndarray, noise: Floats,
+        self,
+        keep: np.ndarray,
+        weights: Floats,
+        means: Floats,
+        at: np.ndarray,
+        noise: Floats,
         terms: Callable[[int], tuple[Floats, Floats]] | None,
-    ) -> Floats:  # fmt: skip
+    ) -> Floats:
         """Return joint draws by Matheron's rule: a prior draw minus the prediction of its error at the samples."""
         count, (base, own, errors) = self.count, self._normal
         which = np.minimum(np.searchsorted(np.cumsum(weights), (np.arange(count) + 0.5) / count), len(weights) - 1)

@@ -18,9 +18,15 @@ from fogspec.ros.manifest import Pinned, pinned_for
 
 # What FogROS2's class takes besides: all of this is in the spec, and the manifest is what a person approved.
 ELSEWHERE = (
-    "mode", "ami", "workdir", "containers", "accelerators", "num_replicas", "additional_setup_commands",
+    "mode",
+    "ami",
+    "workdir",
+    "containers",
+    "accelerators",
+    "num_replicas",
+    "additional_setup_commands",
     "additional_run_commands",
-)  # fmt: skip
+)
 
 
 class SkyLaunchDescription(LaunchDescriptionEntity):  # type: ignore[misc]

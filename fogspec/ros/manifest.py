@@ -63,9 +63,13 @@ def read(path: Path) -> Pinned:
             str(key): str(value).replace("@LINK@", folder) for key, value in spec["robot_environment"].items()
         }
         pinned = Pinned(
-            document["metadata"]["name"], path, f"{spec['instance']} in {spec['infra']}", spec["cloud"],
-            environment, link,
-        )  # fmt: skip
+            document["metadata"]["name"],
+            path,
+            f"{spec['instance']} in {spec['infra']}",
+            spec["cloud"],
+            environment,
+            link,
+        )
     except (OSError, KeyError, TypeError, UnicodeDecodeError, yaml.YAMLError) as problem:
         raise ValueError(f"{path} is no manifest of fogspec: {problem}") from None
     if link is not None:

@@ -75,9 +75,15 @@ class LimitedProcess:
 
 
 def start(
-    argv: Sequence[str], *, cpus: int, memory_gib: float, cwd: Path, env: Mapping[str, str], stdout_path: Path,
+    argv: Sequence[str],
+    *,
+    cpus: int,
+    memory_gib: float,
+    cwd: Path,
+    env: Mapping[str, str],
+    stdout_path: Path,
     stderr_path: Path,
-) -> LimitedProcess:  # fmt: skip
+) -> LimitedProcess:
     """Start `argv` on `cpus` CPUs with `memory_gib` of memory; raise OSError if it cannot be started.
 
     Raise ValueError if this host has fewer CPUs.

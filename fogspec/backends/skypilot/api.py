@@ -127,10 +127,15 @@ def jobs(name: str) -> list[dict[str, Any]]:
     """Return the machine's jobs, newest first, with their times in seconds since the epoch."""
     records = sky.get(sky.queue(_ours(name), all_users=True))
     rows = [
-        {"job": one["job_id"], "status": _word(one["status"]), "submitted_at": one["submitted_at"],
-         "start_at": one["start_at"], "end_at": one["end_at"]}
+        {
+            "job": one["job_id"],
+            "status": _word(one["status"]),
+            "submitted_at": one["submitted_at"],
+            "start_at": one["start_at"],
+            "end_at": one["end_at"],
+        }
         for one in records
-    ]  # fmt: skip
+    ]
     return sorted(rows, key=lambda row: -int(row["job"]))
 
 
