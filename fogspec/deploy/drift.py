@@ -65,7 +65,9 @@ def observe(timings: bytes, application: Application, expected: Expected, machin
     value = None if found is None else getattr(found, statistic)
     spread = interval_s(known, statistic)
     cost = None if value is None else _cost(application, machine, value)
-    violated = tuple(_violated(expected, spread, cost, len(known), requests.failed, rules.valid))
+    violated = tuple(
+        _violated(expected=expected, spread=spread, cost=cost, n=len(known), failed=requests.failed, valid=rules.valid)
+    )
     return Observed(
         requests=len(known),
         failed=requests.failed,
@@ -117,7 +119,13 @@ def _cost(application: Application, machine: Machine, latency_s: float) -> float
 
 
 def _violated(
-    expected: Expected, spread: tuple[float, float] | None, cost: float | None, n: int, failed: int, valid: float
+    *,
+    expected: Expected,
+    spread: tuple[float, float] | None,
+    cost: float | None,
+    n: int,
+    failed: int,
+    valid: float,
 ) -> Iterator[Limit]:
     latency_s = latency_limit_s(expected)
     if latency_s is not None and spread is not None and spread[0] > latency_s:

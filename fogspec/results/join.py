@@ -10,7 +10,7 @@ JUST_ENDED_S = 0.05
 VERDICT = "!"
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Request:
     """One request, in seconds of one clock; `service_s` is the time that the node worked on it, without waiting."""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Pinned:
     """What a manifest says to the robot: the machine behind it, the nodes there, and how to reach them."""
 
@@ -63,12 +63,12 @@ def read(path: Path) -> Pinned:
             str(key): str(value).replace("@LINK@", folder) for key, value in spec["robot_environment"].items()
         }
         pinned = Pinned(
-            document["metadata"]["name"],
-            path,
-            f"{spec['instance']} in {spec['infra']}",
-            spec["cloud"],
-            environment,
-            link,
+            name=document["metadata"]["name"],
+            path=path,
+            machine=f"{spec['instance']} in {spec['infra']}",
+            cloud=spec["cloud"],
+            environment=environment,
+            link=link,
         )
     except (OSError, KeyError, TypeError, UnicodeDecodeError, yaml.YAMLError) as problem:
         raise ValueError(f"{path} is no manifest of fogspec: {problem}") from None

@@ -31,7 +31,7 @@ LIMITS = {
 PLAIN = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", Any: "any value"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FieldPage:
     """One field: `path` has `[]` for the items of a list and `<name>` for the keys of a map."""
 
@@ -84,7 +84,16 @@ def _page(path: str, field: FieldInfo, default: Any) -> FieldPage:
     ]
     shown = "required" if field.is_required() else _default(default)
     example = field.examples[0] if field.examples else default
-    return FieldPage(path, words, ", ".join(limits), shown, unit, field.description or "", example, field.is_required())
+    return FieldPage(
+        path=path,
+        type=words,
+        limits=", ".join(limits),
+        default=shown,
+        unit=unit,
+        meaning=field.description or "",
+        example=example,
+        required=field.is_required(),
+    )
 
 
 def _default(value: Any) -> str:

@@ -25,7 +25,7 @@ M = TypeVar("M", bound=BaseModel)
 MOST_BYTES_OF_OUR_OWN = 64 << 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LoadedSpec:
     """One valid `Application` document, and the spans of its values.
 
@@ -101,7 +101,14 @@ def _checked(
     shown = texts.shown(wrong)
     warnings = [one for one in shown if one.severity == "warning"]
     loaded = [
-        LoadedSpec(checked.value, path, index, node, texts, tuple(one for one in warnings if one.span.path == path))
+        LoadedSpec(
+            application=checked.value,
+            path=path,
+            document=index,
+            node=node,
+            texts=texts,
+            warnings=tuple(one for one in warnings if one.span.path == path),
+        )
         for path, index, node, checked in found
         if checked.value is not None
     ]

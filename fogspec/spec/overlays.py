@@ -25,9 +25,9 @@ def _over(below: Node, above: Node) -> Node:
         for key, child in above.value.items():
             values[key] = _over(values[key], child) if key in values else child
         keys = {key: above.keys.get(key) or below.keys[key] for key in values}
-        return Node(values, below.span, keys, size=below.size + above.size)
+        return Node(value=values, span=below.span, keys=keys, size=below.size + above.size)
     if isinstance(below.value, list) and isinstance(above.value, list) and _named(below) and _named(above):
-        return Node(_by_name(below.value, above.value), below.span, size=below.size + above.size)
+        return Node(value=_by_name(below.value, above.value), span=below.span, size=below.size + above.size)
     return above
 
 

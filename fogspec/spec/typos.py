@@ -63,7 +63,7 @@ class _Repairer:
         return self._known(fields, node, path) if fields else self._free(part(annotation)[1], node, path)
 
     def _like(self, node: Node, value: Any, keys: dict[str, Span] | None = None) -> Node:
-        return Node(value, node.span, keys or {}, size=node.size)
+        return Node(value=value, span=node.span, keys=keys or {}, size=node.size)
 
     def _item(self, items: Any, child: Node, path: Path) -> Node:
         if child.empty:
@@ -94,7 +94,7 @@ class _Repairer:
             name: str | None = key
             if key not in fields and above in empty and key in fields_of(fields[above]):
                 keys.setdefault(above, empty[above])
-                parent = values.setdefault(above, Node({}, empty[above]))
+                parent = values.setdefault(above, Node(value={}, span=empty[above]))
                 self._indent(parent, (*path, above, key), span, child)
                 continue
             if key not in fields:
@@ -162,7 +162,7 @@ def _graft(root: Node, home: Path, key_span: Span, child: Node) -> None:
         if not isinstance(node.value, dict) or not isinstance(step, str):
             return
         node.keys.setdefault(step, key_span)
-        node = node.value.setdefault(step, Node({}, key_span))
+        node = node.value.setdefault(step, Node(value={}, span=key_span))
     last = home[-1]
     if isinstance(node.value, dict) and isinstance(last, str) and find(node, (last,)) is None and not child.empty:
         node.value[last], node.keys[last] = child, key_span

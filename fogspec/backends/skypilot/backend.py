@@ -73,7 +73,7 @@ class SkyPilotBackend:
         return self._client.call(op, CALL_S, **arguments)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Watch:
     """The state in this process of a job that has not ended: the call in flight, or the next one and when it is due.
 
@@ -114,7 +114,7 @@ class SkyPilotSamples(SkyPilotBackend):
         job.directory.mkdir(parents=True)
         save(job.directory / "launch.json", {"name": job.name, "at_s": time.time()})
         status = SampleStatus(running=True, ready=False, measured_on=job.machine_name)
-        watch = self._watched[job.name] = Watch(Stage.LAUNCH, status, own=True)
+        watch = self._watched[job.name] = Watch(stage=Stage.LAUNCH, status=status, own=True)
         self._begin(job, watch)
 
     def poll(self, job: Job) -> SampleStatus:
@@ -181,7 +181,7 @@ class SkyPilotSamples(SkyPilotBackend):
         if launch is None:
             return None
         stage = Stage.LAUNCHED if "request" in launch else Stage.FIND
-        watch = Watch(stage, SampleStatus(running=True, ready=False, measured_on=job.machine_name))
+        watch = Watch(stage=stage, status=SampleStatus(running=True, ready=False, measured_on=job.machine_name))
         return self._watched.setdefault(job.name, watch)
 
     def _begin(self, job: Job, watch: Watch) -> None:

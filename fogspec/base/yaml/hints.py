@@ -22,7 +22,7 @@ SYNTAX = (
 MISPLACED = ("mapping values are not allowed", "expected <block end>", "could not find expected ':'")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SyntaxHint:
     """The place (from 0), what must hold there, and how to mend it."""
 
@@ -39,13 +39,18 @@ def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
     problem, context = str(wrong.problem or wrong.context or ""), str(wrong.context or "")
     mark = wrong.problem_mark or wrong.context_mark
     if mark is None:
-        return SyntaxHint(0, 0, 1, f"the text must be YAML: {problem}", None)
+        return SyntaxHint(line=0, column=0, width=1, message=f"the text must be YAML: {problem}", fix=None)
     stop = min(mark.line, len(lines) - 1)
     lead = lines[stop][: len(lines[stop]) - len(lines[stop].lstrip())]
     if "\t" in lead:
         column = lead.index("\t")
         return SyntaxHint(
-            stop, column, 1, "indentation must be spaces, not tabs", "replace the tab with spaces", "FS105"
+            line=stop,
+            column=column,
+            width=1,
+            message="indentation must be spaces, not tabs",
+            fix="replace the tab with spaces",
+            code="FS105",
         )
     inside = "quoted" in context or "flow" in context
     if not inside and any(known in problem for known in MISPLACED):
@@ -53,12 +58,16 @@ def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
         if found is not None:
             line, message, fix = found
             column = _indent(lines[line])
-            return SyntaxHint(line, column, max(1, len(lines[line].rstrip()) - column), message, fix)
+            return SyntaxHint(
+                line=line, column=column, width=max(1, len(lines[line].rstrip()) - column), message=message, fix=fix
+            )
     if wrong.context_mark and (inside or "simple key" in context):
         mark = wrong.context_mark
     said = next(((said, mend) for pattern, said, mend in SYNTAX if pattern.search(problem)), None)
     message, fix_or_none = said or (f"the text must be YAML: {problem}", None)
-    return SyntaxHint(min(mark.line, len(lines) - 1), mark.column, 1, message, fix_or_none)
+    return SyntaxHint(
+        line=min(mark.line, len(lines) - 1), column=mark.column, width=1, message=message, fix=fix_or_none
+    )
 
 
 def misplaced(lines: Sequence[str], stop: int) -> tuple[int, str, str] | None:

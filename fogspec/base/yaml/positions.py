@@ -1,7 +1,7 @@
 """A YAML document as a tree of values with their spans in the source."""
 
 from collections.abc import Iterator
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from fogspec.base.diagnostics import Span
@@ -10,7 +10,7 @@ Path = tuple[str | int, ...]
 Scalar = str | int | float | bool | None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Node:
     """A value and its span; `keys` are the spans of a mapping's keys, `text` is a scalar as it was written.
 
@@ -20,7 +20,6 @@ class Node:
     value: "Scalar | dict[str, Node] | list[Node]"
     span: Span
     keys: dict[str, Span] = field(default_factory=dict)
-    _: KW_ONLY
     text: str = ""
     quoted: bool = False
     empty: bool = False

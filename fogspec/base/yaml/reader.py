@@ -138,7 +138,7 @@ class _Composer:
         node = self.anchors.get(event.anchor)
         if node is None:
             self._refuse("FS107", f"the anchor &{event.anchor} must be complete before *{event.anchor}", span)
-            return Node(None, span)
+            return Node(value=None, span=span)
         self._count(node.size, span)
         return node
 
@@ -147,20 +147,20 @@ class _Composer:
             self._refuse(
                 "FS103", f"the character U+{ord(found[0]):04X} is not text", span, "remove its escape sequence"
             )
-            return Node("", span, quoted=True)
+            return Node(value="", span=span, quoted=True)
         if event.style is not None or not event.implicit[0]:
-            return Node(event.value, span, text=event.value, quoted=True)
+            return Node(value=event.value, span=span, text=event.value, quoted=True)
         value = resolve(event.value)
         if isinstance(value, Refusal):
             self._refuse(value.code, value.message, span, value.fix)
             value = event.value
-        return Node(value, span, text=event.value, empty=event.value == "")
+        return Node(value=value, span=span, text=event.value, empty=event.value == "")
 
     def _mapping(self, span: Span, depth: int) -> Node:
         from ruamel.yaml.events import MappingEndEvent
 
         values: dict[str, Node] = {}
-        node = Node(values, span)
+        node = Node(value=values, span=span)
         while not isinstance(event := next(self.events), MappingEndEvent):
             key = self._node(event, depth + 1)
             value = self._node(next(self.events), depth + 1)
@@ -194,7 +194,7 @@ class _Composer:
         from ruamel.yaml.events import SequenceEndEvent
 
         items: list[Node] = []
-        node = Node(items, span)
+        node = Node(value=items, span=span)
         while not isinstance(event := next(self.events), SequenceEndEvent):
             items.append(self._node(event, depth + 1))
             node.size += items[-1].size

@@ -23,7 +23,7 @@ NODE_WORDS = (
 )
 
 
-@dataclass
+@dataclass(kw_only=True)
 class LaunchImport:
     """Nodes as the spec writes them, whatever else a spec can take over, and warnings about the rest."""
 

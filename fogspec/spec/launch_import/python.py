@@ -30,7 +30,7 @@ def read_python(text: str, path: str) -> LaunchImport:
         line, column = getattr(wrong, "lineno", None) or 1, getattr(wrong, "offset", None) or 1
         message = "the launch file must be Python"
         raise DiagnosticError([Diagnostic("FS801", message, Span(path, line, column))]) from None
-    found = LaunchImport(path, text.split("\n"))
+    found = LaunchImport(path=path, lines=text.split("\n"))
     _Reader(found, tree).read()
     return found
 

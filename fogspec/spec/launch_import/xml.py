@@ -26,7 +26,7 @@ def read_xml(text: str, path: str) -> LaunchImport:
     if root is None or root.tag != "launch":
         message = "the launch file must have one element <launch> and no DOCTYPE"
         raise DiagnosticError([Diagnostic("FS801", message, Span(path, 1, 1))])
-    found = LaunchImport(path, text.split("\n"))
+    found = LaunchImport(path=path, lines=text.split("\n"))
     take_actions(found, [_action(child) for child in root.children])
     return found
 

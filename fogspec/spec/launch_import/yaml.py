@@ -19,7 +19,7 @@ def read_yaml(text: str, path: str) -> LaunchImport:
     if actions is None or not isinstance(actions.value, list):
         message = "the launch file must have a list under 'launch:'"
         raise DiagnosticError([Diagnostic("FS801", message, Span(path, 1, 1))])
-    found = LaunchImport(path, text.split("\n"))
+    found = LaunchImport(path=path, lines=text.split("\n"))
     take_actions(found, _actions(actions))
     return found
 

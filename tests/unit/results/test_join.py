@@ -4,7 +4,7 @@ from fogspec.results.join import Request, Value, join
 
 
 def request(start_s: float, end_s: float, stamp: tuple[int, int] | None = None) -> Request:
-    return Request("r", end_s - start_s, True, {}, start_s=start_s, stamp=stamp)
+    return Request(name="r", latency_s=end_s - start_s, ok=True, metrics={}, start_s=start_s, stamp=stamp)
 
 
 def joined(requests: list[Request], *values: Value) -> list[object]:
@@ -47,7 +47,7 @@ def test_what_the_code_itself_says_stands_and_metrics_do_not_hinder_each_other()
 
 
 def test_lost_requests_get_nothing_by_time():
-    lost = Request("r", 0.0, False, {}, start_s=1.0, lost=True)
+    lost = Request(name="r", latency_s=0.0, ok=False, metrics={}, start_s=1.0, lost=True)
     assert joined([lost], Value({"m": 1}, 1.5)) == [None]
 
 
