@@ -27,10 +27,24 @@ def offers(count: int, seed: int = 0) -> Catalog:
     names = strings(f"f{i % 400}.s{int(v)}m{int(m)}" for i, (v, m) in enumerate(zip(vcpus, memory, strict=True)))
     same, none = strings([""] * count), np.zeros(count)
     return Catalog(
-        About("made up", "", "", ""), strings(["aws"] * count), strings(f"r{i % 30}" for i in range(count)), same, names, vcpus,
-        memory, same, none, none + np.nan, price, none.astype(bool), strings(["x86_64"] * count), same, vcpus / 2, none + 3,
-        none.astype(bool),
-    ).in_order()  # fmt: skip
+        about=About("made up", "", "", ""),
+        cloud=strings(["aws"] * count),
+        region=strings(f"r{i % 30}" for i in range(count)),
+        zone=same,
+        instance=names,
+        vcpus=vcpus,
+        memory_gib=memory,
+        gpu=same,
+        gpu_count=none,
+        gpu_memory_gib=none + np.nan,
+        price_usd_per_hour=price,
+        spot=none.astype(bool),
+        arch=strings(["x86_64"] * count),
+        family=same,
+        physical_cores=vcpus / 2,
+        clock_ghz=none + 3,
+        burstable=none.astype(bool),
+    ).in_order()
 
 
 def application() -> Application:

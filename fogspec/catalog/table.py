@@ -23,7 +23,7 @@ class About:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Catalog:
     """Offers as columns of equal length n; spot machines are rows of their own.
 

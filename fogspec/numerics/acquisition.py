@@ -22,7 +22,7 @@ class Question(Protocol):
         """Return the loss of each machine in each joint draw, (S, N); infinite where it breaks a limit."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Policy:
     """The stopping rule and the sizes of batches.
 
@@ -86,7 +86,15 @@ def propose_batch(
         return Batch((), "every machine was measured")
     if sample_cost[usable].min() > left:
         return _too_expensive(sample_cost, usable, left)
-    return _by_expected_gain(posterior, question, sample_cost, left, usable, policy, min(policy.batch, room))
+    return _by_expected_gain(
+        posterior,
+        question,
+        cost=sample_cost,
+        left=left,
+        usable=usable,
+        policy=policy,
+        count=min(policy.batch, room),
+    )
 
 
 def initial_design(
@@ -135,7 +143,14 @@ def _a_optimal(posterior: Posterior, cost: Floats, left: float, untried: np.ndar
 
 
 def _by_expected_gain(
-    posterior: Posterior, question: Question, cost: Floats, left: float, usable: np.ndarray, policy: Policy, count: int
+    posterior: Posterior,
+    question: Question,
+    *,
+    cost: Floats,
+    left: float,
+    usable: np.ndarray,
+    policy: Policy,
+    count: int,
 ) -> Batch:
     """Return the samples of largest expected gain over the measured machines and those already in this batch."""
     value, known = question.loss(posterior), posterior.measured

@@ -12,7 +12,7 @@ Level = Literal["smallest", "median", "largest"]
 LEVELS: tuple[Level, ...] = ("smallest", "median", "largest")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
     """One cell of the grid: its vCPUs, the requested memory and the memory of the nearest row, in GiB.
 
@@ -70,7 +70,16 @@ def edge_grid(vcpus: Floats, memory_gib: Floats, order: NDArray[np.intp]) -> Gri
             rows = here[sizes == near]
             taken = rows[place[rows].argmin()]
             same = next((i for i, cell in enumerate(cells) if cell.row == taken), None)
-            cells.append(Cell(cpus, asked, near, (cpu_level, memory_level), int(taken), same))
+            cells.append(
+                Cell(
+                    vcpus=cpus,
+                    asked_gib=asked,
+                    memory_gib=near,
+                    levels=(cpu_level, memory_level),
+                    row=int(taken),
+                    same_as=same,
+                )
+            )
     skipped = tuple(level for level in LEVELS if level not in levels)
     return Grid(tuple(cells), skipped)
 

@@ -28,7 +28,7 @@ class HasProfiles(Protocol):
     def nugget(self) -> Floats: ...  # noqa: D102
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Ensemble:
     """H models over N machines: model h has mean `curves[curve[h]]` and covariance sum_j theta[h, j] F_j F_j'.
 
@@ -87,7 +87,7 @@ def hardware(machines: Machines) -> list[Floats]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Amplitudes:
     """Standard deviations of log-latency to try for each component; the ensemble has all their combinations."""
 
@@ -103,20 +103,29 @@ PRIOR = (0.5, 1.0, 2.0, 4.0)
 # Without a prior and with one; the more heterogeneous the machines, the wider.
 AMPLITUDES = {
     "one": (
-        Amplitudes((0.03, 0.1, 0.25), (0.02,), 0.5, (0.01, 0.04), 0.0),
-        Amplitudes((0.03, 0.1, 0.3), (0.02,), 0.5, (0.01, 0.04), 0.0, PRIOR),
+        Amplitudes(smooth=(0.03, 0.1, 0.25), kind=(0.02,), kind_by_size=0.5, nugget=(0.01, 0.04), gpu=0.0),
+        Amplitudes(smooth=(0.03, 0.1, 0.3), kind=(0.02,), kind_by_size=0.5, nugget=(0.01, 0.04), gpu=0.0, prior=PRIOR),
     ),
     "few": (
-        Amplitudes((0.03, 0.1, 0.25), (0.02, 0.1, 0.4), 0.5, (0.01, 0.04), 0.0),
-        Amplitudes((0.01, 0.05, 0.15), (0.01, 0.05, 0.15), 0.5, (0.01, 0.04), 0.0, PRIOR),
+        Amplitudes(smooth=(0.03, 0.1, 0.25), kind=(0.02, 0.1, 0.4), kind_by_size=0.5, nugget=(0.01, 0.04), gpu=0.0),
+        Amplitudes(
+            smooth=(0.01, 0.05, 0.15),
+            kind=(0.01, 0.05, 0.15),
+            kind_by_size=0.5,
+            nugget=(0.01, 0.04),
+            gpu=0.0,
+            prior=PRIOR,
+        ),
     ),
     "many": (
-        Amplitudes((0.1, 0.3), (0.1, 0.4), 0.7, (0.03, 0.12), 0.0),
-        Amplitudes((0.1, 0.3, 0.8), (0.1, 0.3), 0.7, (0.03, 0.12), 0.0, PRIOR),
+        Amplitudes(smooth=(0.1, 0.3), kind=(0.1, 0.4), kind_by_size=0.7, nugget=(0.03, 0.12), gpu=0.0),
+        Amplitudes(
+            smooth=(0.1, 0.3, 0.8), kind=(0.1, 0.3), kind_by_size=0.7, nugget=(0.03, 0.12), gpu=0.0, prior=PRIOR
+        ),
     ),
     "gpus": (
-        Amplitudes((0.1, 0.3, 1.0), (0.3, 1.0), 1.0, (0.03, 0.15), 2.0),
-        Amplitudes((0.1, 0.3, 1.0), (0.2, 0.6), 0.5, (0.05, 0.2), 2.0, PRIOR),
+        Amplitudes(smooth=(0.1, 0.3, 1.0), kind=(0.3, 1.0), kind_by_size=1.0, nugget=(0.03, 0.15), gpu=2.0),
+        Amplitudes(smooth=(0.1, 0.3, 1.0), kind=(0.2, 0.6), kind_by_size=0.5, nugget=(0.05, 0.2), gpu=2.0, prior=PRIOR),
     ),
 }
 

@@ -218,7 +218,7 @@ def fit_all(vcpus: ArrayLike, memory_gib: ArrayLike, latency_s: ArrayLike) -> tu
     keep = np.vstack([np.ones(len(y), bool), ~np.eye(len(y), dtype=bool)])
     levels = np.array([[len(set(x[rows].tolist())) for x in (c, m)] for rows in keep])
     fits = (
-        _fit(Shape(cpu, memory), c, m, y, keep, levels)
+        _fit(Shape(cpu, memory), c, m, y, keep=keep, levels=levels)
         for cpu, memory in itertools.product(CPU_FAMILIES, MEMORY_FAMILIES)
     )
     return tuple(fit for fit in fits if fit is not None)
@@ -263,7 +263,7 @@ def _simplest(fits: Sequence[Fit]) -> Fit:
 
 
 def _fit(
-    shape: Shape, c: Floats, m: Floats, y: Floats, keep: NDArray[np.bool_], levels: NDArray[np.intp]
+    shape: Shape, c: Floats, m: Floats, y: Floats, *, keep: NDArray[np.bool_], levels: NDArray[np.intp]
 ) -> Fit | None:
     """Fit all samples (the first row of `keep`) and every fold; return None if all samples do not determine the fit."""
     needed = (_LEVELS.get(shape.cpu, 2), _LEVELS.get(shape.memory, 2))

@@ -15,7 +15,7 @@ Ints = NDArray[np.int64]
 MOST_NUMBERS = 20_000_000  # in a table of machines by kinds: far beyond any cloud's catalog
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Machines:
     """N machines as columns.
 

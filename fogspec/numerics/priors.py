@@ -14,7 +14,7 @@ NEIGHBOURS = 4
 MIN_WORKLOADS = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PriorData:
     """Log-latencies (W, M) of W workloads on M machines, NaN if not measured; suites group variants of a program.
 

@@ -50,7 +50,7 @@ class Prior:
     nugget: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Posterior:
     """Posterior of every machine's log-latency: a mixture of Gaussian processes, weights summing to 1."""
 
@@ -202,8 +202,14 @@ class Space:
             keep, weights = _resampled(np.zeros(len(ensemble.theta)))
             means = ensemble.curves[ensemble.curve[keep]] + level
             variances = ensemble.theta[keep] @ ensemble.diagonal + ensemble.nugget[keep]
-            draw = partial(self._draws, keep, weights, means, at, noise, None)
-            return Posterior(self.machines, samples, weights, means, variances, draw)
+            return Posterior(
+                machines=self.machines,
+                observations=samples,
+                weights=weights,
+                means=means,
+                variances=variances,
+                draw=partial(self._draws, keep=keep, weights=weights, means=means, at=at, noise=noise, terms=None),
+            )
         cross = np.array([f @ f[at].T for f in ensemble.features])
         few = (
             np.unique(np.linspace(0, len(at) - 1, MAX_EVIDENCE).round().astype(int))
@@ -235,8 +241,14 @@ class Space:
             link, inverse = self._terms(keep[model : model + 1], cross, at, noise)
             return link[0], inverse[0]
 
-        draw = partial(self._draws, keep, weights, means, at, noise, terms)
-        return Posterior(self.machines, samples, weights, means, variances, draw)
+        return Posterior(
+            machines=self.machines,
+            observations=samples,
+            weights=weights,
+            means=means,
+            variances=variances,
+            draw=partial(self._draws, keep=keep, weights=weights, means=means, at=at, noise=noise, terms=terms),
+        )
 
     def _inner(self, models: np.ndarray, cross: Floats, at: np.ndarray, noise: Floats) -> Floats:
         """Return the covariance of the samples under these models, (h, n, n); `cross` (J, n, n) is that of each component."""
@@ -261,6 +273,7 @@ class Space:
 
     def _draws(
         self,
+        *,
         keep: np.ndarray,
         weights: Floats,
         means: Floats,

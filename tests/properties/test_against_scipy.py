@@ -82,11 +82,11 @@ def test_the_matern_root_squares_to_the_bessel_form(rows, length):
 def model_of(one: int) -> tuple[Ensemble, np.ndarray, np.ndarray]:
     """An ensemble of one model, its mean curve and its covariance over the machines."""
     alone = Ensemble(
-        ENSEMBLE.features,
-        ENSEMBLE.curves[ENSEMBLE.curve[[one]]],
-        np.array([0]),
-        ENSEMBLE.theta[[one]],
-        ENSEMBLE.nugget[[one]],
+        features=ENSEMBLE.features,
+        curves=ENSEMBLE.curves[ENSEMBLE.curve[[one]]],
+        curve=np.array([0]),
+        theta=ENSEMBLE.theta[[one]],
+        nugget=ENSEMBLE.nugget[[one]],
     )
     covariance = sum(t * f @ f.T for t, f in zip(ENSEMBLE.theta[one], ENSEMBLE.features, strict=True))
     return alone, alone.curves[0], covariance + np.diag(ENSEMBLE.nugget[one])
@@ -119,11 +119,11 @@ def test_models_are_weighted_by_the_multivariate_normal_density(rows, some):
         log.append(multivariate_normal.logpdf(value, curve[at], covariance[np.ix_(at, at)] + NOISE * np.eye(len(at))))
     expected = np.exp(log - max(log)) / np.exp(log - max(log)).sum()
     several = Ensemble(
-        ENSEMBLE.features,
-        ENSEMBLE.curves[ENSEMBLE.curve[some]],
-        np.arange(len(some)),
-        ENSEMBLE.theta[some],
-        ENSEMBLE.nugget[some],
+        features=ENSEMBLE.features,
+        curves=ENSEMBLE.curves[ENSEMBLE.curve[some]],
+        curve=np.arange(len(some)),
+        theta=ENSEMBLE.theta[some],
+        nugget=ENSEMBLE.nugget[some],
     )
     posterior = Space(MACHINES, several, 0, 64).fit(samples)
     assume(np.abs(np.log(latency) - posterior.mean[at]).max() < 0.4)  # an outlier counts with less weight

@@ -65,7 +65,7 @@ def joined(catalog: Catalog, spot: Floats) -> tuple[Catalog, Floats]:
         cards += found
     rows = np.array(alone + hosts, dtype=np.intp)
     machines, spots = catalog.take(rows), spot[rows].copy()
-    _add_cards(machines, spots, catalog, spot, len(alone), np.array(cards, dtype=np.intp))
+    _add_cards(machines, spots, catalog=catalog, spot=spot, first=len(alone), cards=np.array(cards, dtype=np.intp))
     return replace(machines, gpu=strings(machines.gpu.tolist())), spots
 
 
@@ -92,7 +92,9 @@ def _own(name: str, vcpus: float) -> Card | None:
     return (family[0], float(family[1].get(int(vcpus), 1))) if family and np.isfinite(vcpus) else None
 
 
-def _add_cards(machines: Catalog, spots: Floats, catalog: Catalog, spot: Floats, first: int, cards: np.ndarray) -> None:
+def _add_cards(
+    machines: Catalog, spots: Floats, *, catalog: Catalog, spot: Floats, first: int, cards: np.ndarray
+) -> None:
     """Write accelerators and their prices into the rows from `first` on, which are copies."""
     for name in ("gpu", "gpu_count", "gpu_memory_gib"):
         getattr(machines, name)[first:] = getattr(catalog, name)[cards]

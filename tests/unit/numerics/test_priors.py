@@ -18,7 +18,7 @@ def library(missing=(), suites=None):
     for workload, machine in missing:
         log[workload, machine] = np.nan
     names = tuple(f"w{i}" for i in range(len(SERIAL)))
-    return PriorData(NAMES, MACHINES, names, suites or names, log)
+    return PriorData(names=NAMES, machines=MACHINES, workloads=names, suites=suites or names, log_latency=log)
 
 
 def test_a_library_sharpens_predictions():
@@ -55,7 +55,9 @@ def test_an_unknown_machine_borrows_from_its_kin_and_says_so():
 
 def test_a_table_of_the_wrong_shape_is_refused():
     with pytest.raises(ValueError, match="workloads x machines"):
-        PriorData(NAMES, MACHINES, ("w",), ("s",), np.zeros((2, len(NAMES))))
+        PriorData(
+            names=NAMES, machines=MACHINES, workloads=("w",), suites=("s",), log_latency=np.zeros((2, len(NAMES)))
+        )
 
 
 def _error(posterior, truth):
