@@ -4,7 +4,7 @@ import sys
 
 
 def main() -> None:
-    """The command line; Ctrl-C while it is still being loaded is no mistake to be shown."""
+    """Run the command line; Ctrl-C while it is being loaded ends without a traceback."""
     try:
         from fogspec.cli import main as command_line
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""Time for whoever waits: seconds that never jump, comparable between processes of one boot."""
+"""A monotonic clock: seconds that never jump, comparable between processes of one boot."""
 
 import time
 from pathlib import Path
@@ -32,7 +32,7 @@ class SystemClock:
         return time.clock_gettime(time.CLOCK_BOOTTIME)
 
     def boot(self) -> str:
-        """The kernel's own name of this boot."""
+        """Return the kernel's identifier of this boot."""
         return self._boot
 
     def sleep(self, seconds: float) -> None:

@@ -11,7 +11,7 @@ class Cloud:
     """What is special about one cloud or cluster, under SkyPilot's name for it.
 
     `on_skypilot` is False for this host alone. A cloud that is not `priced` needs no price list, and may have one; one
-    without `instance_types` is asked for the shape of a machine, and the catalog may name it anything. Without
+    without `instance_types` takes the shape of a machine, and the catalog may name it anything. Without
     `containers` there are no spot machines and no open ports either, and SkyPilot refuses tasks that ask for them.
     A cloud that `opens_ports` does so for SkyPilot; `open_udp` is a command of the cloud's own program that opens a UDP
     port of the machine at an address. `places_in_zones`: a zone (a partition) has machines and prices of its own.

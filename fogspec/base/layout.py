@@ -15,7 +15,7 @@ class Layout:
 
     @classmethod
     def of(cls, spec_path: str | os.PathLike[str], name: str) -> "Layout":
-        """The layout for a spec: the root is the parent of its folder `specs`, else the spec's own folder."""
+        """Return the layout for a spec: the root is the parent of its folder `specs`, else the spec's own folder."""
         spec = Path(spec_path)
         folder = spec.parent
         root = folder.parent if folder.absolute().name == "specs" else folder
@@ -44,7 +44,7 @@ class Layout:
         return self.compiled / "tasks"
 
     def task(self, sample: str) -> Path:
-        """The compiled task of a sample."""
+        """Return the compiled task of a sample."""
         return self.tasks / f"{sample}.sky.yaml"
 
     @property
@@ -93,7 +93,7 @@ class Layout:
         return self.compiled / "deploy.sky.yaml"
 
     def fallback(self, number: int) -> Path:
-        """The task for the machine that comes next when the chosen one cannot be had; the first has number 1."""
+        """Return the task for a fallback machine; the first has number 1."""
         return self.compiled / f"deploy.fallback-{number}.sky.yaml"
 
     @property
@@ -137,9 +137,9 @@ class Layout:
         return self.state / "deployed"
 
     def beside_manifest(self, path: Path) -> str:
-        """A path as the manifest writes it: relative to its folder."""
+        """Return a path as the manifest writes it: relative to its folder."""
         return Path(os.path.relpath(path, self.compiled)).as_posix()
 
     def relative(self, path: Path) -> str:
-        """A path as written into files: relative to the root, with forward slashes."""
+        """Return a path as written into files: relative to the root, with forward slashes."""
         return Path(os.path.relpath(path, self.root)).as_posix()

@@ -30,7 +30,7 @@ def application_lock(path: Path, what: str, remove: bool = False) -> Iterator[No
     Raises InvalidInput for what is no file.
 
     What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
-    to clean up. With `remove` the file goes when it is over; a lock on a file that has gone is no lock: it is taken anew.
+    to clean up. With `remove` the file goes when it is over; if it was removed meanwhile, a new one is locked.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and (kind := not_a_file(path.stat().st_mode)) is not None:
@@ -52,7 +52,7 @@ def application_lock(path: Path, what: str, remove: bool = False) -> Iterator[No
             "host": os.uname().nodename,
         }
         file.truncate(0)
-        # On a full disk there is a lock all the same.
+        # The lock holds even on a full disk.
         with contextlib.suppress(OSError):
             os.write(file.fileno(), json.dumps(holder).encode())
         try:

@@ -12,7 +12,7 @@ from fogspec.results.schema import LatencySummary, Measured
 
 
 def replayable(path: str, after_s: float) -> tuple[list[Recording], str]:
-    """What a file recorded, and where it comes from; raises DiagnosticError or InvalidInput.
+    """Return the recordings of a file and their source; raise DiagnosticError or InvalidInput.
 
     A results file has each sample as it was. A sweep is CSV: see `fogspec.evaluation.sweeps`; its machines are taken to
     have measured for `after_s`, and to have cost the plan's price for that time.

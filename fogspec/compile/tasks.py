@@ -73,7 +73,7 @@ def deploy_task(
     launch: str | None = None,
     link: str | None = None,
 ) -> dict[str, Any]:
-    """Return the task that runs the cloud nodes on the chosen machine, until they end or nobody uses it.
+    """Return the task that runs the cloud nodes on the chosen machine, until they end or it is unused.
 
     `launch` is the cloud's launch file and `link` the folder of the link's configuration, where there are such.
     """

@@ -40,7 +40,7 @@ class WallClock(Protocol):
 
 
 class SystemWallClock(SystemClock):
-    """This host's clocks."""
+    """The host's clocks."""
 
     def date(self) -> datetime:
         """Return the date in UTC."""

@@ -80,7 +80,7 @@ def _predict(distance: Floats, at: list[int], log: Floats) -> tuple[Floats, Floa
 
 
 def _gain(mean: Floats, sd: Floats, budget_s: Floats, value: Floats, best: float) -> Floats:
-    """Expected improvement over the best feasible sample, relative, times the probability to meet the limits."""
+    """Return the expected improvement over the best feasible sample, relative, times the probability to meet the limits."""
     met = normal_cdf((np.log(np.maximum(budget_s, 1e-300)) - mean) / sd)
     if not np.isfinite(best):
         return met

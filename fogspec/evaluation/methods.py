@@ -47,7 +47,7 @@ def measured(case: Case, rule: Rule, meter: Meter) -> Run:
 
 
 def best_r2(case: Case, rule: Rule, meter: Meter) -> Run:
-    """The paper's fits, one for each GPU type by the best R² (section 2.C), every machine enumerated at its price."""
+    """Choose by the paper's fits, one for each GPU type by the best R² (section 2.C), every machine enumerated at its price."""
     latency = np.full(len(case.machines), np.nan)
     for rows, fit in _fits(case, meter):
         latency[rows] = fit.predict(case.machines.vcpus[rows], case.machines.memory_gib[rows])
@@ -57,7 +57,7 @@ def best_r2(case: Case, rule: Rule, meter: Meter) -> Run:
 
 
 def paper(case: Case, rule: Rule, meter: Meter) -> Run:
-    """The paper as it is: the best R², its relaxed optimum, and the best of the admissible neighbours (section 2.E)."""
+    """Choose as the paper does: the best R², its relaxed optimum, and the best of the admissible neighbours (section 2.E)."""
     machines, scale = case.machines, case.problem.truth(rule).scale
     latency, near = np.full(len(machines), np.nan), np.zeros(len(machines), dtype=bool)
     for rows, fit in _fits(case, meter):

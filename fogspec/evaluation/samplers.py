@@ -39,7 +39,7 @@ def adaptive(case: Case, rule: Rule, _seed: int) -> Meter:
 
 
 def grid(case: Case, _rule: Rule, _seed: int) -> Meter:
-    """The paper's edge cases (section 2.A, Table I), a grid for each GPU type; the cheapest machine of each shape."""
+    """Sample the paper's edge cases (section 2.A, Table I), a grid for each GPU type; the cheapest machine of each shape."""
     meter, machines = case.meter(), case.machines
     by_price = np.argsort(machines.price_usd_per_hour, kind="stable")
     for gpu in np.unique(machines.gpu):

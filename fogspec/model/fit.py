@@ -240,7 +240,7 @@ def _finite(value: float) -> float | None:
 
 
 def _to(digits: int, value: float) -> float:
-    """Rounded to significant digits: what lies beyond differs between processors, and the file must not."""
+    """Round to significant digits, because later digits differ between processors and the file must not."""
     return float(f"{value:.{digits}g}")
 
 

@@ -21,13 +21,13 @@ class Pinned:
     link: Path | None
 
     def line(self) -> str:
-        """What runs where, for people."""
+        """Return where the nodes run, as a line of text."""
         nodes = ", ".join(str(node.get("executable") or " ".join(node.get("cmd", []))) for node in self.cloud)
         return f"{self.name}: {nodes} on {self.machine}, not here"
 
 
 def pinned_for(nodes: Sequence[Any], path: str | os.PathLike[str] | None, caller: Path) -> Pinned:
-    """The manifest that is named, or the one whose cloud nodes are these. Raises ValueError."""
+    """Return the named manifest, or the one whose cloud nodes are these; raise ValueError."""
     wanted = Counter(_kinds(nodes))
     given = path or os.environ.get("FOGSPEC_MANIFEST")
     if given:
@@ -79,7 +79,7 @@ def read(path: Path) -> Pinned:
 
 
 def _check(path: Path, digest: str) -> None:
-    """What is started on the robot is what was approved."""
+    """Raise ValueError if the robot's nodes are not those that were approved."""
     content = path.read_bytes() if path.is_file() else b""
     if f"sha256:{hashlib.sha256(content).hexdigest()}" != digest:
         raise ValueError(f"{path} is not what the manifest says: fogspec compile, or check out what was approved")
@@ -104,7 +104,7 @@ def _kinds(nodes: Iterable[Any]) -> Iterable[tuple[str, str]]:
 
 
 def _text(value: Any) -> str:
-    """A text, or a list of substitutions that are texts; `?` for one that only launching resolves."""
+    """Return a string, or a list of substitutions as one; `?` for each that only a launch resolves."""
     if isinstance(value, str):
         return value
     if isinstance(value, (list, tuple)):

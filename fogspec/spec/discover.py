@@ -49,7 +49,7 @@ def spec_of(name: str) -> str | None:
     for path in sorted(_specs_in("specs"), key=lambda path: path != guess):
         if any(one.application.metadata.name == name for one in check_file([path])[0]):
             return path
-    return guess if os.path.exists(guess) else None  # wrong in a way that hides its name: whoever loads it says how
+    return guess if os.path.exists(guess) else None  # its error hides its name: loading it reports the error
 
 
 def _specs_in(folder: str) -> list[str]:

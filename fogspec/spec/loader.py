@@ -129,7 +129,7 @@ class SourceFile:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "SourceFile":
-        """Read the file; a file that cannot be read is reported when its document is asked for."""
+        """Read the file; a file that cannot be read is reported when its document is read."""
         try:
             return cls(path, read_file(path, MOST_BYTES_OF_OUR_OWN + 1))
         except OSError as problem:
