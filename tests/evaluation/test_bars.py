@@ -89,10 +89,12 @@ def test_the_target_s_own_suite_is_left_out_of_the_library(data):
     suite, library = data
     problem = next(one for one in suite.problems if one.kind == "family" and one.suite in library.suites)
     kept = [i for i, name in enumerate(library.suites) if name != problem.suite]
-    without = type(library)(
-        library.names, library.machines, tuple(library.workloads[i] for i in kept),
-        tuple(library.suites[i] for i in kept), library.log_latency[kept],
-    )  # fmt: skip
+    without = replace(
+        library,
+        workloads=tuple(library.workloads[i] for i in kept),
+        suites=tuple(library.suites[i] for i in kept),
+        log_latency=library.log_latency[kept],
+    )
     unrecognised = replace(library, suites=tuple(f"{name} of others" for name in library.suites))
     lines = [
         [one.as_dict() for one in run(problem, suite.table, one_library, Campaign())]
