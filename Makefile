@@ -105,7 +105,7 @@ faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere
 figures: .venv/dev.stamp  ## print every figure that README and docs quote
 	$(BIN)/python -m tests.figures
 
-figures-svg: .venv/dev.stamp  ## draw the pictures in docs/figures anew
+figures-svg: .venv/dev.stamp  ## regenerate the charts in docs/figures
 	$(BIN)/python -m tests.tools.paper_figures
 
 # The public suite is its own library: a problem's own suite is left out of it. The development data are not in this repository.
@@ -126,7 +126,7 @@ dist: .venv/dev.stamp  ## wheel and sdist, in dist/, after both were tried in em
 mutants: .venv/dev.stamp  ## 100,000 damaged specs: what the diagnostics say of them (minutes)
 	$(BIN)/python -m tests.mutation.survey
 
-lock: .venv/dev.stamp  ## write the lock files anew from pyproject.toml
+lock: .venv/dev.stamp  ## regenerate the lock files from pyproject.toml
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --all-extras pyproject.toml -o requirements/dev.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --extra local -c requirements/dev.lock pyproject.toml -o requirements/run.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/ros.in -o requirements/ros.txt

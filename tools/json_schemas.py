@@ -11,6 +11,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from tools.generated import write_or_check
+
 ROOT = Path(__file__).resolve().parents[1]
 KINDS = {
     "Application": "fogspec.spec.schema:Application",
@@ -119,19 +121,5 @@ def generated() -> dict[Path, str]:
     return files
 
 
-def main(arguments: list[str]) -> int:
-    """Write the files, or with `--check` say which differ; the exit code."""
-    differing = [path for path, text in generated().items() if not path.is_file() or path.read_text("utf-8") != text]
-    for path in differing:
-        if "--check" not in arguments:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(generated()[path], "utf-8")
-        print(f"{path.relative_to(ROOT)} {'differs from the types' if '--check' in arguments else 'written'}")
-    if differing and "--check" in arguments:
-        print("write them: python -m tools.json_schemas")
-        return 3
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(write_or_check(generated(), sys.argv[1:], "python -m tools.json_schemas"))

@@ -14,6 +14,7 @@ import click
 from fogspec.base import errors
 from fogspec.cli import VERBS, fogspec
 from fogspec.spec.field_docs import FieldPage, pages
+from tools.generated import write_or_check
 from tools.json_schemas import KINDS, model_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -131,19 +132,5 @@ def generated() -> dict[Path, str]:
     }
 
 
-def main(arguments: list[str]) -> int:
-    """Write the pages, or with `--check` say which differ; the exit code."""
-    texts = generated()
-    differing = [path for path, text in texts.items() if not path.is_file() or path.read_text("utf-8") != text]
-    for path in differing:
-        if "--check" not in arguments:
-            path.write_text(texts[path], "utf-8")
-        print(f"{path.relative_to(ROOT)} {'differs' if '--check' in arguments else 'written'}")
-    if differing and "--check" in arguments:
-        print("write them: python -m tests.docs.reference")
-        return 3
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(write_or_check(generated(), sys.argv[1:], "python -m tests.docs.reference"))

@@ -28,6 +28,7 @@ from fogspec.numerics.pareto import pareto
 from fogspec.results.io import read_results
 from fogspec.spec.loader import load
 from fogspec.spec.schema import Application, Constraints
+from tools.generated import write_or_check
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "figures"
@@ -176,19 +177,5 @@ def _frontier(case: Case, left: float, top: float) -> Frame:
     return found
 
 
-def main(check: bool) -> None:
-    """Write what differs, or say what does and end with 1."""
-    differing = {
-        path: text for path, text in files().items() if not path.is_file() or path.read_text(encoding="utf-8") != text
-    }
-    for path, text in differing.items():
-        print(f"{'differs' if check else 'written'}: {path.relative_to(ROOT)}")
-        if not check:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-    if check and differing:
-        raise SystemExit("write them anew: make figures-svg")
-
-
 if __name__ == "__main__":
-    main("--check" in sys.argv[1:])
+    sys.exit(write_or_check(files(), sys.argv[1:], "make figures-svg"))

@@ -20,6 +20,7 @@ from fogspec.base.layout import Layout
 from fogspec.catalog.sources import load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.results.io import read_results
+from tools.generated import write_or_check
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tests" / "data" / "suite"
@@ -212,19 +213,5 @@ def _csv(rows: list[Row], columns: tuple[str, ...]) -> str:
     return out.getvalue()
 
 
-def main(check: bool) -> None:
-    """Write what differs, or say what does and end with 1."""
-    differing = {
-        path: text for path, text in files().items() if not path.is_file() or path.read_text(encoding="utf-8") != text
-    }
-    for path, text in differing.items():
-        print(f"{'differs' if check else 'written'}: {path.relative_to(ROOT)}")
-        if not check:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-    if check and differing:
-        raise SystemExit("write them again: python -m tests.tools.public_suite")
-
-
 if __name__ == "__main__":
-    main("--check" in sys.argv[1:])
+    sys.exit(write_or_check(files(), sys.argv[1:], "python -m tests.tools.public_suite"))
