@@ -138,8 +138,9 @@ def _application(one: Review, picture_base: str | None) -> list[str]:
     ]
     if one.status.refused:
         lines.append(f"- **cannot be compiled**: {escaped(one.status.refused)}")
-    if one.status.to_measure:
-        lines.append(f"- {one.status.to_measure} samples to measure: `fogspec bench {_from_here(layout.spec)}`")
+    if one.status.to_measure and one.status.artifacts is not None:
+        command = one.status.artifacts.plan.bench_command(_from_here(layout.spec))
+        lines.append(f"- {one.status.to_measure} samples to measure: `{command}`")
     elif one.fresh:
         lines.append("- everything is fresh; no benchmark needed")
     elif not one.status.refused:

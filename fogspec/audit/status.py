@@ -28,10 +28,10 @@ def interval_text(ends_s: tuple[float, float] | None) -> str:
 
 def _next(one: Status) -> list[str]:
     states = {stage.name: stage.state for stage in one.stages}
-    if one.fresh or one.refused is not None:
+    if one.fresh or one.artifacts is None:
         return []
     if states.get("plan") == "fresh" and (one.to_measure or states.get("results") == "partial"):
-        return [f"next: fogspec bench {one.layout.spec}"]
+        return [f"next: {one.artifacts.plan.bench_command(one.layout.spec)}"]
     return [f"next: fogspec compile {one.layout.spec}"]
 
 

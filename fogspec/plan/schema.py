@@ -4,6 +4,7 @@ import itertools
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
+from os import PathLike, fspath
 from types import MappingProxyType
 from typing import Literal
 
@@ -133,6 +134,11 @@ class Plan(Strict):
     kind: Literal["SamplingPlan"] = "SamplingPlan"
     metadata: PlanMetadata
     spec: PlanBody
+
+    def bench_command(self, spec: str | PathLike[str]) -> str:
+        """Return the command that measures this plan, with the spec at this path."""
+        local = all(sample.machine.is_local for sample in self.spec.samples)
+        return f"fogspec bench {fspath(spec)}{' --runner local' if local else ''}"
 
 
 LIFETIME_SLACK_S = 300.0

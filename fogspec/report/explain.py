@@ -284,4 +284,4 @@ def _unmeasured(compiled: Artifacts) -> str:
         f"funnel    {compiled.admissible.funnel.line()}",
     ]
     lines += ["samples", *(f"  {s.machine.infra} {s.machine.instance}: {s.reason}" for s in compiled.plan.spec.samples)]
-    return "\n".join([*lines, f"next: fogspec bench {compiled.layout.spec}"])
+    return "\n".join([*lines, f"next: {compiled.plan.bench_command(compiled.layout.spec)}"])

@@ -59,15 +59,10 @@ def _plan_text(compiled: Artifacts) -> str:
 
 
 def _unmeasured(compiled: Artifacts) -> list[str]:
-    layout = compiled.layout
-    local = all(sample.machine.is_local for sample in compiled.plan.spec.samples)
-    runner = " --runner local" if local else ""
+    command = compiled.plan.bench_command(compiled.layout.spec)
     if compiled.stale:
-        return [f"  stale: {compiled.stale}", f"next: fogspec bench {layout.spec}{runner}"]
-    return [
-        "  not measured yet: models, menu and manifest follow once it is",
-        f"next: fogspec bench {layout.spec}{runner}",
-    ]
+        return [f"  stale: {compiled.stale}", f"next: {command}"]
+    return ["  not measured yet: models, menu and manifest follow once it is", f"next: {command}"]
 
 
 def _menu_text(menu: "Menu") -> str:
