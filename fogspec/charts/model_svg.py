@@ -1,6 +1,7 @@
 """Draw latency by vCPUs, one coordinate system for each GPU type: samples, predictions and their intervals."""
 
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import NormalDist
@@ -71,8 +72,11 @@ class LatencyChart:
     notes: Sequence[str] = field(default_factory=tuple)
 
 
-def latency_chart(application: Application, choice: Choice, models: Models) -> LatencyChart:
-    """Return the chart of latency by vCPUs for each sampled GPU type."""
+def latency_chart(application: Application, choice: Choice, models: Models, caveats: Sequence[str]) -> LatencyChart:
+    """Return the chart of latency by vCPUs for each sampled GPU type; the first caveat is printed below it.
+
+    Caveats about the chosen machine alone belong to the menu: they are left out unless all samples are extrapolated.
+    """
     statistic = application.spec.constraints.statistic
     gpus = sorted({_gpu_of(one.machine) for one in models.spec.observations}, key=lambda gpu: gpu or ("", 0.0))
     panels = [_panel(choice, models, gpu) for gpu in gpus]
@@ -83,6 +87,7 @@ def latency_chart(application: Application, choice: Choice, models: Models) -> L
         y_label=f"{statistic} latency",
         panels=panels,
         level=LEVEL,
+        notes=textwrap.wrap(caveats[0], 112) if caveats and models.spec.measured_on_local else (),
     )
 
 

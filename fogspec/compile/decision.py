@@ -210,7 +210,7 @@ def _charts(application: Application, choice: Choice, models: Models, layout: La
         return {}
     menu = menu_svg.menu_chart(application, choice, caveats(models, choice))
     found = {layout.picture: menu_svg.draw(menu).encode()}
-    latencies = model_svg.latency_chart(application, choice, models)
+    latencies = model_svg.latency_chart(application, choice, models, caveats(models, choice))
     if latencies.panels:
         found[layout.latencies] = model_svg.draw(latencies).encode()
     return found

@@ -90,7 +90,7 @@ def files() -> dict[Path, str]:
             [("measured", "measured, frontier dotted"), ("in", "predicted"), ("curve", "frontier of all machines")],
         ),
         FOLDER / "menu.svg": menu_svg.draw(menu_svg.menu_chart(shown.application, shown.choice, [])),
-        FOLDER / "latency.svg": model_svg.draw(model_svg.latency_chart(shown.application, shown.choice, shown.models)),
+        FOLDER / "latency.svg": model_svg.draw(model_svg.latency_chart(shown.application, shown.choice, shown.models, [])),
     }  # fmt: skip
 
 
