@@ -89,7 +89,7 @@ generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled spec
 
 # The language server that editors run; without npm its tests skip.
 tests/editor/node_modules/.stamp: tests/editor/package-lock.json
-	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@; fi
+	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@ || echo "npm ci failed: tests/editor skip (with CI=true they fail)"; fi
 
 unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## all tests but those that need a Slurm cluster
 	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm
