@@ -1,7 +1,7 @@
 """Sensitivity of the choice to its limits and samples, and the machines with the widest intervals."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from fogspec.model.predict import PredictionSet, PredictionSpace
 from fogspec.spec.schema import Application
 
 LEVEL = 0.9
+CONFIDENCES = (0.5, 0.8, 0.9, 0.95, 0.99)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +46,19 @@ class Influence:
     moves: float
     missed_by: float
     covered: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OtherConfidence:
+    """What would be chosen with another confidence, and its cost and latency relative to those of the choice.
+
+    `row` is None if no machine reaches this confidence; `cost` and `latency` are None then.
+    """
+
+    confidence: float
+    row: int | None
+    cost: float | None = None
+    latency: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +96,33 @@ def slacks(choice: Choice) -> list[Slack]:
             )
         )
     return found
+
+
+def other_confidences(choice: Choice) -> list[OtherConfidence]:
+    """Return the nearest lower and the nearest higher of `CONFIDENCES` with another choice, as far as there are any.
+
+    Empty without limits or probabilities, and where no machine reaches the confidence that was asked for.
+    """
+    row = choice.chosen
+    if row is None or choice.by_relaxation or not choice.bounds or choice.level != choice.confidence:
+        return []
+    lower = [_at_confidence(choice, row, one) for one in reversed(CONFIDENCES) if one < choice.confidence]
+    higher = [_at_confidence(choice, row, one) for one in CONFIDENCES if one > choice.confidence]
+    return [one for some in (lower, higher) if (one := next((one for one in some if one.row != row), None))]
+
+
+def _at_confidence(choice: Choice, row: int, confidence: float) -> OtherConfidence:
+    other = replace(choice, rule=replace(choice.rule, confidence=confidence))
+    found = other.chosen
+    if found is None or other.level != confidence:
+        return OtherConfidence(confidence=confidence, row=None)
+    cost, latency = choice.cost_usd_per_request, choice.latency.value
+    return OtherConfidence(
+        confidence=confidence,
+        row=found,
+        cost=float(cost[found] / cost[row]),
+        latency=float(latency[found] / latency[row]),
+    )
 
 
 @dataclass

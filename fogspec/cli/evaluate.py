@@ -12,7 +12,7 @@ from fogspec.cli.options import CATALOG, OUTPUT, applications_of, catalogs_for
 if TYPE_CHECKING:
     from fogspec.evaluation.campaign import Campaign
 
-SAMPLERS = ("adaptive", "grid", "random", "cherrypick", "full")
+SAMPLERS = ("adaptive", "grid", "random", "cherrypick", "full", "best")
 METHODS = ("model", "verified", "r2", "paper", "measured")
 ROWS = (
     ("paper: grid, best R², relaxed", "grid", "paper"),
@@ -21,7 +21,9 @@ ROWS = (
     ("random 9, ours", "random", None),
     ("CherryPick-like", "cherrypick", None),
     ("adaptive", "adaptive", None),
-    ("full sweep", "full", None),
+    ("full sweep, ours", "full", "verified"),
+    ("full sweep, measured values", "full", None),
+    ("the best machine alone", "best", None),
 )
 ALIASES = {"ours": None}
 

@@ -12,7 +12,6 @@ from fogspec.model.predict import Predictions
 from fogspec.numerics import families
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.numerics.kernels import Floats
-from fogspec.numerics.observations import observations
 
 Method = Callable[[Case, Rule, Meter], Run]
 
@@ -28,7 +27,7 @@ def verified(case: Case, rule: Rule, meter: Meter) -> Run:
 
 
 def _modelled(case: Case, rule: Rule, meter: Meter) -> Run:
-    posterior = case.space.fit(observations(meter.sampled, meter.latency_s))
+    posterior = case.posterior(meter)
     selection = Selection(rule=rule, latency=Predictions.of_posterior(posterior))
     return Run(
         chosen=selection.best,
@@ -117,4 +116,11 @@ METHODS: dict[str, Method] = {
     "paper": paper,
     "measured": measured,
 }
-OWN_METHOD = {"grid": "model", "adaptive": "verified", "random": "model", "cherrypick": "measured", "full": "measured"}
+OWN_METHOD = {
+    "grid": "model",
+    "adaptive": "verified",
+    "random": "model",
+    "cherrypick": "measured",
+    "full": "measured",
+    "best": "measured",
+}

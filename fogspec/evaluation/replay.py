@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fogspec.evaluation.suites import Problem
+from fogspec.numerics.acquisition import Policy
 from fogspec.numerics.kernels import Floats, Machines
-from fogspec.numerics.surrogate import Prior, Space, prepare
+from fogspec.numerics.observations import observations
+from fogspec.numerics.surrogate import Posterior, Prior, Space, prepare
 
 REPEATS = 8  # noise is drawn for so many samples of each machine; further samples start over
 
@@ -75,6 +77,7 @@ class Case:
     machines: Machines
     noise: Noise
     space: Space
+    _fits: dict[tuple[int, ...], Posterior] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, problem: Problem, machines: Machines, prior: Prior | None, noise: Noise) -> "Case":
@@ -84,3 +87,15 @@ class Case:
     def meter(self) -> Meter:
         """Return a new meter: nothing sampled, nothing paid."""
         return Meter(self.problem.latency_s, self.machines.price_usd_per_hour, self.noise)
+
+    def posterior(self, meter: Meter) -> Posterior:
+        """Return the model's posterior given the paid samples.
+
+        Kept are the fits that settings share, of the first batch and of a sweep, and the latest one.
+        """
+        key = tuple(meter.sampled)
+        if key not in self._fits:
+            for old in [one for one in self._fits if Policy().first < len(one) < len(self.machines)]:
+                del self._fits[old]
+            self._fits[key] = self.space.fit(observations(meter.sampled, meter.latency_s))
+        return self._fits[key]

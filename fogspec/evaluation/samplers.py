@@ -13,7 +13,6 @@ from fogspec.evaluation.suites import Problem
 from fogspec.model.predict import Predictions
 from fogspec.numerics.acquisition import Policy, propose_batch
 from fogspec.numerics.design import edge_grid
-from fogspec.numerics.observations import observations
 
 Sampler = Callable[[Case, Rule, int], Meter]
 RANDOM_SAMPLES = 9  # as many as the paper's grid has cells
@@ -25,7 +24,7 @@ def adaptive(case: Case, rule: Rule, _seed: int) -> Meter:
     # A sweep without repeats has nothing more to say of a machine.
     policy = Policy(each=min(Policy().each, len(case.noise.factor)))
     while True:
-        posterior = case.space.fit(observations(meter.sampled, meter.latency_s))
+        posterior = case.posterior(meter)
         selection = Selection(rule=rule, latency=Predictions.of_posterior(posterior))
         batch = propose_batch(
             posterior, selection.utility(), sample_cost=case.machines.price_usd_per_hour, policy=policy
@@ -69,6 +68,14 @@ def full(case: Case, _rule: Rule, _seed: int) -> Meter:
     return meter
 
 
+def best(case: Case, rule: Rule, _seed: int) -> Meter:
+    """Sample the truly best machine alone: the floor of what sampling costs; none where none meets the limits."""
+    meter, found = case.meter(), case.problem.truth(rule).best
+    if found is not None:
+        meter.sample(found)
+    return meter
+
+
 def _cherrypick(case: Case, rule: Rule, seed: int) -> Meter:
     meter, truth = case.meter(), case.problem.truth(rule)
     cherrypick(case.machines, rule, truth.scale, meter.sample, _generator(case.problem, seed))
@@ -86,4 +93,5 @@ SAMPLERS: dict[str, Sampler] = {
     "random": random,
     "cherrypick": _cherrypick,
     "full": full,
+    "best": best,
 }

@@ -8,7 +8,18 @@ from fogspec.base.units import dollars, rounded
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import entry_of, limit_text
 from fogspec.choice.next_samples import NextSample, best_next_sample, probability_better
-from fogspec.choice.sensitivity import LEVEL, Influence, Refits, Slack, influences, parts, slacks, widest_intervals
+from fogspec.choice.sensitivity import (
+    LEVEL,
+    Influence,
+    OtherConfidence,
+    Refits,
+    Slack,
+    influences,
+    other_confidences,
+    parts,
+    slacks,
+    widest_intervals,
+)
 from fogspec.choice.shortlist import shortlist
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision
@@ -60,6 +71,7 @@ def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
     lines += ["", "funnel    " + _funnel(compiled, decision)]
     if choice.chosen is not None:
         lines += ["", "limits", *(f"  {_slack_text(b)}" for b in found.bindings)]
+        lines += [f"  {_confidence_text(choice, one)}" for one in other_confidences(choice)]
     lines += ["", "model", *_model(decision, found)]
     if found.influences:
         lines += [
@@ -90,6 +102,7 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         "sure": choice.meets_confidence,
         "likeliest": _likeliest_dict(choice),
         "limits": [_slack_dict(b) for b in analysis.bindings],
+        "confidences": [_confidence_dict(choice, one) for one in other_confidences(choice)],
         "samples": [asdict(one) for one in analysis.influences],
         "weak": [
             {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in widest_intervals(choice)
@@ -189,6 +202,27 @@ def _slack_text(binding: Slack) -> str:
     elif binding.rules_out_alone:
         words += ", none of them better"
     return words
+
+
+def _confidence_dict(choice: Choice, one: OtherConfidence) -> dict[str, Any]:
+    return {
+        "confidence": one.confidence,
+        "instance": None if one.row is None else str(choice.offers.instance[one.row]),
+        "infra": None if one.row is None else choice.offers.infra(one.row),
+        "cost_ratio": one.cost,
+        "latency_ratio": one.latency,
+    }
+
+
+def _confidence_text(choice: Choice, one: OtherConfidence) -> str:
+    if one.row is None or one.cost is None or one.latency is None:
+        return f"at confidence {one.confidence:g} no machine is sure enough to meet all limits"
+    cost, latency = _difference(one.cost, "cheaper", "dearer"), _difference(one.latency, "faster", "slower")
+    return f"at confidence {one.confidence:g} the choice would be {choice.offers.instance[one.row]}, {cost}, {latency}"
+
+
+def _difference(ratio: float, less: str, more: str) -> str:
+    return f"{abs(1 - ratio):.0%} {less if ratio < 1 else more}"
 
 
 def _model(decision: Decision, found: Analysis) -> list[str]:

@@ -235,3 +235,14 @@ def test_a_machine_library_is_named_in_models_and_manifest(shell: Shell, tmp_pat
     assert "machine library" in shell("compile", "specs/demo.yaml", code=3).err
     shell.write("priors/latencies.csv", "nonsense\n")
     assert "latencies.csv" in shell("compile", "specs/demo.yaml", "--priors", "priors", code=1).err
+
+
+def test_explain_says_what_the_confidence_costs(shell: Shell) -> None:
+    """The cheapest machine lies just within the limit: a lower confidence would take it, a higher one nothing at all."""
+    measured = [sample("a.small", 0.975), sample("b.large", 0.6), sample("a.large", 0.61), sample("b.small", 1.1)]
+    compiled(shell, measured, constraints="{latency: 1s}", objective="{alpha: 0}")
+    said = shell("explain", "specs/demo.yaml", "--catalog", "offers.csv").out
+    assert "at confidence 0.8 the choice would be a.small, 60% cheaper, " in said
+    [lower] = explained(shell)["confidences"]
+    assert (lower["confidence"], lower["instance"]) == (0.8, "a.small")
+    assert lower["cost_ratio"] == pytest.approx(0.975 * 0.1 / 0.61 / 0.4, rel=0.05)
