@@ -11,12 +11,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from fogspec.base.files import write_yaml
 from fogspec.base.units import parse_duration_s
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load, read_document
+from tests.support.files import write_yaml
 from tests.support.scenes import SPEC, Scene
 
 SAMPLES = 6

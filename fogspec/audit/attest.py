@@ -102,8 +102,8 @@ def _timings(inputs: Inputs) -> Iterator[dict[str, Any]]:
     layout = inputs.layout
     records = inputs.results.spec.samples if inputs.results is not None else []
     known = {layout.results.parent / one.timings.path: one.timings.digest for one in records if one.timings}
-    for path in sorted(layout.timings.glob("*.gz")):
-        yield _material("timings", layout.relative(path), known.get(path) or digest.of_bytes(path.read_bytes()))
+    for path in (layout.timings / name for name in layout.files.names(layout.timings) if name.endswith(".gz")):
+        yield _material("timings", layout.relative(path), known.get(path) or digest.of_bytes(layout.files.read(path)))
 
 
 def _file(name: str, layout: Layout, path: Path, content: bytes | None, read: str | None = None) -> dict[str, Any]:

@@ -92,7 +92,8 @@ def committed_manifest(inputs: Inputs) -> Mapping[str, Any] | None:
 
 def read_manifest(layout: Layout) -> Mapping[str, Any] | None:
     """Read the manifest on disk, as `committed_manifest` returns it."""
-    return manifest_in(SourceFile.read(layout.manifest)) if layout.manifest.is_file() else None
+    files = layout.files
+    return manifest_in(SourceFile.read(layout.manifest, files)) if files.is_file(layout.manifest) else None
 
 
 def manifest_in(file: SourceFile) -> Mapping[str, Any]:

@@ -146,7 +146,7 @@ def _application(one: Review, picture_base: str | None) -> list[str]:
     elif not one.status.refused:
         lines.append(f"- **to do**: `fogspec compile {_from_here(layout.spec)}`, and commit what it writes")
     lines += ["", *_costs(difference), *_warnings(difference)]
-    if layout.picture.is_file() and picture_base is not None:
+    if layout.files.is_file(layout.picture) and picture_base is not None:
         lines += [f"![menu of {escaped(layout.name)}]({picture_base.rstrip('/')}/{_from_here(layout.picture)})", ""]
     return [*lines, *_provenance(difference.after), *_fields(difference.changes)]
 

@@ -10,6 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Literal, Protocol, TypeVar
 
+from fogspec.base.project_files import ProjectFiles
 from fogspec.catalog.machine import Machine
 from fogspec.results.schema import Measured, Reason
 
@@ -33,6 +34,11 @@ class Job:
     machine: Machine | None = None
     lifetime_s: float | None = None
     replicate: int = 1
+
+    @property
+    def files(self) -> ProjectFiles:
+        """Opens and writes what is in `directory`."""
+        return ProjectFiles(self.root)
 
     @property
     def machine_name(self) -> str:

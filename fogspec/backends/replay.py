@@ -38,14 +38,14 @@ class ReplaySamples:
         if number is None:
             further = "" if job.replicate == 1 else "further "
             raise LaunchRefused("capacity", f"there is no {further}recording of {job.machine_name}")
-        job.directory.mkdir(parents=True)
+        job.files.make_folder(job.directory)
         state = {"recording": number, "at_s": self._now_s()}
-        (job.directory / "replay.json").write_text(json.dumps(state), encoding="utf-8")
+        job.files.write(job.directory / "replay.json", json.dumps(state).encode())
 
     def poll(self, job: Job) -> SampleStatus:
         """Return the record as soon as its time is over."""
         try:
-            state = json.loads((job.directory / "replay.json").read_text(encoding="utf-8"))
+            state = json.loads(job.files.read(job.directory / "replay.json"))
             recording = self._recordings[state["recording"]]
         except (OSError, ValueError, KeyError, IndexError, TypeError):
             return SampleStatus(running=False, lost=True, detail="the replay had not begun")
@@ -53,7 +53,7 @@ class ReplaySamples:
         if not recording.priced and job.machine is not None:
             record = record.model_copy(update={"spent": job.machine.price * record.duration / 3600})
         running = self._now_s() - state["at_s"] < record.duration * self._pace
-        timings = None if running else _unpacked(recording, job.directory / "timings.jsonl")
+        timings = None if running else _unpacked(recording, job)
         return SampleStatus(
             running=running,
             timings=timings,
@@ -82,9 +82,10 @@ class ReplaySamples:
         return next(islice(exact or anywhere, job.replicate - 1, None), None)
 
 
-def _unpacked(recording: Recording, path: Path) -> Path | None:
+def _unpacked(recording: Recording, job: Job) -> Path | None:
     if recording.timings is None:
         return None
+    path = job.directory / "timings.jsonl"
     with gzip.open(recording.timings) as packed:
-        path.write_bytes(packed.read(SIZE_LIMIT))
+        job.files.write(path, packed.read(SIZE_LIMIT))
     return path

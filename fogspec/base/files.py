@@ -1,17 +1,12 @@
-"""Reading and writing files: a whole regular file, or a located refusal.
+"""Reading files: a whole regular file, or a located refusal. `fogspec.base.project_files` writes.
 
 Reading a pipe or a device may wait forever or never end, so that only regular files are read or written over.
 """
 
-import contextlib
 import errno
 import os
 import stat
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, BinaryIO
-
-from fogspec.base.errors import InvalidInput
+from typing import BinaryIO
 
 KINDS = (
     (stat.S_ISDIR, "it is a folder"),
@@ -58,43 +53,3 @@ def decompress(content: bytes, path: str | os.PathLike[str]) -> bytes:
         return gzip.decompress(content) if os.fspath(path).endswith(".gz") else content
     except (OSError, EOFError, zlib.error):
         raise OSError(errno.EINVAL, "it is no whole gzip file", os.fspath(path)) from None
-
-
-def write_yaml(path: Path, data: Mapping[str, Any], made: str, source: str | None = None) -> None:
-    """Write `yaml_text` to a file; see `write_bytes`."""
-    from fogspec.base.yaml.writer import yaml_text  # most commands only read
-
-    write_bytes(path, yaml_text(data, made, source).encode())
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file atomically: to a temporary file in its directory, then renamed over it.
-
-    Raise InvalidInput, naming the path, if that fails; the previous content then stays as it was.
-    """
-    import tempfile  # most commands only read
-
-    temporary = None
-    try:
-        if path.exists():
-            check_file(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with open(handle, "wb") as file:
-            file.write(content)
-            os.fchmod(file.fileno(), 0o666 & ~_umask())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as problem:
-        raise InvalidInput(f"{path}: cannot be written: {problem.strerror}") from None
-    finally:
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
-
-
-def _umask() -> int:
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask

@@ -4,6 +4,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from fogspec.base.project_files import ProjectFiles
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -22,6 +24,11 @@ class Layout:
         if str(folder) == "." and folder.absolute().name == "specs":
             root = Path("..")
         return cls(root, spec, name)
+
+    @property
+    def files(self) -> ProjectFiles:
+        """Opens, writes and removes what the other properties name."""
+        return ProjectFiles(self.root)
 
     @property
     def compiled(self) -> Path:
@@ -125,6 +132,21 @@ class Layout:
     def state(self) -> Path:
         """Live state, journals and locks; not in git."""
         return self.root / ".fogspec" / self.name
+
+    @property
+    def application_lock(self) -> Path:
+        """Held while a bench, an apply or a down works."""
+        return self.state / "lock"
+
+    @property
+    def journal(self) -> Path:
+        """What a bench started."""
+        return self.state / "journal.jsonl"
+
+    @property
+    def attempts(self) -> Path:
+        """Folder of what belongs to samples that were measured."""
+        return self.state / "attempts"
 
     @property
     def live(self) -> Path:

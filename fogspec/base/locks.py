@@ -9,6 +9,9 @@ from pathlib import Path
 
 from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.files import not_a_file
+from fogspec.base.layout import Layout
+
+MOST_BYTES = 4096
 
 
 def start_ticks(pid: int) -> int | None:
@@ -24,26 +27,26 @@ def start_ticks(pid: int) -> int | None:
 
 
 @contextlib.contextmanager
-def application_lock(path: Path, what: str, remove: bool = False) -> Iterator[None]:
-    """Hold the lock at `path` for `what`; raise Refused, naming the holder, if another process has it.
+def application_lock(layout: Layout, what: str, remove: bool = False) -> Iterator[None]:
+    """Hold an application's lock for `what`; raise Refused, naming the holder, if another process has it.
 
     Raises InvalidInput for what is no file.
 
     What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
     to clean up. With `remove` the file goes when it is over; if it was removed meanwhile, a new one is locked.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.exists() and (kind := not_a_file(path.stat().st_mode)) is not None:
+    path, files = layout.application_lock, layout.files
+    if (found := files.stat(path)) is not None and (kind := not_a_file(found.st_mode)) is not None:
         raise InvalidInput(f"{path}: {kind}", "remove it")
-    with contextlib.ExitStack() as files:
+    with contextlib.ExitStack() as opened:
         while True:
-            file = files.enter_context(open(path, "a+", encoding="utf-8"))
+            file = opened.enter_context(files.append(path))
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 hint = "wait for it, or stop it with Ctrl-C there"
-                raise Refused(f"{what} must wait: {_holder(path)} has not ended", hint) from None
-            if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                raise Refused(f"{what} must wait: {_holder(layout)} has not ended", hint) from None
+            if (now := files.stat(path)) is not None and os.path.samestat(os.fstat(file.fileno()), now):
                 break
         holder = {
             "what": what,
@@ -60,12 +63,12 @@ def application_lock(path: Path, what: str, remove: bool = False) -> Iterator[No
         finally:
             file.truncate(0)
             if remove:
-                path.unlink(missing_ok=True)
+                files.remove(path)
 
 
-def _holder(path: Path) -> str:
+def _holder(layout: Layout) -> str:
     try:
-        holder = json.loads(path.read_text(encoding="utf-8"))
+        holder = json.loads(layout.files.read(layout.application_lock, MOST_BYTES))
         return f"{holder['what']} (process {holder['pid']} on {holder['host']})"
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base.errors import UsageError
-from fogspec.base.files import open_untrusted, write_bytes
+from fogspec.base.project_files import ProjectFiles
 
 if TYPE_CHECKING:
     from fogspec.agent.redaction import Secrets
@@ -68,12 +68,12 @@ def redact_files(secrets: "Secrets", directory: Path) -> None:
     """Rewrite the files below a directory that contain secrets."""
     if not secrets:
         return
-    for path in (Path(at, name) for at, _, names in os.walk(directory) for name in names):
+    files = ProjectFiles(directory)
+    for path in files.files(directory):
         try:
-            with open_untrusted(path) as file:
-                before = file.read(FILE_LIMIT)
+            before = files.read(path, FILE_LIMIT)
         except OSError:
             continue
         after = secrets.redact_bytes(before)
         if after != before:
-            write_bytes(path, after)
+            files.write(path, after)

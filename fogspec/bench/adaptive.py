@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fogspec.base import digest
-from fogspec.base.files import write_bytes
 from fogspec.base.layout import Layout
 from fogspec.bench.prepare import read_task
 from fogspec.bench.results_file import ResultsFile
@@ -52,8 +51,8 @@ class Tasks:
     def adopt(self, plan: Plan, files: Mapping[Any, bytes]) -> None:
         """Continue with another plan, and write its files."""
         for path, content in files.items():
-            if not path.is_file() or path.read_bytes() != content:
-                write_bytes(path, content)
+            if not self.layout.files.is_file(path) or self.layout.files.read(path) != content:
+                self.layout.files.write(path, content)
         self.plan = plan
         for sample in plan.spec.samples:
             self.known[sample.id] = read_task(files[self.layout.task(sample.id)])
@@ -64,7 +63,7 @@ class Tasks:
 
     def _write(self, sample: Sample) -> None:
         content = task_file(self.application, self.plan, sample, self.layout)
-        write_bytes(self.layout.task(sample.id), content)
+        self.layout.files.write(self.layout.task(sample.id), content)
         self.known[sample.id] = read_task(content)
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.base.errors import OutOfDate
-from fogspec.base.files import check_file
+from fogspec.base.project_files import ProjectFiles
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
 
@@ -114,15 +114,14 @@ def _name(value: Any) -> str:
 class Journal:
     """An append-only file, held open; `book` is what it says so far."""
 
-    def __init__(self, path: Path, sync: Callable[[int], None] = os.fsync) -> None:
-        """Read the file and cut off a torn last line; raise OutOfDate if it was damaged."""
+    def __init__(self, path: Path, sync: Callable[[int], None] = os.fsync, files: ProjectFiles | None = None) -> None:
+        """Read the file of a project's `files` and cut off a torn last line; raise OutOfDate if it was damaged.
+
+        Without `files`, its folder is the user's own word.
+        """
         self.path, self._sync = path, sync
         self.state = JournalState()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists():
-            check_file(path)
-        self._file = open(path, "ab+", buffering=0)  # noqa: SIM115 -- held until close
-        self._sync_folder()
+        self._file = (files or ProjectFiles(path.parent)).append(path)
         self._file.seek(0)
         content = self._file.read()
         whole = content.rfind(b"\n") + 1
@@ -180,10 +179,3 @@ class Journal:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def _sync_folder(self) -> None:
-        folder = os.open(self.path.parent, os.O_RDONLY)
-        try:
-            self._sync(folder)
-        finally:
-            os.close(folder)

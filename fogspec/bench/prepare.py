@@ -1,6 +1,5 @@
 """The inputs of a campaign, all checked: the plan, its tasks, and existing results."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +7,6 @@ from typing import Any
 
 from fogspec.base import digest
 from fogspec.base.errors import OutOfDate, UsageError
-from fogspec.base.files import read_file
 from fogspec.base.layout import Layout
 from fogspec.compile.agent_archive import agent_archive
 from fogspec.plan.schema import Plan, Sample
@@ -61,9 +59,9 @@ def prepare(
     """
     layout = Layout.of(spec_path, application.metadata.name)
     again = f"fogspec compile {layout.spec}"
-    if not os.path.lexists(layout.plan):
+    if not layout.files.exists(layout.plan):
         raise OutOfDate(f"{layout.name} has no plan yet", again)
-    plan_file = SourceFile.read(layout.plan)
+    plan_file = SourceFile.read(layout.plan, layout.files)
     plan = plan_file.document(Plan)
     if plan.spec.application.digest != fingerprints.planned_digest(application):
         raise OutOfDate(f"{layout.plan} is stale: {_changed(application, plan)} changed since it was compiled", again)
@@ -103,7 +101,7 @@ def _changed(application: Application, plan: Plan) -> str:
 def _check_agent(layout: Layout, again: str, known: dict[Path, SourceFile]) -> None:
     """Raise OutOfDate unless the agent on disk is this version's: a diff does not show its content."""
     if layout.agent not in known:
-        known[layout.agent] = SourceFile.read(layout.agent)
+        known[layout.agent] = SourceFile.read(layout.agent, layout.files)
     file = known[layout.agent]
     if file.problem is not None:
         raise OutOfDate(f"{layout.agent}: cannot be read: {file.problem.strerror}", again)
@@ -116,7 +114,7 @@ def _task(layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
         raise OutOfDate(f"{layout.plan}: sample {sample.id} has no task", again)
     path = layout.compiled / sample.task.path
     try:
-        content = read_file(path)
+        content = layout.files.read(path)
     except OSError as problem:
         raise OutOfDate(f"{path}: cannot be read: {problem.strerror}", again) from None
     if digest.of_bytes(content) != sample.task.digest:

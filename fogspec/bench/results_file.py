@@ -1,11 +1,9 @@
 """The results file while a benchmark runs: rewritten with its checksum after every sample."""
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fogspec.base.files import write_bytes, write_yaml
 from fogspec.base.layout import Layout
 from fogspec.bench.record import compress, timings_reference
 from fogspec.plan.schema import PlanMetadata, Sampling
@@ -49,7 +47,7 @@ class ResultsFile:
             return record
         content = compress(timings, self.redact)
         path = self.layout.timings / f"{record.id}.jsonl.gz"
-        write_bytes(path, content)
+        self.layout.files.write(path, content)
         relative = path.relative_to(self.layout.results.parent).as_posix()
         return record.model_copy(update={"timings": timings_reference(relative, content)})
 
@@ -101,16 +99,17 @@ class ResultsFile:
         """Write the file whole, or leave the old one."""
         recorded = " --from RESULTS.yaml" if self.runner == "replay" else ""
         made = f"fogspec bench {self.layout.relative(self.layout.spec)} --runner {self.runner}{recorded}"
-        write_yaml(self.layout.results, self.results().model_dump(mode="json", exclude_none=True), made)
+        self.layout.files.write_yaml(
+            self.layout.results, self.results().model_dump(mode="json", exclude_none=True), made
+        )
 
 
 def set_aside(layout: Layout) -> Path:
     """Move results that measured something else, with their raw timings, to another folder: they were paid for."""
-    number, beside = 1, layout.results.parent
-    while (folder := beside / f"{layout.name}.old-{number}").exists():
+    number, beside, files = 1, layout.results.parent, layout.files
+    while files.exists(folder := beside / f"{layout.name}.old-{number}"):
         number += 1
-    timings = folder / layout.timings.relative_to(beside)
-    timings.parent.mkdir(parents=True)
-    if layout.timings.is_dir():
-        os.rename(layout.timings, timings)
-    return layout.results.rename(folder / layout.results.name)
+    if files.is_folder(layout.timings):
+        files.move(layout.timings, folder / layout.timings.relative_to(beside))
+    files.move(layout.results, folder / layout.results.name)
+    return folder / layout.results.name

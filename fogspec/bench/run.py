@@ -81,7 +81,7 @@ def bench(prepared: Prepared, backend: SampleBackend, watch: Watch, options: Ben
     layout, left = prepared.layout, list[str]()
     again = f"the same command goes on where this one stopped; fogspec down {layout.name} ends everything"
     try:
-        with application_lock(layout.state / "lock", f"bench of {layout.name}"), interruptible() as interrupt:
+        with application_lock(layout, f"bench of {layout.name}"), interruptible() as interrupt:
             prepared.check_current()
             result = _measure(_Bench(prepared, backend, options or BenchOptions(), interrupt, left), watch)
     except KeyboardInterrupt:
@@ -103,7 +103,7 @@ def bench(prepared: Prepared, backend: SampleBackend, watch: Watch, options: Ben
 def _measure(one: _Bench, watch: Watch) -> BenchResult:
     """Run the campaign; `left` is kept up to date also when this raises."""
     layout = one.prepared.layout
-    journal = Journal(layout.state / "journal.jsonl")
+    journal = Journal(layout.journal, files=layout.files)
     redacting = Secrets.of(one.prepared.application.spec.secrets)
     try:
         campaign, sink, tasks = _campaign(one, journal, redacting)
@@ -201,7 +201,7 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
         lifetime_s=life_s,
         task=tasks.task,
         root=layout.root,
-        attempts=layout.state / "attempts",
+        attempts=layout.attempts,
         token=secrets.token_hex(4),
         substitutes=lambda name: _substitutes(tasks.substitutes(name), sink, one.options.prices),
     )

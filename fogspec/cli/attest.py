@@ -22,7 +22,7 @@ def command(manifest: str, catalog_path: str | None, key: str | None, out: Path 
     The chain behind the manifest is recomputed first: where it breaks, nothing is attested (exit 3).
     """
     from fogspec.audit import attest
-    from fogspec.base.files import write_bytes
+    from fogspec.base.project_files import write_output
 
     opened = open_manifest(manifest, catalog_path)
     text = attest.text(attest.statement(opened))
@@ -33,5 +33,5 @@ def command(manifest: str, catalog_path: str | None, key: str | None, out: Path 
     if out is None:
         click.echo(text, nl=False)
     else:
-        write_bytes(out, text.encode())
+        write_output(out, text.encode())
         click.echo(f"{out}: {'signed with ' + key if key else 'not signed'}")

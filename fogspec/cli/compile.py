@@ -34,6 +34,8 @@ def command(
     rules.require_specs([one.spec for one in inputs])
     compiled = [compile_application(one) for one in inputs]
     changed = [path for one in compiled for path in (one.compare() if check else one.write())]
+    for path in () if check else (path for one in compiled for path in one.removed):
+        click.echo(f"{path}: removed: it no longer follows from its inputs", err=True)
     if output == "json":
         click.echo(json.dumps([summary.as_dict(one) for one in compiled], indent=2, ensure_ascii=False))
     else:

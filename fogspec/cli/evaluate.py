@@ -98,7 +98,7 @@ def _of_suite(
     workers: int,
     output: str,
 ) -> None:
-    from fogspec.base.files import write_bytes
+    from fogspec.base.project_files import write_output
     from fogspec.evaluation.campaign import by_kind, evaluate
     from fogspec.evaluation.suites import KINDS
 
@@ -107,7 +107,7 @@ def _of_suite(
     done, digest = evaluate(suite, priors, kinds, campaigns, workers=workers)
     if choices:
         lines = [json.dumps(one.as_dict(), ensure_ascii=False) + "\n" for ended in done for one in ended]
-        write_bytes(choices, "".join(lines).encode())
+        write_output(choices, "".join(lines).encode())
     reports = []
     for campaign, ended in zip(campaigns, done, strict=True):
         rows, calibrations = by_kind(ended)

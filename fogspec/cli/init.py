@@ -20,7 +20,7 @@ from fogspec.base.errors import UsageError
 @click.option("--name", help="name of the application; that of the file unless said otherwise")
 def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten."""
-    from fogspec.base.files import write_bytes
+    from fogspec.base.project_files import ProjectFiles, write_output
     from fogspec.base.templates import shipped
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import is_name
@@ -36,17 +36,17 @@ def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     if spec.exists():
         raise UsageError(f"{spec} is there already", "name another file, or remove it")
     root = spec.parent.parent if spec.absolute().parent.name == "specs" else spec.parent
-    schema = root / "schemas" / "Application.json"
+    schema, files = root / "schemas" / "Application.json", ProjectFiles(root)
     notes = [f"From {os.path.basename(launch)}, which was read and not run."] if launch else []
     if found and not found.cloud:
         notes.append(
             "The launch file says nothing of a cloud: all nodes are under cloud; move those that stay to robot."
         )
-    if not schema.exists():
-        write_bytes(schema, (shipped("schemas") / "Application.json").read_bytes())
+    if not files.exists(schema):
+        files.write(schema, (shipped("schemas") / "Application.json").read_bytes())
         click.echo(f"{schema}: the language for your editor")
     text = first_text(first_data(name, found), Path(os.path.relpath(schema, spec.parent)).as_posix(), notes)
-    write_bytes(spec, text.encode())
+    write_output(spec, text.encode())
     click.echo(f"{spec}: written; name your topics under probe, then: fogspec validate {spec}")
     show_diagnostics(found.notes if found else [])
     wrong = [one for one in check_file([spec])[1] if one.severity == "error"]

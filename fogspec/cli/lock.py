@@ -31,8 +31,8 @@ def command(
     What is locked stays as it is, except for files beside the specs: these are read anew.
     """
     from fogspec.backends.images.registry import Registry
-    from fogspec.base.files import write_bytes
     from fogspec.base.layout import Layout
+    from fogspec.base.project_files import ProjectFiles
     from fogspec.catalog.sources import load_catalog
     from fogspec.compile import lock_update
     from fogspec.compile.inputs import clouds_of, located
@@ -55,8 +55,9 @@ def command(
     changes = {path: lock_update.differences(read_lock(path), lock) for path, lock in locks.items()}
     if not check:
         for path, lock in locks.items():
-            if changes[path] or not path.is_file():
-                write_bytes(path, lock_text(lock).encode())
+            files = ProjectFiles(path.parent)
+            if changes[path] or not files.is_file(path):
+                files.write(path, lock_text(lock).encode())
     _print(changes, output)
     if check and any(changes.values()):
         count = sum(map(len, changes.values()))

@@ -20,7 +20,7 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
 
     The page has spec, funnel, samples, models, a menu that can be weighed anew, costs and provenance. It needs no network.
     """
-    from fogspec.base.files import write_bytes
+    from fogspec.base.project_files import write_output
     from fogspec.compile.compiler import compile_application
     from fogspec.report.html import page
 
@@ -35,5 +35,8 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
             click.echo(content, nl=False)
         else:
             target = compiled.layout.page if to is None else Path(to)
-            write_bytes(target, content)
+            if to is None:
+                compiled.layout.files.write(target, content)
+            else:
+                write_output(target, content)
             click.echo(f"{target}: {len(content) / 1000:,.0f} kB")

@@ -34,7 +34,7 @@ def command(
     from fogspec.audit.freshness import status
     from fogspec.audit.git import Repository
     from fogspec.audit.review import markdown, removed, review
-    from fogspec.base.files import write_bytes
+    from fogspec.base.project_files import write_output
     from fogspec.compile.compiler import try_compile
     from fogspec.spec.discover import find_specs
 
@@ -52,7 +52,7 @@ def command(
     if out is None:
         click.echo(text, nl=False)
     else:
-        write_bytes(out, text.encode())
+        write_output(out, text.encode())
     check_policies(policies, inputs)
     if exit_code and (stale := [one.difference.layout.name for one in reviews if not one.fresh]):
         raise OutOfDate(f"not fresh: {', '.join(stale)}", "fogspec status says why")

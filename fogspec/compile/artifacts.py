@@ -1,12 +1,10 @@
 """Compare the compiled files of an application with those on disk, and write them."""
 
-import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fogspec.base.files import write_bytes
 from fogspec.base.layout import Layout
 from fogspec.catalog.filters import Filtered
 from fogspec.catalog.table import Catalog
@@ -49,8 +47,8 @@ class Artifacts:
 
     @property
     def removed(self) -> tuple[Path, ...]:
-        """Compiled files on disk that no longer follow from the inputs."""
-        return tuple(path for path in self.inputs.on_disk if path not in self.files)
+        """Compiled files on disk that no longer follow from the inputs, as far as fogspec wrote them."""
+        return tuple(path for path in self.inputs.on_disk if path not in self.files and self.inputs.wrote(path))
 
     def compare(self) -> list[Path]:
         """Return the files that differ from what compile would write, and those to remove."""
@@ -70,9 +68,8 @@ class Artifacts:
         differing = self.compare()
         for path in differing:
             if path in self.files:
-                write_bytes(path, self.files[path])
+                self.layout.files.write(path, self.files[path])
             else:
-                path.unlink(missing_ok=True)
-                with contextlib.suppress(OSError):
-                    path.parent.rmdir()  # if it is empty now
+                self.layout.files.remove(path)
+                self.layout.files.remove_folder(path.parent)  # if it is empty now
         return differing

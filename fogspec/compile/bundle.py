@@ -7,6 +7,7 @@ from pathlib import Path
 from fogspec.base import digest
 from fogspec.base.errors import InvalidInput
 from fogspec.base.layout import Layout
+from fogspec.base.project_files import ProjectFiles
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
 from fogspec.plan.schema import TaskRef
@@ -43,7 +44,7 @@ class ManifestBundle:
     def file(self, reference: TaskRef) -> SourceFile:
         """Return a file that the manifest names."""
         path = Path(os.path.normpath(self.layout.compiled / reference.path))
-        return self.inputs.on_disk.get(path) or SourceFile.read(self.layout.compiled / reference.path)
+        return self.inputs.on_disk.get(path) or SourceFile.read(path, self.layout.files)
 
     def _difference(self, reference: TaskRef) -> str | None:
         path, file = self.layout.compiled / reference.path, self.file(reference)
@@ -63,16 +64,17 @@ def open_bundle(path: str | os.PathLike[str], catalog: str | None = None) -> Man
     for a manifest that is missing or elsewhere, where its relative paths are wrong, and the errors of `Inputs.load`.
     """
     at = Path(path)
-    if not at.is_file():
-        raise InvalidInput(
-            f"{at}: there is no such manifest", "fogspec status says what is missing before there is one"
-        )
-    file = SourceFile.read(at)
-    manifest = file.document(Manifest)
-    name = manifest.metadata.name
     whole = Path(os.path.abspath(at))
     root = whole.parents[min(2, len(whole.parents) - 1)]
     root = root if at.is_absolute() else Path(os.path.relpath(root))
+    files = ProjectFiles(root)
+    if not files.is_file(at):
+        raise InvalidInput(
+            f"{at}: there is no such manifest", "fogspec status says what is missing before there is one"
+        )
+    file = SourceFile.read(at, files)
+    manifest = file.document(Manifest)
+    name = manifest.metadata.name
     spec = root / manifest.provenance.application.path
     layout = Layout.of(spec, name)
     if os.path.abspath(layout.manifest) != str(whole):

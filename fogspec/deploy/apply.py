@@ -199,7 +199,7 @@ class Rollout:
 
     def _started(self, machine: DeployedMachine, one: Candidate) -> DeployedMachine:
         """Start it, unless an earlier apply did."""
-        if (self.live.folder(machine.name) / "manifest.yaml").exists():
+        if self.live.layout.files.exists(self.live.folder(machine.name) / "manifest.yaml"):
             return machine
         self.report(f"{one.machine.instance} in {one.machine.infra}: starting {machine.name}")
         self.live.keep_manifest(machine.name, self.manifest)
@@ -332,7 +332,7 @@ def apply(
     begun_s = times.now_s()
     live: DeploymentState | None = None
     try:
-        with application_lock(layout.state / "lock", f"apply of {layout.name}"), interruptible() as interrupt:
+        with application_lock(layout, f"apply of {layout.name}"), interruptible() as interrupt:
             live = DeploymentState.read(layout, times)
             rollout = Rollout(
                 live=live,

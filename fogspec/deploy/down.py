@@ -39,7 +39,7 @@ def layout_of(spec_or_name: str) -> Layout:
     layout = Layout(Path(), Path("specs") / f"{spec_or_name}.yaml", spec_or_name)
     if os.path.basename(spec_or_name) != spec_or_name or spec_or_name in (".", "..", ""):
         raise InvalidInput(f"{spec_or_name!r} is no application's name", "name one, or its spec")
-    if not layout.state.is_dir() and not layout.compiled.is_dir():
+    if not layout.files.is_folder(layout.state) and not layout.files.is_folder(layout.compiled):
         raise InvalidInput(f"there is no application named {spec_or_name} here", f"looked for {layout.state}")
     return layout
 
@@ -65,11 +65,10 @@ def down(
     Raise Refused while a bench or an apply runs, CloudError for machines that could not be verified gone.
     """
     try:
-        with application_lock(layout.state / "lock", f"down of {layout.name}", remove=True):
+        with application_lock(layout, f"down of {layout.name}", remove=True):
             done = _down(_live(layout, times, report), backends, report)
-        with contextlib.suppress(OSError):
-            layout.state.rmdir()
-            layout.state.parent.rmdir()
+        if layout.files.remove_folder(layout.state):
+            layout.files.remove_folder(layout.state.parent)
         return done
     except KeyboardInterrupt:
         again = f"run it again: fogspec down {layout.name}"
@@ -152,9 +151,9 @@ def places_of(layout: Layout) -> list[str]:
     with contextlib.suppress(DiagnosticError, InvalidInput):
         clouds |= {machine.machine.cloud_name for machine in DeploymentState.read(layout, SystemWallClock()).machines}
     with contextlib.suppress(DiagnosticError, InvalidInput):
-        plan = read_document(layout.plan, Plan)
+        plan = read_document(layout.plan, Plan, layout.files)
         clouds |= {sample.machine.cloud_name for sample in plan.spec.samples}
     with contextlib.suppress(DiagnosticError, InvalidInput):
-        clouds |= {read_document(layout.manifest, Manifest).spec.cloud_name}
+        clouds |= {read_document(layout.manifest, Manifest, layout.files).spec.cloud_name}
     away = sorted(clouds - {LOCAL})
     return [LOCAL, *away[:1]]

@@ -103,7 +103,8 @@ def manifest_changes(
         return files
     secrets = application.spec.secrets
     try:
-        before: Any = read_plain(live.folder(machine.name) / "manifest.yaml")
+        kept = live.folder(machine.name) / "manifest.yaml"
+        before: Any = read_plain(kept, layout.files.read(kept))
     except (DiagnosticError, FogspecError, OSError):
         before = {"digest": machine.manifest}
     return significant(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets))) + files
@@ -111,7 +112,7 @@ def manifest_changes(
 
 def _committed(layout: Layout) -> str | None:
     """Return the digest of the manifest on disk."""
-    return digest.of_bytes(layout.manifest.read_bytes()) if layout.manifest.is_file() else None
+    return digest.of_bytes(layout.files.read(layout.manifest)) if layout.files.is_file(layout.manifest) else None
 
 
 def _files_changed(application: Application, layout: Layout, machine: DeployedMachine) -> list[Change]:
@@ -142,7 +143,7 @@ def _poll(
 def _manifest(live: DeploymentState, machine: DeployedMachine) -> Manifest | None:
     """Return the manifest that the machine was started for."""
     try:
-        return read_document(live.folder(machine.name) / "manifest.yaml", Manifest)
+        return read_document(live.folder(machine.name) / "manifest.yaml", Manifest, live.layout.files)
     except (DiagnosticError, FogspecError):
         return None
 

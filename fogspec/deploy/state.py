@@ -1,8 +1,7 @@
 """The live state on disk: one file that is written whole before each step, and a directory per machine."""
 
+import contextlib
 import dataclasses
-import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,7 +11,6 @@ from typing import Any, Protocol
 from fogspec.backends.protocol import Job
 from fogspec.base.clock import SystemClock
 from fogspec.base.diagnostics import DiagnosticError
-from fogspec.base.files import write_bytes, write_yaml
 from fogspec.base.layout import Layout
 from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState
 from fogspec.plan.schema import PlanMetadata
@@ -59,10 +57,10 @@ class DeploymentState:
     @classmethod
     def read(cls, layout: Layout, times: WallClock) -> "DeploymentState":
         """Return the state in the file, empty if there is none; raise DiagnosticError if it was damaged."""
-        if not os.path.lexists(layout.live):
+        if not layout.files.exists(layout.live):
             return cls(layout, times, [])
         try:
-            body = read_document(layout.live, LiveState).spec
+            body = read_document(layout.live, LiveState, layout.files).spec
         except DiagnosticError as wrong:
             fix = f"fogspec down {layout.name} finds what runs by its name and ends it"
             raise DiagnosticError([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics]) from None
@@ -79,17 +77,20 @@ class DeploymentState:
         """Add the cost of a machine that is verified gone, and remove its record and directory."""
         spent = sum(self.spent(one) for one in self.machines if one.name == name)
         self._write([one for one in self.machines if one.name != name], self.spent_usd + spent)
-        shutil.rmtree(self.folder(name), ignore_errors=True)
+        with contextlib.suppress(OSError):
+            self.layout.files.remove_tree(self.folder(name))
 
     def clear(self) -> None:
         """Remove the file and what is left next to it, once no machine is left; raise OSError if that fails."""
         if self.machines:
             raise ValueError("machines are left")
         # A process that was killed in the middle of a write leaves a part.
-        for path in (self.layout.live, *self.layout.state.glob(f".{self.layout.live.name}.*")):
-            path.unlink(missing_ok=True)
-        if self.layout.deployed.is_dir():
-            shutil.rmtree(self.layout.deployed)
+        layout, files = self.layout, self.layout.files
+        files.remove(layout.live)
+        for name in files.names(layout.state):
+            if name.startswith(f".{layout.live.name}."):
+                files.remove(layout.state / name)
+        files.remove_tree(layout.deployed)
 
     def spent(self, machine: DeployedMachine) -> float:
         """Return the cost of the machine so far, in USD, at the price it was started for."""
@@ -114,14 +115,14 @@ class DeploymentState:
 
     def keep_manifest(self, name: str, content: bytes) -> None:
         """Keep the manifest that a machine is started for, for later comparisons."""
-        write_bytes(self.folder(name) / "manifest.yaml", content)
+        self.layout.files.write(self.folder(name) / "manifest.yaml", content)
 
     def _write(self, machines: list[DeployedMachine], spent_usd: float | None = None) -> None:
         spent = round(self.spent_usd if spent_usd is None else spent_usd, 6)
         state = LiveState(
             metadata=PlanMetadata(name=self.layout.name), spec=DeploymentBody(machines=machines, spent=spent)
         )
-        write_yaml(
+        self.layout.files.write_yaml(
             self.layout.live,
             state.model_dump(mode="json"),
             f"fogspec down {self.layout.name}; fogspec apply {self.layout.relative(self.layout.manifest)}",

@@ -21,8 +21,8 @@ import numpy as np
 
 from fogspec.base import digest
 from fogspec.base.errors import CloudError, InvalidInput, OutOfDate
-from fogspec.base.files import write_bytes
 from fogspec.base.layout import Layout
+from fogspec.base.project_files import write_output
 from fogspec.model.tables import LATENCY_COLUMNS, MACHINE_COLUMNS, found, read_latencies, read_machines, read_table
 from fogspec.numerics.priors import PriorData
 from fogspec.spec.lockfile import Pins
@@ -95,7 +95,7 @@ def write_priors(path: Path, machines: Sequence[dict[str, Any]], latencies: Sequ
     with zipfile.ZipFile(packed, "w") as archive:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name, EPOCH), content, zipfile.ZIP_DEFLATED)
-    write_bytes(path, packed.getvalue())
+    write_output(path, packed.getvalue())
 
 
 def rows_of(path: Path) -> tuple[list[dict[str, str]], list[dict[str, str]]]:

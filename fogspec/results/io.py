@@ -2,7 +2,6 @@
 
 import gzip
 import io
-import os
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from fogspec.base import digest
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
 from fogspec.base.layout import Layout
+from fogspec.base.project_files import ProjectFiles
 from fogspec.results.schema import Measured, Results, checksum_ok
 from fogspec.spec.loader import read_document
 
@@ -31,9 +31,9 @@ class Recording:
 
 def read_results(layout: Layout) -> Results | None:
     """Return the application's results, None if there are none yet; raises DiagnosticError for an edited or damaged file."""
-    if not os.path.lexists(layout.results):
+    if not layout.files.exists(layout.results):
         return None
-    results = read_document(layout.results, Results)
+    results = read_document(layout.results, Results, layout.files)
     check_integrity(results, layout.results)
     return results
 
@@ -64,9 +64,10 @@ def raw_timings(record: Measured, folder: Path) -> bytes:
     path = folder / named
     if named.is_absolute() or ".." in named.parts:
         raise InvalidInput(f"{record.id}: {named} lies outside of {folder}")
-    if not path.is_file():
+    files = ProjectFiles(folder)
+    if not files.is_file(path):
         raise InvalidInput(f"{path} is missing")
-    content = path.read_bytes()
+    content = files.read(path)
     if digest.of_bytes(content) != record.timings.digest:
         raise InvalidInput(f"{path} is not what was recorded")
     try:

@@ -5,6 +5,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
@@ -12,6 +13,7 @@ from pydantic import BaseModel
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
 from fogspec.base.files import read_file
+from fogspec.base.project_files import ProjectFiles
 from fogspec.base.yaml.positions import Node, key_span, plain, span_of, spans
 from fogspec.base.yaml.positions import Path as Steps
 from fogspec.spec import rules
@@ -128,10 +130,14 @@ class SourceFile:
         self._documents: dict[type[BaseModel], BaseModel] = {}
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> "SourceFile":
-        """Read the file; a file that cannot be read is reported when its document is read."""
+    def read(cls, path: str | os.PathLike[str], files: ProjectFiles | None = None) -> "SourceFile":
+        """Read the file; a file that cannot be read is reported when its document is read.
+
+        `files` reads what is in a project, and raises LinkedPath for a link; without it, the path is the user's own word.
+        """
         try:
-            return cls(path, read_file(path, MOST_BYTES_OF_OUR_OWN + 1))
+            most = MOST_BYTES_OF_OUR_OWN + 1
+            return cls(path, read_file(path, most) if files is None else files.read(Path(path), most))
         except OSError as problem:
             return cls(path, b"", problem)
 
@@ -177,14 +183,14 @@ class SourceFile:
         return plain(nodes[0]) if nodes else None
 
 
-def read_document(path: str | os.PathLike[str], model: type[M]) -> M:
-    """Return one of fogspec's own files, such as a plan or results, checked against its types.
+def read_document(path: str | os.PathLike[str], model: type[M], files: ProjectFiles | None = None) -> M:
+    """Return one of fogspec's own files, such as a plan or results, checked against its types; see `SourceFile.read`.
 
     Raise DiagnosticError if it was edited or cut short, InvalidInput if it does not exist.
     """
     if not os.path.lexists(path):
         raise InvalidInput(f"{os.fspath(path)}: there is no such file")
-    return SourceFile.read(path).document(model)
+    return SourceFile.read(path, files).document(model)
 
 
 def read_nodes(path: str | os.PathLike[str], content: bytes | None = None) -> tuple[list[Node], SourceMap]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from fogspec.base import digest
 from fogspec.base.errors import InvalidInput
 from fogspec.base.layout import Layout
+from fogspec.base.project_files import ProjectFiles
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.spec.loader import read_document
 from fogspec.spec.lockfile import Lock, Pins, files_needed, paths_deployed, paths_named
@@ -20,7 +21,8 @@ ANYWHERE = {"__pycache__", ".git", ".pytest_cache"}
 
 def read_lock(path: Path) -> Lock | None:
     """Return the lock, None if there is none; raise DiagnosticError if it is damaged."""
-    return read_document(path, Lock) if os.path.lexists(path) else None
+    files = ProjectFiles(path.parent)
+    return read_document(path, Lock, files) if files.exists(path) else None
 
 
 def read_pins(layout: Layout) -> Pins | None:

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fogspec.base.files import write_yaml
 from fogspec.base.layout import Layout
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.compiler import compile_application
@@ -26,6 +25,7 @@ from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_c
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import LoadedSpec, load
 from fogspec.spec.schema import Application
+from tests.support.files import write_yaml
 
 ALPHAS = ("0", "0.25", "0.5", "0.8", "1")
 # In seconds and USD per request: wide, about where machines differ, and hopeless.

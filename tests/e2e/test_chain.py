@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from fogspec.base import digest
-from fogspec.base.files import write_yaml
 from fogspec.results.schema import Results, Timings, with_checksum
 from fogspec.spec.loader import read_document
+from tests.support.files import write_yaml
 from tests.support.running import CATALOG, Shell, measure, project, shell  # noqa: F401
 
 AT = ("--catalog", "offers.csv")

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from fogspec.base import project_files
 from fogspec.base.yaml import reader
 from fogspec.model import fit as model_fit
 from fogspec.numerics.surrogate import Space
@@ -55,6 +56,8 @@ def _on_open(event: str, arguments: tuple[Any, ...]) -> None:
     if event != "open" or not COUNTING or not isinstance(arguments[0], (str, bytes)):
         return
     path, flags = os.path.realpath(os.fsdecode(arguments[0])), arguments[2]
+    if flags & os.O_NOFOLLOW:
+        return  # relative to a folder's handle, which the event does not have: counted where it is opened
     folder = str(COUNTING[0].folder)
     if path.startswith(folder + os.sep) and not flags & (os.O_WRONLY | os.O_RDWR) and not os.path.isdir(path):
         COUNTING[0].opened[os.path.relpath(path, folder)] += 1
@@ -78,6 +81,14 @@ def counts(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Counts]:
 
         return counted
 
+    opened = project_files._opened
+
+    def counted_open(folder: int, name: str, path: Path, flags: int) -> int:
+        if not flags & (os.O_WRONLY | os.O_RDWR):
+            found.opened[os.path.relpath(os.path.realpath(path), found.folder)] += 1
+        return opened(folder, name, path, flags)
+
+    monkeypatch.setattr(project_files, "_opened", counted_open)
     monkeypatch.setattr(reader, "documents", counting(reader.documents, found.parsed, lambda _text, name: name))
     monkeypatch.setattr(
         Space, "fit", counting(Space.fit, found.conditioned, lambda space, samples: _key(space, samples))

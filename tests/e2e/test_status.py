@@ -80,9 +80,9 @@ def test_another_metric_that_was_measured_makes_models_stale(shell: Shell) -> No
     project(shell, metrics="{length: {callback: length}, width: {callback: width}}", objective="{metric: length}")
     measure(shell)
     path = "results/demo.yaml"
-    from fogspec.base.files import write_yaml
     from fogspec.results.schema import Results, with_checksum
     from fogspec.spec.loader import read_document
+    from tests.support.files import write_yaml
 
     results = read_document(shell.folder / path, Results)
     samples = [one.model_copy(update={"metrics": {"length": 1.0 + i, "width": 9.0 - i}})

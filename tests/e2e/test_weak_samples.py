@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from fogspec.base.files import write_yaml
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.plan.schema import PlanMetadata
 from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load
+from tests.support.files import write_yaml
 from tests.support.running import Shell, project, shell  # noqa: F401
 
 SHAPES = {"a.small": (2, 4, 0.1), "a.large": (8, 16, 0.4), "a.huge": (32, 64, 1.6), "b.small": (2, 8, 0.12),

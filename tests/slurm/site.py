@@ -14,11 +14,11 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from fogspec.base.files import write_yaml
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load, read_document
+from tests.support.files import write_yaml
 from tests.tools.slurm import daemons, engine, login
 
 SPEC = """\

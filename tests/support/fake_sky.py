@@ -83,7 +83,7 @@ class Cloud:
         status = "PENDING" if process is None else "RUNNING" if code is None else "FAILED" if code else "SUCCEEDED"
         return [{"job": 1, "status": status, "submitted_at": 0.0, "start_at": None, "end_at": time.time()}]
 
-    def log(self, name: str, job: int, path: str, limit: int, follow: bool = False, tail: int = 0) -> int:
+    def log(self, name: str, job: int, root: str, path: str, limit: int, follow: bool = False, tail: int = 0) -> int:
         machine = self._machine(name)
         lines = (machine.folder / "log").read_bytes().splitlines(keepends=True)[-tail:]
         said = b"".join(b"\x1b[36m(task, pid=1)\x1b[0m " + line for line in lines)[:limit]

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from fogspec.base import digest
-from fogspec.base.files import write_yaml
 from fogspec.cli import main
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load, read_document
+from tests.support.files import write_yaml
 
 
 @dataclass

@@ -10,13 +10,13 @@ import re
 import sys
 from pathlib import Path
 
-from fogspec.base.files import write_yaml
 from fogspec.base.layout import Layout
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.plan.schema import PlanMetadata
 from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load
+from tests.support.files import write_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 APPLICATIONS = {

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 from fogspec.backends import agent_state
 from fogspec.backends.local import limits, processes
 from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable
+from fogspec.base.project_files import LinkedPath
 from fogspec.catalog.machine import Machine
 from fogspec.results.schema import Reason
 
@@ -47,7 +48,7 @@ class LocalBackend:
 
     def stop(self, job: Job) -> None:
         """Send TERM, which the agent passes on, then KILL, to all processes with the job's name; remove their cgroups."""
-        groups: set[str | None] = {_read(job.directory / "group").decode()}
+        groups: set[str | None] = {_read(job, "group").decode()}
         groups |= {limits.cgroup_of(pid) for pid in processes.marked(MARK, job.name)}
         if left := processes.end(MARK, job.name, GRACE_S):
             raise Unreachable(f"processes {', '.join(map(str, left))} do not end")
@@ -69,20 +70,20 @@ class LocalBackend:
         machine = self._fitting(job.machine)
         environment = self._environment(job)
         try:
-            (job.directory / "out").mkdir(parents=True)
-            script, log = job.directory / "run.sh", job.directory / "run.log"
-            script.write_text(str(job.task.get("run") or ""), encoding="utf-8")
-            started = limits.start(
-                ["bash", str(script.absolute())],
-                cpus=max(1, math.ceil(machine.cpus)),
-                memory_gib=machine.memory,
-                cwd=job.root / str(job.task.get("workdir") or "."),
-                env=environment,
-                stdout_path=log,
-                stderr_path=log,
-            )
+            job.files.make_folder(job.directory / "out")
+            script = job.directory / "run.sh"
+            job.files.write(script, str(job.task.get("run") or "").encode())
+            with job.files.append(job.directory / "run.log") as log:
+                started = limits.start(
+                    ["bash", str(script.absolute())],
+                    cpus=max(1, math.ceil(machine.cpus)),
+                    memory_gib=machine.memory,
+                    cwd=job.root / str(job.task.get("workdir") or "."),
+                    env=environment,
+                    log=log,
+                )
             if started.group is not None:
-                (job.directory / "group").write_text(str(started.group), encoding="utf-8")
+                job.files.write(job.directory / "group", str(started.group).encode())
         except OSError as problem:
             raise LaunchRefused("setup", f"cannot be started: {problem}") from problem
         return started
@@ -155,7 +156,7 @@ class LocalSamples(LocalBackend):
             starved = own is not None and own.outcome() == "out_of_memory"
             early: Reason = "crash" if timings.exists() else "setup"
             reason = "out_of_memory" if starved else early
-            outcome = agent_state.Outcome(reason=reason, detail=_ended_early(own, job.directory))
+            outcome = agent_state.Outcome(reason=reason, detail=_ended_early(own, job))
         detail = outcome.detail
         if outcome.reason == "out_of_memory":
             detail = f"{memory} were not enough: {detail}"
@@ -186,10 +187,9 @@ class LocalDeployments(LocalBackend):
 
     def poll(self, job: Job) -> DeploymentStatus:
         """Return the supervisor's report while the job has processes."""
-        out = job.directory / "out"
-        timings = b"".join(_read(out / name) for name in ("timings.1.jsonl", "timings.jsonl"))
-        log = _read(job.directory / "run.log")
-        status = agent_state.deployment_status(_read(out / "state.json"), timings, "127.0.0.1")
+        timings = b"".join(_read(job, f"out/{name}") for name in ("timings.1.jsonl", "timings.jsonl"))
+        log = _read(job, "run.log")
+        status = agent_state.deployment_status(_read(job, "out/state.json"), timings, "127.0.0.1")
         status = agent_state.with_last_line(status, log)
         if processes.found(MARK, job.name):
             return status
@@ -201,12 +201,13 @@ def _mapping(value: object) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
 
 
-def _read(path: Path) -> bytes:
+def _read(job: Job, name: str) -> bytes:
+    """Return the end of a file in the job's directory; nothing if it cannot be read, or if the workload made it a link."""
     try:
-        with open(path, "rb") as file:
-            file.seek(max(0, path.stat().st_size - agent_state.TAIL_BYTES - 1))
+        with job.files.open(job.directory / name) as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - agent_state.TAIL_BYTES - 1))
             return file.read(agent_state.TAIL_BYTES + 1)
-    except OSError:
+    except (OSError, LinkedPath):
         return b""
 
 
@@ -216,8 +217,8 @@ def _last_detail(log: bytes) -> str | None:
     return status.detail if status is not None and status.detail else agent_state.last_line(log)
 
 
-def _ended_early(own: limits.LimitedProcess | None, directory: Path) -> str:
-    lines = (directory / "run.log").read_text(encoding="utf-8", errors="replace")[-4096:].splitlines()
+def _ended_early(own: limits.LimitedProcess | None, job: Job) -> str:
+    lines = _read(job, "run.log").decode("utf-8", "replace")[-4096:].splitlines()
     last = next(("".join(c for c in line if c.isprintable()) for line in reversed(lines) if line.strip()), "")
     code = own.poll() if own is not None else None
     return f"the run script ended with exit code {code}" + (f": {last.strip()[:300]}" if last else "")

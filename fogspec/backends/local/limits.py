@@ -14,7 +14,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import BinaryIO, Literal
 
 CGROUPS = Path("/sys/fs/cgroup")
 MemoryBy = Literal["cgroup", "rlimit"]
@@ -81,10 +81,9 @@ def start(
     memory_gib: float,
     cwd: Path,
     env: Mapping[str, str],
-    stdout_path: Path,
-    stderr_path: Path,
+    log: BinaryIO,
 ) -> LimitedProcess:
-    """Start `argv` on `cpus` CPUs with `memory_gib` of memory; raise OSError if it cannot be started.
+    """Start `argv` on `cpus` CPUs with `memory_gib` of memory, its output to `log`; raise OSError if it cannot be started.
 
     Raise ValueError if this host has fewer CPUs.
     """
@@ -94,10 +93,9 @@ def start(
     data_bytes = "" if group else str(limit_bytes)
     words = [sys.executable, "-S", "-c", LAUNCHER, ",".join(map(str, chosen)), data_bytes, str(group or ""), *argv]
     try:
-        with open(stdout_path, "ab") as out, open(stderr_path, "ab") as err:
-            process = subprocess.Popen(
-                words, cwd=cwd, env=dict(env), stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
-            )
+        process = subprocess.Popen(
+            words, cwd=cwd, env=dict(env), stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+        )
     except OSError:
         if group:
             group.rmdir()

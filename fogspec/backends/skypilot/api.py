@@ -16,6 +16,7 @@ from sky import exceptions
 from fogspec.backends.skypilot import secrets_file
 from fogspec.backends.skypilot.errors import CloudProblem
 from fogspec.backends.skypilot.teardown import await_gone
+from fogspec.base.project_files import ProjectFiles
 
 PREFIX = "fogspec-"
 LAUNCHES = ("launch", "sky.launch")
@@ -139,13 +140,13 @@ def jobs(name: str) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: -int(row["job"]))
 
 
-def log(name: str, job: int, path: str, limit: int, follow: bool = False, tail: int = 0) -> int:
-    """Write a job's log so far, or to its end, to `path`; return the bytes written.
+def log(name: str, job: int, root: str, path: str, limit: int, follow: bool = False, tail: int = 0) -> int:
+    """Write a job's log so far, or to its end, to `path` below `root`; return the bytes written.
 
     `limit` is the most bytes to write; `tail` limits the log to so many last lines.
     """
     written = 0
-    with open(path, "wb") as file:
+    with ProjectFiles(Path(root)).create(Path(path)) as file:
         for chunk in sky.tail_logs(_ours(name), job, follow=follow, tail=tail, preload_content=False):
             if written >= limit:
                 break

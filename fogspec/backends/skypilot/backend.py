@@ -111,22 +111,22 @@ class SkyPilotSamples(SkyPilotBackend):
             secrets_file.check(job.task)
         except CloudProblem as problem:
             raise LaunchRefused(problem.reason, problem.detail) from None
-        job.directory.mkdir(parents=True)
-        save(job.directory / "launch.json", {"name": job.name, "at_s": time.time()})
+        job.files.make_folder(job.directory)
+        save(job, "launch.json", {"name": job.name, "at_s": time.time()})
         status = SampleStatus(running=True, ready=False, measured_on=job.machine_name)
         watch = self._watched[job.name] = Watch(stage=Stage.LAUNCH, status=status, own=True)
         self._begin(job, watch)
 
     def poll(self, job: Job) -> SampleStatus:
         """Return the status from the job's directory or the last call; begin the next call when it is due."""
-        if (final := job_outcome.read_final(job.directory)) is not None:
+        if (final := job_outcome.read_final(job)) is not None:
             return final
         watch = self._watched.get(job.name) or self._resumed(job)
         if watch is None:
             detail = "its launch was never asked for"
             return SampleStatus(running=False, lost=True, measured_on=job.machine_name, detail=detail)
         if watch.stage is Stage.FOLLOW:
-            watch.tail = logs.read_log(job.directory / LOG, watch.tail)
+            watch.tail = logs.read_log(job.files, job.directory / LOG, watch.tail)
             watch.status = replace(watch.status, ready=watch.tail.ready, so_far=watch.tail.so_far)
         if watch.call is None:
             if time.monotonic() >= watch.due_s:
@@ -143,7 +143,7 @@ class SkyPilotSamples(SkyPilotBackend):
         if not watch.status.running:
             watch.status = replace(watch.status, so_far=None)
             del self._watched[job.name]
-            job_outcome.write_final(job.directory, watch.status)
+            job_outcome.write_final(job, watch.status)
         return watch.status
 
     def stop(self, job: Job) -> None:
@@ -177,7 +177,7 @@ class SkyPilotSamples(SkyPilotBackend):
 
     def _resumed(self, job: Job) -> Watch | None:
         """Watch a job that another process started; None if there is none."""
-        launch = load(job.directory / "launch.json")
+        launch = load(job, "launch.json")
         if launch is None:
             return None
         stage = Stage.LAUNCHED if "request" in launch else Stage.FIND
@@ -190,11 +190,11 @@ class SkyPilotSamples(SkyPilotBackend):
         if watch.stage is Stage.LAUNCH:
             arguments = {"task": job.task, "root": str(job.root.absolute())}
         elif watch.stage is Stage.LAUNCHED:
-            arguments = {"request": (load(job.directory / "launch.json") or {})["request"]}
+            arguments = {"request": (load(job, "launch.json") or {})["request"]}
         elif watch.stage in (Stage.FOLLOW, Stage.LOG):
-            op, path = "log", str((job.directory / LOG).absolute())
-            follow = watch.stage is Stage.FOLLOW
-            arguments = {"job": watch.job, "path": path, "limit": logs.LOG_LIMIT, "follow": follow}
+            op, follow = "log", watch.stage is Stage.FOLLOW
+            place = _absolute(job.root, job.directory / LOG)
+            arguments = {"job": watch.job, **place, "limit": logs.LOG_LIMIT, "follow": follow}
         watch.called_s = time.monotonic()
         watch.call = self._client.begin(op, name=job.name, **arguments)
 
@@ -229,8 +229,8 @@ class SkyPilotSamples(SkyPilotBackend):
                 self._after_log(job, watch)
 
     def _after_launch(self, job: Job, watch: Watch, value: Mapping[str, Any]) -> None:
-        launch = load(job.directory / "launch.json") or {}
-        save(job.directory / "launch.json", {**launch, "request": value["request"]})
+        launch = load(job, "launch.json") or {}
+        save(job, "launch.json", {**launch, "request": value["request"]})
         watch.stage, watch.due_s = Stage.LAUNCHED, 0.0
 
     def _after_find(self, job: Job, watch: Watch, value: Mapping[str, Any] | None) -> None:
@@ -250,7 +250,7 @@ class SkyPilotSamples(SkyPilotBackend):
 
     def _after_follow(self, job: Job, watch: Watch) -> None:
         # Another process cannot tell from the log when it was written.
-        if logs.unpack(job.directory / LOG, job.directory / "out") and watch.own:
+        if logs.unpack(job.files, job.directory / LOG, job.directory / "out") and watch.own:
             record = {"status": "ended", "end_at": time.time()}
             watch.status = job_outcome.final_status(job, record, _launched_s(job))
         else:
@@ -269,7 +269,7 @@ class SkyPilotSamples(SkyPilotBackend):
 
     def _after_log(self, job: Job, watch: Watch) -> None:
         watch.reads += 1
-        if logs.unpack(job.directory / LOG, job.directory / "out") or watch.reads == READS:
+        if logs.unpack(job.files, job.directory / LOG, job.directory / "out") or watch.reads == READS:
             watch.status = job_outcome.final_status(job, watch.record or {}, _launched_s(job))
         else:
             watch.due_s = time.monotonic() + LAUNCH_POLL_S
@@ -357,8 +357,8 @@ class SkyPilotDeployments(SkyPilotBackend):
         return status, reported
 
     def _begin_log(self, name: str, job: int, lines: int, folder: Path) -> Future[Any]:
-        path = str(folder / "tail.log")
-        return self._client.begin("log", name=name, job=job, path=path, limit=TAIL_BYTES, tail=lines)
+        place = _absolute(folder, folder / "tail.log")
+        return self._client.begin("log", name=name, job=job, **place, limit=TAIL_BYTES, tail=lines)
 
     def _read_log(self, log: Future[Any], folder: Path) -> bytes:
         """Return the requested lines; none if they are unavailable just now."""
@@ -368,8 +368,13 @@ class SkyPilotDeployments(SkyPilotBackend):
         return path.read_bytes() if path.is_file() else b""
 
 
+def _absolute(root: Path, path: Path) -> dict[str, str]:
+    """Return the arguments of a call that writes a file below `root`, for the worker has a working folder of its own."""
+    return {"root": str(root.absolute()), "path": str(path.absolute())}
+
+
 def _launched_s(job: Job) -> float:
-    return float((load(job.directory / "launch.json") or {})["at_s"])
+    return float((load(job, "launch.json") or {})["at_s"])
 
 
 def _failed(watch: Watch, problem: CloudProblem) -> SampleStatus:

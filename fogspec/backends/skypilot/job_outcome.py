@@ -2,10 +2,8 @@
 
 import contextlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 from fogspec.backends.agent_state import read_outcome
@@ -21,12 +19,14 @@ def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> Samp
 
     `launched_s` is the time of its launch, in seconds since the epoch.
     """
-    log, out = job.directory / LOG, job.directory / "out"
+    out = job.directory / "out"
     timings = out / "timings.jsonl"
-    status = SampleStatus(running=False, timings=timings if timings.is_file() else None, measured_on=job.machine_name)
+    status = SampleStatus(
+        running=False, timings=timings if job.files.is_file(timings) else None, measured_on=job.machine_name
+    )
     outcome = read_outcome(out / "outcome.json")
     if outcome is None:
-        return _without_outcome(status, record.get("status"), log)
+        return _without_outcome(status, record.get("status"), job)
     detail = outcome.detail
     if outcome.reason == "out_of_memory" and job.machine is not None:
         detail = f"{job.machine.memory:g} GiB were not enough: {detail}"
@@ -45,44 +45,40 @@ def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> Samp
     )
 
 
-def _without_outcome(status: SampleStatus, job_status: str | None, log: Path) -> SampleStatus:
+def _without_outcome(status: SampleStatus, job_status: str | None, job: Job) -> SampleStatus:
     """Return the status of a job whose agent left no outcome."""
-    line = logs.last_line(log)
+    log = job.directory / LOG
+    line = logs.last_line(job.files, log)
     detail = f"the job ended as {job_status}" + (f": {line}" if line else "")
     if job_status == "CANCELLED":
         return replace(status, lost=True, detail=detail)
-    if logs.out_of_memory(log):
+    if logs.out_of_memory(job.files, log):
         return replace(status, reason="out_of_memory", detail=detail)
     return replace(status, reason="setup" if job_status == "FAILED_SETUP" else "crash", detail=detail)
 
 
-def read_final(directory: Path) -> SampleStatus | None:
+def read_final(job: Job) -> SampleStatus | None:
     """Return the final status that was written, if any."""
-    values = load(directory / ENDED)
+    values = load(job, ENDED)
     if values is None:
         return None
-    timings = directory / "out" / "timings.jsonl"
+    timings = job.directory / "out" / "timings.jsonl"
     return SampleStatus(**{**values, "timings": timings if values.get("timings") else None})
 
 
-def write_final(directory: Path, status: SampleStatus) -> None:
+def write_final(job: Job, status: SampleStatus) -> None:
     """Write the final status."""
-    save(directory / ENDED, {**asdict(status), "timings": status.timings is not None, "recorded": None})
+    save(job, ENDED, {**asdict(status), "timings": status.timings is not None, "recorded": None})
 
 
-def load(path: Path) -> dict[str, Any] | None:
-    """Return the values in a file; None if it has none."""
+def load(job: Job, name: str) -> dict[str, Any] | None:
+    """Return the values in a file of the job's directory; None if it has none."""
     with contextlib.suppress(OSError, ValueError):
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = json.loads(job.files.read(job.directory / name))
         return values if isinstance(values, dict) else None
     return None
 
 
-def save(path: Path, data: Mapping[str, Any]) -> None:
-    """Write the file, whole or not at all, and sync it."""
-    part = path.with_suffix(".part")
-    with open(part, "w", encoding="utf-8") as file:
-        json.dump(data, file)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+def save(job: Job, name: str, data: Mapping[str, Any]) -> None:
+    """Write a file in the job's directory, whole or not at all, and sync it."""
+    job.files.write(job.directory / name, json.dumps(data).encode())

@@ -5,6 +5,7 @@ The log comes from another machine and is untrusted: it is read line by line, wi
 
 import contextlib
 import math
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from pathlib import Path
 
 from fogspec.backends.protocol import Partial
 from fogspec.backends.skypilot.errors import plain
+from fogspec.base.project_files import ProjectFiles
 
 LOG_LIMIT = 256 * 2**20
 LINE_LIMIT = 2**20
@@ -26,16 +28,15 @@ OOM = re.compile(r"oom[-_ ]kill|out of memory", re.IGNORECASE)
 TAIL_BYTES = 16 * 2**10
 
 
-def unpack(log: Path, folder: Path) -> bool:
+def unpack(files: ProjectFiles, log: Path, folder: Path) -> bool:
     """Write the files in the log to `folder`, the last of each name; return whether the timings are complete.
 
     Timings without an end are kept: their lines were measured.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     part = folder / "part"
     name, out, whole = b"", None, False
     try:
-        for line in _lines(log):
+        for line in _lines(files, log):
             marker = MARKER.match(line)
             if marker is None:
                 if out is not None:
@@ -44,15 +45,15 @@ def unpack(log: Path, folder: Path) -> bool:
             if out is not None:
                 out.close()
                 if marker[1] == b"end" and marker[2] == name:
-                    part.replace(folder / name.decode())
+                    files.move(part, folder / name.decode())
                     whole = name == TIMINGS
-            out, name = (part.open("wb"), marker[2]) if marker[1] == b"begin" else (None, b"")
+            out, name = (files.create(part), marker[2]) if marker[1] == b"begin" else (None, b"")
     finally:
         if out is not None:
             out.close()
             if name == TIMINGS:
-                part.replace(folder / TIMINGS.decode())
-        part.unlink(missing_ok=True)
+                files.move(part, folder / TIMINGS.decode())
+        files.remove(part)
     return whole
 
 
@@ -65,9 +66,9 @@ class LogTail:
     so_far: Partial | None = None
 
 
-def read_log(log: Path, before: LogTail) -> LogTail:
+def read_log(files: ProjectFiles, log: Path, before: LogTail) -> LogTail:
     """Return the state after the new whole lines."""
-    with contextlib.suppress(OSError), open(log, "rb") as file:
+    with contextlib.suppress(OSError), files.open(log) as file:
         file.seek(before.read_to)
         new = file.read(READ_BYTES)
         # A line that is longer than one read is skipped.
@@ -86,29 +87,29 @@ def _so_far(requests: bytes, mean: bytes) -> Partial | None:
     return None
 
 
-def _lines(log: Path) -> Iterator[bytes]:
+def _lines(files: ProjectFiles, log: Path) -> Iterator[bytes]:
     read = 0
-    with open(log, "rb") as file:
+    with files.open(log) as file:
         while read < LOG_LIMIT and (line := file.readline(LINE_LIMIT)):
             read += len(line)
             yield PREFIX.sub(b"", line)
 
 
-def last_line(log: Path) -> str:
+def last_line(files: ProjectFiles, log: Path) -> str:
     """Return the job's last line that is not blank."""
-    lines = [line.strip() for line in _tail(log) if line.strip()]
+    lines = [line.strip() for line in _tail(files, log) if line.strip()]
     return lines[-1][:300] if lines else ""
 
 
-def out_of_memory(log: Path) -> bool:
+def out_of_memory(files: ProjectFiles, log: Path) -> bool:
     """Return whether the log ends with a process that was killed for lack of memory."""
-    return any(OOM.search(line) for line in _tail(log))
+    return any(OOM.search(line) for line in _tail(files, log))
 
 
-def _tail(log: Path) -> list[str]:
+def _tail(files: ProjectFiles, log: Path) -> list[str]:
     try:
-        with open(log, "rb") as file:
-            file.seek(max(0, log.stat().st_size - TAIL_BYTES))
+        with files.open(log) as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
             raw = file.read(TAIL_BYTES)
     except OSError:
         return []

@@ -79,9 +79,9 @@ class Policies:
         for one in loaded:
             layout = Layout.of(one.path, one.application.metadata.name)
             path = layout.manifest
-            if not self._of(MANIFEST, layout.root) or not (path in known or path.is_file()):
+            if not self._of(MANIFEST, layout.root) or not (path in known or layout.files.is_file(path)):
                 continue
-            file = known.get(path) or SourceFile.read(path)
+            file = known.get(path) or SourceFile.read(path, layout.files)
             try:
                 manifest = file.document(model)
             except DiagnosticError:

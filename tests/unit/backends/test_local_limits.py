@@ -15,8 +15,8 @@ ALL = sorted(os.sched_getaffinity(0))
 def run(tmp_path: Path, script: str, cpus: int = 1, memory_gib: float = 1.0) -> tuple[limits.LimitedProcess, Path]:
     log = tmp_path / "log"
     words = [sys.executable, "-c", script]
-    started = limits.start(words, cpus=cpus, memory_gib=memory_gib, cwd=tmp_path, env=dict(os.environ),
-                            stdout_path=log, stderr_path=log)  # fmt: skip
+    with open(log, "ab") as file:
+        started = limits.start(words, cpus=cpus, memory_gib=memory_gib, cwd=tmp_path, env=dict(os.environ), log=file)
     return started, log
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from fogspec.backends.protocol import Partial
 from fogspec.backends.skypilot import logs
 from fogspec.backends.skypilot.logs import LogTail
+from fogspec.base.project_files import ProjectFiles
 
 PREFIX = b"\x1b[36m(my-task, pid=123)\x1b[0m "
 TIMING = b'{"name": "work", "start_s": 1.0, "latency_s": 0.2, "ok": true}\n'
@@ -24,8 +25,8 @@ def printed(name: str, content: bytes, prefix: bytes = PREFIX, whole: bool = Tru
 
 def unpacked(folder: Path, log: bytes) -> tuple[bool, dict[str, bytes]]:
     (folder / "run.log").write_bytes(log)
-    whole = logs.unpack(folder / "run.log", folder / "out")
-    return whole, {path.name: path.read_bytes() for path in (folder / "out").iterdir()}
+    whole = logs.unpack(ProjectFiles(folder), folder / "run.log", folder / "out")
+    return whole, {path.name: path.read_bytes() for path in (folder / "out").glob("*")}
 
 
 def test_files_come_back_as_they_were_printed(tmp_path: Path) -> None:
@@ -53,7 +54,7 @@ def test_timings_that_break_off_are_kept_and_an_outcome_is_not(tmp_path: Path) -
 def test_other_names_and_ways_out_of_the_folder_are_plain_lines(tmp_path: Path) -> None:
     log = printed("../../evil", b"x\n") + printed("run.sh", b"x\n") + printed("/etc/passwd", b"x\n")
     assert unpacked(tmp_path, log) == (False, {})
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "run.log"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.log"]
 
 
 def test_limits(tmp_path: Path, monkeypatch) -> None:
@@ -77,13 +78,13 @@ def test_any_damage_is_survived(tmp_path_factory, seed: int) -> None:
 
 def test_where_set_up_ends_is_found_once_though_it_is_written_in_pieces(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
-    assert logs.read_log(log, LogTail()) == LogTail()
+    assert logs.read_log(ProjectFiles(tmp_path), log, LogTail()) == LogTail()
     log.write_bytes(b"installing\n" * 50 + PREFIX + b"=== fogspec mea")
-    heard = logs.read_log(log, LogTail())
+    heard = logs.read_log(ProjectFiles(tmp_path), log, LogTail())
     assert not heard.ready
     with open(log, "ab") as file:
         file.write(b"sures ===\n")
-    assert logs.read_log(log, heard).ready
+    assert logs.read_log(ProjectFiles(tmp_path), log, heard).ready
 
 
 @pytest.mark.parametrize(
@@ -94,23 +95,23 @@ def test_where_set_up_ends_is_found_once_though_it_is_written_in_pieces(tmp_path
 def test_how_far_it_is_is_the_last_thing_it_said(tmp_path: Path, line: str, so_far: Partial | None) -> None:
     log = tmp_path / "run.log"
     log.write_bytes(b"=== fogspec measures ===\n" + PREFIX + f"=== fogspec so far: {line} ===\n".encode())
-    heard = logs.read_log(log, LogTail())
+    heard = logs.read_log(ProjectFiles(tmp_path), log, LogTail())
     assert (heard.ready, heard.so_far) == (True, so_far)
     with open(log, "ab") as file:
         file.write(b"=== fogspec so far: 41 requ")
-    assert logs.read_log(log, heard) == heard
+    assert logs.read_log(ProjectFiles(tmp_path), log, heard) == heard
 
 
 def test_last_words_are_the_jobs_own_without_colours(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     log.write_bytes(PREFIX + b"\x1b[31mno such\x07 package\x1b[0m\n\n")
-    assert logs.last_line(log) == "no such package"
-    assert logs.last_line(tmp_path / "none") == ""
+    assert logs.last_line(ProjectFiles(tmp_path), log) == "no such package"
+    assert logs.last_line(ProjectFiles(tmp_path), tmp_path / "none") == ""
 
 
 def test_a_job_ended_for_want_of_memory_is_told_from_others(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     log.write_bytes(b"slurmstepd: error: Detected 1 oom_kill event in StepId=7.3.\n")
-    assert logs.out_of_memory(log)
+    assert logs.out_of_memory(ProjectFiles(tmp_path), log)
     log.write_bytes(b"Segmentation fault\n")
-    assert not logs.out_of_memory(log)
+    assert not logs.out_of_memory(ProjectFiles(tmp_path), log)

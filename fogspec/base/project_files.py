@@ -1,0 +1,268 @@
+"""The one place that opens, writes, moves and removes what is fogspec's in a project: nothing outside is ever touched.
+
+A checkout is written by others too. Each path is walked from a handle of the project's folder, and no component below that
+may be a link: not the last, not one in between, also not one that appears meanwhile. The project's folder itself may be
+reached through links, which are the user's own.
+"""
+
+import contextlib
+import errno
+import os
+import shutil
+import stat
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from fogspec.base.errors import InvalidInput
+from fogspec.base.files import not_a_file
+
+FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+PLAIN = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+
+
+class LinkedPath(InvalidInput):
+    """A link stands where fogspec keeps a file or a folder."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        super().__init__(
+            f"{os.fspath(path)}: it is a link, which may lead out of the project: not followed",
+            "put the file or folder itself there, or remove the link",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ProjectFiles:
+    """The files below `root`. Paths are given as `Layout` has them, with the root in front.
+
+    Every method raises LinkedPath for a link, InvalidInput for a path outside of the root, and OSError as its namesake in `os`
+    unless it says otherwise. A file is a regular file: pipes and devices, which may block, are refused as OSError.
+    """
+
+    root: Path
+
+    def read(self, path: Path, most_bytes: int = -1) -> bytes:
+        """Return a file's bytes, at most `most_bytes` of them."""
+        with self.open(path) as file:
+            return file.read(most_bytes)
+
+    def open(self, path: Path) -> BinaryIO:
+        """Open a file to read it."""
+        with self._at(path) as (folder, name):
+            return os.fdopen(_opened(folder, name, path, os.O_RDONLY), "rb")
+
+    def append(self, path: Path) -> BinaryIO:
+        """Open a file to read it and add to it, unbuffered; it and its folders are made, and synced, if they are missing."""
+        with self._at(path, make=True) as (folder, name):
+            descriptor = _opened(folder, name, path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
+            os.fsync(folder)
+            return os.fdopen(descriptor, "ab+", buffering=0)
+
+    def create(self, path: Path) -> BinaryIO:
+        """Open a file to write it anew; its folders are made if they are missing."""
+        with self._at(path, make=True) as (folder, name):
+            return os.fdopen(_opened(folder, name, path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "wb")
+
+    def write(self, path: Path, content: bytes) -> None:
+        """Write a file atomically and durably: to a new file beside it, synced, then renamed over it, the folder synced.
+
+        Raise InvalidInput, naming the path, if that fails; the previous content then stays as it was.
+        """
+        try:
+            with self._at(path, make=True) as (folder, name):
+                if (kind := _kind(folder, name, path)) is not None and (what := not_a_file(kind)) is not None:
+                    raise OSError(errno.EINVAL, what, os.fspath(path))
+                _replace(folder, name, content)
+        except OSError as problem:
+            raise InvalidInput(f"{path}: cannot be written: {problem.strerror}") from None
+
+    def write_yaml(self, path: Path, data: Mapping[str, Any], made: str, source: str | None = None) -> None:
+        """Write the text of `yaml_text` to a file; see `write`."""
+        from fogspec.base.yaml.writer import yaml_text  # most commands only read
+
+        self.write(path, yaml_text(data, made, source).encode())
+
+    def make_folder(self, path: Path) -> None:
+        """Make a folder, and those above it; raise FileExistsError if it is there."""
+        with self._at(path, make=True) as (folder, name):
+            os.mkdir(name, dir_fd=folder)
+            os.fsync(folder)
+
+    def move(self, source: Path, target: Path) -> None:
+        """Rename a file or folder; the folders above the target are made if they are missing."""
+        with self._at(source) as (folder, name), self._at(target, make=True) as (below, new):
+            _kind(folder, name, source)
+            _kind(below, new, target)
+            os.rename(name, new, src_dir_fd=folder, dst_dir_fd=below)
+            os.fsync(below)
+
+    def remove(self, path: Path) -> bool:
+        """Remove a file; return whether there was one."""
+        try:
+            with self._at(path) as (folder, name):
+                _kind(folder, name, path)
+                os.unlink(name, dir_fd=folder)
+                return True
+        except FileNotFoundError:
+            return False
+
+    def remove_folder(self, path: Path) -> bool:
+        """Remove a folder if it is empty; return whether it is gone."""
+        try:
+            with self._at(path) as (folder, name):
+                os.rmdir(name, dir_fd=folder)
+        except FileNotFoundError:
+            return True
+        except OSError:
+            return False
+        return True
+
+    def remove_tree(self, path: Path) -> bool:
+        """Remove a folder with all that is in it; links in it are removed, not followed. Return whether there was one."""
+        try:
+            with self._at(path) as (folder, name):
+                _kind(folder, name, path)
+                shutil.rmtree(name, dir_fd=folder)
+                return True
+        except FileNotFoundError:
+            return False
+
+    def names(self, path: Path) -> list[str]:
+        """Return the sorted names of what a folder has; none if there is no such folder."""
+        try:
+            with self._folder(path) as folder:
+                return sorted(os.listdir(folder))
+        except (FileNotFoundError, NotADirectoryError):
+            return []
+
+    def files(self, path: Path) -> Iterator[Path]:
+        """Yield the files in a folder and in those below it, without links."""
+        try:
+            with self._folder(path) as folder:
+                for at, _, names, here in os.fwalk(".", dir_fd=folder, follow_symlinks=False):
+                    yield from (
+                        Path(os.path.normpath(path / at / name))
+                        for name in sorted(names)
+                        if stat.S_ISREG(os.stat(name, dir_fd=here, follow_symlinks=False).st_mode)
+                    )
+        except (FileNotFoundError, NotADirectoryError):
+            return
+
+    def stat(self, path: Path) -> os.stat_result | None:
+        """Return the status of a file or folder; None if there is none."""
+        try:
+            with self._at(path) as (folder, name):
+                _kind(folder, name, path)
+                return os.stat(name, dir_fd=folder, follow_symlinks=False)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+
+    def exists(self, path: Path) -> bool:
+        """Return whether there is something at this path."""
+        return self.stat(path) is not None
+
+    def is_file(self, path: Path) -> bool:
+        """Return whether there is a file at this path."""
+        found = self.stat(path)
+        return found is not None and stat.S_ISREG(found.st_mode)
+
+    def is_folder(self, path: Path) -> bool:
+        """Return whether there is a folder at this path."""
+        found = self.stat(path)
+        return found is not None and stat.S_ISDIR(found.st_mode)
+
+    @contextlib.contextmanager
+    def _at(self, path: Path, make: bool = False) -> Iterator[tuple[int, str]]:
+        """Yield a handle of the folder that a path is in, and its name there."""
+        path = Path(path)
+        *_, name = self._steps(path) or [""]
+        if not name:
+            raise InvalidInput(f"{path}: it is the project's folder itself")
+        with self._folder(path.parent, make) as folder:
+            yield folder, name
+
+    @contextlib.contextmanager
+    def _folder(self, path: Path, make: bool = False) -> Iterator[int]:
+        """Yield a handle of a folder, after one step for each component below the root."""
+        if make:
+            os.makedirs(self.root, exist_ok=True)
+        here, at = os.open(self.root, FOLDER), Path(self.root)
+        try:
+            for step in self._steps(path):
+                at /= step
+                below = _stepped(here, step, at, make)
+                os.close(here)
+                here = below
+            yield here
+        finally:
+            os.close(here)
+
+    def _steps(self, path: Path) -> list[str]:
+        """Return the components of a path below the root; raise InvalidInput if it is outside."""
+        inside = os.path.relpath(path, self.root)
+        if inside == os.pardir or inside.startswith(os.pardir + os.sep):
+            raise InvalidInput(f"{path}: it is outside of the project's folder {os.path.abspath(self.root)}")
+        return [] if inside == os.curdir else inside.split(os.sep)
+
+
+def write_output(path: Path, content: bytes) -> None:
+    """Write a file that the user named, as `ProjectFiles.write` does.
+
+    The folders on the way are the user's own word, links included; a link at the file itself is refused.
+    """
+    ProjectFiles(path.parent).write(path, content)
+
+
+def _stepped(here: int, step: str, at: Path, make: bool) -> int:
+    if make:
+        with contextlib.suppress(FileExistsError):
+            os.mkdir(step, dir_fd=here)
+            os.fsync(here)
+    try:
+        return os.open(step, FOLDER | os.O_NOFOLLOW, dir_fd=here)
+    except OSError as problem:
+        _kind(here, step, at)
+        raise OSError(problem.errno, problem.strerror, str(at)) from None
+
+
+def _kind(folder: int, name: str, path: Path) -> int | None:
+    """Return the `st_mode` of what a folder has by this name, None for nothing; raise LinkedPath for a link."""
+    try:
+        mode = os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode
+    except FileNotFoundError:
+        return None
+    if stat.S_ISLNK(mode):
+        raise LinkedPath(path)
+    return mode
+
+
+def _opened(folder: int, name: str, path: Path, flags: int) -> int:
+    """Open a file, which is neither a link nor anything else that only looks like one."""
+    mode = _kind(folder, name, path)
+    if mode is not None and (what := not_a_file(mode)) is not None:
+        raise OSError(errno.EINVAL, what, os.fspath(path))
+    try:
+        descriptor = os.open(name, flags | PLAIN, 0o666, dir_fd=folder)
+    except OSError as problem:
+        raise OSError(problem.errno, problem.strerror, os.fspath(path)) from None
+    if (what := not_a_file(os.fstat(descriptor).st_mode)) is not None:
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, what, os.fspath(path))
+    return descriptor
+
+
+def _replace(folder: int, name: str, content: bytes) -> None:
+    temporary = f".{name}.{os.urandom(6).hex()}"
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | PLAIN, 0o666, dir_fd=folder)
+    try:
+        with open(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
+        os.fsync(folder)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary, dir_fd=folder)
+        raise

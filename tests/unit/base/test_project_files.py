@@ -1,0 +1,242 @@
+"""What is opened, written and removed in a project stays in the project, and what is written is on disk."""
+
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from fogspec.base.errors import InvalidInput
+from fogspec.base.project_files import LinkedPath, ProjectFiles, write_output
+
+Act = Callable[[ProjectFiles, Path], object]
+ON_FILES: dict[str, Act] = {
+    "read": lambda files, path: files.read(path),
+    "open": lambda files, path: files.open(path).close(),
+    "append": lambda files, path: files.append(path).close(),
+    "create": lambda files, path: files.create(path).close(),
+    "write": lambda files, path: files.write(path, b"new"),
+    "move": lambda files, path: files.move(path, files.root / "other"),
+    "move over it": lambda files, path: files.move(files.root / "given", path),
+    "remove": lambda files, path: files.remove(path),
+    "stat": lambda files, path: files.stat(path),
+}
+ON_FOLDERS: dict[str, Act] = {
+    "names": lambda files, path: files.names(path),
+    "files": lambda files, path: list(files.files(path)),
+    "remove_tree": lambda files, path: files.remove_tree(path),
+}
+DEEP: dict[str, Act] = {
+    **ON_FILES,
+    **ON_FOLDERS,
+    "make_folder": lambda files, path: files.make_folder(path),
+    "remove_folder": lambda files, path: files.remove_folder(path),
+}
+
+
+def canary(folder: Path) -> Path:
+    outside = folder / "outside"
+    (outside / "below").mkdir(parents=True)
+    (outside / "file").write_bytes(b"precious")
+    (outside / "below" / "file").write_bytes(b"precious")
+    return outside
+
+
+def fingerprint(folder: Path) -> dict[str, tuple[bytes, int]]:
+    return {
+        str(path.relative_to(folder)): (path.read_bytes() if path.is_file() else b"", path.stat().st_mtime_ns)
+        for path in [folder, *sorted(folder.rglob("*"))]
+    }
+
+
+def project(folder: Path) -> ProjectFiles:
+    root = folder / "project"
+    root.mkdir()
+    (root / "given").write_bytes(b"given")
+    return ProjectFiles(root)
+
+
+@pytest.mark.parametrize("act", ON_FILES)
+def test_a_link_at_a_file_is_not_followed(tmp_path: Path, act: str) -> None:
+    outside, files = canary(tmp_path), project(tmp_path)
+    before = fingerprint(outside)
+    (files.root / "it").symlink_to(outside / "file")
+    with pytest.raises(LinkedPath, match="it is a link"):
+        ON_FILES[act](files, files.root / "it")
+    assert fingerprint(outside) == before
+
+
+@pytest.mark.parametrize("act", ON_FOLDERS)
+def test_a_link_at_a_folder_is_not_followed(tmp_path: Path, act: str) -> None:
+    outside, files = canary(tmp_path), project(tmp_path)
+    before = fingerprint(outside)
+    (files.root / "it").symlink_to(outside)
+    with pytest.raises(LinkedPath, match="it is a link"):
+        ON_FOLDERS[act](files, files.root / "it")
+    assert fingerprint(outside) == before
+
+
+@pytest.mark.parametrize("act", DEEP)
+@pytest.mark.parametrize("where", ["first", "second"])
+def test_a_link_on_the_way_is_not_followed(tmp_path: Path, act: str, where: str) -> None:
+    outside, files = canary(tmp_path), project(tmp_path)
+    before = fingerprint(outside)
+    if where == "first":
+        (files.root / "it").symlink_to(outside)
+    else:
+        (files.root / "it").mkdir()
+        (files.root / "it" / "below").symlink_to(outside / "below")
+    with pytest.raises(LinkedPath, match="it is a link"):
+        DEEP[act](files, files.root / "it" / "below" / "file")
+    assert fingerprint(outside) == before
+
+
+@pytest.mark.parametrize("act", ON_FILES)
+def test_a_link_that_leads_nowhere_is_a_link(tmp_path: Path, act: str) -> None:
+    files = project(tmp_path)
+    (files.root / "it").symlink_to(tmp_path / "made")
+    with pytest.raises(LinkedPath, match="it is a link"):
+        ON_FILES[act](files, files.root / "it")
+    assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize("act", ["read", "append", "create"])
+def test_a_link_that_appears_after_the_look_is_not_followed(
+    tmp_path: Path, act: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel refuses it: the look alone, which says it nicely, may be too early."""
+    outside, files = canary(tmp_path), project(tmp_path)
+    before = fingerprint(outside)
+    (files.root / "it").symlink_to(outside / "file")
+    monkeypatch.setattr("fogspec.base.project_files._kind", lambda *_: None)
+    with pytest.raises(OSError, match=r"[Ll]inks?"):
+        ON_FILES[act](files, files.root / "it")
+    (files.root / "folder").symlink_to(outside)
+    with pytest.raises(OSError, match="Not a directory"):
+        ON_FILES[act](files, files.root / "folder" / "file")
+    assert fingerprint(outside) == before
+
+
+@pytest.mark.parametrize("act", DEEP)
+@pytest.mark.parametrize("path", ["../outside/file", "below/../../outside/file", "/etc/passwd", ".."])
+def test_a_path_out_of_the_project_is_refused(tmp_path: Path, act: str, path: str) -> None:
+    outside, files = canary(tmp_path), project(tmp_path)
+    before = fingerprint(outside)
+    with pytest.raises(InvalidInput, match="outside of the project"):
+        DEEP[act](files, files.root / path)
+    assert fingerprint(outside) == before
+
+
+def test_the_project_itself_may_be_behind_a_link(tmp_path: Path) -> None:
+    files = project(tmp_path)
+    (tmp_path / "short").symlink_to(files.root)
+    linked = ProjectFiles(tmp_path / "short")
+    linked.write(linked.root / "a" / "b", b"content")
+    assert (files.root / "a" / "b").read_bytes() == b"content"
+
+
+def test_removing_a_tree_removes_links_in_it_and_not_what_they_lead_to(tmp_path: Path) -> None:
+    outside, files = canary(tmp_path), project(tmp_path)
+    before = fingerprint(outside)
+    (files.root / "tree").mkdir()
+    (files.root / "tree" / "folder").symlink_to(outside)
+    (files.root / "tree" / "file").symlink_to(outside / "file")
+    assert list(files.files(files.root / "tree")) == []
+    assert files.remove_tree(files.root / "tree")
+    assert not (files.root / "tree").exists()
+    assert fingerprint(outside) == before
+
+
+@pytest.mark.parametrize("act", ["read", "open", "append", "create"])
+def test_a_pipe_is_refused_at_once(tmp_path: Path, act: str) -> None:
+    files = project(tmp_path)
+    os.mkfifo(files.root / "it")
+    with pytest.raises(OSError, match="it is a pipe"):
+        ON_FILES[act](files, files.root / "it")
+    with pytest.raises(InvalidInput, match="cannot be written: it is a pipe"):
+        files.write(files.root / "it", b"")
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077])
+def test_modes_are_the_users(tmp_path: Path, mask: int) -> None:
+    files, before = project(tmp_path), os.umask(mask)
+    try:
+        files.write(files.root / "it", b"")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((files.root / "it").stat().st_mode) == 0o666 & ~mask
+
+
+class Recorder:
+    """The order of writes, syncs and renames, by what each was done to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.steps: list[str] = []
+        sync, replace = os.fsync, os.replace
+
+        def fsync(descriptor: int) -> None:
+            mode = os.fstat(descriptor).st_mode
+            content = "" if stat.S_ISDIR(mode) else f" of {os.fstat(descriptor).st_size} bytes"
+            self.steps.append(("folder" if stat.S_ISDIR(mode) else "file") + content)
+            sync(descriptor)
+
+        def renamed(*words: object, **options: object) -> None:
+            self.steps.append("renamed")
+            replace(*words, **options)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(os, "fsync", fsync)
+        monkeypatch.setattr(os, "replace", renamed)
+
+
+def test_a_written_file_is_synced_before_it_has_its_name_and_its_folder_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = project(tmp_path)
+    recorder = Recorder(monkeypatch)
+    files.write(files.root / "it", b"12345")
+    assert recorder.steps == ["file of 5 bytes", "renamed", "folder"]
+    recorder.steps.clear()
+    files.write(files.root / "new" / "it", b"12345")
+    assert recorder.steps == ["folder", "file of 5 bytes", "renamed", "folder"], "the new folder itself must last too"
+
+
+def test_a_file_to_add_to_lasts_from_when_it_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = project(tmp_path)
+    recorder = Recorder(monkeypatch)
+    files.append(files.root / "new" / "it").close()
+    assert recorder.steps == ["folder", "folder"], "of the new folder, and of the new file"
+
+
+def test_a_moved_file_lasts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = project(tmp_path)
+    recorder = Recorder(monkeypatch)
+    files.move(files.root / "given", files.root / "moved")
+    assert recorder.steps == ["folder"]
+
+
+@pytest.mark.parametrize("failing", ["fsync", "replace"])
+def test_a_write_that_fails_leaves_the_file_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    files = project(tmp_path)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, failing, full)
+    with pytest.raises(InvalidInput, match="given: cannot be written: No space left"):
+        files.write(files.root / "given", b"new")
+    monkeypatch.undo()
+    assert [(path.name, path.read_bytes()) for path in files.root.iterdir()] == [("given", b"given")]
+
+
+def test_an_output_that_the_user_names_goes_where_its_folder_leads(tmp_path: Path) -> None:
+    outside = canary(tmp_path)
+    (tmp_path / "out").symlink_to(outside / "below")
+    write_output(tmp_path / "out" / "new", b"report")
+    assert (outside / "below" / "new").read_bytes() == b"report"
+    (tmp_path / "report.html").symlink_to(outside / "file")
+    with pytest.raises(LinkedPath):
+        write_output(tmp_path / "report.html", b"report")
+    assert (outside / "file").read_bytes() == b"precious"
