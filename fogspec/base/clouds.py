@@ -19,7 +19,10 @@ class Cloud:
     may carry one of several accelerators.
 
     `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
-    whose groups are its family's name.
+    whose groups are its family's name. So are `accelerated`, `burstable`: of instance types with an accelerator, even if a
+    price list does not name it, and of types whose CPU is guaranteed for part of the time only; `generation`: of a
+    family, with the groups `series` and `number` (1 if it is empty); `previous`: of the families that the cloud itself
+    calls previous generations; `platform`: of a family, whose groups are the same for all families with the same CPU.
     """
 
     name: str
@@ -35,6 +38,11 @@ class Cloud:
     region: str | None = None
     arm: str | None = None
     family: str | None = None
+    accelerated: str | None = None
+    burstable: str | None = None
+    generation: str | None = None
+    previous: str | None = None
+    platform: str | None = None
 
     def names_region(self, text: str) -> bool:
         """Return whether the text is the name of a region of this cloud, as far as its pattern tells."""
@@ -44,12 +52,20 @@ class Cloud:
 # SkyPilot's names, as of version 0.14 (docs.skypilot.co, "Cloud providers"), in the order in which messages name them.
 # Naming schemes: docs.aws.amazon.com/ec2 "Amazon EC2 instance type naming conventions", learn.microsoft.com "Azure
 # virtual machine sizes naming conventions", cloud.google.com/compute/docs "CPU platforms" (Arm: T2A, C4A, N4A, A4X).
+# Previous generations as of July 2026: aws.amazon.com/ec2/previous-generation and EC2's instance facts; families with a
+# date of retirement, learn.microsoft.com/azure/virtual-machines/retirement-notices; the first generation in
+# cloud.google.com/compute/docs/machine-resource. Google's families have a CPU each; AWS and Azure repeat a CPU's mark.
 # Each `open_udp` finds the machine by its address, whatever SkyPilot called its firewall. Azure's opens TCP as well.
 _ROWS = (
     Cloud(
         name="aws",
         region=r"[a-z]{2}-(?:gov-)?[a-z]+-\d",
         arm=r"a1\.|mac2|[a-z]+\d+[a-z]*g[a-z]*(-[^.]*)?\.",
+        accelerated=r"(dl|f|g|gr|inf|p|trn|vt)\d",
+        burstable=r"t\d|[a-z]\d[a-z]*-flex\.",
+        generation=r"(?P<series>[a-z]+)(?P<number>\d+)",
+        previous=r"a1|c[134]|cc2|cr1|d2|hs1|i2|m[1-4]|r[34]|t1",
+        platform=r"[a-z]+(\d.*)",
         open_udp=(
             "aws ec2 authorize-security-group-ingress --region {region} --protocol udp --port {port} --cidr 0.0.0.0/0"
             ' --group-id "$(aws ec2 describe-instances --region {region} --filters Name=ip-address,Values={address}'
@@ -61,6 +77,11 @@ _ROWS = (
         attaches_gpus=True,
         region=r"[a-z]+-[a-z]+\d",
         arm=r"(t2a|c4a|n4a|a4x)-",
+        accelerated=r"(a2|a3|a4|a4x|g2|g4)-|n1-.*-tpu$|ct\d",
+        burstable=r"(f1|g1)-|e2-(micro|small|medium)$",
+        generation=r"(?P<series>[a-z])(?P<number>\d)",
+        previous=r"m1|n1",
+        platform=r"(.*)",
         open_udp=(
             "gcloud compute firewall-rules create fogspec-udp-{port} --allow udp:{port}"
             " --network \"$(gcloud compute instances list --filter 'networkInterfaces[0].accessConfigs[0].natIP={address}'"
@@ -71,6 +92,11 @@ _ROWS = (
         name="azure",
         arm=r"Standard_[A-Z]+\d+(-\d+)?[a-z]*p[a-z]*(_|$)|.*_GB\d",
         family=r"(?:Standard|Basic)_([A-Z]+)\d+(?:-\d+)?([a-z]*)(?:.*_(v\d+))?",
+        accelerated=r"Standard_(N|PB)",
+        burstable=r"Standard_B",
+        generation=r"(?P<series>[A-Z]+)[a-z]*?(?:v(?P<number>\d+))?$",
+        previous=r"Am?|Am?v2|Bl?s|Bms|DS?|DS?v2|Fs?|Fsv2|GS?|H|Ls|Lsv2",
+        platform=r"[A-Z]+([a-z]*?)(v\d+)?$",
         open_udp=(
             "az vm open-port --port {port} --priority 900"
             ' --ids "$(az vm list --show-details --query "[?publicIps==\'{address}\'].id" --output tsv)"'

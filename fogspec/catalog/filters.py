@@ -1,7 +1,7 @@
 """Filters from every machine on offer to those that a spec admits, each with a count of the offers that it removed."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from fogspec.base.clouds import CLOUDS, split_infra
 from fogspec.base.units import Range
+from fogspec.catalog import classes
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.catalog.table import Catalog, Floats, Strings
-from fogspec.spec.schema import Hardware
+from fogspec.spec.schema import Hardware, MachineClass
 
 Mask = NDArray[np.bool_]
+INCLUDE = "hardware.machines.include"
 PLACES_IN_ZONES = {cloud.name for cloud in CLOUDS.values() if cloud.places_in_zones}
 
 
@@ -50,6 +52,14 @@ class Filtered:
 
     offers: Catalog
     funnel: FilterCounts
+    left_out: Mapping[MachineClass, int]  # instance types that only `hardware.machines.include` keeps out, by class
+
+    def left_out_line(self) -> str | None:
+        """Return `left out: 214 previous-generation, 38 burstable`, and the field that includes them; None without any."""
+        if not self.left_out:
+            return None
+        counts = ", ".join(f"{count:,} {name}" for name, count in self.left_out.items())
+        return f"left out: {counts}; include them: spec.hardware.machines.include: [{', '.join(self.left_out)}]"
 
 
 def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Filtered:
@@ -59,16 +69,22 @@ def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) ->
     may be given any zone of it; an `infra` that names a zone keeps its offers apart.
     """
     filters: list[Filter] = []
-    offers = catalog
+    offers, left_out = catalog, dict[MachineClass, Catalog]()
     for name, mask in _filters(hardware, infra):
         kept = mask(offers)
         removed = len(kept) - int(kept.sum())
+        left_out = {kind: rows.take(mask(rows)) for kind, rows in left_out.items()}
+        if removed and name == INCLUDE:
+            left_out = {kind: offers.take(mask) for kind, mask in classes.left_out(offers).items() if mask.any()}
+            left_out = {kind: rows for kind, rows in left_out.items() if kind not in hardware.machines.include}
         if removed:
             offers = offers.take(kept)
         filters.append(Filter(name, removed, len(offers)))
     merged = merge_zones(offers, infra)
     filters.append(Filter("zones of one region merged", len(offers) - len(merged), len(merged)))
-    return Filtered(merged, FilterCounts(len(catalog), tuple(filters)))
+    types = {kind: len(set(zip(rows.cloud, rows.instance, strict=True))) for kind, rows in left_out.items()}
+    counts = FilterCounts(len(catalog), tuple(filters))
+    return Filtered(merged, counts, {kind: count for kind, count in types.items() if count})
 
 
 def matches_infra(catalog: Catalog, entry: str) -> Mask:
@@ -89,10 +105,10 @@ def gpu_type(text: str) -> Gpu | None:
 
 
 def matches_gpu(catalog: Catalog, text: str) -> Mask:
-    """Return the mask of offers with exactly these accelerators, ignoring case."""
+    """Return the mask of offers with exactly these accelerators, ignoring case; `none` is none of any kind, FPGAs too."""
     gpu = gpu_type(text)
     if gpu is None:
-        return _equal(catalog.gpu, "")
+        return ~classes.accelerated(catalog)
     spellings = {name for name in set(catalog.gpu.tolist()) if name.lower() == gpu.name.lower()}
     return _within(catalog.gpu, spellings) & np.asarray(catalog.gpu_count == gpu.count, dtype=np.bool_)
 
@@ -104,21 +120,27 @@ def matches_names(catalog: Catalog, patterns: Sequence[str]) -> Mask:
 
 
 def _filters(hardware: Hardware, infra: Sequence[str]) -> list[tuple[str, Callable[[Catalog], Mask]]]:
+    allow, deny = hardware.machines.allow, hardware.machines.deny
     found: list[tuple[str, Callable[[Catalog], Mask]]] = [
         ("infra", lambda c: _any(c, [matches_infra(c, entry) for entry in infra])),
         ("hardware.spot", lambda c: np.full(len(c), True) if hardware.spot else ~c.spot),
         ("hardware.arch", lambda c: _within(c.arch, set(hardware.arch))),
+        *([] if allow else [(INCLUDE, lambda c: _included(c, hardware.machines.include))]),
         ("hardware.gpus", lambda c: _any(c, [matches_gpu(c, text) for text in hardware.gpus])),
         ("hardware.cpus", lambda c: _inside(c.vcpus, hardware.cpus)),
         ("hardware.memory", lambda c: _inside(c.memory_gib, hardware.memory)),
         ("hardware.memory_per_cpu", lambda c: _inside(c.memory_gib / c.vcpus, hardware.memory_per_cpu)),
     ]
-    allow, deny = hardware.machines.allow, hardware.machines.deny
     if allow:
         found.append(("hardware.machines.allow", lambda c: matches_names(c, allow)))
     if deny:
         found.append(("hardware.machines.deny", lambda c: ~matches_names(c, deny)))
     return found
+
+
+def _included(catalog: Catalog, include: Sequence[MachineClass]) -> Mask:
+    removed = [mask for kind, mask in classes.left_out(catalog).items() if kind not in include]
+    return ~_any(catalog, removed)
 
 
 def before_empty(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> str | None:

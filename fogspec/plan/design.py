@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fogspec.base import units
 from fogspec.base.clouds import LOCAL, cloud_name
 from fogspec.base.errors import Infeasible, InvalidInput
+from fogspec.catalog.classes import platforms
 from fogspec.catalog.filters import (
     Filtered,
     before_empty,
@@ -129,7 +130,8 @@ def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "PriorDa
         found = _grid(spec, admissible)
     if not found.samples:
         instead = before_empty(catalog, spec.hardware, spec.infra)
-        hints = [admissible.funnel.line(), *_unknown_places(spec.infra, catalog), *([instead] if instead else [])]
+        further = filter(None, (instead, admissible.left_out_line()))
+        hints = [admissible.funnel.line(), *_unknown_places(spec.infra, catalog), *further]
         raise Infeasible("no machine on offer is admissible", *hints)
     return _distinct(found)
 
@@ -175,12 +177,41 @@ def _grid(spec: Spec, admissible: Filtered) -> Design:
             if not len(group):
                 notes.append(f"{entry}, GPU {gpu}: no admissible machine, nothing is sampled")
                 continue
+            group, others = _of_one_platform(group)
+            notes += [f"{entry}, GPU {gpu}: {text}" for text in others]
             grid = edge_grid(group.vcpus, group.memory_gib, cheapest_first(group))
             samples += [
                 sample_on(group.machine(cell.row), _reason(cell, gpu)) for cell in grid.cells if cell.same_as is None
             ]
             notes += [f"{entry}, GPU {gpu}: {text}" for text in _grid_notes(grid, group)]
     return Design(tuple(samples), tuple(notes))
+
+
+def _of_one_platform(group: Catalog) -> tuple[Catalog, list[str]]:
+    """Return the machines of one kind of CPU, so that the grid compares sizes and not generations; a note on others.
+
+    It is the kind whose vCPUs and memory span most, then the one with the cheapest machines in its cells.
+    """
+    kinds = platforms(group)
+    names = sorted(set(kinds.tolist()))
+    if len(names) == 1:
+        return group, []
+    parts = {name: group.take(np.asarray(kinds == name, dtype=np.bool_)) for name in names}
+    best = min(parts, key=lambda name: (-_span(parts[name]), _grid_price(parts[name]), name))
+    families = ", ".join(sorted(set(parts[best].family.tolist())))
+    return parts[best], [
+        f"sizes of one kind of CPU, {families}; sampler: adaptive compares it with {len(names) - 1} others"
+    ]
+
+
+def _span(group: Catalog) -> float:
+    """Return how many doublings lie between the smallest and the largest vCPU count and memory."""
+    return float(sum(np.log2(values.max() / values.min()) for values in (group.vcpus, group.memory_gib)).round(6))
+
+
+def _grid_price(group: Catalog) -> float:
+    cells = edge_grid(group.vcpus, group.memory_gib, cheapest_first(group)).cells
+    return float(sum(group.price_usd_per_hour[cell.row] for cell in cells if cell.same_as is None))
 
 
 def _reason(cell: Cell, gpu: str) -> str:

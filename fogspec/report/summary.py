@@ -18,6 +18,8 @@ def summary(compiled: Artifacts) -> str:
     catalog = body.catalog
     from_ = f"{catalog.source}, {catalog.date}" if catalog.date else catalog.source
     lines = [layout.name, _row("catalog", from_, f"{len(compiled.admissible.offers)} admissible machines")]
+    if left_out := compiled.admissible.left_out_line():
+        lines.append(_row("", "", left_out))
     lines.append(_row("plan", str(layout.plan), _plan_text(compiled)))
     lines += [_row("", "", note) for note in body.notes[:NOTES]]
     if len(body.notes) > NOTES:
@@ -110,6 +112,7 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         "name": layout.name,
         "files": sorted(str(path) for path in compiled.files),
         "removed": sorted(str(path) for path in compiled.removed),
+        "left_out": dict(compiled.admissible.left_out),
         "samples": len(body.samples),
         "estimate_usd": {
             "measuring": body.estimate.measuring,

@@ -34,6 +34,7 @@ Condition = Annotated[
 ]
 Statistic = Literal["mean", "p50", "p95", "p99"]
 Billing = Literal["busy", "provisioned"]
+MachineClass = Literal["previous-generation", "burstable"]
 Stage = Literal["plan", "estimate", "results", "choice"]
 
 
@@ -237,10 +238,18 @@ class Objective(Strict):
 
 
 class Machines(Strict):
-    """Instance types allowed or denied, by name or with `*`."""
+    """Instance types allowed or denied, by name or with `*`, and classes that are no candidates unless included."""
 
     allow: list[str] = Field(
-        [], description="only these instance types; `*` matches any text", examples=[["c6i.*", "m6i.*"]]
+        [],
+        description="only these instance types, whatever their class; `*` matches any text",
+        examples=[["c6i.*", "m6i.*"]],
+    )
+    include: list[MachineClass] = Field(
+        [],
+        description="CPU machines that are left out by default: those of previous generations, and those whose CPU is "
+        "guaranteed for part of the time only",
+        examples=[["burstable", "previous-generation"]],
     )
     deny: list[str] = Field([], description="never these instance types; `*` matches any text", examples=[["*.metal"]])
 
@@ -252,7 +261,10 @@ class Hardware(Strict):
     memory: MemoryRange | None = Field(None, description="memory", examples=["4GiB..512GiB"])
     memory_per_cpu: MemoryRange | None = Field(None, description="memory per vCPU", examples=["2GiB..8GiB"])
     gpus: list[str] = Field(
-        ["none"], min_length=1, description="GPU types allowed; none = machines without one", examples=[["none", "T4"]]
+        ["none"],
+        min_length=1,
+        description="GPU types allowed; none = machines without any accelerator",
+        examples=[["none", "T4"]],
     )
     machines: Machines = Field(
         Machines(), description="instance types allowed or denied", examples=[{"allow": ["c6i.*", "m6i.*"]}]

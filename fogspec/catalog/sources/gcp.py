@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 
-from fogspec.base.clouds import cloud_of
+from fogspec.base.clouds import CLOUDS, cloud_of
 from fogspec.catalog.table import Catalog, Floats, strings
 
 Card = tuple[str, float]  # accelerator and count
@@ -34,7 +34,7 @@ OWN = (
     (re.compile(r"a4-highgpu-(\d+)g$"), "B200"),
 )
 OWN_BY_VCPUS = {"g2": ("L4", {24: 2, 48: 4, 96: 8}), "g4": ("RTXPRO6000", {48: 1, 96: 2, 192: 4, 384: 8})}
-ACCELERATED = re.compile(r"(a2|a3|a4|a4x|g2|g4)-|n1-.*-tpu$|ct\d")
+ACCELERATED = re.compile(CLOUDS["gcp"].accelerated or "")
 N1 = re.compile(r"n1-(standard|highmem|highcpu)-\d+$")
 
 

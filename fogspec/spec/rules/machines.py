@@ -84,6 +84,7 @@ def listed_once(application: Application) -> Iterator[Finding]:
         (("spec", "hardware", "arch"), spec.hardware.arch),
         (("spec", "hardware", "machines", "allow"), spec.hardware.machines.allow),
         (("spec", "hardware", "machines", "deny"), spec.hardware.machines.deny),
+        (("spec", "hardware", "machines", "include"), spec.hardware.machines.include),
         (("spec", "benchmark", "machines"), spec.benchmark.machines),
     )
     for path, entries in lists:
@@ -99,6 +100,16 @@ def listed_once(application: Application) -> Iterator[Finding]:
             yield Finding(
                 "FS533", path, f"{dotted(path)} is both allowed and denied: {entry}", "remove one of the two", (allow,)
             )
+
+
+def included_beside_allowed(application: Application) -> Iterator[Finding]:
+    """Warn if classes are included beside `allow`, which admits its machines whatever their class."""
+    machines = application.spec.hardware.machines
+    if machines.allow and machines.include:
+        path: Path = ("spec", "hardware", "machines", "include")
+        message = f"{dotted(path)} changes nothing: allow admits its machines, and no others, whatever their class"
+        allow: Path = ("spec", "hardware", "machines", "allow")
+        yield Finding("FS536", path, message, "remove one of the two", (allow,), severity="warning", at_key=True)
 
 
 def sampled_machines(application: Application) -> Iterator[Finding]:
@@ -143,4 +154,4 @@ def shapes(application: Application) -> Iterator[Finding]:
         yield Finding("FS535", (*at, "memory_per_cpu"), message, "widen one of cpus, memory, memory_per_cpu", about)
 
 
-RULES = (places, gpus, listed_once, sampled_machines, shapes)
+RULES = (places, gpus, listed_once, included_beside_allowed, sampled_machines, shapes)

@@ -25,10 +25,11 @@ def picked(application: Application, catalog: Catalog) -> Design:
 
 def test_the_cheapest_machine_of_each_cell_is_taken_and_every_gap_is_said() -> None:
     found = picked(application({"gpus": ["none", "T4", "A100"]}), table(*OFFERS))
-    assert [one.machine.instance for one in found.samples] == ["c6a.large", "m6i.large", "r6i.large", "g4dn.xlarge"]
+    assert [one.machine.instance for one in found.samples] == ["c6i.large", "m6i.large", "r6i.large", "g4dn.xlarge"]
     assert found.samples[1].reason == "smallest vCPUs (2), median memory (8 GiB)"
     assert found.samples[3].reason == "smallest vCPUs (4), smallest memory (16 GiB) with T4"
     said = "\n".join(found.notes)
+    assert "GPU none: sizes of one kind of CPU, c6i, m6i, r6i; sampler: adaptive compares it with 1 others" in said
     assert "GPU none: the median vCPU count is also the smallest or largest: its cells are skipped" in said
     assert "GPU T4: 4 vCPUs with median memory: g4dn.xlarge again, sampled once" in said
     assert "GPU A100: no admissible machine, nothing is sampled" in said
@@ -36,18 +37,42 @@ def test_the_cheapest_machine_of_each_cell_is_taken_and_every_gap_is_said() -> N
 
 def test_a_burstable_machine_in_the_grid_is_said() -> None:
     offers = table("t3.large,2,8,0.08,us-east-1,1", head="InstanceType,vCPUs,MemoryGiB,Price,Region,Burstable")
-    assert "t3.large is burstable, its latency depends on CPU credits left" in "\n".join(
-        picked(application(), offers).notes
-    )
+    included = application({"machines": {"include": ["burstable"]}})
+    assert "t3.large is burstable, its latency depends on CPU credits left" in "\n".join(picked(included, offers).notes)
+    with pytest.raises(Infeasible) as caught:
+        picked(application(), offers)
+    assert caught.value.hints[-1] == "left out: 1 burstable; include them: spec.hardware.machines.include: [burstable]"
+
+
+def test_the_grid_compares_sizes_on_one_kind_of_cpu() -> None:
+    sizes = {"large": (2, 1), "4xlarge": (16, 8), "16xlarge": (64, 32)}
+    families = {
+        "c6i": (2, 0.085),
+        "m6i": (4, 0.096),
+        "r6i": (8, 0.126),
+        "c7a": (2, 0.103),
+        "m7a": (4, 0.116),
+        "c6a": (2, 0.0765),
+    }
+    offers = [
+        f"{family}.{size},,,{cpus},{cpus * gib},{price * times},,us-east-1,a"
+        for family, (gib, price) in families.items()
+        for size, (cpus, times) in sizes.items()
+    ]
+    found = picked(application(), table(*offers))
+    assert [one.machine.instance for one in found.samples] == [
+        f"{family}.{size}" for size in sizes for family in ("c6i", "m6i", "r6i")
+    ], "6i spans more memory than 7a and 6a, which have cheaper machines"
 
 
 def test_ids_name_the_machine_and_nothing_else() -> None:
     one = picked(application(), table(*OFFERS)).samples[0]
-    assert one.id == "aws-us-east-1-c6a-large"
+    assert one.id == "aws-us-east-1-c6i-large"
     only = application({"spot": True, "machines": {"allow": ["c6i.*"]}})
     assert [one.id for one in picked(only, table(*OFFERS)).samples] == ["aws-us-east-1-c6i-large-spot"]
     carrier = table("n1-standard-4,,,4,15,0.2,,us-central1,b", ",T4,1,,,0.35,,us-central1,b", cloud="gcp")
-    both = picked(application({"gpus": ["none", "T4"]}, ["gcp/us-central1"]), carrier)
+    wanted = {"gpus": ["none", "T4"], "machines": {"include": ["previous-generation"]}}
+    both = picked(application(wanted, ["gcp/us-central1"]), carrier)
     assert [one.id for one in both.samples] == ["gcp-us-central1-n1-standard-4", "gcp-us-central1-n1-standard-4-t4-1"]
 
 

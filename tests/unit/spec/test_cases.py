@@ -18,7 +18,7 @@ ELSEWHERE = {
     "FS802": "tests/unit/spec/test_launch_import.py",
 }
 
-WARNINGS = {"FS523", "FS544"}
+WARNINGS = {"FS523", "FS536", "FS544"}
 
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:

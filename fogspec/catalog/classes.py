@@ -1,0 +1,110 @@
+"""Classes of machines that are candidates only when a spec includes them, and kinds of CPU; both from the catalog's names.
+
+A machine without accelerators is of a previous generation if the cloud itself calls its family so, or if its place
+offers three newer generations of the same series and architecture: of m5, m6i, m6a, m7i and m8i, m5 is one. So the rule
+follows the catalog, and a region that has nothing newer keeps what it has. A GPU is named by the spec, whatever its host.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fogspec.base.clouds import Cloud, cloud_of
+from fogspec.catalog.table import Catalog, Strings
+from fogspec.spec.schema import MachineClass
+
+Mask = NDArray[np.bool_]
+CURRENT = 3  # generations of a series
+
+
+def accelerated(offers: Catalog) -> Mask:
+    """Return the mask of machines with an accelerator of any kind, named by the catalog or known by the instance type."""
+    found = offers.gpu != ""
+    for cloud, here in _clouds(offers):
+        found |= here & _matching(offers.instance, cloud.accelerated)
+    return np.asarray(found, dtype=np.bool_)
+
+
+def burstable(offers: Catalog) -> Mask:
+    """Return the mask of machines whose CPU is guaranteed for part of the time only."""
+    found = offers.burstable.copy()
+    for cloud, here in _clouds(offers):
+        found |= here & _matching(offers.instance, cloud.burstable)
+    return found
+
+
+def left_out(offers: Catalog) -> dict[MachineClass, Mask]:
+    """Return the mask of each class that is no candidate by default; the masks are disjoint.
+
+    `offers` are all of the places and architectures that a spec names, for generations are counted among them.
+    """
+    plain = ~accelerated(offers)
+    previous = plain & _previous(offers, plain)
+    return {"previous-generation": previous, "burstable": plain & burstable(offers) & ~previous}
+
+
+def platforms(offers: Catalog) -> Strings:
+    """Return the kind of CPU (n,) that the families' names tell, such as `6i` of c6i, m6i and r6i; "" if they do not."""
+    found = np.full(len(offers), "", dtype=np.object_)
+    for cloud, here in _clouds(offers):
+        if cloud.platform is not None:
+            names = {family: _platform(cloud.platform, family) for family in set(offers.family[here].tolist())}
+            found[here] = [names[family] for family in offers.family[here].tolist()]
+    return found
+
+
+def _previous(offers: Catalog, counted: Mask) -> Mask:
+    found = np.zeros(len(offers), dtype=np.bool_)
+    for cloud, here in _clouds(offers):
+        if cloud.generation is None:
+            continue
+        for arch in set(offers.arch[here].tolist()):
+            rows = here & counted & np.asarray(offers.arch == arch, dtype=np.bool_)
+            families = set(offers.family[rows].tolist())
+            found |= rows & _within(offers.family, _old(cloud, families))
+    return found
+
+
+def _old(cloud: Cloud, families: set[str]) -> set[str]:
+    numbers: dict[str, set[int]] = defaultdict(set)
+    known = {family: _generation(cloud.generation or "", family) for family in families}
+    for series, number in filter(None, known.values()):
+        numbers[series].add(number)
+    named = re.compile(cloud.previous or "(?!)").fullmatch
+    return {
+        family
+        for family, generation in known.items()
+        if named(family) or (generation and sum(number > generation[1] for number in numbers[generation[0]]) >= CURRENT)
+    }
+
+
+@cache
+def _generation(pattern: str, family: str) -> tuple[str, int] | None:
+    match = re.match(pattern, family)
+    return (match["series"], int(match["number"] or 1)) if match else None
+
+
+@cache
+def _platform(pattern: str, family: str) -> str:
+    match = re.match(pattern, family)
+    return "".join(part or "" for part in match.groups()) if match else ""
+
+
+def _clouds(offers: Catalog) -> Iterator[tuple[Cloud, Mask]]:
+    for name in sorted(set(offers.cloud.tolist())):
+        yield cloud_of(name), np.asarray(offers.cloud == name, dtype=np.bool_)
+
+
+def _matching(column: Strings, pattern: str | None) -> Mask:
+    if pattern is None:
+        return np.zeros(len(column), dtype=np.bool_)
+    match = re.compile(pattern).match
+    return _within(column, {name for name in set(column.tolist()) if match(name)})
+
+
+def _within(column: Strings, names: set[str]) -> Mask:
+    return np.fromiter(map(names.__contains__, column.tolist()), np.bool_, len(column))

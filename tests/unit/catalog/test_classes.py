@@ -1,0 +1,116 @@
+"""Which machines are candidates by default, told from names and from what else is on offer."""
+
+import pytest
+
+from fogspec.catalog.classes import accelerated, burstable, left_out, platforms
+from fogspec.catalog.filters import filter_offers
+from fogspec.catalog.sources import load_catalog
+from fogspec.plan.design import design
+from fogspec.spec.schema import Hardware, Machines
+from tests.conftest import SHARED
+from tests.support.catalogs import application, table
+
+FAMILIES = ["t3", "m4", "m5", "m6i", "m6a", "m7i", "m8i", "c5", "c6i", "c7i-flex", "f2", "vt1", "z1d"]
+OFFERS = [f"{family}.large,,,2,8,0.1,,us-east-1,a" for family in FAMILIES]
+T4 = "g4dn.xlarge,T4,1,4,16,0.526,,us-east-1,a"
+
+
+def names(*rows: str, hardware: Hardware | None = None, infra: str = "aws", cloud: str = "aws") -> list[str]:
+    offers = filter_offers(table(*rows, cloud=cloud), hardware or Hardware(), [infra]).offers
+    return [str(name).removesuffix(".large") for name in offers.instance]
+
+
+def test_by_default_machines_are_current_with_a_cpu_of_their_own_and_nothing_else() -> None:
+    assert names(*OFFERS, T4) == ["c5", "c6i", "m6a", "m6i", "m7i", "m8i", "z1d"], "c5 has one newer, m5 three"
+    found = filter_offers(table(*OFFERS, T4), Hardware(), ["aws"])
+    assert dict(found.left_out) == {"previous-generation": 2, "burstable": 2}
+    assert found.left_out_line() == (
+        "left out: 2 previous-generation, 2 burstable; "
+        "include them: spec.hardware.machines.include: [previous-generation, burstable]"
+    )
+
+
+def test_what_other_fields_exclude_is_not_counted_as_left_out() -> None:
+    large = Hardware.model_validate({"cpus": "4.."})
+    assert not filter_offers(table(*OFFERS, "m6i.xlarge,,,4,16,0.2,,us-east-1,a"), large, ["aws"]).left_out
+
+
+@pytest.mark.parametrize(
+    ("machines", "more"),
+    [
+        (Machines(include=["burstable"]), {"t3", "c7i-flex"}),
+        (Machines(include=["previous-generation", "burstable"]), {"t3", "c7i-flex", "m4", "m5"}),
+        (Machines(allow=["m5.*", "t3.*", "f2.*"]), {"m5", "t3"}),
+    ],
+)
+def test_one_word_includes_a_class_and_allow_admits_what_it_names(machines: Machines, more: set[str]) -> None:
+    found = set(names(*OFFERS, hardware=Hardware(machines=machines)))
+    assert found - set(names(*OFFERS)) == more
+    assert "f2" not in found, "no accelerator is no accelerator"
+
+
+def test_a_place_with_nothing_newer_keeps_what_it_has() -> None:
+    rows = [f"{family}.large,,,2,8,0.1,,us-east-1,a" for family in ("m5", "m6i", "m7i", "m8i")]
+    far = [f"{family}.large,,,2,8,0.1,,ap-south-1,a" for family in ("m5", "m6i")]
+    assert names(*rows, *far, infra="aws/ap-south-1") == ["m5", "m6i"]
+    assert names(*rows, *far, infra="aws/us-east-1") == ["m6i", "m7i", "m8i"]
+
+
+def test_a_gpu_is_admitted_whatever_the_generation_of_its_host() -> None:
+    carrier = (
+        "n1-standard-4,,,4,15,0.2,,us-central1,b",
+        ",T4,1,,,0.35,,us-central1,b",
+        "n2-standard-4,,,4,16,0.2,,us-central1,b",
+    )
+    assert names(*carrier, infra="gcp", cloud="gcp") == ["n2-standard-4"]
+    assert names(*carrier, infra="gcp", cloud="gcp", hardware=Hardware(gpus=["T4"])) == ["n1-standard-4"]
+
+
+@pytest.mark.parametrize(
+    ("cloud", "instance", "what"),
+    [
+        ("aws", "vt1.3xlarge", "accelerated"), ("aws", "dl1.24xlarge", "accelerated"), ("aws", "f2.6xlarge", "accelerated"),
+        ("azure", "Standard_NP10s", "accelerated"), ("azure", "Standard_PB6s", "accelerated"),
+        ("gcp", "ct5lp-hightpu-1t", "accelerated"),
+        ("aws", "t4g.small", "burstable"), ("aws", "m7i-flex.large", "burstable"), ("azure", "Standard_B2ats_v2", "burstable"),
+        ("gcp", "e2-micro", "burstable"), ("gcp", "f1-micro", "burstable"),
+        ("azure", "Standard_D4_v2", "previous"), ("azure", "Standard_F4s_v2", "previous"),
+        ("azure", "Standard_A4m_v2", "previous"),
+        ("gcp", "n1-highmem-8", "previous"), ("aws", "r3.large", "previous"), ("aws", "a1.large", "previous"),
+        ("aws", "c6i.large", ""), ("aws", "g.large", ""), ("azure", "Standard_D4ads_v5", ""), ("gcp", "e2-standard-4", ""),
+        ("gcp", "c4-standard-4", ""), ("lambda", "gpu_1x_a10", ""), ("slurm", "t3.large", ""),
+    ],
+)  # fmt: skip
+def test_what_the_name_of_a_machine_tells(cloud: str, instance: str, what: str) -> None:
+    one = table(f"{instance},,,4,16,0.1,,r1,", cloud=cloud)
+    previous = left_out(one)["previous-generation"][0]
+    assert (accelerated(one)[0], burstable(one)[0], previous) == tuple(
+        what == name for name in ("accelerated", "burstable", "previous")
+    )
+
+
+def test_families_of_one_kind_of_cpu() -> None:
+    for cloud, instances, kind in (
+        ("aws", ("c6i.large", "m6i.large", "r6i.4xlarge"), "6i"),
+        ("azure", ("Standard_D4as_v5", "Standard_E4as_v5"), "asv5"),
+        ("gcp", ("n2-standard-4", "n2-highmem-4"), "n2"),
+        ("slurm", ("4CPU--16GB", "8CPU--16GB"), ""),
+    ):
+        rows = [f"{name},,,4,16,0.1,,r1," for name in instances]
+        assert set(platforms(table(*rows, cloud=cloud))) == {kind}
+
+
+@pytest.mark.parametrize(
+    ("infra", "families"),
+    [("aws/us-east-1", {"c6a", "m6a", "r6a"}), ("azure/eastus", {"Dasv5", "Easv5"}), ("gcp/us-central1", {"n4"})],
+)
+def test_the_grid_on_skypilots_real_lists(infra: str, families: set[str]) -> None:
+    cloud = infra.partition("/")[0]
+    path = SHARED / "data" / "catalog" / "skypilot-v8" / cloud / "vms.csv.gz"
+    if not path.is_file():
+        pytest.skip("needs the larger data in FOGSPEC_SHARED")
+    catalog = load_catalog(str(path), [cloud])
+    spec = application({"cpus": "2..64", "memory": "4GiB..512GiB", "memory_per_cpu": "2GiB..8GiB"}, [infra]).spec
+    found = design(spec, catalog, filter_offers(catalog, spec.hardware, spec.infra))
+    family = dict(zip(catalog.instance.tolist(), catalog.family.tolist(), strict=True))
+    assert {family[one.machine.instance] for one in found.samples} == families
