@@ -57,6 +57,16 @@ def platforms(offers: Catalog) -> Strings:
     return found
 
 
+def unknown_families(offers: Catalog) -> dict[str, list[str]]:
+    """Return the families by cloud, sorted, whose names are not like those of their cloud; clouds without any are absent."""
+    found = {}
+    for cloud, here in _clouds(offers):
+        if cloud.generation is not None:
+            families = set(offers.family[here].tolist())
+            found[cloud.name] = sorted(family for family in families if not _generation(cloud.generation, family))
+    return {cloud: families for cloud, families in found.items() if families}
+
+
 def _previous(offers: Catalog, counted: Mask) -> Mask:
     found = np.zeros(len(offers), dtype=np.bool_)
     for cloud, here in _clouds(offers):

@@ -14,13 +14,17 @@ Strings = NDArray[np.object_]  # of str: one pointer per row, equal texts shared
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """Provenance of a catalog: `digest` covers the bytes that were read, `notes` report what was left out."""
+    """Provenance of a catalog: `digest` covers the bytes that were read, `notes` report what was left out.
+
+    `checked` is how well its prices agree with newer ones, of a catalog for which that is known.
+    """
 
     source: str
     revision: str
     date: str
     digest: str
     notes: tuple[str, ...] = ()
+    checked: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
-from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, catalogs_for, library_from
+from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from
 
 if TYPE_CHECKING:
     from fogspec.backends.protocol import SampleBackend
@@ -172,7 +172,7 @@ def _catalogs(
     Raise OutOfDate if the plan was compiled from another catalog.
     """
     from fogspec.catalog.sources import load_catalog
-    from fogspec.compile.inputs import clouds_of
+    from fogspec.compile.inputs import catalogs_for, clouds_of
 
     real, adaptive = backend.costs == "real", prepared.plan.spec.sampler == "adaptive"
     if not real and not adaptive:

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from fogspec.base.errors import Infeasible, OutOfDate
-from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, PRIORS, SPECS, load_inputs
+from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, PRIORS, SPECS, echo_notes, load_inputs
 
 
 @click.command()
@@ -31,6 +31,7 @@ def command(
     from fogspec.spec.rules.policies import Policies
 
     inputs, rules = load_inputs(find_specs(specs), catalog_path, priors, audit=check), Policies(policies)
+    echo_notes(note for one in inputs for note in one.catalog_notes)
     rules.require_specs([one.spec for one in inputs])
     compiled = [compile_application(one) for one in inputs]
     changed = [path for one in compiled for path in (one.compare() if check else one.write())]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fogspec.base.errors import UsageError
-from fogspec.cli.options import CATALOG, OUTPUT, applications_of, catalogs_for
+from fogspec.cli.options import CATALOG, OUTPUT, applications_of
 
 if TYPE_CHECKING:
     from fogspec.evaluation.campaign import Campaign
@@ -124,6 +124,7 @@ def _of_suite(
 def _of_sweep(
     spec: str, sweep: Path, catalog_path: str | None, priors: Path | None, campaign: "Campaign", output: str
 ) -> None:
+    from fogspec.compile.inputs import catalogs_for
     from fogspec.evaluation.campaign import replay_sweep
     from fogspec.evaluation.sweeps import read_sweep
     from fogspec.model.priors import read_priors

@@ -33,7 +33,7 @@ def command(
     from fogspec.backends.images.registry import Registry
     from fogspec.base.layout import Layout
     from fogspec.base.project_files import ProjectFiles
-    from fogspec.catalog.sources import load_catalog
+    from fogspec.catalog.sources import default_origin, load_catalog
     from fogspec.compile import lock_update
     from fogspec.compile.inputs import clouds_of, located
     from fogspec.spec.discover import find_specs
@@ -46,7 +46,7 @@ def command(
     for one in load(find_specs(specs)):
         layout = Layout.of(one.path, one.application.metadata.name)
         pins = read_pins(layout)
-        origin = _origin(catalog_path, layout.root) or (pins.catalog.origin if pins else "snapshot")
+        origin = _origin(catalog_path, layout.root) or (pins.catalog.origin if pins else default_origin(clouds_of(one)))
         about = load_catalog(located(origin, layout), clouds_of(one)).about
         pin = PriorsPin(origin=_beside(priors, layout.root), digest=library.digest) if priors and library else None
         wanted.append(lock_update.LockRequest(one.application, layout, origin, about, pin))

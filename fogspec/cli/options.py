@@ -10,7 +10,6 @@ import click
 from fogspec.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from fogspec.catalog.table import Catalog
     from fogspec.compile.bundle import ManifestBundle
     from fogspec.compile.inputs import Inputs
     from fogspec.numerics.priors import PriorData
@@ -47,7 +46,8 @@ CATALOG = click.option(
     type=click.Path(path_type=str),
     metavar="FROM",
     help="machines and prices: snapshot (bundled), skypilot (SkyPilot's own, as it fetched them), a folder in "
-    "SkyPilot's layout, or a CSV file in its columns; otherwise what fogspec.lock says, or the snapshot",
+    "SkyPilot's layout, or a CSV file in its columns; otherwise what fogspec.lock says, else skypilot if its lists are on "
+    "this machine, else the snapshot",
 )
 POLICIES = click.option(
     "--policy",
@@ -72,12 +72,10 @@ def load_inputs(
     name: str | None = None,
     audit: bool = False,
 ) -> "list[Inputs]":
-    """Read the inputs of the applications in these specs and print the notes; see `Inputs.load`."""
+    """Read the inputs of the applications in these specs; see `Inputs.load`."""
     from fogspec.compile.inputs import Inputs
 
-    inputs = Inputs.load(specs, catalog=catalog, priors=priors, name=name, audit=audit)
-    echo_notes(note for one in inputs for note in one.notes)
-    return inputs
+    return Inputs.load(specs, catalog=catalog, priors=priors, name=name, audit=audit)
 
 
 def load_named(what: str, name: str | None, catalog: str | None, priors: Path | None) -> "list[Inputs]":
@@ -93,24 +91,10 @@ def load_named(what: str, name: str | None, catalog: str | None, priors: Path | 
 
 
 def open_manifest(path: str, catalog: str | None) -> "ManifestBundle":
-    """Open a manifest with its inputs and print the notes about them."""
+    """Open a manifest with its inputs."""
     from fogspec.compile.bundle import open_bundle
 
-    opened = open_bundle(path, catalog)
-    echo_notes(opened.inputs.notes)
-    return opened
-
-
-def catalogs_for(loaded: Sequence["LoadedSpec"], path: str | None) -> "list[Catalog]":
-    """Return the catalog of each application, from `path` or else from the lock, and print notes.
-
-    Raise the errors of `Inputs.load`.
-    """
-    from fogspec.compile import inputs
-
-    catalogs, notes = inputs.catalogs_for(loaded, path)
-    echo_notes(notes)
-    return catalogs
+    return open_bundle(path, catalog)
 
 
 def check_policies(policies: Sequence[str], inputs: "Sequence[Inputs]") -> None:

@@ -16,7 +16,8 @@ from fogspec.base.clouds import cloud_name
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import Layout
-from fogspec.catalog.sources import load_catalog
+from fogspec.catalog.classes import unknown_families
+from fogspec.catalog.sources import default_origin, load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.compile.agent_archive import agent_archive, is_former_agent_file
 from fogspec.results.io import check_integrity
@@ -48,7 +49,8 @@ class Inputs:
 
     `damaged` is the error of unusable results on disk. `agent` are the files copied to every machine, by their path in
     `compiled/`. `on_disk` are the compiled files on disk, `lock` is the lock file. `drifted` names the files next to the
-    spec that do not match the lock; it is computed only for an audit. `notes` are for the user.
+    spec that do not match the lock; it is computed only for an audit. `catalog_notes` are what the user should know of the
+    catalog.
     """
 
     spec: LoadedSpec
@@ -63,7 +65,7 @@ class Inputs:
     agent: Mapping[Path, bytes]
     on_disk: Mapping[Path, SourceFile]
     drifted: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    catalog_notes: tuple[str, ...] = ()
 
     @classmethod
     def load(
@@ -126,20 +128,14 @@ class Inputs:
         return replace(self, spec=replace(self.spec, application=application))
 
 
-def catalogs_for(loaded: Sequence[LoadedSpec], path: str | None) -> tuple[list[Catalog], list[str]]:
-    """Return the catalog of each application, from `path` or else from the lock, and notes for the user.
+def catalogs_for(loaded: Sequence[LoadedSpec], path: str | None) -> list[Catalog]:
+    """Return the catalog of each application, from `path`, else from the lock, else the default.
 
     Raise the errors of `Inputs.load`.
     """
     reader = _Reader(files={}, catalog_path=path, priors=None)
-    notes: dict[str, None] = {}
-    found = []
-    for one in loaded:
-        layout = Layout.of(one.path, one.application.metadata.name)
-        catalog, found_notes = reader.catalog(one, layout, reader.pins(layout))
-        found.append(catalog)
-        notes |= dict.fromkeys(found_notes)
-    return found, list(notes)
+    layouts = [Layout.of(one.path, one.application.metadata.name) for one in loaded]
+    return [reader.catalog(one, layout, reader.pins(layout)) for one, layout in zip(loaded, layouts, strict=True)]
 
 
 def clouds_of(one: LoadedSpec) -> tuple[str, ...]:
@@ -160,14 +156,14 @@ class _Reader:
     catalog_path: str | None
     priors: Path | None
     locks: dict[Path, Lock] = field(default_factory=dict)
-    catalogs: dict[tuple[str | None, tuple[str, ...]], Catalog] = field(default_factory=dict)
+    catalogs: dict[tuple[str, tuple[str, ...]], Catalog] = field(default_factory=dict)
     libraries: "dict[Path, PriorData]" = field(default_factory=dict)
 
     def inputs(self, one: LoadedSpec, audit: bool) -> Inputs:
         application = one.application
         layout = Layout.of(one.path, application.metadata.name)
         pins = self.pins(layout)
-        catalog, notes = self.catalog(one, layout, pins)
+        catalog = self.catalog(one, layout, pins)
         file = self.file(layout.results, layout) if layout.files.exists(layout.results) else None
         results, damaged = _results(layout, file)
         needs_library = file is not None or application.spec.benchmark.sampler == "adaptive"
@@ -184,7 +180,7 @@ class _Reader:
             agent={layout.agent: agent_archive()},
             on_disk=self.on_disk(layout),
             drifted=tuple(lock_drift(application, layout, pins)) if audit else (),
-            notes=tuple(notes),
+            catalog_notes=tuple(_catalog_notes(one, catalog)),
         )
 
     def file(self, path: Path, layout: Layout) -> SourceFile:
@@ -206,17 +202,15 @@ class _Reader:
             self.locks[path] = self.file(path, layout).document(Lock)
         return self.locks[path].spec.applications.get(layout.name)
 
-    def catalog(self, one: LoadedSpec, layout: Layout, pins: Pins | None) -> tuple[Catalog, list[str]]:
-        """Return the catalog of the command line, else of the lock, else the snapshot; and notes for the user."""
-        path = self.catalog_path
-        key = (path or (located(pins.catalog.origin, layout) if pins else None), clouds_of(one))
+    def catalog(self, one: LoadedSpec, layout: Layout, pins: Pins | None) -> Catalog:
+        """Return the catalog of the command line, else of the lock, else SkyPilot's if it is here, else the snapshot."""
+        path, clouds = self.catalog_path, clouds_of(one)
+        locked = located(pins.catalog.origin, layout) if pins else None
+        key = (path or locked or default_origin(clouds), clouds)
         if key not in self.catalogs:
             self.catalogs[key] = load_catalog(*key)
         catalog = self.catalogs[key]
-        if pins is not None and path is None:
-            catalog = _as_locked(catalog, pins, layout)
-        notes = [f"{path}: {note}" for note in catalog.about.notes] if path else []
-        return catalog, [*notes, *_age(one, catalog)]
+        return _as_locked(catalog, pins, layout) if pins is not None and path is None else catalog
 
     def library(self, layout: Layout, pins: Pins | None) -> "PriorData | None":
         from fogspec.model.priors import locked_priors, read_priors
@@ -284,15 +278,22 @@ def _as_locked(catalog: Catalog, pins: Pins, layout: Layout) -> Catalog:
     return replace(catalog, about=about)
 
 
-def _age(one: LoadedSpec, catalog: Catalog) -> list[str]:
-    """Return a warning if the catalog is older than the spec allows."""
-    dated, most_s = catalog.about.date, one.application.spec.catalog.max_age
-    if not dated:
-        return []
-    days = (datetime.now(UTC).date() - date.fromisoformat(dated)).days
-    if days * 86400 <= most_s:
-        return []
-    return [
-        f"warning: {catalog.about.source}: prices are of {dated}, {days} days old; spec.catalog.max_age allows "
-        f"{most_s / 86400:g}: see --catalog"
-    ]
+def _catalog_notes(one: LoadedSpec, catalog: Catalog) -> Iterator[str]:
+    """Yield what the user should know of the catalog: what was left out, unknown names, and its age if that is too much.
+
+    How well the bundled prices agree with newer ones says more than their age, which counts for them if the spec limits it.
+    """
+    about, limit = catalog.about, one.application.spec.catalog
+    if about.checked is None:
+        yield from about.notes
+    for cloud, families in unknown_families(catalog).items():
+        named = ", ".join(families if len(families) <= 3 else [*families[:3], f"and {len(families) - 3:,} more"])
+        yield f"{about.source}: no family of {cloud} is named like {named}: generation and kind of CPU are unknown"
+    if not about.date or (about.checked is not None and "max_age" not in limit.model_fields_set):
+        return
+    days = (datetime.now(UTC).date() - date.fromisoformat(about.date)).days
+    if days * 86400 > limit.max_age:
+        yield (
+            f"warning: {about.source}: prices are of {about.date}, {days} days old; spec.catalog.max_age allows "
+            f"{limit.max_age / 86400:g}: see --catalog"
+        )

@@ -130,7 +130,7 @@ def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "PriorDa
         found = _grid(spec, admissible)
     if not found.samples:
         instead = before_empty(catalog, spec.hardware, spec.infra)
-        further = filter(None, (instead, admissible.left_out_line()))
+        further = filter(None, (instead, admissible.left_out_line(), *(() if len(catalog) else catalog.about.notes)))
         hints = [admissible.funnel.line(), *_unknown_places(spec.infra, catalog), *further]
         raise Infeasible("no machine on offer is admissible", *hints)
     return _distinct(found)

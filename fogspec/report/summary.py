@@ -18,6 +18,8 @@ def summary(compiled: Artifacts) -> str:
     catalog = body.catalog
     from_ = f"{catalog.source}, {catalog.date}" if catalog.date else catalog.source
     lines = [layout.name, _row("catalog", from_, f"{len(compiled.admissible.offers)} admissible machines")]
+    if compiled.inputs.catalog.about.checked is not None:
+        lines.append(_row("", "", compiled.inputs.catalog.about.checked))
     if left_out := compiled.admissible.left_out_line():
         lines.append(_row("", "", left_out))
     lines.append(_row("plan", str(layout.plan), _plan_text(compiled)))

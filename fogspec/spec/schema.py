@@ -340,7 +340,7 @@ class CatalogAge(Strict):
     max_age: Duration = Field(
         365 * 86400.0,
         gt=0,
-        description="a catalog that is older makes every command that reads it say so",
+        description="compile warns of a catalog that is older; of the bundled one only if this is set",
         examples=["30d"],
     )
 

@@ -14,7 +14,6 @@ from tests.docs.blocks import DIFFERS, ROOT, Step, blocks, steps
 COPIED = ("specs", "results", "compiled", "schemas", "templates", "tests/cases/launch", "docs/examples")
 MACHINE_DEPENDENT = ("lidar-odometry*", "planner-local*", "__pycache__")
 BEGINS, ENDS = "\x1e", "\x1f"
-OLD_PRICES = re.compile(r"^warning: fogspec snapshot: .* days old;.*$")
 LONGEST_S = 240
 
 
@@ -83,14 +82,8 @@ def differs(ran: Ran) -> bool:
         return False
     loose = ran.step.block.title == DIFFERS
     shown = [_tidy(line, loose) for line in ran.step.shown]
-    printed = [_tidy(line, loose) for line in without_old_prices(ran)]
+    printed = [_tidy(line, loose) for line in ran.printed]
     return not re.fullmatch(_pattern(shown), "".join(f"{line}\n" for line in printed), re.DOTALL)
-
-
-def without_old_prices(ran: Ran) -> list[str]:
-    """What a command printed, but for the age of the bundled prices, which the tutorial explains once."""
-    kept = any(OLD_PRICES.match(line) for line in ran.step.shown or ())
-    return [line for line in ran.printed if kept or not OLD_PRICES.match(line)]
 
 
 def _pattern(shown: list[str]) -> str:
@@ -103,7 +96,7 @@ def _pattern(shown: list[str]) -> str:
 
 
 def _tidy(line: str, loose: bool) -> str:
-    line = re.sub(r"\d+ days old", "N days old", line.rstrip())
+    line = line.rstrip()
     if loose:
         line = re.sub(r"\d[\d,]*(\.\d+)?(e[+-]?\d+)?( ?(ns|us|µs|ms|s|min)\b)?", "N", line)
         line = re.sub(r"\s+", " ", line)

@@ -80,13 +80,46 @@ def test_a_folder_in_skypilots_layout_is_a_catalog_too(clouds: Shell) -> None:
     assert "source: v8" in clouds.read("compiled/demo/plan.yaml")
 
 
-def test_an_old_catalog_is_warned_of_as_the_spec_allows(clouds: Shell) -> None:
-    assert "days old" in clouds("compile", "specs/demo.yaml", "--catalog", "snapshot", code=None).err
+def test_an_old_catalog_is_warned_of_on_compile_as_the_spec_allows(clouds: Shell) -> None:
     assert "days old" not in clouds("compile", "specs/demo.yaml", "--catalog", "skypilot").err
     clouds.write("specs/demo.yaml", spec(catalog="{max_age: 1h}"))
     assert "spec.catalog.max_age allows" in clouds("compile", "specs/demo.yaml", "--catalog", "skypilot").err
+    assert "max_age" not in clouds("explain", "specs/demo.yaml", "--catalog", "skypilot").err
     clouds.write("specs/demo.yaml", spec(catalog="{max_age: 0s}"))
     assert "max_age" in clouds("validate", "specs/demo.yaml", code=1).err
+
+
+def test_how_good_the_bundled_prices_are_is_said_once_on_compile(clouds: Shell) -> None:
+    machines = "{cpus: 2..4, machines: {allow: [c6i.*]}}"
+    clouds.write("specs/demo.yaml", spec(infra="[aws/us-east-1]", hardware=machines))
+    said = clouds("compile", "specs/demo.yaml", "--catalog", "snapshot")
+    assert said.out.count("July 2026 are the same for 740 of 741 types in us-east-1, and have 458 newer") == 1
+    assert said.err == ""
+    for command in ("explain", "status", "diff"):
+        looked = clouds(command, "specs/demo.yaml", "--catalog", "snapshot", code=None)
+        assert "days old" not in looked.err
+        assert "July 2026" not in looked.out + looked.err
+    clouds.write("specs/demo.yaml", spec(infra="[aws/us-east-1]", hardware=machines, catalog="{max_age: 30d}"))
+    assert "days old" in clouds("compile", "specs/demo.yaml", "--catalog", "snapshot").err
+
+
+def test_skypilots_own_lists_are_the_default_where_they_are(clouds: Shell) -> None:
+    assert "catalog   skypilot, 2026-09-21: 4 admissible machines" in clouds("compile", "specs/demo.yaml").out
+    clouds("lock", "specs/demo.yaml")
+    assert "origin: skypilot" in clouds.read("fogspec.lock")
+    clouds.write("specs/other.yaml", spec("other", infra="[aws/us-east-1, azure/eastus]", hardware="{cpus: 2..4}"))
+    shown = clouds("compile", "specs/other.yaml").out
+    assert "catalog   fogspec snapshot" in shown, "SkyPilot has no list of azure here"
+
+
+def test_a_list_without_prices_or_with_strange_names_is_clear_about_it(clouds: Shell) -> None:
+    head = CATALOG.splitlines()[0]
+    clouds.write("none.csv", f"Cloud,{head}\naws,a.small,,,2,4,,,r1,\naws,a.large,,,8,16,,,r1,\n")
+    ended = clouds("compile", "specs/demo.yaml", "--catalog", "none.csv", code=4)
+    assert "none.csv: 2 rows have no price: not a candidate, such as a.small at line 2" in ended.err
+    clouds.write("odd.csv", f"Cloud,{head}\naws,Standard_D2s_v5,,,2,4,0.1,,r1,\naws,a.large,,,8,16,0.4,,r1,\n")
+    said = clouds("compile", "specs/demo.yaml", "--catalog", "odd.csv").err
+    assert "odd.csv: no family of aws is named like Standard" in said
 
 
 def test_the_lock_says_which_catalog_and_a_new_one_is_refused_until_it_is_locked(clouds: Shell) -> None:

@@ -58,8 +58,9 @@ class Shell:
 
 @pytest.fixture
 def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Shell:
-    """An empty folder, with a cache of its own and no docker configuration."""
+    """An empty folder, with a cache of its own, no docker configuration and none of SkyPilot's catalogs."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("SKY_RUNTIME_DIR", str(tmp_path / "sky"))
     monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path / "docker"))
     folder = tmp_path / "project"
     folder.mkdir()

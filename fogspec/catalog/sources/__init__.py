@@ -23,8 +23,15 @@ class CatalogSource(Protocol):
         ...
 
 
+def default_origin(clouds: Sequence[str]) -> str:
+    """Return `skypilot` if SkyPilot's own tables of these clouds are on this machine, else `snapshot`."""
+    from fogspec.catalog.sources.skypilot import SkyPilot
+
+    return "skypilot" if SkyPilot("", clouds).is_complete() else "snapshot"
+
+
 def load_catalog(origin: str | None, clouds: Sequence[str]) -> Catalog:
-    """Return the catalog `snapshot` or `skypilot`, or the one in the directory or CSV file `origin`; by default the snapshot.
+    """Return the catalog `snapshot` or `skypilot`, or the one in the directory or CSV file `origin`; None is the snapshot.
 
     `clouds` are those that the spec names. Raise DiagnosticError or InvalidInput if it cannot be read.
     """

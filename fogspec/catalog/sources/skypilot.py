@@ -1,12 +1,12 @@
 """SkyPilot's catalogs in its own layout: a directory per cloud with a table `vms.csv`, plain or gzipped.
 
 `--catalog skypilot` reads the directory that SkyPilot itself fills and refreshes (`sky gpus list --infra aws` makes it do
-so); SkyPilot is not imported, and nothing is fetched here. Only tables of clouds that the spec names are read, so that
-new prices of one cloud leave what was made for another one as it is.
+so), and is the default where that has been done; SkyPilot is not imported, and nothing is fetched here. Only tables of
+clouds that the spec names are read, so that new prices of one cloud leave what was made for another one as it is.
 """
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,10 +27,15 @@ class Folder:
     def __init__(self, path: str, clouds: Sequence[str]) -> None:
         self.folder, self.clouds = Path(path), clouds
 
+    def is_complete(self) -> bool:
+        """Return whether there are tables, and none of a named cloud that needs one is missing."""
+        tables = self._tables()
+        return any(tables.values()) and not self._missing(tables)
+
     def load(self) -> Catalog:
         """Return the tables of the named clouds as one; raises DiagnosticError or InvalidInput."""
-        tables = {cloud: self._table(cloud) for cloud in sorted({*self.clouds})}
-        if missing := [cloud for cloud, path in tables.items() if path is None and cloud_of(cloud).priced]:
+        tables = self._tables()
+        if missing := self._missing(tables):
             where = f"{self.folder}: the catalog has no table of {', '.join(missing)}"
             raise InvalidInput(where, *map(self._advice, missing))
         found = {cloud: path for cloud, path in tables.items() if path is not None}
@@ -41,6 +46,13 @@ class Folder:
         notes = tuple(note for part in parts for note in part.about.notes)
         about = replace(self._about(found.values()), digest=digest.of_value(digests), notes=notes)
         return concatenated(parts, about)
+
+    def _tables(self) -> dict[str, Path | None]:
+        return {cloud: self._table(cloud) for cloud in sorted({*self.clouds})}
+
+    @staticmethod
+    def _missing(tables: Mapping[str, Path | None]) -> list[str]:
+        return [cloud for cloud, path in tables.items() if path is None and cloud_of(cloud).priced]
 
     def _table(self, cloud: str) -> Path | None:
         return next((path for name in TABLES if (path := self.folder / cloud / name).is_file()), None)

@@ -21,7 +21,8 @@ class Snapshot:
     def load(self) -> Catalog:
         """Return the whole snapshot; raises InvalidInput if it is damaged."""
         known = json.loads(ABOUT.read_text(encoding="utf-8"))
-        about = About(known["source"], known["revision"], known["date"], digest="", notes=tuple(known["notes"]))
+        notes, checked = tuple(known["notes"]), known["checked"]
+        about = About(known["source"], known["revision"], known["date"], digest="", notes=notes, checked=checked)
         catalog = table(TABLE, None, about, shown=TABLE.name)
         if catalog.about.digest != known["digest"]:
             raise InvalidInput(
