@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from tests.docs.blocks import blocks, pages
-from tests.docs.running import Ran, differs, run, without_old_prices
+from tests.docs.running import Ran, differs, run
 
 DIGEST = re.compile("sha256:[0-9a-f]{64}")
 
@@ -37,7 +37,7 @@ def _rewrite(page: Path, changed: list[Ran]) -> None:
     lines = page.read_text("utf-8").splitlines()
     for one in reversed(changed):
         first = one.step.line - 1 + len(one.step.command.splitlines())
-        printed = [f"{one.step.block.indent}{DIGEST.sub('sha256:…', line)}" for line in without_old_prices(one)]
+        printed = [f"{one.step.block.indent}{DIGEST.sub('sha256:…', line)}" for line in one.printed]
         lines[first : first + len(one.step.shown or ())] = [line.rstrip() for line in printed]
     page.write_text("\n".join(lines) + "\n", "utf-8")
 
