@@ -1,15 +1,13 @@
 """Replay of samples that were measured before, with their failures, durations and prices."""
 
-import gzip
 import json
 from collections.abc import Callable, Sequence
 from itertools import islice
 from pathlib import Path
 
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleStatus
-from fogspec.results.io import Recording
-
-SIZE_LIMIT = 256 * 2**20
+from fogspec.base.files import read_bounded
+from fogspec.results.io import PACKED_LIMIT, Recording, unpacked
 
 
 class ReplaySamples:
@@ -86,6 +84,5 @@ def _unpacked(recording: Recording, job: Job) -> Path | None:
     if recording.timings is None:
         return None
     path = job.directory / "timings.jsonl"
-    with gzip.open(recording.timings) as packed:
-        job.files.write(path, packed.read(SIZE_LIMIT))
+    job.files.write(path, unpacked(read_bounded(recording.timings, PACKED_LIMIT), recording.timings))
     return path

@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
+from fogspec.base.yaml.scalars import HIDDEN
 
 SHOWN = 20  # mistakes shown of one column, and of one file
 UNKNOWN = ("", "nan")
+MOST_BYTES = 64 << 20
+MOST_ROWS = 500_000
+MOST_COLUMNS = 256
+MOST_FIELDS = 10_000_000  # commas and line ends, also those inside of quotes
+LONGEST_FIELD = 16 << 10
 
 
 @dataclass(kw_only=True)
@@ -62,10 +68,13 @@ class CsvTable:
         return np.fromiter(map(known.__getitem__, texts), np.float64, len(texts))
 
     def shared(self, name: str) -> NDArray[np.object_]:
-        """Return the texts of a column, equal ones being one object."""
+        """Return the texts of a column, equal ones being one object; a text with a hidden character is a problem."""
         if name not in self.columns:
             return np.full(self.size, "", dtype=np.object_)
         texts = self.columns[name]
+        if hidden := {text for text in set(texts) if HIDDEN.search(text)}:
+            for row in [row for row, text in enumerate(texts) if text in hidden][:SHOWN]:
+                self.problem(row, name, f"{name} has a character that cannot be seen: {texts[row]!a}")
         return np.fromiter(map({text: text for text in set(texts)}.__getitem__, texts), np.object_, len(texts))
 
     def records(self) -> list[dict[str, str]]:
@@ -95,11 +104,15 @@ def parse_csv(content: bytes, path: str, required: Sequence[str], *, code: str, 
     def problem(line: int, message: str, column: int = 1) -> DiagnosticError:
         return DiagnosticError([Diagnostic(code, message, Span(path, line, column))])
 
+    if len(content) > MOST_BYTES:
+        raise problem(1, f"{what} has at most {MOST_BYTES >> 20} MiB")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as wrong:
         line = content.count(b"\n", 0, wrong.start) + 1
         raise problem(line, f"{what} is CSV in UTF-8", wrong.start - content.rfind(b"\n", 0, wrong.start)) from None
+    if text.count(",") + text.count("\n") + text.count("\r") > MOST_FIELDS:
+        raise problem(1, f"{what} has at most {MOST_FIELDS:,} fields")
     try:
         rows, lines = _records(text)
     except _NoCsv as wrong:
@@ -108,6 +121,8 @@ def parse_csv(content: bytes, path: str, required: Sequence[str], *, code: str, 
     if (message := _wrong_header(head, required, what)) is not None:
         raise problem(1, message)
     width = len(head)
+    if len(rows) > MOST_ROWS + 1:
+        raise problem(lines[MOST_ROWS + 1], f"{what} has at most {MOST_ROWS:,} rows")
     if set(map(len, rows)) != {width}:
         ragged = next(i for i, row in enumerate(rows) if len(row) != width)
         raise problem(lines[ragged], f"a row must have {width} fields like the header, not {len(rows[ragged])}")
@@ -126,6 +141,7 @@ class _NoCsv(Exception):
 def _records(text: str) -> tuple[list[list[str]], Sequence[int]]:
     """Return every record that is not an empty line, and the line on which it ends."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    before = csv.field_size_limit(LONGEST_FIELD)
     try:
         rows = list(reader)
         if reader.line_num == len(rows) and [] not in rows:
@@ -134,12 +150,16 @@ def _records(text: str) -> tuple[list[list[str]], Sequence[int]]:
         numbered = [(row, reader.line_num) for row in reader if row]
     except csv.Error as wrong:
         raise _NoCsv(str(wrong), reader.line_num or 1) from None
+    finally:
+        csv.field_size_limit(before)
     return [row for row, _ in numbered], [line for _, line in numbered]
 
 
 def _wrong_header(head: Sequence[str], required: Sequence[str], what: str) -> str | None:
     if not head:
         return f"{what} is empty; it needs the columns {', '.join(required)}"
+    if len(head) > MOST_COLUMNS:
+        return f"{what} has at most {MOST_COLUMNS} columns, not {len(head):,}"
     if missing := [name for name in required if name not in head]:
         return f"{what} needs the columns {', '.join(required)}; missing: {', '.join(missing)}"
     if twice := sorted({name for name in head if name and head.count(name) > 1}):

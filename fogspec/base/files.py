@@ -4,6 +4,7 @@ Reading a pipe or a device may wait forever or never end, so that only regular f
 """
 
 import errno
+import io
 import os
 import stat
 from typing import BinaryIO
@@ -44,12 +45,34 @@ def open_untrusted(path: str | os.PathLike[str]) -> BinaryIO:
     return os.fdopen(descriptor, "rb")
 
 
-def decompress(content: bytes, path: str | os.PathLike[str]) -> bytes:
-    """Return the content of a file, decompressed if its name ends in `.gz`; raise OSError if it is damaged."""
+def read_bounded(path: str | os.PathLike[str], most_bytes: int) -> bytes:
+    """Return the file's bytes; raise OSError as `read_file` does, or if there are more than `most_bytes`."""
+    content = read_file(path, most_bytes + 1)
+    if len(content) > most_bytes:
+        raise too_large(path, most_bytes)
+    return content
+
+
+def too_large(path: str | os.PathLike[str], most_bytes: int, how: str = "") -> OSError:
+    """Return the error for a file with more than `most_bytes`."""
+    return OSError(errno.EFBIG, f"it has more than {most_bytes >> 10:,} KiB{how}", os.fspath(path))
+
+
+def decompress(content: bytes, path: str | os.PathLike[str], most_bytes: int) -> bytes:
+    """Return the content of a file, decompressed if its name ends in `.gz`, never more than `most_bytes`.
+
+    Raise OSError if it is damaged or larger.
+    """
     import gzip  # few files are compressed
     import zlib
 
+    if not os.fspath(path).endswith(".gz"):
+        return content
     try:
-        return gzip.decompress(content) if os.fspath(path).endswith(".gz") else content
+        with gzip.GzipFile(fileobj=io.BytesIO(content)) as packed:
+            found = packed.read(most_bytes + 1)
     except (OSError, EOFError, zlib.error):
         raise OSError(errno.EINVAL, "it is no whole gzip file", os.fspath(path)) from None
+    if len(found) > most_bytes:
+        raise too_large(path, most_bytes, " unpacked")
+    return found

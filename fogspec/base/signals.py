@@ -1,6 +1,7 @@
-"""Ctrl-C: the first asks for a clean stop, the second insists."""
+"""Ctrl-C: the first asks for a clean stop, the second insists. And an end to work that takes too long."""
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,6 +29,32 @@ class Interrupt:
             yield
         finally:
             self.answering = False
+
+
+class TookTooLong(Exception):
+    """Work used all the processor time that it may have."""
+
+
+@contextmanager
+def processor_time(seconds: float) -> Iterator[None]:
+    """Raise TookTooLong inside of the block once it has used so much processor time, even within a regular expression.
+
+    Only in the main thread, where signals arrive; in another one nothing is limited.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(_number: int, _frame: Any) -> None:
+        raise TookTooLong
+
+    before = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        signal.signal(signal.SIGVTALRM, before)
 
 
 @contextmanager

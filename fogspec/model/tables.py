@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from fogspec.base.csv_table import CsvTable, parse_csv
+from fogspec.base.csv_table import MOST_BYTES, CsvTable, parse_csv
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
-from fogspec.base.files import decompress, read_file
+from fogspec.base.files import decompress, read_bounded, too_large
 from fogspec.numerics.kernels import Floats, Machines, codes
 
 MACHINE_COLUMNS = ("Cloud", "InstanceType", "vCPUs", "MemoryGiB", "Price")
+MOST_VALUES = 10_000_000
 LATENCY_COLUMNS = ("workload", "suite", "cloud", "instance_type", "latency_s")
 
 
@@ -88,6 +89,9 @@ def read_latencies(path: Any, table: Table) -> Measured:
             file.problem(row, "suite", f"workload {workload} is in suite {suites[workload]} elsewhere in the file")
             suites[workload] = suite
         if workload not in latency:
+            if (len(latency) + 1) * len(table.names) > MOST_VALUES:
+                file.problem(row, "workload", f"workloads times machines are at most {MOST_VALUES:,}")
+                break
             latency[workload] = np.full(len(table.names), np.nan)
         latency[workload][table.row[name]] = values[row]
     file.check()
@@ -112,7 +116,14 @@ def read_table(path: Any, required: Sequence[str]) -> CsvTable:
 def read_bytes(path: Any) -> bytes:
     """Return the content of a file, plain or gzipped, in a directory or an archive; raise InvalidInput if it is not a file."""
     try:
-        return decompress(read_file(path) if isinstance(path, Path) else path.read_bytes(), str(path))
+        if isinstance(path, Path):
+            content = read_bounded(path, MOST_BYTES)
+        else:
+            with path.open("rb") as file:
+                content = file.read(MOST_BYTES + 1)
+            if len(content) > MOST_BYTES:
+                raise too_large(str(path), MOST_BYTES, " unpacked")
+        return decompress(content, str(path), MOST_BYTES)
     except (OSError, EOFError, zlib.error) as wrong:
         raise InvalidInput(f"{path}: cannot be read: {getattr(wrong, 'strerror', None) or wrong}") from None
 

@@ -1,20 +1,19 @@
 """Reading of results files and raw timings, with their checksums."""
 
-import gzip
-import io
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 from fogspec.base import digest
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
+from fogspec.base.files import decompress, too_large
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import ProjectFiles
+from fogspec.results.requests import SIZE_LIMIT
 from fogspec.results.schema import Measured, Results, checksum_ok
 from fogspec.spec.loader import read_document
 
-SIZE_LIMIT = 256 * 2**20
+PACKED_LIMIT = 64 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +66,20 @@ def raw_timings(record: Measured, folder: Path) -> bytes:
     files = ProjectFiles(folder)
     if not files.is_file(path):
         raise InvalidInput(f"{path} is missing")
-    content = files.read(path)
-    if digest.of_bytes(content) != record.timings.digest:
-        raise InvalidInput(f"{path} is not what was recorded")
     try:
-        with gzip.open(io.BytesIO(content)) as packed:
-            return packed.read(SIZE_LIMIT)
-    except (OSError, EOFError, zlib.error):
-        raise InvalidInput(f"{path} is no gzip file, or not a whole one") from None
+        content = files.read(path, PACKED_LIMIT + 1)
+        if digest.of_bytes(content) != record.timings.digest:
+            raise InvalidInput(f"{path} is not what was recorded")
+        return unpacked(content, path)
+    except OSError as problem:
+        raise InvalidInput(f"{path}: {problem.strerror}") from None
+
+
+def unpacked(content: bytes, path: Path) -> bytes:
+    """Return raw timings unpacked; raise OSError if they are damaged or too large."""
+    if len(content) > PACKED_LIMIT:
+        raise too_large(path, PACKED_LIMIT)
+    return decompress(content, "timings.gz", SIZE_LIMIT)
 
 
 def recordings(path: str) -> tuple[list[Recording], str]:

@@ -2,19 +2,20 @@
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, TypeGuard
 
 from fogspec.base.files import open_untrusted
 from fogspec.base.units import format_duration
-from fogspec.results.join import Request, Value, join
+from fogspec.results.join import VERDICT, Request, Value, join
 from fogspec.spec.probe import name_of
 from fogspec.spec.schema import Application
 
 SIZE_LIMIT = 256 * 2**20
 LINE_LIMIT = 64 * 2**10
+LINES_LIMIT = 1_000_000
 OTHER_NAMES = 5
 OTHER = {"unmatched", "note", "warning"}
 
@@ -83,8 +84,12 @@ def read_requests(path: Path | None, rules: RecordRules) -> Requests:
 def parse_requests(file: BinaryIO, rules: RecordRules) -> Requests:
     """Return the requests of an open timings file; lines that are not records are counted, never guessed at."""
     requests, found, values = Requests(), list[Request](), list[Value]()
+    wanted = {VERDICT, *rules.metrics.values()}
     for line in _lines(file):
-        entry = _entry(line)
+        if line is None:
+            requests.warning = f"only the first {LINES_LIMIT:,} lines of the timings were read"
+            break
+        entry = _entry(line, wanted)
         if isinstance(entry, Value):
             values.append(entry)
         elif isinstance(entry, Request):
@@ -136,12 +141,15 @@ def _count(one: Request, rules: RecordRules, requests: Requests) -> None:
                 requests.metrics.setdefault(metric, []).append((float(value), one.scenario))
 
 
-def _lines(file: BinaryIO) -> Iterator[bytes]:
-    """Yield the lines that are not blank, and an empty one in place of each that is too long."""
-    read_bytes = 0
+def _lines(file: BinaryIO) -> Iterator[bytes | None]:
+    """Yield the lines that are not blank, an empty one in place of each that is too long, and None at the limits."""
+    read_bytes = lines = 0
     # A last line without its end was cut off in the middle of a write.
-    while (line := file.readline(LINE_LIMIT)) and read_bytes < SIZE_LIMIT:
-        read_bytes += len(line)
+    while line := file.readline(LINE_LIMIT):
+        read_bytes, lines = read_bytes + len(line), lines + 1
+        if read_bytes > SIZE_LIMIT or lines > LINES_LIMIT:
+            yield None
+            return
         if line.endswith(b"\n"):
             if line.strip():
                 yield line
@@ -149,13 +157,20 @@ def _lines(file: BinaryIO) -> Iterator[bytes]:
             yield b""
 
 
-def _entry(line: bytes) -> Request | Value | dict[str, object] | None:
-    """Return a request, values of metrics, or another entry of a probe; None if the line is not a record."""
+def _entry(line: bytes, wanted: Set[str]) -> Request | Value | dict[str, object] | None:
+    """Return a request, values of metrics, or another entry of a probe; None if the line is not a record.
+
+    Of the metrics, only the `wanted` ones are kept.
+    """
     try:
         entry = json.loads(line)
         if "metric" in entry:
             sound = isinstance(entry["metric"], dict) and is_number(entry["at_s"])
-            return Value(entry["metric"], float(entry["at_s"]), _stamp(entry.get("stamp"))) if sound else None
+            return (
+                Value(_only(wanted, entry["metric"]), float(entry["at_s"]), _stamp(entry.get("stamp")))
+                if sound
+                else None
+            )
         if OTHER & entry.keys():
             return dict(entry)
         latency_s, ok = entry["latency_s"], entry["ok"]
@@ -169,7 +184,7 @@ def _entry(line: bytes) -> Request | Value | dict[str, object] | None:
         name=str(entry.get("name", "")),
         latency_s=float(latency_s),
         ok=ok,
-        metrics=metrics,
+        metrics=_only(wanted, metrics),
         reason=_text(entry.get("reason")),
         scenario=str(entry.get("scenario") or ""),
         start_s=float(start_s) if is_number(start_s) else None,
@@ -177,6 +192,11 @@ def _entry(line: bytes) -> Request | Value | dict[str, object] | None:
         lost=entry.get("lost") is True,
         stamp=_stamp(entry.get("stamp")),
     )
+
+
+def _only(wanted: Set[str], metrics: dict[str, object]) -> dict[str, object]:
+    """Return the wanted metrics; a value that is neither a number nor a text is none."""
+    return {name: value for name, value in metrics.items() if name in wanted and isinstance(value, (int, float, str))}
 
 
 def _text(value: object) -> str | None:

@@ -126,9 +126,9 @@ def test_a_record_that_does_not_follow_from_its_timings(done: Shell) -> None:
 @pytest.mark.parametrize(
     ("content", "path", "says"),
     [
-        (b"no gzip", None, "is no gzip file"),
-        (gzip.compress(b"{}\n" * 1000, mtime=0)[:-9], None, "is no gzip file, or not a whole one"),
-        (gzip.compress(b"", mtime=0)[:10] + b"\xff" * 20, None, "is no gzip file"),
+        (b"no gzip", None, "it is no whole gzip file"),
+        (gzip.compress(b"{}\n" * 1000, mtime=0)[:-9], None, "it is no whole gzip file"),
+        (gzip.compress(b"", mtime=0)[:10] + b"\xff" * 20, None, "it is no whole gzip file"),
         (None, "../specs/demo.yaml", "lies outside of"),
     ],
 )

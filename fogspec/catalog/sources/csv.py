@@ -5,8 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from fogspec.base.clouds import CLOUDS
+from fogspec.base.csv_table import MOST_BYTES
 from fogspec.base.errors import InvalidInput
-from fogspec.base.files import decompress, read_file
+from fogspec.base.files import decompress, read_bounded
 from fogspec.catalog.sources.cache import cached
 from fogspec.catalog.sources.parse import read
 from fogspec.catalog.table import About, Catalog
@@ -37,8 +38,9 @@ def table(path: str | Path, cloud: str | None, about: About, shown: str | None =
     """Return the table in a file, under the name `shown` in messages; raises DiagnosticError or InvalidInput."""
     name = shown or str(path)
     try:
-        raw = read_file(path)
-        catalog = cached(raw, name, cloud, lambda: read(decompress(raw, path), name, cloud, About("", "", "", "")))
+        raw = read_bounded(path, MOST_BYTES)
+        empty = About("", "", "", "")
+        catalog = cached(raw, name, cloud, lambda: read(decompress(raw, path, MOST_BYTES), name, cloud, empty))
     except OSError as problem:
         raise InvalidInput(f"{path}: the catalog cannot be read: {problem.strerror}") from None
     found = replace(about, digest=catalog.about.digest, notes=(*about.notes, *catalog.about.notes))

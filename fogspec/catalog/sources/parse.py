@@ -22,7 +22,7 @@ from fogspec.catalog.sources import gcp
 from fogspec.catalog.table import About, Catalog, Floats, Strings, strings
 
 REQUIRED = ("InstanceType", "vCPUs", "MemoryGiB", "Price", "Region")
-GPU_MIB = re.compile(r"SizeInMiB\D+(\d+)")
+GPU_MIB = re.compile(r"SizeInMiB\D{1,20}(\d{1,9})")
 TRUE = ("1", "1.0", "true", "True")
 ARCHITECTURES = {"aarch64": "arm64", "arm": "arm64", "amd64": "x86_64", "x64": "x86_64", "i386": "x86_64"}
 

@@ -3,9 +3,9 @@
 import os
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
-from fogspec.base.files import read_file
+from fogspec.base.files import read_bounded
 from fogspec.base.yaml import reader
-from fogspec.spec.launch_import.found import LaunchImport
+from fogspec.spec.launch_import.found import MOST_BYTES, LaunchImport
 
 
 def read_launch(path: str | os.PathLike[str]) -> LaunchImport:
@@ -15,9 +15,9 @@ def read_launch(path: str | os.PathLike[str]) -> LaunchImport:
     """
     name = os.fspath(path)
     try:
-        content = read_file(path)
+        content = read_bounded(path, MOST_BYTES)
     except OSError as problem:
-        message = f"the launch file cannot be read: {(problem.strerror or '').lower()}"
+        message = f"the launch file cannot be read: {problem.strerror}"
         raise DiagnosticError([Diagnostic("FS801", message, Span(name, 1, 1))]) from None
     text, wrong = reader.decode(content, name)
     if wrong:

@@ -4,16 +4,14 @@ import ast
 from collections import Counter
 from typing import Any
 
-from fogspec.spec.launch_import.found import LaunchImport
-
-DEEPEST = 50
+from fogspec.spec.launch_import.found import DEEPEST, LaunchImport
 
 
 class Unknown(Exception):
     """An expression whose value only running the file would tell."""
 
     def __init__(self, node: ast.expr) -> None:
-        super().__init__(ast.unparse(node))
+        super().__init__(type(node).__name__)
         self.node = node
 
 
@@ -41,9 +39,11 @@ class Expressions:
         """Return the value of an expression that can be evaluated without running anything."""
         self.depth += 1
         try:
-            if self.depth > 50:
+            if self.depth > DEEPEST:
                 raise Unknown(node)
-            return self._told(self.follow(node))
+            value = self._told(self.follow(node))
+            self.found.spend(len(value) if isinstance(value, (str, list, dict)) else 0)
+            return value
         finally:
             self.depth -= 1
 
@@ -113,6 +113,7 @@ def keyword_of(call: ast.Call, name: str) -> ast.expr | None:
 def place_of(node: ast.expr, found: LaunchImport) -> tuple[int, int, int]:
     """Return line, column and width of an expression's first line, in characters; Python counts bytes."""
     line = found.lines[node.lineno - 1] if node.lineno <= len(found.lines) else ""
+    found.spend(len(line))
     start = len(line.encode()[: node.col_offset].decode("utf-8", "ignore"))
     if node.end_lineno == node.lineno and node.end_col_offset is not None:
         end = len(line.encode()[: node.end_col_offset].decode("utf-8", "ignore"))

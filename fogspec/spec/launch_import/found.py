@@ -2,13 +2,18 @@
 
 import re
 import shlex
+import sys
 from dataclasses import dataclass, field
 from typing import Any
 
-from fogspec.base.diagnostics import Diagnostic, Span
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.units import format_duration
 from fogspec.base.yaml.scalars import Refusal, resolve
 
+MOST_BYTES = 256 << 10
+MOST_WORK = 20_000_000  # characters that are handled to read one file
+DEEPEST = 50
+LONGEST_COMMAND = 8 << 10
 NODE_WORDS = (
     "package",
     "executable",
@@ -37,10 +42,26 @@ class LaunchImport:
     stop: dict[str, Any] = field(default_factory=dict)
     setup: list[str] = field(default_factory=list)
     notes: list[Diagnostic] = field(default_factory=list)
+    work: int = 0
+
+    def spend(self, characters: int) -> None:
+        """Count work; raise DiagnosticError once it is out of proportion: a few names can double a text many times."""
+        self.work += 16 + characters
+        if self.work > MOST_WORK:
+            message = "the launch file is too large, or its values grow too large when they are put together"
+            fix = "write the spec by hand: fogspec init without --from-launch"
+            raise DiagnosticError([Diagnostic("FS801", message, Span(self.path, 1, 1), fix)])
+
+    def checked_depth(self, depth: int, line: int) -> None:
+        """Raise DiagnosticError for what is nested too deep."""
+        if depth > DEEPEST:
+            message = f"a launch file may be nested at most {DEEPEST} deep"
+            raise DiagnosticError([Diagnostic("FS801", message, Span(self.path, line, 1))])
 
     def note(self, line: int, message: str, column: int = 1, width: int | None = None) -> None:
         """Report what was not imported, and where it is."""
         source = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
+        self.spend(len(source))
         if column == 1:
             column = len(source) - len(source.lstrip()) + 1
         span = Span(self.path, line, column, width or max(1, len(source.rstrip()) - column + 1))
@@ -62,9 +83,9 @@ def typed(text: str) -> Any:
 
 
 def words(text: str) -> list[str]:
-    """Return a command line as a list of arguments."""
+    """Return a command line as a list of arguments; a very long one is split at spaces: shlex takes quadratic time."""
     try:
-        return shlex.split(text)
+        return shlex.split(text) if len(text) <= LONGEST_COMMAND else text.split()
     except ValueError:
         return text.split()
 
@@ -74,7 +95,7 @@ def take_constraint(
 ) -> None:
     """Import one entry of the paper's `constraint={...}`; numbers without units only if they are unambiguous."""
     name = re.sub(r"[^a-z]", "", key.lower())
-    if not isinstance(value, (int, float, str)) or isinstance(value, bool):
+    if not isinstance(value, (int, float, str)) or isinstance(value, bool) or not _finite(value):
         found.note(line, f"constraint {key} cannot be read", column, width)
     elif "latency" in name or name in ("maxtime", "time"):
         found.constraints["latency"] = value if isinstance(value, str) else format_duration(float(value))
@@ -95,6 +116,10 @@ def take_constraint(
         found.hardware["gpus"] = [str(value).partition(":")[0]]
     else:
         found.note(line, f"constraint {key} is not known to fogspec", column, width)
+
+
+def _finite(value: int | float | str) -> bool:
+    return isinstance(value, str) or abs(value) <= sys.float_info.max
 
 
 def _bound(found: LaunchImport, field_name: str, end: str, value: Any) -> None:

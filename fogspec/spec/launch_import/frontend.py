@@ -29,6 +29,7 @@ def take_actions(found: LaunchImport, actions: list[Action]) -> None:
 
 def _take(found: LaunchImport, actions: list[Action], defaults: dict[str, str]) -> None:
     for action in actions:
+        found.spend(0)
         if action.tag in ("arg", "let"):
             value = action.attributes.get("default", action.attributes.get("value"))
             if value is not None:
@@ -98,7 +99,14 @@ def _text(found: LaunchImport, action: Action, name: str, defaults: dict[str, st
     value = action.attributes.get(name)
     if value is None:
         return None
-    text = VARIABLE.sub(lambda match: defaults.get(match[1], match[0]), str(value))
+
+    def default_of(variable: re.Match[str]) -> str:
+        default = defaults.get(variable[1], variable[0])
+        found.spend(len(default))
+        return default
+
+    text = VARIABLE.sub(default_of, str(value))
+    found.spend(len(text))
     if text != str(value):
         found.note(action.line, f"{name}: the defaults of launch arguments are taken")
     if SUBSTITUTION.search(text):

@@ -11,6 +11,7 @@ import pathlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -19,6 +20,7 @@ from pydantic import BaseModel
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.files import read_file
 from fogspec.base.layout import Layout
+from fogspec.base.signals import TookTooLong, processor_time
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import Node, Path, dotted, find, span_of
 from fogspec.spec.documents import SourceMap
@@ -32,6 +34,7 @@ APPLICATION, MANIFEST = "Application", "DeploymentManifest"
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 SAME_PLACE = ("allOf", "anyOf", "oneOf", "not", "if", "then", "else", "dependentSchemas")
 LONGEST = 160
+MOST_SECONDS = 5.0  # of processor time for one policy: a regular expression may take for ever
 Files = Mapping[pathlib.Path, SourceFile]
 NO_FILES: Files = MappingProxyType({})
 
@@ -124,7 +127,12 @@ class Policies:
             return None
         text, problems = reader.decode(content, path, reader.MOST_BYTES)
         self.texts.lines[path] = text.split("\n")
-        found = problems or _schema_of(text, path)
+        found: Policy | list[Diagnostic]
+        try:
+            with processor_time(MOST_SECONDS):
+                found = problems or _schema_of(text, path)
+        except TookTooLong:
+            found = [_too_long(path)]
         if isinstance(found, Policy):
             return found
         self._wrong |= dict.fromkeys(found)
@@ -133,15 +141,30 @@ class Policies:
     def _broken(self, kind: str, document: BaseModel, node: Node, root: str | os.PathLike[str]) -> Iterator[Diagnostic]:
         data: dict[str, Any] | None = None
         for policy in self._of(kind, root):
-            if unknown := list(_unknown_fields(policy, policy.schema, type(document), (), ())):
-                self._wrong |= dict.fromkeys(unknown)
-                continue
             data = numeric_document(document) if data is None else data
-            found = _violations(policy, data)
-            if isinstance(found, Diagnostic):
-                self._wrong[found] = None
+            try:
+                with processor_time(MOST_SECONDS):
+                    found = _breaches(policy, type(document), data, node)
+            except TookTooLong:
+                found = [_too_long(policy.path)]
+            if any(one.code == "FS602" for one in found):
+                self._wrong |= dict.fromkeys(found)
             else:
-                yield from (_located(policy, error, node) for error in found)
+                yield from found
+
+
+def _too_long(path: str) -> Diagnostic:
+    message = f"the policy takes too long: more than {MOST_SECONDS:g} s of processor time"
+    fix = "simplify its patterns: a repeat within a repeat, such as (a+)+, may take for ever"
+    return Diagnostic("FS602", message, Span(path, 1, 1), fix)
+
+
+def _breaches(policy: Policy, kind: type[BaseModel], data: dict[str, Any], node: Node) -> list[Diagnostic]:
+    """Return where a document breaks the policy; or, under the code FS602, what is wrong with the policy."""
+    if unknown := list(_unknown_fields(policy, policy.schema, kind, (), ())):
+        return unknown
+    found = _violations(policy, data)
+    return [found] if isinstance(found, Diagnostic) else [_located(policy, error, node) for error in found]
 
 
 def _schema_of(text: str, path: str) -> Policy | list[Diagnostic]:
@@ -158,7 +181,7 @@ def _schema_of(text: str, path: str) -> Policy | list[Diagnostic]:
         return wrong(f"the policy must be JSON: {problem.msg.lower()}", span)
     except (ValueError, RecursionError) as problem:
         return wrong(f"the policy must be JSON: {problem}", Span(path, 1, 1))
-    if repeated := [one for one in reader.documents(text, path)[1] if one.code == "FS106"]:
+    if repeated := [one for one in _tree(text, path)[1] if one.code == "FS106"]:
         return repeated
     if not isinstance(schema, dict):
         return wrong("the policy must be a JSON Schema, which is an object", Span(path, 1, 1))
@@ -303,8 +326,13 @@ def _described(schema: Any, error: Any) -> dict[str, Any]:
 
 def _span(text: str, path: str, at: Path) -> Span:
     """Return the place in a policy's text; its start where the text is JSON that is not YAML."""
-    nodes, problems = reader.documents(text, path)
+    nodes, problems = _tree(text, path)
     return Span(path, 1, 1) if problems or not nodes else span_of(nodes[0], at)
+
+
+@lru_cache(maxsize=4)
+def _tree(text: str, path: str) -> tuple[list[Node], list[Diagnostic]]:
+    return reader.documents(text, path)
 
 
 def _short(text: str) -> str:
