@@ -10,6 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Literal, Protocol, TypeVar
 
+from fogspec.backends.naming import ForeignMachine, Owner
 from fogspec.base.project_files import ProjectFiles
 from fogspec.catalog.machine import Machine
 from fogspec.results.schema import Measured, Reason
@@ -20,20 +21,28 @@ class Job:
     """A compiled task to run as it was reviewed, on one machine.
 
     `name` is unique among all jobs ever started and is on disk before `Backend.start`: it alone suffices to find and stop
-    the job. `task` is the parsed task, `root` the directory that its relative paths are relative to, `directory` this job's
-    own directory for logs and fetched files. `machine` may be None and `task` empty where the job is only polled or stopped.
+    the job. It is bound to the `owner`: no job with another's name can be made, so that no backend can touch its machine.
+
+    `task` is the parsed task, `root` the directory that its relative paths are relative to, `directory` this job's own
+    directory for logs and fetched files. `machine` may be None and `task` empty where the job is only polled or stopped.
 
     A sample's machine shuts itself down after `lifetime_s` seconds, even if its controller has died; a deployment has no
     lifetime. `replicate` counts the samples on the same type of machine.
     """
 
     name: str
+    owner: Owner
     task: Mapping[str, object]
     root: Path
     directory: Path
     machine: Machine | None = None
     lifetime_s: float | None = None
     replicate: int = 1
+
+    def __post_init__(self) -> None:
+        """Raise ForeignMachine for a name that is not one of the owner's."""
+        if not self.owner.has(self.name):
+            raise ForeignMachine([self.name], self.owner, "its record")
 
     @property
     def files(self) -> ProjectFiles:
@@ -142,8 +151,8 @@ class Backend(Protocol[StatusT]):
         """
         ...
 
-    def list(self, application: str, directory: Path) -> Sequence[str]:
-        """Return the names of the application's jobs that may be running, by whatever process started; raise Unreachable.
+    def list(self, owner: Owner, directory: Path) -> Sequence[str]:
+        """Return the names of the owner's jobs that may be running, by whatever process started; raise Unreachable.
 
         `directory` contains the directories of those jobs, for backends whose machines are this host.
         """

@@ -1,10 +1,13 @@
-"""The execution backends by name, imported when they are used."""
+"""The execution backends by name, imported when they are used, and the owner of the machines that they start."""
 
 import importlib
 from typing import Any
 
+from fogspec.backends.naming import ENVIRONMENT, Owner
 from fogspec.backends.protocol import DeploymentBackend
 from fogspec.base.clouds import cloud_of
+from fogspec.base.layout import Layout
+from fogspec.base.repository import repository_of
 
 SAMPLES = {
     "local": "fogspec.backends.local.backend:LocalSamples",
@@ -26,6 +29,11 @@ def deployment_backend(infra: str) -> DeploymentBackend:
     """Return the backend for deployments on this infra: this host for `local`, else SkyPilot."""
     backend: DeploymentBackend = _load(DEPLOYMENTS["skypilot" if cloud_of(infra).on_skypilot else "local"])()
     return backend
+
+
+def owner_of(layout: Layout, environment: str = ENVIRONMENT) -> Owner:
+    """Return the owner of the machines of an application."""
+    return Owner(repository_of(layout.root), environment, layout.name)
 
 
 def _load(name: str) -> Any:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from itertools import islice
 from pathlib import Path
 
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleStatus
 from fogspec.base.files import read_bounded
 from fogspec.results.io import PACKED_LIMIT, Recording, unpacked
@@ -63,7 +64,7 @@ class ReplaySamples:
     def stop(self, job: Job) -> None:
         """Do nothing: nothing runs, so nothing is left."""
 
-    def list(self, application: str, directory: Path) -> Sequence[str]:
+    def list(self, owner: Owner, directory: Path) -> Sequence[str]:
         """Return nothing: recordings have no machines."""
         return ()
 

@@ -109,6 +109,7 @@ class Campaign:
     def _job(self, started: LaunchRecord, task: Mapping[str, object]) -> Job:
         return Job(
             name=started.name,
+            owner=self.config.owner,
             task=task,
             root=self.config.root,
             directory=self.config.attempts / started.name,

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from fogspec.backends.naming import ForeignMachine, Owner
 from fogspec.base.errors import OutOfDate
 from fogspec.base.project_files import ProjectFiles
 from fogspec.plan.schema import Sample
@@ -137,6 +138,12 @@ class Journal:
                 f"{self.path}:{number}: this line of the journal cannot be read",
                 "it says which machines were started; look for machines left running, then delete the file",
             ) from wrong
+
+    def check_owned(self, owner: Owner) -> None:
+        """Raise ForeignMachine if a machine that may run, or a record not yet written, is not one of the owner's."""
+        names = [*self.state.open, *self.state.unwritten]
+        if foreign := [name for name in names if not owner.has(name)]:
+            raise ForeignMachine(foreign, owner, str(self.path))
 
     def append(self, **entry: Any) -> None:
         """Write one entry and sync it; on OSError (a full disk) nothing was written."""

@@ -22,10 +22,10 @@ def adopt_orphans(campaign: Campaign, samples: Sequence[Sample], resume: bool, s
     if not (resume or starts or state.campaigns <= 1):
         return
     try:
-        found = backend.list(config.application, config.attempts)
+        found = backend.list(config.owner, config.attempts)
     except Unreachable as lost:
         raise CloudError(f"which machines are up cannot be said: {lost}", "run the bench again") from None
-    orphans = [name for name in found if name.startswith(config.prefix) and name not in state.open]
+    orphans = [name for name in found if config.owner.has_sample(name) and name not in state.open]
     if orphans and not resume:
         raise Refused(
             "machines of another bench of this application are up",
@@ -38,7 +38,7 @@ def adopt_orphans(campaign: Campaign, samples: Sequence[Sample], resume: bool, s
 
 def _launch_record(campaign: Campaign, name: str, samples: Sequence[Sample]) -> LaunchRecord:
     """Return a launch record for an orphan: from now, at the highest price its name can match, for its full lifetime."""
-    rest = name.removeprefix(campaign.config.prefix)
+    rest = name.removeprefix(campaign.config.owner.prefix)
     matching = [one for one in samples if rest.startswith(f"{one.id[:SAMPLE_IN_NAME]}-")] or samples
     dearest = max(matching, key=campaign.price)
     return LaunchRecord(

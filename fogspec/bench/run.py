@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fogspec.agent.redaction import Secrets
 from fogspec.backends.protocol import SampleBackend
+from fogspec.backends.registry import owner_of
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
 from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
@@ -74,7 +75,8 @@ class _Bench:
 def bench(prepared: Prepared, backend: SampleBackend, watch: Watch, options: BenchOptions | None = None) -> BenchResult:
     """Measure the samples of the plan that are still to do.
 
-    Raise Refused while another bench, apply or down of this application runs, OutOfDate if results changed meanwhile,
+    Raise Refused while another bench, apply or down of this application runs, or if its journal names machines of another
+    application, OutOfDate if results changed meanwhile,
     CloudError for machines that could not be verified gone, Interrupted after Ctrl-C, InvalidInput for a disk
     that cannot be written; results are on disk in every case.
     """
@@ -168,6 +170,8 @@ def _left_usd(campaign: Campaign) -> float:
 def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campaign, ResultsFile, Tasks]:
     prepared, backend = one.prepared, one.backend
     layout, body, spec = prepared.layout, prepared.plan.spec, prepared.application.spec
+    owner = owner_of(layout)
+    journal.check_owned(owner)
     application = fingerprints.measured_digest(prepared.application)
     sink = ResultsFile(
         layout=layout,
@@ -193,7 +197,7 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
     life_s = lifetime_s(body.duration, body.setup_timeout)
     allowed = None if one.options.max_usd is None else journal.state.spent_usd + one.options.max_usd
     config = CampaignConfig(
-        application=layout.name,
+        owner=owner,
         measured=measured,
         rules=RecordRules.of(prepared.application),
         budget_usd=min((cap for cap in (spec.benchmark.budget, allowed) if cap is not None), default=None),

@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
 
-from fogspec.backends.naming import sample_prefix
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import SampleStatus
 from fogspec.plan.schema import Sample
 from fogspec.results.requests import RecordRules
@@ -17,7 +17,7 @@ SAMPLE_IN_NAME = 30
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignConfig:
-    """The configuration of a campaign. `application` is the application's name, `measured` a digest of what is measured of it.
+    """The configuration of a campaign. `owner` is whose machines it starts, `measured` a digest of what is measured.
 
     `task` returns a sample's reviewed task, parsed, or None if the sample is no longer wanted; `substitutes` returns samples to
     measure if the one with this id is unavailable, best first. The controller stops a sample after `deadline_s`; its machine
@@ -25,7 +25,7 @@ class CampaignConfig:
     journal is lost.
     """
 
-    application: str
+    owner: Owner
     measured: str
     rules: RecordRules
     budget_usd: float | None
@@ -37,14 +37,9 @@ class CampaignConfig:
     token: str
     substitutes: Callable[[str], Sequence[Sample]] = lambda _sample: ()
 
-    @property
-    def prefix(self) -> str:
-        """The prefix of the names of all jobs of the application's samples."""
-        return sample_prefix(self.application)
-
     def job_name(self, sample: Sample, number: int) -> str:
         """Return the name of the campaign's attempt with this number."""
-        return f"{self.prefix}{sample.id[:SAMPLE_IN_NAME]}-{self.token}-{number}"
+        return f"{self.owner.prefix}{sample.id[:SAMPLE_IN_NAME]}-{self.token}-{number}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
-from fogspec.backends.naming import deployment_name, is_deployment_of
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
@@ -114,10 +113,10 @@ class Rollout:
         layout, known = self.live.layout, {machine.name for machine in self.live.machines}
         backends = {one.name: one for one in (self.backend_of(c.machine.infra) for c in self.candidates)}
         try:
-            found = [name for one in backends.values() for name in one.list(layout.name, layout.state)]
+            found = [name for one in backends.values() for name in one.list(self.live.owner, layout.state)]
         except Unreachable as lost:
             raise CloudError(f"{layout.name}: nobody can say what runs of it: {lost}", "safe to run again") from None
-        return sorted(name for name in set(found) - known if is_deployment_of(name, layout.name))
+        return sorted(name for name in set(found) - known if self.live.owner.has_deployment(name))
 
     def stop_others(self, keep: Sequence[str]) -> bool:
         """Stop all machines but these; return whether there were any. Raise CloudError for one not verified gone."""
@@ -181,7 +180,7 @@ class Rollout:
         """Return the machine's record, on disk before anything is started."""
         times = self.live.times
         machine = DeployedMachine(
-            name=deployment_name(self.live.layout.name, self.digest, secrets.token_hex(3)),
+            name=self.live.owner.deployment_name(self.digest, secrets.token_hex(3)),
             deployer=self.backend_of(one.machine.infra).name,
             state="starting",
             manifest=self.digest,
@@ -324,8 +323,9 @@ def apply(
 ) -> RolloutResult:
     """Make the deployment what the manifest asks for; `confirm` is called before money is spent, and may raise.
 
-    Raise CloudError, InvalidInput or Interrupted as `Rollout.run` does, Refused while another apply, bench or down runs
-    or if a machine serves that this directory does not know, UsageError for a secret that is not in the environment.
+    Raise CloudError, InvalidInput or Interrupted as `Rollout.run` does, Refused while another apply, bench or down runs,
+    if the live state names a machine of another application, or if a machine serves that this directory does not know,
+    UsageError for a secret that is not in the environment.
     """
     layout = plan.opened.layout
     names = plan.opened.loaded.application.spec.secrets
@@ -334,6 +334,7 @@ def apply(
     try:
         with application_lock(layout, f"apply of {layout.name}"), interruptible() as interrupt:
             live = DeploymentState.read(layout, times)
+            live.check_owned()
             rollout = Rollout(
                 live=live,
                 manifest=plan.content,

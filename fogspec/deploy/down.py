@@ -113,6 +113,7 @@ def _down(
         raise CloudError(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
     if unwritten:
         raise unwritten[0]
+    live.check_owned()
     live.clear()
     return ended, spent
 
@@ -120,11 +121,12 @@ def _down(
 def _orphans(live: DeploymentState, backend: DeploymentBackend, report: Callable[[str], None]) -> int:
     """Stop machines with the application's name that are not in the live state; return their number."""
     layout = live.layout
-    names = list(backend.list(layout.name, layout.state))
+    names = list(backend.list(live.owner, layout.state))
     for name in names:
-        backend.stop(Job(name=name, task={}, root=layout.root, directory=live.folder(name)))
+        directory = live.folder(name) if live.owner.has_deployment(name) else layout.state / "attempts" / name
+        backend.stop(Job(name=name, owner=live.owner, task={}, root=layout.root, directory=directory))
         report(f"{name}: gone")
-    if rest := backend.list(layout.name, layout.state):
+    if rest := backend.list(live.owner, layout.state):
         raise Unreachable(f"still there: {', '.join(rest)}")
     return len(names)
 

@@ -59,9 +59,11 @@ def health_report(
 ) -> HealthReport | None:
     """Return the health of the application's deployment; None if nothing was applied. Nothing is written.
 
-    `fresh` tells whether the manifest on disk follows from its inputs.
+    `fresh` tells whether the manifest on disk follows from its inputs. Raise ForeignMachine if the live state names a machine
+    of another application.
     """
     live_file = DeploymentState.read(layout, times)
+    live_file.check_owned()
     if not live_file.machines:
         return None
     serving = next((one for one in live_file.machines if one.state == "serving"), None)

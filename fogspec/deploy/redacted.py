@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fogspec.agent.redaction import Secrets
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, Job, LaunchRefused, Unreachable
 
 
@@ -32,10 +33,10 @@ class RedactingBackend:
         with self._redacted():
             self._backend.stop(job)
 
-    def list(self, application: str, directory: Path) -> Sequence[str]:
-        """Return the names of the application's jobs."""
+    def list(self, owner: Owner, directory: Path) -> Sequence[str]:
+        """Return the names of the owner's jobs."""
         with self._redacted():
-            return self._backend.list(application, directory)
+            return self._backend.list(owner, directory)
 
     @contextmanager
     def _redacted(self) -> Iterator[None]:

@@ -3,12 +3,14 @@
 import contextlib
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
+from fogspec.backends.naming import ForeignMachine, Owner
 from fogspec.backends.protocol import Job
+from fogspec.backends.registry import owner_of
 from fogspec.base.clock import SystemClock
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.layout import Layout
@@ -47,12 +49,22 @@ class SystemWallClock(SystemClock):
 
 @dataclass(slots=True)
 class DeploymentState:
-    """The machines of one application, as on disk: every change is written before it takes effect."""
+    """The machines of one application, as on disk: every change is written before it takes effect.
+
+    `foreign` are records of machines that are not this application's: they are kept as they are, and nothing acts on them.
+    """
 
     layout: Layout
     times: WallClock
     machines: list[DeployedMachine]
     spent_usd: float = 0.0
+    foreign: list[DeployedMachine] = field(default_factory=list)
+    _owner: Owner | None = None
+
+    def __post_init__(self) -> None:
+        """Divide the machines into those of the application and others."""
+        self.foreign += [one for one in self.machines if not self.owner.has(one.name)]
+        self.machines = [one for one in self.machines if self.owner.has(one.name)]
 
     @classmethod
     def read(cls, layout: Layout, times: WallClock) -> "DeploymentState":
@@ -65,6 +77,18 @@ class DeploymentState:
             fix = f"fogspec down {layout.name} finds what runs by its name and ends it"
             raise DiagnosticError([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics]) from None
         return cls(layout, times, list(body.machines), body.spent)
+
+    @property
+    def owner(self) -> Owner:
+        """The owner of the application's machines."""
+        if self._owner is None:
+            self._owner = owner_of(self.layout)
+        return self._owner
+
+    def check_owned(self) -> None:
+        """Raise ForeignMachine if there are records of machines that are not this application's."""
+        if self.foreign:
+            raise ForeignMachine([one.name for one in self.foreign], self.owner, str(self.layout.live))
 
     def put(self, machine: DeployedMachine, *, ends: bool = False) -> None:
         """Add the machine, or change its record; with `ends` mark all others for stopping, in the same write."""
@@ -82,7 +106,7 @@ class DeploymentState:
 
     def clear(self) -> None:
         """Remove the file and what is left next to it, once no machine is left; raise OSError if that fails."""
-        if self.machines:
+        if self.machines or self.foreign:
             raise ValueError("machines are left")
         # A process that was killed in the middle of a write leaves a part.
         layout, files = self.layout, self.layout.files
@@ -111,7 +135,14 @@ class DeploymentState:
     def job(self, machine: DeployedMachine, task: Mapping[str, Any] | None = None) -> Job:
         """Return the machine's job; only starting it needs the task."""
         root, directory = self.layout.root, self.folder(machine.name)
-        return Job(name=machine.name, task=task or {}, root=root, directory=directory, machine=machine.machine)
+        return Job(
+            name=machine.name,
+            owner=self.owner,
+            task=task or {},
+            root=root,
+            directory=directory,
+            machine=machine.machine,
+        )
 
     def keep_manifest(self, name: str, content: bytes) -> None:
         """Keep the manifest that a machine is started for, for later comparisons."""
@@ -120,7 +151,8 @@ class DeploymentState:
     def _write(self, machines: list[DeployedMachine], spent_usd: float | None = None) -> None:
         spent = round(self.spent_usd if spent_usd is None else spent_usd, 6)
         state = LiveState(
-            metadata=PlanMetadata(name=self.layout.name), spec=DeploymentBody(machines=machines, spent=spent)
+            metadata=PlanMetadata(name=self.layout.name),
+            spec=DeploymentBody(machines=[*self.foreign, *machines], spent=spent),
         )
         self.layout.files.write_yaml(
             self.layout.live,

@@ -17,8 +17,8 @@ import pytest
 from fogspec.backends import registry
 from fogspec.backends.local import backend as local_backend
 from fogspec.backends.local import processes
-from fogspec.backends.local.backend import MARK, LocalDeployments, LocalSamples
-from fogspec.backends.naming import deployment_name, sample_prefix
+from fogspec.backends.local.backend import MARK, LocalDeployments, LocalSamples, mark_of
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable
 from fogspec.backends.replay import ReplaySamples
 from fogspec.backends.skypilot.backend import SkyPilotDeployments, SkyPilotSamples
@@ -50,6 +50,7 @@ SERVE = (
 )
 MOUNTS = {"~/.fogspec/agent.pyz": "agent.pyz"}
 PATIENCE_S = 120.0  # it only bounds hangs
+OWNER = Owner("forge.test/lab/robots", "default", "demo")
 Status = SampleStatus | DeploymentStatus
 
 
@@ -75,11 +76,19 @@ class Bed:
         return status
 
     def list(self, backend: Any = None) -> list[str]:
-        return list((backend or self.backend).list("demo", self.folder / ".fogspec" / "demo"))
+        return list((backend or self.backend).list(OWNER, self.folder / ".fogspec" / "demo"))
 
     def workdir(self, job: Job) -> Path:
         """Where the job's processes run."""
         return self.folder / "specs" if self.cloud is None else self.cloud.machines[job.name].folder / "sky_workdir"
+
+
+OTHERS = (
+    {"application": "demo-two"},
+    {"application": "dem"},
+    {"environment": "prod"},
+    {"repository": "forge.test/fork/robots"},
+)
 
 
 def up(status: Status) -> bool:
@@ -105,9 +114,10 @@ def project(folder: Path) -> Path:
 
 
 def sample(folder: Path, ref: Machine, run: str = MEASURE, **task: Any) -> Job:
-    name = f"{sample_prefix('demo')}one-{secrets.token_hex(4)}-1"
+    name = f"{OWNER.prefix}one-{secrets.token_hex(4)}-1"
     return Job(
         name=name,
+        owner=OWNER,
         machine=ref,
         task={"run": run, "workdir": "specs", "file_mounts": MOUNTS, **task},
         root=folder,
@@ -117,10 +127,11 @@ def sample(folder: Path, ref: Machine, run: str = MEASURE, **task: Any) -> Job:
 
 
 def deployment(folder: Path, ref: Machine, ready: str = "", **task: Any) -> Job:
-    name = deployment_name("demo", f"sha256:{secrets.token_hex(4)}", secrets.token_hex(3))
+    name = OWNER.deployment_name(f"sha256:{secrets.token_hex(4)}", secrets.token_hex(3))
     labels = {"labels": {"fogspec-application": "demo"}}
     return Job(
         name=name,
+        owner=OWNER,
         machine=ref,
         task={"run": SERVE % ready, "workdir": "specs", "file_mounts": MOUNTS, "resources": labels, **task},
         root=folder,
@@ -202,7 +213,7 @@ def made(request: pytest.FixtureRequest, folder: Path) -> Iterator[Bed]:
     bed: Bed = request.param(folder)
     yield bed
     for name in bed.list():
-        bed.backend.stop(Job(name=name, task={}, root=folder, directory=folder))
+        bed.backend.stop(Job(name=name, owner=OWNER, task={}, root=folder, directory=folder))
 
 
 @pytest.fixture(params=(*SAMPLES, *DEPLOYMENTS), ids=lambda one: one.__name__)
@@ -307,8 +318,9 @@ def test_jobs_of_other_applications_are_not_listed(machines: Bed) -> None:
     job = lasting(machines.job())
     machines.backend.start(job)
     machines.until(job, up)
-    for other in ("demo-two", "dem"):
-        assert list(machines.backend.list(other, machines.folder / ".fogspec" / other)) == []
+    others = [replace(OWNER, **one) for one in OTHERS]
+    for directory in (machines.folder / ".fogspec" / "demo", machines.folder / ".fogspec" / "other"):
+        assert [list(machines.backend.list(other, directory)) for other in others] == [[]] * len(OTHERS)
     machines.backend.stop(job)
 
 
@@ -474,13 +486,13 @@ def test_requests_to_a_deployment_are_seen(deployments: Bed) -> None:
 def test_silence_is_not_an_end(tmp_path: Path) -> None:
     cloud = Cloud(tmp_path / "cloud", fails=lambda _op, _words: Unreachable("the network is down"))
     backend = SkyPilotDeployments(SimulatedClient(cloud))  # type: ignore[arg-type]
-    job = Job(name="fogspec-demo-00000000-000000", task={}, root=tmp_path, directory=tmp_path)
+    job = Job(name=OWNER.deployment_name("sha256:0", "0"), owner=OWNER, task={}, root=tmp_path, directory=tmp_path)
     with pytest.raises(Unreachable):
         backend.poll(job)
     with pytest.raises(Unreachable):
         backend.stop(job)
     with pytest.raises(Unreachable):
-        backend.list("demo", tmp_path)
+        backend.list(OWNER, tmp_path)
 
 
 def test_a_killed_supervisor_leaves_no_process(tmp_path: Path) -> None:
@@ -488,9 +500,9 @@ def test_a_killed_supervisor_leaves_no_process(tmp_path: Path) -> None:
     job = bed.job()
     bed.backend.start(job)
     bed.until(job, up)
-    for pid in processes.marked(MARK, job.name):
+    for pid in processes.marked(MARK, mark_of(job)):
         if b"agent.pyz\0supervisor" in Path("/proc", str(pid), "cmdline").read_bytes():
             os.kill(pid, signal.SIGKILL)
-    assert processes.marked(MARK, job.name), "the node goes on"
+    assert processes.marked(MARK, mark_of(job)), "the node goes on"
     bed.backend.stop(job)
-    assert processes.marked(MARK, job.name) == []
+    assert processes.marked(MARK, mark_of(job)) == []

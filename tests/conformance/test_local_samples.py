@@ -12,7 +12,8 @@ import pytest
 
 from fogspec.backends.local import backend as local
 from fogspec.backends.local import processes
-from fogspec.backends.local.backend import MARK, LocalSamples
+from fogspec.backends.local.backend import MARK, LocalSamples, mark_of
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus
 from fogspec.catalog.machine import Machine
 from tests.support.agent import AGENT
@@ -26,6 +27,8 @@ while True:
     fogspec_probe.start("plan"); time.sleep(0.01); fogspec_probe.stop("plan", cpus=len(os.sched_getaffinity(0)))
 """
 
+OWNER = Owner("a repository", "default", "demo")
+
 
 def job(folder: Path, script: str = PROBED, steps: int = 5, cpus: float = 1, memory_gib: float = 1, **task) -> Job:
     shape = f"{cpus:g}cpu-{memory_gib:g}gib"
@@ -36,9 +39,9 @@ def job(folder: Path, script: str = PROBED, steps: int = 5, cpus: float = 1, mem
     shutil.copy(AGENT, folder)
     mounts = {"~/.fogspec/agent.pyz": AGENT.name}
     task = {"run": RUN.format(steps=steps, argv=f"'{argv}'"), "workdir": ".", "file_mounts": mounts} | task
-    name = f"fogspec-test-{os.getpid()}-{time.monotonic_ns()}"
+    name = f"{OWNER.prefix}test-{os.getpid()}-{time.monotonic_ns()}"
     directory = folder / "attempts" / name
-    return Job(name=name, machine=machine, task=task, root=folder, directory=directory, lifetime_s=900.0)
+    return Job(name=name, owner=OWNER, machine=machine, task=task, root=folder, directory=directory, lifetime_s=900.0)
 
 
 def until(backend: LocalSamples, asked: Job, what, patience_s: float = 120.0) -> SampleStatus:
@@ -70,7 +73,7 @@ def test_a_sample_is_measured_on_its_cpus_and_any_process_says_the_same_of_it_ev
     backend.stop(asked)
     assert backend.poll(asked) == done
     assert LocalSamples().poll(asked) == done
-    assert processes.marked(MARK, asked.name) == []
+    assert processes.marked(MARK, mark_of(asked)) == []
 
 
 def test_ending_early_leaves_what_was_measured_and_no_process(tmp_path, backend):
@@ -79,7 +82,7 @@ def test_ending_early_leaves_what_was_measured_and_no_process(tmp_path, backend)
     measuring = until(backend, asked, lambda progress: progress.ready and progress.timings.stat().st_size > 500)
     assert measuring.running
     backend.stop(asked)
-    assert processes.marked(MARK, asked.name) == []
+    assert processes.marked(MARK, mark_of(asked)) == []
     after = backend.poll(asked)
     assert (after.running, after.reason) == (False, "interrupted")
     assert after.timings.read_text().endswith("\n")
@@ -104,9 +107,9 @@ fogspec_probe.start("plan"); fogspec_probe.stop("plan"); os._exit(0)
     asked = job(tmp_path, run=f"PYTHONPATH=$FOGSPEC_AGENT exec {sys.executable} workload.py", script=stubborn)
     backend.start(asked)
     until(backend, asked, over)
-    assert len(processes.marked(MARK, asked.name)) >= 1
+    assert len(processes.marked(MARK, mark_of(asked))) >= 1
     backend.stop(asked)
-    assert processes.marked(MARK, asked.name) == []
+    assert processes.marked(MARK, mark_of(asked)) == []
 
 
 def test_a_memory_hog_is_recorded_as_out_of_memory_from_any_process(tmp_path, backend):
@@ -122,6 +125,7 @@ def test_a_memory_hog_is_recorded_as_out_of_memory_from_any_process(tmp_path, ba
 
 CONTROLLER = """
 import os, pickle, sys
+from fogspec.backends.naming import Owner
 from fogspec.backends.local.backend import LocalSamples
 LocalSamples().start(pickle.load(open(sys.argv[1], "rb")))
 os.kill(os.getpid(), 9)
@@ -149,7 +153,7 @@ def test_a_sample_of_a_killed_controller_can_be_ended_by_name(tmp_path, backend)
     killed_controller(tmp_path, asked)
     until(backend, asked, lambda progress: progress.running and progress.ready)
     backend.stop(asked)
-    assert processes.marked(MARK, asked.name) == []
+    assert processes.marked(MARK, mark_of(asked)) == []
     assert backend.poll(asked).reason == "interrupted"
 
 
@@ -177,7 +181,7 @@ def test_what_this_host_cannot_do_is_said_and_leaves_nothing(tmp_path, backend, 
     assert no.value.reason in ("capacity", "setup")
     assert not no.value.again
     backend.stop(asked)
-    assert processes.marked(MARK, asked.name) == []
+    assert processes.marked(MARK, mark_of(asked)) == []
 
 
 def test_the_environment_keeps_credentials_and_thread_counts_back_unless_asked(tmp_path, backend, monkeypatch):
@@ -190,7 +194,7 @@ def test_the_environment_keeps_credentials_and_thread_counts_back_unless_asked(t
     said = dict(line.partition("=")[::2] for line in (asked.directory / "run.log").read_text().splitlines())
     assert "AWS_SECRET_ACCESS_KEY" not in said
     assert (said["MY_TOKEN"], said["OMP_NUM_THREADS"], said["HARMLESS"]) == ("from the shell", "1", "from the shell")
-    assert said[MARK] == asked.name
+    assert said[MARK] == mark_of(asked)
     assert said["PATH"].split(":")[0] == str(Path(sys.executable).parent)
 
 

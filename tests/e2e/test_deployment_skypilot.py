@@ -55,7 +55,7 @@ def status(shell: Shell) -> dict:
 def test_from_apply_to_down(shell: Shell, cloud: Cloud) -> None:
     shell("apply", MANIFEST, *AT, "--yes")
     (name,) = cloud.machines
-    assert name.startswith("fogspec-demo-")
+    assert "-demo-" in name
     assert "192.0.2.1" in shell("apply", MANIFEST, *AT, "--yes").out
     end = time.monotonic() + 120
     while not (live := status(shell))["observed"]["requests"]:

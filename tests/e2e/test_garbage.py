@@ -49,8 +49,10 @@ def whole(shell: Shell) -> Shell:
     shell("compile", "specs/demo.yaml")
     layout = Layout.of(shell.folder / "specs/demo.yaml", "demo")
     machine = Machine.model_construct(infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, spot=False, price=0.02)
-    DeploymentState(layout, SystemWallClock(), []).put(DeployedMachine.model_construct(
-        name="fogspec-demo-12345678-abcdef", deployer="local", state="serving", manifest="sha256:1", machine=machine,
+    live = DeploymentState(layout, SystemWallClock(), [])
+    name = live.owner.deployment_name("sha256:12345678", "abcdef")
+    live.put(DeployedMachine.model_construct(
+        name=name, deployer="local", state="serving", manifest="sha256:1", machine=machine,
         runs="sha256:2", files={}, fallback=0, image=None, address="127.0.0.1", at=5.0, boot="b",
         since="2026-11-21T00:00:00+00:00",
     ))  # fmt: skip

@@ -11,6 +11,7 @@ from fogspec.plan.schema import Sample
 from fogspec.results.schema import is_final
 from tests.faults.simulation import (
     AFTER_S,
+    OWNER,
     RULES,
     SETUP_S,
     SLACK_S,
@@ -81,7 +82,7 @@ def campaign_of(world: World, controller: int, budget: float | None, check: Call
     """A controller's campaign in this world."""
     journal = MortalJournal(world.folder / "journal.jsonl", world, controller)
     config = CampaignConfig(
-        application="a", measured="a", rules=RULES, budget_usd=budget, deadline_s=SETUP_S + AFTER_S,
+        owner=OWNER, measured="a", rules=RULES, budget_usd=budget, deadline_s=SETUP_S + AFTER_S,
         lifetime_s=SETUP_S + AFTER_S + SLACK_S, task=lambda _sample: {}, root=world.folder,
         attempts=world.folder / "attempts", token=f"{controller}x{os.urandom(2).hex()}",
         substitutes=lambda name: [one for one in others(name) if one.id not in measured(world)],

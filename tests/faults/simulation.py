@@ -10,12 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fogspec.backends.naming import sample_prefix
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus, Unreachable
 from fogspec.bench.journal import Journal
 from fogspec.results.requests import RecordRules
 from fogspec.results.schema import Measured, is_final
 
+OWNER = Owner("a repository", "default", "a")
 SETUP_S, AFTER_S, SLACK_S = 120.0, 300.0, 120.0
 RULES = RecordRules(warmup=1, valid=0.9, statistic="mean")
 
@@ -48,7 +49,7 @@ class Machine:
 
 def _sample_of(name: str) -> str:
     """The id of the sample that a job of this name measures."""
-    return name.removeprefix(sample_prefix("a")).rsplit("-", 2)[0]
+    return name.removeprefix(OWNER.prefix).rsplit("-", 2)[0]
 
 
 @dataclass
@@ -170,14 +171,10 @@ class FaultyBackend:
         reason = "crash" if machine.fate == "crashes" else None
         return SampleStatus(running=False, timings=timings, reason=reason, measured_on="simulated")
 
-    def list(self, application: str, directory: Path) -> list[str]:
+    def list(self, owner: Owner, directory: Path) -> list[str]:
         world = self.world
         world.step(self.controller, "list")
-        return [
-            name
-            for name, one in world.machines.items()
-            if name.startswith(sample_prefix(application)) and one.up(world.now)
-        ]
+        return [name for name, one in world.machines.items() if owner.has(name) and one.up(world.now)]
 
     def stop(self, job: Job) -> None:
         world = self.world

@@ -99,7 +99,7 @@ def test_an_apply_that_was_killed_leaves_nothing_after_down(site: Site) -> None:
         env=site._env(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     end = time.monotonic() + 200
-    while not [name for name in site.jobs() if name.startswith("fogspec-killed-apply")]:
+    while not [name for name in site.jobs() if name.startswith("fogspec-") and "-killed-apply-" in name]:
         assert time.monotonic() < end
         assert applying.poll() is None
         time.sleep(0.5)

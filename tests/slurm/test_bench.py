@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends.naming import sample_prefix
 from fogspec.compile.manifest import Manifest
 from fogspec.spec.loader import read_document
 from tests.slurm.conftest import SECRET, SHAPES, Benched
@@ -44,7 +43,7 @@ def test_a_secret_reaches_the_workload_and_is_in_no_file_and_on_no_command_line(
     kept += Path(tempfile.gettempdir()).glob("sky_app_*")
     assert len(kept) > 50
     assert holding(kept, SECRET) == [], "neither SkyPilot nor Slurm nor the node keeps it"
-    assert list(Path(tempfile.gettempdir()).glob(f"{sample_prefix('life')}*.secrets")) == []
+    assert list(Path(tempfile.gettempdir()).glob("fogspec-*.secrets")) == []
     assert seen.told == set()
     for one in site.results("life").values():
         assert one.timings is not None

@@ -127,8 +127,8 @@ class Scene:
 
     def alive(self) -> list[int]:
         """Living processes of any of its samples."""
-        marks = [f"FOGSPEC_JOB={name}".encode() for name in self.names()]
-        return [pid for pid, words in environments() if any(mark in words for mark in marks)]
+        marks = tuple(f"FOGSPEC_JOB={name}@".encode() for name in self.names())
+        return [pid for pid, words in environments() if any(word.startswith(marks) for word in words)]
 
     def requests(self) -> int:
         """Requests of the latest attempt so far."""

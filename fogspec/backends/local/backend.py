@@ -1,6 +1,7 @@
 """Jobs on this host: the task's run script in a session of its own, limited to the machine's CPUs and memory.
 
-Every process of a job has the job's name in its environment, so any process can find and stop all of them. The task's
+Every process of a job has the job's name and directory in its environment, so any process can find and stop all of them; both
+must match, so that a copy of a name in another checkout leads to no process. The task's
 `setup` is not run: this host is used as its owner set it up.
 """
 
@@ -14,6 +15,7 @@ from typing import Any, ClassVar
 
 from fogspec.backends import agent_state
 from fogspec.backends.local import limits, processes
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable
 from fogspec.base.project_files import LinkedPath
 from fogspec.catalog.machine import Machine
@@ -49,21 +51,21 @@ class LocalBackend:
     def stop(self, job: Job) -> None:
         """Send TERM, which the agent passes on, then KILL, to all processes with the job's name; remove their cgroups."""
         groups: set[str | None] = {_read(job, "group").decode()}
-        groups |= {limits.cgroup_of(pid) for pid in processes.marked(MARK, job.name)}
-        if left := processes.end(MARK, job.name, GRACE_S):
+        groups |= {limits.cgroup_of(pid) for pid in processes.marked(MARK, mark_of(job))}
+        if left := processes.end(MARK, mark_of(job), GRACE_S):
             raise Unreachable(f"processes {', '.join(map(str, left))} do not end")
         for group in filter(None, groups):
             with contextlib.suppress(OSError):
                 os.rmdir(group)
 
-    def list(self, application: str, directory: Path) -> Sequence[str]:
-        """Return the names of the jobs that run here and write below `directory`."""
-        below, found = os.path.realpath(directory) + os.sep, set[str]()
+    def list(self, owner: Owner, directory: Path) -> Sequence[str]:
+        """Return the names of the owner's jobs that run here and have their directories below `directory`."""
+        below, found, mark = os.path.realpath(directory) + os.sep, set[str](), f"{MARK}=".encode()
         for _, words in processes.environments():
-            known = dict(word.split(b"=", 1) for word in words if b"=" in word)
-            out = os.fsdecode(known.get(b"FOGSPEC_OUT", b""))
-            if (name := known.get(MARK.encode())) and os.path.realpath(out).startswith(below):
-                found.add(os.fsdecode(name))
+            for word in (word for word in words if word.startswith(mark)):
+                name, _, place = os.fsdecode(word.removeprefix(mark)).partition("@")
+                if owner.has(name) and place.startswith(below):
+                    found.add(name)
         return sorted(found)
 
     def _launch(self, job: Job) -> limits.LimitedProcess:
@@ -111,7 +113,7 @@ class LocalBackend:
         for target, variable, below in MOUNTED:
             if target in mounts:
                 environment[variable] = os.path.abspath(job.root / str(mounts[target]) / below)
-        return {**environment, MARK: job.name}
+        return {**environment, MARK: mark_of(job)}
 
 
 class LocalSamples(LocalBackend):
@@ -139,7 +141,7 @@ class LocalSamples(LocalBackend):
     def poll(self, job: Job) -> SampleStatus:
         """Return the status by the job's files and processes; `lost` if it ended without an outcome."""
         own = self._own.get(job.name)
-        alive = own.poll() is None if own is not None else bool(processes.found(MARK, job.name))
+        alive = own.poll() is None if own is not None else bool(processes.found(MARK, mark_of(job)))
         out, machine = job.directory / "out", job.machine
         timings = out / "timings.jsonl"
         memory = "the memory" if machine is None else f"{machine.memory:g} GiB"
@@ -191,10 +193,15 @@ class LocalDeployments(LocalBackend):
         log = _read(job, "run.log")
         status = agent_state.deployment_status(_read(job, "out/state.json"), timings, "127.0.0.1")
         status = agent_state.with_last_line(status, log)
-        if processes.found(MARK, job.name):
+        if processes.found(MARK, mark_of(job)):
             return status
         ended = status.state == "ended"
         return DeploymentStatus(state="ended" if ended else "gone", detail=status.detail or _last_detail(log))
+
+
+def mark_of(job: Job) -> str:
+    """Return what every process of the job has in its environment: its name and directory."""
+    return f"{job.name}@{os.path.realpath(job.directory)}"
 
 
 def _mapping(value: object) -> Mapping[str, Any]:

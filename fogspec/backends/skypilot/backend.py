@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.backends import agent_state
-from fogspec.backends.naming import is_machine_of
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable
 from fogspec.backends.skypilot import job_outcome, logs, secrets_file
 from fogspec.backends.skypilot.client import Client, result
@@ -26,7 +26,6 @@ from fogspec.backends.skypilot.job_outcome import LOG, load, save
 from fogspec.backends.skypilot.logs import LogTail
 from fogspec.base.errors import CloudError
 
-LABEL = "fogspec-application"
 AT_ONCE = 8
 LAUNCH_POLL_S = 2.0
 JOB_POLL_S = 10.0
@@ -60,12 +59,11 @@ class SkyPilotBackend:
     def __init__(self, client: Client | None = None) -> None:
         self._client = client or Client()
 
-    def list(self, application: str, directory: Path) -> Sequence[str]:
-        """Return the machines with the application's label or name, those that are still being launched included."""
+    def list(self, owner: Owner, directory: Path) -> Sequence[str]:
+        """Return the machines with the owner's name and label, those that are still being launched included."""
         try:
-            labels = {one["name"]: (one.get("labels") or {}).get(LABEL) for one in self._call("clusters")}
-            known = [name for name, label in labels.items() if label == application or is_machine_of(name, application)]
-            return sorted({*known, *(name for name in self._call("waiting") if is_machine_of(name, application))})
+            known = [one["name"] for one in self._call("clusters") if owner.has(one["name"], one.get("labels"))]
+            return sorted({*known, *filter(owner.has, self._call("waiting"))})
         except (CloudProblem, CloudError) as problem:
             raise Unreachable(str(problem)) from None
 
@@ -188,7 +186,7 @@ class SkyPilotSamples(SkyPilotBackend):
         """Begin the call of the watch's stage."""
         op, arguments = str(watch.stage), dict[str, Any]()
         if watch.stage is Stage.LAUNCH:
-            arguments = {"task": job.task, "root": str(job.root.absolute())}
+            arguments = {"task": _labelled(job), "root": str(job.root.absolute())}
         elif watch.stage is Stage.LAUNCHED:
             arguments = {"request": (load(job, "launch.json") or {})["request"]}
         elif watch.stage in (Stage.FOLLOW, Stage.LOG):
@@ -288,7 +286,7 @@ class SkyPilotDeployments(SkyPilotBackend):
         """Request the machine; `poll` tells whether it is available."""
         try:
             secrets_file.check(job.task)
-            self._call("launch", task=job.task, name=job.name, root=str(job.root.absolute()))
+            self._call("launch", task=_labelled(job), name=job.name, root=str(job.root.absolute()))
         except CloudProblem as problem:
             raise LaunchRefused(problem.reason, problem.detail, again=problem.again) from None
         except CloudError as failed:
@@ -371,6 +369,12 @@ class SkyPilotDeployments(SkyPilotBackend):
 def _absolute(root: Path, path: Path) -> dict[str, str]:
     """Return the arguments of a call that writes a file below `root`, for the worker has a working folder of its own."""
     return {"root": str(root.absolute()), "path": str(path.absolute())}
+
+
+def _labelled(job: Job) -> dict[str, Any]:
+    """Return the task with the owner's labels, which are not in the compiled file: it is the same in every fork."""
+    resources: Any = job.task.get("resources") or {}
+    return {**job.task, "resources": {**resources, "labels": {**(resources.get("labels") or {}), **job.owner.labels}}}
 
 
 def _launched_s(job: Job) -> float:

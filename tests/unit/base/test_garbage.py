@@ -54,8 +54,9 @@ def live(tmp_path: Path) -> DeploymentState:
     """What one machine leaves on disk."""
     file = DeploymentState(Layout(tmp_path, tmp_path / "specs/tiny.yaml", "tiny"), SystemWallClock(), [])
     machine = Machine.model_construct(infra="local", instance="1cpu-1gib", cpus=1, memory=1.0, spot=False, price=0.02)
+    name = file.owner.deployment_name("sha256:12345678", "abcdef")
     file.put(DeployedMachine.model_construct(
-        name="fogspec-tiny-12345678-abcdef", deployer="local", state="serving", manifest="sha256:1", machine=machine,
+        name=name, deployer="local", state="serving", manifest="sha256:1", machine=machine,
         runs="sha256:2", files={"work.py": "sha256:3"}, fallback=0, image=None, address="127.0.0.1", at=5.0, boot="b",
         since="2026-11-21T00:00:00+00:00",
     ))  # fmt: skip

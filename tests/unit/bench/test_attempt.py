@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, SampleStatus
 from fogspec.bench.attempt import SILENCE_S, STOP_PATIENCE_S, Attempt
 from fogspec.bench.journal import LaunchRecord
@@ -12,15 +13,26 @@ MACHINE = Machine(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory="4
 SAMPLE = Sample(id="one", machine=MACHINE, reason="")
 DEADLINE_S = 300.0
 
+OWNER = Owner("a repository", "default", "a")
+NAME = f"{OWNER.prefix}one"
+
 
 def made(same_boot: bool = True) -> Attempt:
     started = LaunchRecord(
-        name="a", runner="sky", application="sha256:app", sample=SAMPLE, price_usd_per_hour=3.6, lifetime_s=600.0,
+        name=NAME, runner="sky", application="sha256:app", sample=SAMPLE, price_usd_per_hour=3.6, lifetime_s=600.0,
         at_s=100.0, boot="boot",
     )  # fmt: skip
     return Attempt(
         started=started,
-        job=Job(name="a", task={}, root=Path(), directory=Path(), machine=MACHINE, lifetime_s=600.0),
+        job=Job(
+            name=NAME,
+            owner=OWNER,
+            task={},
+            root=Path(),
+            directory=Path(),
+            machine=MACHINE,
+            lifetime_s=600.0,
+        ),
         since_s=100.0,
         same_boot=same_boot,
     )

@@ -22,12 +22,12 @@ def lost(*_: object) -> list[str]:
 
 
 def named(campaign, sample: str) -> str:
-    return f"{campaign.config.prefix}{sample}-0123abcd-1"
+    return f"{campaign.config.owner.prefix}{sample}-0123abcd-1"
 
 
 def test_the_dearest_machine_that_a_name_may_mean_is_charged_for_all_of_its_life(campaign, monkeypatch):
     wanted = samples(3)
-    names = [named(campaign, "s1"), f"{campaign.config.prefix}unknown-1", "somebody-elses"]
+    names = [named(campaign, "s1"), f"{campaign.config.owner.prefix}unknown-1", "somebody-elses"]
     monkeypatch.setattr(FaultyBackend, "list", lambda *_: names)
     campaign.journal.begin("simulated", "a", "p", 0.0)
     adopt_orphans(campaign, wanted, resume=True)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, LaunchRefused
 from fogspec.backends.replay import ReplaySamples
 from fogspec.catalog.machine import Machine
@@ -46,17 +47,22 @@ def test_each_sample_of_a_machine_has_an_id_of_its_own():
     assert taken == ["aws-us-east-1-c6i-large", "aws-us-east-1-c6i-large-repeat-2", "aws-us-east-1-c6i-large-repeat-3"]
 
 
+def replay_job(folder, nth: int) -> Job:
+    owner = Owner("a repository", "default", "a")
+    directory = folder / str(nth)
+    name = f"{owner.prefix}{nth}"
+    return Job(name=name, owner=owner, task={}, root=folder, directory=directory, machine=MACHINE, replicate=nth)
+
+
 def test_a_replay_has_as_many_samples_as_were_recorded(tmp_path):
     base = {"machine": MACHINE, "measured_on": "x", "state": "ok", "requests": 9, "duration": 60.0, "spent": 0.1}
     records = [Measured(id=f"s{n}", latency=LatencySummary(mean=1.0 + n), **base) for n in range(2)]
     backend = ReplaySamples([Recording(one, priced=True) for one in records], "a file", lambda: 0.0)
     played = []
     for nth in (1, 2):
-        job = Job(
-            name=f"job{nth}", task={}, root=tmp_path, directory=tmp_path / str(nth), machine=MACHINE, replicate=nth
-        )
+        job = replay_job(tmp_path, nth)
         backend.start(job)
         played.append(backend.poll(job).recorded.latency.mean)
     assert played == [1.0, 2.0]
     with pytest.raises(LaunchRefused, match="no further recording"):
-        backend.start(Job(name="job3", task={}, root=tmp_path, directory=tmp_path / "3", machine=MACHINE, replicate=3))
+        backend.start(replay_job(tmp_path, 3))

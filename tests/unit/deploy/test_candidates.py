@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.backends.naming import deployment_name, is_machine_of, sample_prefix
 from fogspec.base.errors import Refused
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Gpu, Machine
@@ -86,13 +85,3 @@ def test_images_that_need_no_question() -> None:
     for infra in ("local", "slurm/a/b"):
         assert exact(TASK, infra, "ros:jazzy", False, nobody) == (TASK, None)
     assert exact(TASK, "aws/r1", None, False, nobody) == (TASK, None)
-
-
-def test_names_belong_to_one_application() -> None:
-    for application in ("demo", "demo-two", "a" * 63, "a" * 62 + "b"):
-        name = deployment_name(application, DIGEST, "0123ab")
-        assert len(name) <= 48
-        assert is_machine_of(name, application)
-        others = {"demo", "demo-two", "a" * 63, "a" * 62 + "b", "dem"} - {application}
-        assert not any(is_machine_of(name, other) for other in others)
-        assert is_machine_of(f"{sample_prefix(application)}aws-r1-c-large-0a-1", application)

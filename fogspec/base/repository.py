@@ -1,0 +1,118 @@
+"""The repository that a directory belongs to: the same for every clone of it, and not to be forged by a committed file.
+
+Git's own configuration is read as text: git is not started, so that nothing of a checkout can run, and git need not be there.
+"""
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from fogspec.base.files import read_file
+
+LONGEST = 1 << 20  # bytes of a configuration
+URL = re.compile(
+    r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?:[^@/]*@)?(?P<host>\[[^\]/]*\]|[^:/]*)(?::(?P<port>[^/]*))?(?P<path>.*)", re.I
+)
+SCP = re.compile(r"(?:[^@/:]+@)?(?P<host>\[[^\]/]+\]|[^:/]+):(?P<path>(?!//).*)")
+SECTION = re.compile(r'\[\s*(?P<name>[\w.-]+)(?:\s+"(?P<sub>(?:[^"\\]|\\.)*)")?\s*\]')
+PORTS = {"ssh": "22", "git": "9418", "http": "80", "https": "443"}
+CASELESS = ("github.com", "gitlab.com", "bitbucket.org")  # where Org/Repo and org/repo are one repository
+
+
+def repository_of(root: Path) -> str:
+    """Return the origin of the git repository and the directory inside it; without an origin, this host and the real path.
+
+    All clones of one origin return the same, by whatever protocol they were cloned; forks return another.
+    """
+    real = Path(os.path.realpath(root))
+    for top in (real, *real.parents):
+        if os.path.lexists(top / ".git"):
+            url = _origin(top / ".git")
+            if url is not None and (origin := normalized(url, top)) is not None:
+                inside = real.relative_to(top).as_posix()
+                return origin if inside == "." else f"{origin}//{inside}"
+            break
+    return f"file://{os.uname().nodename}{real.as_posix()}"
+
+
+def normalized(url: str, top: Path) -> str | None:
+    """Return `host/path` for the URL of a remote, without protocol, user, password and `.git`; None for an empty one.
+
+    A path on this host, also one relative to the top of the clone, becomes `file://host/path`.
+    """
+    url = url.strip()
+    if not url:
+        return None
+    if (found := URL.fullmatch(url)) is not None and found["scheme"].lower() != "file":
+        usual = found["port"] in (None, "", PORTS.get(found["scheme"].lower()))
+        return _joined(found["host"] if usual else f"{found['host']}:{found['port']}", found["path"])
+    if found is None and (found := SCP.fullmatch(url)) is not None:
+        return _joined(found["host"], found["path"])
+    path = os.path.realpath(top / url.removeprefix("file://"))
+    return f"file://{os.uname().nodename}{_bare(path)}"
+
+
+def _joined(host: str, path: str) -> str:
+    host = host.lower()
+    path = _bare(re.sub(r"/+", "/", path).strip("/"))
+    return f"{host}/{path.lower() if host in CASELESS else path}"
+
+
+def _bare(path: str) -> str:
+    return path.rstrip("/").removesuffix(".git").rstrip("/")
+
+
+def _origin(dot_git: Path) -> str | None:
+    """Return the URL of the remote `origin`; None without one, or if the configuration cannot be read."""
+    found = None
+    try:
+        config = _common(dot_git) / "config"
+        text = read_file(config, LONGEST).decode("utf-8", "replace")
+    except OSError:
+        return None
+    for section, key, value in _entries(text):
+        if section == ("remote", "origin") and key == "url":
+            found = value  # the last one counts, as for `git config --get`
+    return found
+
+
+def _common(dot_git: Path) -> Path:
+    """Return the directory with the configuration that a clone and its worktrees share; raise OSError."""
+    folder = dot_git
+    if not dot_git.is_dir():
+        pointer = read_file(dot_git, LONGEST).decode("utf-8", "replace").strip()
+        folder = dot_git.parent / pointer.removeprefix("gitdir:").strip()
+    if (folder / "commondir").is_file():
+        folder = folder / read_file(folder / "commondir", LONGEST).decode("utf-8", "replace").strip()
+    return folder
+
+
+def _entries(text: str) -> Iterator[tuple[tuple[str, str], str, str]]:
+    """Yield section, key and value of each line of a git configuration; includes are not followed."""
+    section = ("", "")
+    for line in text.replace("\\\n", "").splitlines():
+        line = line.strip()
+        if (head := SECTION.match(line)) is not None:
+            section = head["name"].lower(), re.sub(r"\\(.)", r"\1", head["sub"] or "")
+            line = line[head.end() :].strip()
+        key, equals, value = line.partition("=")
+        if equals and not line.startswith(("#", ";")):
+            yield section, key.strip().lower(), _value(value)
+
+
+def _value(text: str) -> str:
+    """Return a value without quotes and comment."""
+    found, quoted, escaped = "", False, False
+    for char in text.strip():
+        if escaped:
+            found, escaped = found + {"n": "\n", "t": "\t"}.get(char, char), False
+        elif char == "\\":
+            escaped = True
+        elif char == '"':
+            quoted = not quoted
+        elif char in "#;" and not quoted:
+            break
+        else:
+            found += char
+    return found.strip()
