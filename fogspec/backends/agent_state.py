@@ -12,6 +12,8 @@ from typing import Any, Literal, TypeGuard, get_args
 from fogspec.backends.protocol import DeploymentStatus
 from fogspec.backends.skypilot.errors import plain
 from fogspec.base.files import open_untrusted
+from fogspec.base.units import UnitError
+from fogspec.results.ranges import TIME_S
 from fogspec.results.schema import Reason
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {
@@ -23,7 +25,6 @@ OUTCOME_BYTES = 64 * 2**10
 TAIL_BYTES = 2**20
 LOG_BYTES = 16384
 TEXT_LIMIT = 500
-LONGEST_S = 1e9
 # SkyPilot's prefix of each line of a job, and its own lines about the job's end.
 PREFIX = re.compile(r"^\([^()]*pid=\d+[^()]*\) ")
 PLATFORM = ("ERROR: Job ", "✓ Job finished", "⚙︎ ", "├── ", "└── ", "srun: ")
@@ -50,7 +51,10 @@ class Outcome:
 
 
 def read_outcome(path: Path) -> Outcome | None:
-    """Return the outcome in the agent's file; None if there is no readable one."""
+    """Return the outcome in the agent's file; None if there is no readable one.
+
+    A time out of its range fails the sample: it tells that nothing in the file can be relied on.
+    """
     try:
         with open_untrusted(path) as file:
             values = json.loads(file.read(OUTCOME_BYTES))
@@ -59,13 +63,15 @@ def read_outcome(path: Path) -> Outcome | None:
     if not isinstance(values, dict):
         return None
     reason = values.get("reason")
+    try:
+        times_s = {name: _time_s(name, values.get(name)) for name in ("setup_s", "waited_s", "duration_s")}
+    except UnitError as wrong:
+        return Outcome(reason="out_of_range", detail=f"its outcome cannot be taken: {wrong}")
     return Outcome(
         reason=reason if reason in get_args(Reason) else None,
         detail=_short(values.get("detail")),
         stopped_by=_short(values.get("stopped_by")),
-        setup_s=_seconds(values.get("setup_s")),
-        waited_s=_seconds(values.get("waited_s")),
-        duration_s=_seconds(values.get("duration_s")),
+        **times_s,
     )
 
 
@@ -132,8 +138,17 @@ def _public_key(value: object) -> str | None:
     return value if isinstance(value, str) and re.fullmatch(r"[A-Za-z0-9+/=]{1,4096}", value) else None
 
 
+def _time_s(name: str, value: object) -> float | None:
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return None
+    try:
+        return float(TIME_S.check(value))
+    except UnitError as wrong:
+        raise UnitError(f"{name} {wrong}") from None
+
+
 def _seconds(value: object) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and 0 <= value < LONGEST_S else None
+    return float(value) if isinstance(value, (int, float)) and TIME_S.holds(value) else None
 
 
 def _short(value: object) -> str | None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
+from fogspec.base.quantities import Bounds
 from fogspec.base.yaml.scalars import HIDDEN
 
 SHOWN = 20  # mistakes shown of one column, and of one file
@@ -20,6 +21,7 @@ MOST_ROWS = 500_000
 MOST_COLUMNS = 256
 MOST_FIELDS = 10_000_000  # commas and line ends, also those inside of quotes
 LONGEST_FIELD = 16 << 10
+SIZES = Bounds(1e-12, 1e12)  # of whatever a table measures; beyond them products and ratios would not be finite
 
 
 @dataclass(kw_only=True)
@@ -50,10 +52,10 @@ class CsvTable:
         """Return the texts of a column; empty ones if the file has no such column."""
         return self.columns.get(name) or [""] * self.size
 
-    def numbers(self, name: str, *, positive: bool = False) -> NDArray[np.float64]:
+    def numbers(self, name: str, *, positive: bool = False, bounds: Bounds = SIZES) -> NDArray[np.float64]:
         """Return the numbers of a column, NaN for an empty text.
 
-        A text that is not a number, negative or infinite is a problem; with `positive`, so are 0 and an empty text.
+        A text that is neither 0 nor a number within the bounds is a problem; with `positive`, so are 0 and an empty text.
         """
         if name not in self.columns:
             return np.full(self.size, np.nan)
@@ -62,9 +64,9 @@ class CsvTable:
             known = {text: float(text) if text else math.nan for text in set(texts)}
         except ValueError:
             known = {text: _number(text) for text in set(texts)}
-        wrong = {text for text, number in known.items() if not _is_valid(text, number, positive)}
+        wrong = {text for text, number in known.items() if not _is_valid(text, number, positive, bounds)}
         for row in [row for row, text in enumerate(texts) if text in wrong][:SHOWN] if wrong else ():
-            self.problem(row, name, _wrong_number(name, texts[row], known[texts[row]], positive))
+            self.problem(row, name, _wrong_number(name, texts[row], known[texts[row]], positive, bounds))
         return np.fromiter(map(known.__getitem__, texts), np.float64, len(texts))
 
     def shared(self, name: str) -> NDArray[np.object_]:
@@ -167,13 +169,13 @@ def _wrong_header(head: Sequence[str], required: Sequence[str], what: str) -> st
     return None
 
 
-def _is_valid(text: str, number: float, positive: bool) -> bool:
-    if positive:
-        return 0 < number < math.inf
-    return 0 <= number < math.inf or text.strip().lower() in UNKNOWN
+def _is_valid(text: str, number: float, positive: bool, bounds: Bounds) -> bool:
+    return bounds.holds(number) or (not positive and (number == 0 or text.strip().lower() in UNKNOWN))
 
 
-def _wrong_number(name: str, text: str, number: float, positive: bool) -> str:
+def _wrong_number(name: str, text: str, number: float, positive: bool, bounds: Bounds) -> str:
+    if 0 < number < math.inf:
+        return f"{name} must be {bounds.text}, not {text!r}"
     if not positive:
         return f"{name} must be a number that is not negative, not {text!r}"
     return (

@@ -1,12 +1,14 @@
 """Field types of the spec: floats in base units, read from and written as text with a unit."""
 
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationInfo, WithJsonSchema
 
 from fogspec.base import units
-from fogspec.base.units import Range
+from fogspec.base.units import Range, UnitError
 
 
 class Strict(BaseModel):
@@ -25,6 +27,32 @@ class Strict(BaseModel):
 
 
 BASE_UNITS = {"base_units": True}
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """A closed range of a figure in `unit`."""
+
+    least: float
+    most: float
+    unit: str = ""
+
+    def holds(self, value: float) -> bool:
+        """Return whether the value is in the range; NaN is not."""
+        return self.least <= value <= self.most
+
+    def check(self, value: float) -> float:
+        """Return the value; raise UnitError if it is out of range."""
+        if not self.holds(value):
+            # JSON's integers have no largest one, floats have.
+            shown = f"{float(value):g}{self.unit}" if abs(value) <= sys.float_info.max else "no finite number"
+            raise UnitError(f"is {shown}, and must be {self.text}", code="FS206")
+        return value
+
+    @property
+    def text(self) -> str:
+        """Return `between 0s and 1e+06s`."""
+        return f"between {self.least:g}{self.unit} and {self.most:g}{self.unit}"
 
 
 def _whole(value: float) -> int | float:

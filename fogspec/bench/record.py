@@ -7,11 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
+from pydantic import ValidationError
+
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base import digest
 from fogspec.base.files import open_untrusted
 from fogspec.base.units import format_duration
 from fogspec.plan.schema import Sample
+from fogspec.results import ranges
 from fogspec.results.hangs import detect_hang
 from fogspec.results.requests import SIZE_LIMIT, RecordRules, Requests, read_requests
 from fogspec.results.schema import LatencySummary, Measured, Reason, State, StoppedBy, Timings
@@ -24,34 +27,55 @@ WAITED = 1.5
 def make_record(
     sample: Sample, status: SampleStatus, rules: RecordRules, duration_s: float, spent_usd: float
 ) -> Measured:
-    """Return the record of a sample that has ended, without a reference to its raw timings."""
+    """Return the record of a sample that has ended, without a reference to its raw timings.
+
+    Everything in it that its machine sent is in the ranges of the schema; a figure that is not fails the sample. Whatever a
+    machine sends, its sample gets a record: what it cost is paid.
+    """
+    paid = {
+        "id": sample.id,
+        "machine": sample.machine,
+        "duration": min(duration_s, ranges.TIME_S.most),
+        "spent": spent_usd,
+    }
     if status.recorded is not None:
-        fresh = {"id": sample.id, "machine": sample.machine, "duration": duration_s, "spent": spent_usd}
-        return status.recorded.model_copy(update={**fresh, "timings": None})
+        return status.recorded.model_copy(update={**paid, "timings": None})
     requests = read_requests(status.timings, rules)
+    counts = {"requests": len(requests.latencies_s), "failed_requests": requests.failed}
+    measured_on = printable(status.measured_on)
+    try:
+        return Measured(**paid, **counts, measured_on=measured_on, **_figures(requests, status, rules))
+    except (ArithmeticError, ValidationError) as wrong:
+        failed: Any = {"state": "failed", "reason": "out_of_range", "detail": printable(_fault(wrong))}
+        return Measured(**paid, **counts, measured_on=measured_on, **failed)
+
+
+def _fault(wrong: ArithmeticError | ValidationError) -> str:
+    """Return which figure cannot be taken, and why."""
+    if isinstance(wrong, ArithmeticError):
+        return f"its figures cannot be computed with: {wrong}"
+    first = wrong.errors()[0]
+    why = first.get("ctx", {}).get("error") or first["msg"]
+    return f"its {' '.join(str(part) for part in first['loc'])} {why}"
+
+
+def _figures(requests: Requests, status: SampleStatus, rules: RecordRules) -> dict[str, Any]:
+    """Return the fields of a record that follow from what the machine sent."""
     state, reason, detail = classify(requests, status, rules)
-    stopped_by: Any = status.stopped_by if status.stopped_by in get_args(StoppedBy) else None
-    return Measured.model_construct(
-        id=sample.id,
-        machine=sample.machine,
-        measured_on=printable(status.measured_on),
-        state=state,
-        reason=reason,
-        detail=None if detail is None else printable(detail),
-        stopped_by=stopped_by,
-        setup=status.setup_s,
-        measuring=status.measured_s,
-        requests=len(requests.latencies_s),
-        failed_requests=requests.failed,
-        latency=summary(requests.latencies_s, weights(requests.scenarios, rules.scenarios)),
-        service=_service(requests, rules),
-        lost=requests.lost or None,
-        unmatched=requests.unmatched or None,
-        latency_lower_bound=status.waited_s if state in ("timeout", "insufficient") else None,
-        metrics={name: _mean(values, rules.scenarios) for name, values in requests.metrics.items()},
-        duration=duration_s,
-        spent=spent_usd,
-    )
+    return {
+        "state": state,
+        "reason": reason,
+        "detail": None if detail is None else printable(detail),
+        "stopped_by": status.stopped_by if status.stopped_by in get_args(StoppedBy) else None,
+        "setup": status.setup_s,
+        "measuring": status.measured_s,
+        "latency": summary(requests.latencies_s, weights(requests.scenarios, rules.scenarios)),
+        "service": _service(requests, rules),
+        "lost": requests.lost or None,
+        "unmatched": requests.unmatched or None,
+        "latency_lower_bound": status.waited_s if state in ("timeout", "insufficient") else None,
+        "metrics": {name: _mean(values, rules.scenarios) for name, values in requests.metrics.items()},
+    }
 
 
 def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tuple[State, Reason | None, str | None]:
@@ -67,6 +91,8 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
         return "failed", "no_response", f"{named}: compare spec.probe with what the workload times"
     if status.reason is not None:
         return "failed", status.reason, status.detail
+    if requests.out_of_range is not None:
+        return "failed", "out_of_range", requests.out_of_range
     if failed and n < rules.valid * (n + failed):
         why = f": {requests.first_failure}" if requests.first_failure else ""
         return "failed", "check", f"{failed} of {n + failed} requests failed their check{why}"
@@ -82,6 +108,8 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
         return "failed", "no_response", hangs
     if n < NEEDED[rules.statistic]:
         return "insufficient", None, f"{n} requests; {rules.statistic} needs {NEEDED[rules.statistic]}"
+    if not max(requests.latencies_s) >= ranges.LATENCY_S.least:
+        return "failed", "out_of_range", f"no request took a nanosecond: {n} latencies of 0s are none"
     return "ok", None, "; ".join(filter(None, [status.detail, hangs, *_caveats(requests)])) or None
 
 

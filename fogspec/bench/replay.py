@@ -8,6 +8,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.evaluation.sweeps import COLUMNS
 from fogspec.model.tables import read_table
 from fogspec.results.io import Recording, recordings
+from fogspec.results.ranges import LATENCY_S
 from fogspec.results.schema import LatencySummary, Measured
 
 
@@ -21,7 +22,7 @@ def replayable(path: str, after_s: float) -> tuple[list[Recording], str]:
         return recordings(path)
     latencies: dict[tuple[str, str], list[float]] = {}
     table = read_table(Path(path), COLUMNS)
-    latency_s = table.numbers("latency_s", positive=True).tolist()
+    latency_s = table.numbers("latency_s", positive=True, bounds=LATENCY_S).tolist()
     table.check()
     for infra, name, value in zip(table.column("infra"), table.column("instance_type"), latency_s, strict=True):
         latencies.setdefault((infra, name), []).append(value)
@@ -34,10 +35,11 @@ def replayable(path: str, after_s: float) -> tuple[list[Recording], str]:
 
 def _record(infra: str, instance: str, latencies_s: list[float], after_s: float) -> Measured:
     """Repeats of one machine as one record: their mean; what they differ by, as if each had been one request."""
-    machine = Machine(infra=infra, instance=instance, cpus=0, memory=0.0, price=0.0)
+    # The machine of the plan's sample takes its place.
+    machine = Machine.model_construct(infra=infra, instance=instance, cpus=0, memory=0.0, price=0.0)
     mean = math.fsum(latencies_s) / len(latencies_s)
     latency = LatencySummary(mean=mean, sd=statistics.stdev(latencies_s) if len(latencies_s) > 1 else None)
-    return Measured(
+    return Measured.model_construct(
         id=instance,
         machine=machine,
         measured_on=f"{infra}/{instance}".strip("/"),

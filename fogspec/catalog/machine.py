@@ -1,16 +1,27 @@
 """A machine that can be rented, or a shape of this host: the one type that every file and every stage uses."""
 
+from typing import Annotated
+
+from pydantic import AfterValidator
+
 from fogspec.base.clouds import LOCAL, cloud_name
-from fogspec.base.quantities import Count, Memory, Price, Strict
+from fogspec.base.quantities import Bounds, Count, Memory, Price, Strict
 
 TypeKey = tuple[str, str, str, float]  # cloud, instance type, name and count of accelerators
+
+
+SIZE = AfterValidator(Bounds(1e-12, 1e12).check)
+
+
+def _price(value: float) -> float:
+    return value if value == 0 else Bounds(1e-12, 1e12, " USD/h").check(value)
 
 
 class Gpu(Strict):
     """Accelerators of a machine: name and count."""
 
     name: str
-    count: Count = 1
+    count: Annotated[Count, SIZE] = 1
 
     @property
     def key(self) -> str:
@@ -31,11 +42,11 @@ class Machine(Strict):
 
     infra: str
     instance: str
-    cpus: Count
-    memory: Memory
+    cpus: Annotated[Count, SIZE]
+    memory: Annotated[Memory, SIZE]
     gpu: Gpu | None = None
     spot: bool = False
-    price: Price
+    price: Annotated[Price, AfterValidator(_price)]
 
     @property
     def cloud_name(self) -> str:

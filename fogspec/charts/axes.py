@@ -39,9 +39,9 @@ class Axis:
         for stride in range(1, 20):
             for steps in STEPS if stride == 1 else STEPS[-1:]:
                 decades = range(math.floor(self.low), math.ceil(self.high) + 1, stride)
-                values = [
-                    m * 10.0**d for d in decades for m in steps if self.low <= math.log10(m * 10.0**d) <= self.high
-                ]
+                # Beyond these decades a float has no value that could be placed.
+                whole = [10.0**d for d in decades if -300 <= d <= 300]
+                values = [m * one for one in whole for m in steps if self.low <= math.log10(m * one) <= self.high]
                 found = [(self.at(value), words(value)) for value in values]
                 gaps = ((b[0] - a[0], room(a[1]), room(b[1])) for a, b in pairwise(found))
                 if all(abs(gap) >= (left + right) / 2 for gap, left, right in gaps):

@@ -14,6 +14,7 @@ from fogspec.evaluation.replay import Noise
 from fogspec.evaluation.suites import Problem, Setting
 from fogspec.model.tables import read_table
 from fogspec.numerics.kernels import Machines
+from fogspec.results.ranges import LATENCY_S
 from fogspec.spec.schema import Application
 
 COLUMNS = ("instance_type", "latency_s")
@@ -41,13 +42,16 @@ def read_sweep(path: Path, application: Application, catalog: Catalog) -> Sweep:
     spec = application.spec
     if spec.objective.metric:
         raise UsageError(f"a sweep replays latency and cost; objective.metric is {spec.objective.metric}")
+    if spec.constraints.metrics:
+        limited = ", ".join(sorted(spec.constraints.metrics))
+        raise UsageError(f"a sweep replays latency and cost; constraints.metrics limits {limited}")
     offers = filter_offers(catalog, spec.hardware, spec.infra).offers
     if spec.constraints.price is not None:
         offers = offers.take(offers.price_usd_per_hour <= spec.constraints.price)
     latencies: dict[int, list[float]] = {}
     left_out: dict[str, None] = {}
     table = read_table(path, COLUMNS)
-    latency_s = table.numbers("latency_s", positive=True)
+    latency_s = table.numbers("latency_s", positive=True, bounds=LATENCY_S)
     table.check()
     for row, (name, infra) in enumerate(zip(table.column("instance_type"), table.column("infra"), strict=True)):
         found = _cheapest(offers, name, infra)

@@ -18,6 +18,7 @@ from fogspec.numerics import families
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.numerics.surrogate import VERSION
 from fogspec.plan.schema import PlanMetadata
+from fogspec.results.ranges import LATENCY_S
 from fogspec.results.schema import Measured, Results
 from fogspec.spec.schema import Application, Statistic
 
@@ -25,6 +26,7 @@ from fogspec.spec.schema import Application, Statistic
 # measurements over Spare Cores' public benchmarks (SpareCores/sc-inspector-data), and that of a single sample.
 SERVER_ERROR = 0.015
 UNKNOWN_ERROR = 0.02
+MOST_ERROR = 10.0
 # The standard error of a quantile over that of the mean, of a normal variable: sqrt(p (1 - p)) / density.
 ERROR_OF = {"mean": 1.0, "p50": 1.25, "p95": 2.11, "p99": 3.74}
 
@@ -183,12 +185,13 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
             "out_of_memory",
             "no_response",
             "check",
+            "out_of_range",
         )
         return unusable(f"{reason}: {record.detail}" if record.detail else reason, unfit)
     value = getattr(record.latency, statistic)
     if value is None:
         return unusable(f"{record.requests} requests are too few for a {statistic}", unfit=False)
-    if not (math.isfinite(value) and value > 0):
+    if not LATENCY_S.holds(value):
         return unusable(f"a latency of {value:g} s is no latency", unfit=False)
     values = {"latency": value, **record.metrics}
     return Observation(id=record.id, machine=record.machine, values=values, error=_error(record, statistic))
@@ -200,7 +203,8 @@ def _error(record: Measured, statistic: Statistic) -> float:
     own = UNKNOWN_ERROR
     if latency is not None and latency.sd is not None:
         own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(max(record.requests, 1))
-    return _to(5, math.hypot(own, SERVER_ERROR))
+    # Beyond this the sample says nothing, whatever more it could.
+    return _to(5, min(math.hypot(own, SERVER_ERROR), MOST_ERROR))
 
 
 def _gpu_key(machine: Machine) -> str | None:

@@ -13,6 +13,7 @@ from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
 from fogspec.base.files import decompress, read_bounded, too_large
 from fogspec.numerics.kernels import Floats, Machines, codes
+from fogspec.results.ranges import LATENCY_S
 
 MACHINE_COLUMNS = ("Cloud", "InstanceType", "vCPUs", "MemoryGiB", "Price")
 MOST_VALUES = 10_000_000
@@ -78,7 +79,7 @@ def read_latencies(path: Any, table: Table) -> Measured:
     suites: dict[str, str] = {}
     latency: dict[str, Floats] = {}
     file = read_table(path, LATENCY_COLUMNS)
-    values = file.numbers("latency_s", positive=True)
+    values = file.numbers("latency_s", positive=True, bounds=LATENCY_S)
     texts = zip(*(file.column(name) for name in LATENCY_COLUMNS[:4]), strict=True)
     for row, (workload, suite, cloud, kind) in enumerate(texts):
         name = f"{cloud}/{kind}"

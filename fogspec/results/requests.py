@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import BinaryIO, TypeGuard
 
 from fogspec.base.files import open_untrusted
-from fogspec.base.units import format_duration
+from fogspec.base.quantities import Bounds
+from fogspec.base.units import UnitError, format_duration
 from fogspec.results.join import VERDICT, Request, Value, join
+from fogspec.results.ranges import CLOCK_S, METRIC, REQUEST_S
 from fogspec.spec.probe import name_of
 from fogspec.spec.schema import Application
 
@@ -53,8 +55,9 @@ class Requests:
 
     `scenarios` has the scenario of each latency; `metrics` are (value, scenario). `service_times_s` are the times that the
     node worked, if the probe reports them. `lost` requests, which got no response, are among the failed ones; `unmatched`
-    are responses without a request. `seen` counts warm-up and failures too, and `finished` has all of them. `other_names` are
-    names that were timed besides the one in the spec, in the order they came.
+    are responses without a request. `out_of_range` tells of the first figure that is out of its range
+    (`fogspec.results.ranges`). `seen` counts warm-up and failures too, and `finished` has all of them. `other_names` are names
+    that were timed besides the one in the spec, in the order they came.
     """
 
     latencies_s: list[float] = field(default_factory=list)
@@ -67,6 +70,7 @@ class Requests:
     unweighted: int = 0
     lost: int = 0
     unmatched: int = 0
+    out_of_range: str | None = None
     warning: str | None = None
     first_failure: str | None = None
     other_names: list[str] = field(default_factory=list)
@@ -75,21 +79,28 @@ class Requests:
 
 def read_requests(path: Path | None, rules: RecordRules) -> Requests:
     """Return the requests of a timings file; none if it is not a plain file."""
-    if path is None or path.is_symlink() or not path.is_file():
+    if path is None:
         return Requests()
-    with open_untrusted(path) as file:
-        return parse_requests(file, rules)
+    try:
+        with open_untrusted(path) as file:
+            return parse_requests(file, rules)
+    except OSError:
+        return Requests()
 
 
 def parse_requests(file: BinaryIO, rules: RecordRules) -> Requests:
     """Return the requests of an open timings file; lines that are not records are counted, never guessed at."""
     requests, found, values = Requests(), list[Request](), list[Value]()
     wanted = {VERDICT, *rules.metrics.values()}
-    for line in _lines(file):
+    for number, line in enumerate(_lines(file), 1):
         if line is None:
             requests.warning = f"only the first {LINES_LIMIT:,} lines of the timings were read"
             break
-        entry = _entry(line, wanted)
+        try:
+            entry = _entry(line, wanted)
+        except UnitError as wrong:
+            requests.out_of_range = requests.out_of_range or f"line {number} of its timings: {wrong}"
+            continue
         if isinstance(entry, Value):
             values.append(entry)
         elif isinstance(entry, Request):
@@ -107,9 +118,18 @@ def parse_requests(file: BinaryIO, rules: RecordRules) -> Requests:
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a JSON value is a number that fits a float."""
-    # JSON's integers have no largest one, floats have.
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    """Return whether a JSON value is a number; Python reads NaN and infinities as such too."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _in_range(name: str, value: object, bounds: Bounds) -> float | None:
+    """Return the number, None if it is none; raise UnitError if it is out of range."""
+    if not is_number(value):
+        return None
+    try:
+        return float(bounds.check(value))
+    except UnitError as wrong:
+        raise UnitError(f"{name} {wrong}") from None
 
 
 def _add(one: Request, rules: RecordRules, requests: Requests, found: list[Request]) -> None:
@@ -136,9 +156,13 @@ def _count(one: Request, rules: RecordRules, requests: Requests) -> None:
         if one.service_s is not None:
             requests.service_times_s.append(one.service_s)
         for metric, key in rules.metrics.items():
-            value = one.metrics.get(key)
-            if is_number(value):
-                requests.metrics.setdefault(metric, []).append((float(value), one.scenario))
+            try:
+                value = _in_range(f"metric {metric}", one.metrics.get(key), METRIC)
+            except UnitError as wrong:
+                requests.out_of_range = requests.out_of_range or str(wrong)
+                continue
+            if value is not None:
+                requests.metrics.setdefault(metric, []).append((value, one.scenario))
 
 
 def _lines(file: BinaryIO) -> Iterator[bytes | None]:
@@ -160,35 +184,34 @@ def _lines(file: BinaryIO) -> Iterator[bytes | None]:
 def _entry(line: bytes, wanted: Set[str]) -> Request | Value | dict[str, object] | None:
     """Return a request, values of metrics, or another entry of a probe; None if the line is not a record.
 
-    Of the metrics, only the `wanted` ones are kept.
+    Of the metrics, only the `wanted` ones are kept. Raise UnitError for a time that is out of range.
     """
     try:
         entry = json.loads(line)
-        if "metric" in entry:
-            sound = isinstance(entry["metric"], dict) and is_number(entry["at_s"])
-            return (
-                Value(_only(wanted, entry["metric"]), float(entry["at_s"]), _stamp(entry.get("stamp")))
-                if sound
-                else None
-            )
-        if OTHER & entry.keys():
-            return dict(entry)
-        latency_s, ok = entry["latency_s"], entry["ok"]
-        metrics, start_s, service_s = entry.get("metrics") or {}, entry.get("start_s"), entry.get("service_s")
-        sound = is_number(latency_s) and latency_s >= 0 and isinstance(ok, bool) and isinstance(metrics, dict)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+    except (ValueError, RecursionError):
         return None
-    if not sound:
+    if not isinstance(entry, dict):
+        return None
+    if "metric" in entry:
+        at_s = _in_range("at_s", entry.get("at_s"), CLOCK_S)
+        if at_s is None or not isinstance(entry["metric"], dict):
+            return None
+        return Value(_only(wanted, entry["metric"]), at_s, _stamp(entry.get("stamp")))
+    if OTHER & entry.keys():
+        return entry
+    latency_s, ok = _in_range("latency_s", entry.get("latency_s"), REQUEST_S), entry.get("ok")
+    metrics = entry.get("metrics") or {}
+    if latency_s is None or not isinstance(ok, bool) or not isinstance(metrics, dict):
         return None
     return Request(
-        name=str(entry.get("name", "")),
-        latency_s=float(latency_s),
+        name=_text(entry.get("name")) or "",
+        latency_s=latency_s,
         ok=ok,
         metrics=_only(wanted, metrics),
         reason=_text(entry.get("reason")),
-        scenario=str(entry.get("scenario") or ""),
-        start_s=float(start_s) if is_number(start_s) else None,
-        service_s=float(service_s) if is_number(service_s) and service_s >= 0 else None,
+        scenario=_text(entry.get("scenario")) or "",
+        start_s=_in_range("start_s", entry.get("start_s"), CLOCK_S),
+        service_s=_in_range("service_s", entry.get("service_s"), REQUEST_S),
         lost=entry.get("lost") is True,
         stamp=_stamp(entry.get("stamp")),
     )
@@ -200,7 +223,11 @@ def _only(wanted: Set[str], metrics: dict[str, object]) -> dict[str, object]:
 
 
 def _text(value: object) -> str | None:
-    return "".join(c for c in value if c.isprintable())[:200] if isinstance(value, str) else None
+    """Return a text for people, None if it is no text; equal ones of a million records are one object."""
+    if not isinstance(value, str):
+        return None
+    text = value[:200]
+    return sys.intern(text if text.isprintable() else "".join(c for c in text if c.isprintable()))
 
 
 def _stamp(value: object) -> tuple[int, int] | None:

@@ -5,13 +5,24 @@ from typing import Literal
 from pydantic import Field
 
 from fogspec.base import digest
-from fogspec.base.quantities import Duration, Money, Strict
+from fogspec.base.quantities import Money, Strict
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import PlanMetadata, Sampling
+from fogspec.results.ranges import Amount, Counted, MetricValue, RequestTime, Text, Time
 
 State = Literal["ok", "insufficient", "timeout", "failed"]
 Reason = Literal[
-    "quota", "capacity", "image", "setup", "crash", "out_of_memory", "no_response", "check", "interrupted", "budget"
+    "quota",
+    "capacity",
+    "image",
+    "setup",
+    "crash",
+    "out_of_memory",
+    "no_response",
+    "check",
+    "out_of_range",
+    "interrupted",
+    "budget",
 ]
 StoppedBy = Literal["steps", "time", "precision", "exit", "size", "startup", "signal"]
 # Failures worth retrying: transient ones, and samples that never ran.
@@ -22,11 +33,11 @@ UNAVAILABLE = {"quota", "capacity"}
 class LatencySummary(Strict):
     """Statistics of the latency of valid requests after warm-up, as far as there were enough requests."""
 
-    mean: Duration
-    sd: Duration | None = None
-    p50: Duration | None = None
-    p95: Duration | None = None
-    p99: Duration | None = None
+    mean: RequestTime
+    sd: RequestTime | None = None
+    p50: RequestTime | None = None
+    p95: RequestTime | None = None
+    p99: RequestTime | None = None
 
 
 class Timings(Strict):
@@ -46,29 +57,30 @@ class Measured(Strict):
     `service` is the time that the node worked on a request, without what it waited for others, where the probe tells
     them apart; `lost` of the failed requests got no response, `unmatched` responses belong to no request.
     `latency` is there when at least one valid request was measured, whatever the state; `latency_lower_bound` is a lower
-    bound on the latency of a sample that was aborted in the middle of a request.
+    bound on the latency of a sample that was aborted in the middle of a request. A figure that its machine sent out of
+    range (`fogspec.results.ranges`) is none: it makes the sample `failed`, `out_of_range`.
     """
 
     id: str
     machine: Machine
-    measured_on: str
+    measured_on: Text
     state: State
     reason: Reason | None = None
-    detail: str | None = None
-    requests: int
-    failed_requests: int = 0
+    detail: Text | None = None
+    requests: Counted
+    failed_requests: Counted = 0
     latency: LatencySummary | None = None
     service: LatencySummary | None = None
-    lost: int | None = None
-    unmatched: int | None = None
-    latency_lower_bound: Duration | None = None
-    metrics: dict[str, float] = Field({})
+    lost: Counted | None = None
+    unmatched: Counted | None = None
+    latency_lower_bound: RequestTime | None = None
+    metrics: dict[str, MetricValue] = Field({})
     substitute_for: str | None = None
     stopped_by: StoppedBy | None = None
-    setup: Duration | None = None
-    measuring: Duration | None = None
-    duration: Duration
-    spent: Money
+    setup: Time | None = None
+    measuring: Time | None = None
+    duration: Time
+    spent: Amount
     timings: Timings | None = None
 
 
@@ -87,7 +99,7 @@ class ResultsBody(Strict):
     runner: str
     source: str | None = None
     budget: Money | None = None
-    spent: Money
+    spent: Amount
     sampling: Sampling | None = None
     samples: list[Measured]
 

@@ -2,7 +2,6 @@
 
 import gzip
 import json
-import math
 import statistics
 from dataclasses import replace
 from typing import Any
@@ -41,7 +40,7 @@ def record(folder, *records, rules=RULES, progress=None, end=""):
     ended = SampleStatus(
         running=False, timings=path, reason=progress.reason, detail=progress.detail, waited_s=progress.waited_s
     )
-    return recording.make_record(SAMPLE, ended, rules, 2.0, 0.0)
+    return recording.make_record(SAMPLE, ended, rules, 2.0, 0.25)
 
 
 def test_warm_up_counts_neither_in_latency_nor_in_metrics(tmp_path):
@@ -127,10 +126,9 @@ def test_a_line_that_was_cut_off_says_nothing(tmp_path):
 
 @pytest.mark.parametrize(
     "garbage",
-    ["x", "[]", "{}", "null", '{"latency_s": -1, "ok": true}', '{"latency_s": true, "ok": true}', "[" * 9000,
-     '{"latency_s": NaN, "ok": true}', '{"latency_s": Infinity, "ok": true}', '{"latency_s": 1, "ok": 1}',
-     '{"latency_s": 1' + "0" * 400 + ', "ok": true}', '{"latency_s": 1, "ok": true, "metrics": 3}',
-     "\x00\ud7ff", '{"latency_s": "1", "ok": true}'],
+    ["x", "[]", "{}", "null", '{"latency_s": true, "ok": true}', "[" * 9000, '{"latency_s": 1, "ok": 1}',
+     '{"latency_s": 1' + "0" * 9000 + ', "ok": true}', '{"latency_s": 1, "ok": true, "metrics": 3}',
+     "\x00\ud7ff", '{"latency_s": "1", "ok": true}', '{"metric": {}, "at_s": "now"}'],
 )  # fmt: skip
 def test_a_line_that_is_no_record_is_counted(tmp_path, garbage):
     made = record(tmp_path, line(), line(), end=garbage + "\n")
@@ -139,8 +137,46 @@ def test_a_line_that_is_no_record_is_counted(tmp_path, garbage):
 
 
 def test_metrics_that_are_no_numbers_are_left_out(tmp_path):
-    records = [line(), *[line(length_m=value) for value in (4.0, "5", None, True, math.inf)], line()]
+    records = [line(), *[line(length_m=value) for value in (4.0, "5", None, True, {})], line()]
     assert record(tmp_path, *records).metrics == {"length": 4.0}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ('"latency_s": 1e200', "line 4 of its timings: latency_s is 1e+200s, and must be between 0s and 1e+06s"),
+        ('"latency_s": -1', "line 4 of its timings: latency_s is -1s, and must be between 0s and 1e+06s"),
+        ('"latency_s": NaN', "latency_s is no finite number, and"),
+        ('"latency_s": Infinity', "latency_s is no finite number, and"),
+        ('"latency_s": 1' + "0" * 400, "latency_s is no finite number, and"),
+        ('"latency_s": 1, "start_s": -1e300', "start_s is -1e+300s, and"),
+        ('"latency_s": 1, "service_s": 1e9', "service_s is 1e+09s, and"),
+        (
+            '"latency_s": 1, "metrics": {"length_m": NaN}',
+            "metric length is no finite number, and must be between -1e+12 and 1e+12",
+        ),
+        ('"latency_s": 1, "metrics": {"length_m": -1e13}', "metric length is -1e+13, and"),
+    ],
+)
+def test_a_figure_out_of_its_range_fails_its_sample(tmp_path, wrong, why):
+    made = record(tmp_path, line(), line(), line(), end=f'{{"name": "work", "ok": true, {wrong}}}\n')
+    assert (made.state, made.reason) == ("failed", "out_of_range")
+    assert why in made.detail
+    assert made.spent == 0.25, "what was paid is booked"
+
+
+def test_no_request_takes_no_time_at_all(tmp_path):
+    made = record(tmp_path, line(), line(0.0), line(0.0))
+    assert (made.state, made.reason) == ("failed", "out_of_range")
+
+
+@pytest.mark.parametrize("figure", ["setup_s", "measured_s", "waited_s"])
+def test_times_of_the_agent_are_in_their_ranges_too(tmp_path, figure):
+    path = written(tmp_path, line())
+    ended = SampleStatus(running=False, timings=path, **{figure: 1e300})
+    made = recording.make_record(SAMPLE, ended, RULES, 2.0, 0.25)
+    assert (made.state, made.reason, made.spent) == ("failed", "out_of_range", 0.25)
+    assert "is 1e+300s, and must be between 0s and" in made.detail
 
 
 def test_a_reason_cannot_draw_on_the_terminal(tmp_path):
