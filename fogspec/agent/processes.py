@@ -18,6 +18,18 @@ def is_argv(value: object) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(word, str) for word in value)
 
 
+# `-m` would import from the working folder before all else: a node's folder may have a `queue.py` of its own.
+OURS = "fogspec_agent."
+START = "import runpy, sys; sys.path[:] = filter(None, sys.path); "
+START += "runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)"
+
+
+def apart(argv: list[str]) -> list[str]:
+    """Return the command; a program of this package is started so that it imports nothing from the working folder."""
+    ours = argv[1:2] == ["-m"] and argv[2:3] and argv[2].startswith(OURS)
+    return [argv[0], "-c", START, *argv[2:]] if ours else argv
+
+
 def environment(out: Path, timings: Path) -> dict[str, str]:
     """Return this process's environment, with the extracted agent on PYTHONPATH and the timings file."""
     path = os.pathsep.join(filter(None, [str(out / "python"), os.environ.get("PYTHONPATH")]))

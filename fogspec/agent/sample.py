@@ -141,7 +141,7 @@ class SampleRun:
             with open(self._log(number), "ab") as log:
                 try:
                     child = self.output.start(
-                        argv, log, stdin=subprocess.DEVNULL, env=environment, start_new_session=True
+                        processes.apart(argv), log, stdin=subprocess.DEVNULL, env=environment, start_new_session=True
                     )
                 except OSError as problem:
                     return "failed", "setup", f"{argv[0]} cannot be started: {problem.strerror}", None
@@ -161,7 +161,7 @@ class SampleRun:
         message = ""
         with open(log, "wb") as file, contextlib.suppress(subprocess.TimeoutExpired, OSError):
             ended = subprocess.run(
-                self.options.afterwards,
+                processes.apart(self.options.afterwards),
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,

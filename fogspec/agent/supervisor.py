@@ -98,7 +98,9 @@ class Supervisor:
 
     def _popen(self, argv: list[str]) -> "subprocess.Popen[bytes]":
         environment = processes.environment(self.out, self.timings)
-        return self.output.start(argv, stdin=subprocess.DEVNULL, env=environment, start_new_session=True)
+        return self.output.start(
+            processes.apart(argv), stdin=subprocess.DEVNULL, env=environment, start_new_session=True
+        )
 
     def watch(self, signals: list[int]) -> str | None:
         """Watch until a node ends and return how; return None once a signal has been received."""

@@ -1,10 +1,10 @@
 """Read files at other commits of a git repository."""
 
 import os
-import subprocess
 from pathlib import Path
 
 from fogspec.base.errors import UsageError
+from fogspec.base.git import git
 
 
 class Repository:
@@ -13,7 +13,7 @@ class Repository:
     def __init__(self) -> None:
         """Find the repository. Raise UsageError if there is none, or git refuses to read it."""
         try:
-            self.top = Path(self._run("rev-parse", "--show-toplevel").decode().strip())
+            self.top = Path(git("rev-parse", "--show-toplevel").decode().strip())
         except UsageError as failed:
             raise UsageError(
                 f"{os.getcwd()} is in no git repository that can be read",
@@ -32,7 +32,7 @@ class Repository:
             raise UsageError(f"{head} is not what is checked out", f"git checkout {head}")
         commit = self._commit(base or "HEAD")
         try:
-            return self._run("merge-base", commit, "HEAD").decode().strip()
+            return git("merge-base", commit, "HEAD").decode().strip()
         except UsageError:
             return commit
 
@@ -40,31 +40,19 @@ class Repository:
         """Return the content of a file at a commit, None if it did not exist."""
         inside = Path(os.path.relpath(path.absolute(), self.top)).as_posix()
         try:
-            return self._run("show", f"{commit}:{inside}")
+            return git("cat-file", "blob", f"{commit}:{inside}")
         except UsageError:
             return None
 
     def paths(self, commit: str) -> list[Path]:
         """Return the files at a commit below the working directory, as relative paths."""
-        return [
-            Path(os.fsdecode(name))
-            for name in self._run("ls-tree", "-r", "-z", "--name-only", commit).split(b"\0")[:-1]
-        ]
+        return [Path(os.fsdecode(name)) for name in git("ls-tree", "-r", "-z", "--name-only", commit).split(b"\0")[:-1]]
 
     def _commit(self, name: str) -> str:
         if name.startswith("-"):
             raise UsageError(f"{name} is no commit")
         try:
-            return self._run("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}").decode().strip()
+            return git("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}").decode().strip()
         except UsageError:
             hint = "commit something first" if name == "HEAD" else f"fetch it: git fetch origin {name}"
             raise UsageError(f"there is no commit {name} here", hint) from None
-
-    def _run(self, *words: str) -> bytes:
-        try:
-            return subprocess.run(["git", *words], check=True, capture_output=True).stdout
-        except OSError as problem:
-            raise UsageError(f"git cannot be started: {problem.strerror}") from None
-        except subprocess.CalledProcessError as failed:
-            report = failed.stderr.decode("utf-8", "replace").strip() or f"exit code {failed.returncode}"
-            raise UsageError(f"git {words[0]}: {report.splitlines()[0]}") from None

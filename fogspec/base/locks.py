@@ -9,6 +9,7 @@ from pathlib import Path
 
 from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.files import not_a_file
+from fogspec.base.git import check_untracked
 from fogspec.base.layout import Layout
 
 MOST_BYTES = 4096
@@ -30,11 +31,12 @@ def start_ticks(pid: int) -> int | None:
 def application_lock(layout: Layout, what: str, remove: bool = False) -> Iterator[None]:
     """Hold an application's lock for `what`; raise Refused, naming the holder, if another process has it.
 
-    Raises InvalidInput for what is no file.
+    Raises InvalidInput for what is no file, and Refused for state that came with the checkout.
 
     What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
     to clean up. With `remove` the file goes when it is over; if it was removed meanwhile, a new one is locked.
     """
+    check_untracked(layout)
     path, files = layout.application_lock, layout.files
     if (found := files.stat(path)) is not None and (kind := not_a_file(found.st_mode)) is not None:
         raise InvalidInput(f"{path}: {kind}", "remove it")

@@ -5,7 +5,7 @@ import json
 import click
 
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, load_inputs
+from fogspec.cli.options import CATALOG, echo_notes, load_inputs
 
 
 @click.command()
@@ -23,12 +23,14 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     """
     from fogspec.audit import diff
     from fogspec.audit.freshness import status
+    from fogspec.base.git import tracked_note
     from fogspec.compile.compiler import try_compile
     from fogspec.deploy.health import running_changes
     from fogspec.deploy.state import SystemWallClock
     from fogspec.spec.discover import find_specs
 
     inputs = load_inputs(find_specs(specs), catalog_path, audit=True)
+    echo_notes(note for one in inputs if (note := tracked_note(one.layout)) is not None)
     found = []
     for one in inputs:
         differing = diff.difference(status(one, try_compile(one)))

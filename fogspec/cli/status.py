@@ -5,7 +5,7 @@ import json
 import click
 
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, OUTPUT, load_inputs
+from fogspec.cli.options import CATALOG, OUTPUT, echo_notes, load_inputs
 
 
 @click.command()
@@ -21,6 +21,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     """
     from fogspec.audit import freshness, status
     from fogspec.backends.registry import deployment_backend
+    from fogspec.base.git import tracked_note
     from fogspec.compile.compiler import try_compile
     from fogspec.deploy import health
     from fogspec.deploy.state import SystemWallClock
@@ -28,6 +29,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
 
     inputs = load_inputs(find_specs(specs), catalog_path, audit=True)
     found = [freshness.status(one, try_compile(one)) for one in inputs]
+    echo_notes(note for one in inputs if (note := tracked_note(one.layout)) is not None)
     lives = [
         health.health_report(one.inputs.application, one.layout, one.fresh, SystemWallClock(), deployment_backend)
         for one in found

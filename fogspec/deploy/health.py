@@ -62,7 +62,7 @@ def health_report(
     `fresh` tells whether the manifest on disk follows from its inputs. Raise ForeignMachine if the live state names a machine
     of another application.
     """
-    live_file = DeploymentState.read(layout, times)
+    live_file = DeploymentState.look(layout, times)
     live_file.check_owned()
     if not live_file.machines:
         return None
@@ -126,7 +126,7 @@ def _files_changed(application: Application, layout: Layout, machine: DeployedMa
 
 def running_changes(layout: Layout, times: WallClock, application: Application) -> list[Change] | None:
     """Return the differences for the machine that serves now, without polling; None if there is none."""
-    live = DeploymentState.read(layout, times)
+    live = DeploymentState.look(layout, times)
     serving = next((one for one in live.machines if one.state == "serving"), None)
     return None if serving is None else manifest_changes(layout, live, serving, application)
 

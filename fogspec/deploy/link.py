@@ -9,6 +9,7 @@ import os
 import subprocess
 from pathlib import Path
 
+from fogspec.base import child
 from fogspec.base.errors import CloudError, InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.compile.launch_files import link_script
@@ -84,15 +85,18 @@ def link_error(application: Application, layout: Layout) -> str | None:
 
 
 def _run(application: Application, layout: Layout, *words: str, stdin: str = "") -> str:
-    script = link_script(application, layout)
+    script, variables = link_script(application, layout), child.environment()
+    variables.pop("BASH_ENV", None)  # it may be a file of the working folder
     try:
         run = subprocess.run(
-            ["bash", "-c", script, "link.sh", "robot", *words],
+            [child.program("bash"), "-c", script, "link.sh", "robot", *words],
             input=stdin,
             capture_output=True,
             text=True,
             timeout=TIMEOUT_S,
             check=False,
+            cwd=child.ELSEWHERE,
+            env=variables,
         )
     except (OSError, subprocess.TimeoutExpired) as problem:
         raise CloudError(f"the link's script did not end: {problem}") from None

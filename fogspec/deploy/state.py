@@ -13,6 +13,7 @@ from fogspec.backends.protocol import Job
 from fogspec.backends.registry import owner_of
 from fogspec.base.clock import SystemClock
 from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.git import tracked_state
 from fogspec.base.layout import Layout
 from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState
 from fogspec.plan.schema import PlanMetadata
@@ -77,6 +78,11 @@ class DeploymentState:
             fix = f"fogspec down {layout.name} finds what runs by its name and ends it"
             raise DiagnosticError([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics]) from None
         return cls(layout, times, list(body.machines), body.spent)
+
+    @classmethod
+    def look(cls, layout: Layout, times: WallClock) -> "DeploymentState":
+        """Return the same for a verb that only reads: state that came with the checkout is ignored, see `tracked_note`."""
+        return cls.read(layout, times) if tracked_state(layout) is None else cls(layout, times, [])
 
     @property
     def owner(self) -> Owner:

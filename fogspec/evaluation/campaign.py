@@ -9,6 +9,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from fogspec.base import child
 from fogspec.evaluation.methods import METHODS, OWN_METHOD
 from fogspec.evaluation.replay import Case, Noise
 from fogspec.evaluation.samplers import SAMPLERS
@@ -20,6 +21,7 @@ from fogspec.model.tables import Table
 from fogspec.numerics.priors import PriorData, prior_for
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+OWN = {*ONE_THREAD, *child.SEARCHED, "PYTHONSAFEPATH"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +160,10 @@ def _run(campaign: Campaign, index: int) -> list[Result]:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
+    # The interpreters are started by the standard library: PYTHONSAFEPATH keeps the working folder out of them.
+    own = {name: value for name, value in child.environment(**ONE_THREAD, PYTHONSAFEPATH="1").items() if name in OWN}
+    before = {name: os.environ.get(name) for name in own}
+    os.environ.update(own)
     try:
         yield
     finally:

@@ -10,6 +10,7 @@ import subprocess
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fogspec.base import child
 from fogspec.base.errors import InvalidInput
 
 DOCKER_HUB_KEYS = ("https://index.docker.io/v1/", "index.docker.io", "docker.io", "registry-1.docker.io")
@@ -64,8 +65,8 @@ def _from_helper(helper: str, key: str) -> Credentials | None:
         return None
     try:
         done = subprocess.run(
-            [f"docker-credential-{helper}", "get"], input=key, capture_output=True, text=True, timeout=HELPER_TIMEOUT_S,
-            check=True,
+            [child.program(f"docker-credential-{helper}"), "get"], input=key, capture_output=True, text=True,
+            timeout=HELPER_TIMEOUT_S, check=True, cwd=child.ELSEWHERE, env=child.environment(),
         )  # fmt: skip
         said = json.loads(done.stdout)
     except (OSError, subprocess.SubprocessError, ValueError):

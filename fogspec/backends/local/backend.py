@@ -17,6 +17,7 @@ from fogspec.backends import agent_state
 from fogspec.backends.local import limits, processes
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable
+from fogspec.base import child
 from fogspec.base.project_files import LinkedPath
 from fogspec.catalog.machine import Machine
 from fogspec.results.schema import Reason
@@ -106,7 +107,7 @@ class LocalBackend:
         secrets = _mapping(job.task.get("secrets"))
         if missing := [name for name in secrets if name not in os.environ]:
             raise LaunchRefused("setup", f"the environment does not have {', '.join(sorted(missing))}")
-        shell = {k: v for k, v in os.environ.items() if k in secrets or not WITHHELD.search(k.upper())}
+        shell = {k: v for k, v in child.environment().items() if k in secrets or not WITHHELD.search(k.upper())}
         task = {key: str(value) for key, value in _mapping(job.task.get("envs")).items()}
         environment = processes.equipped({**shell, **task}, job.directory / "out")
         mounts = _mapping(job.task.get("file_mounts"))

@@ -6,6 +6,7 @@ the private memory of each process by itself, so a tree of several processes may
 """
 
 import contextlib
+import errno
 import math
 import os
 import subprocess
@@ -16,20 +17,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
 
+from fogspec.base import child
+
 CGROUPS = Path("/sys/fs/cgroup")
 MemoryBy = Literal["cgroup", "rlimit"]
 
 # Runs in a process of its own before the program: affinity and limits must not affect the caller.
 LAUNCHER = """
 import os, resource, sys
-cpus, data_bytes, group = sys.argv[1:4]
+cpus, data_bytes, group, folder = sys.argv[1:5]
 if group:
     with open(os.path.join(group, "cgroup.procs"), "w") as file:
         file.write(str(os.getpid()))
 os.sched_setaffinity(0, set(map(int, cpus.split(","))))
 if data_bytes:
     resource.setrlimit(resource.RLIMIT_DATA, (int(data_bytes), int(data_bytes)))
-os.execvp(sys.argv[4], sys.argv[4:])
+os.chdir(folder)
+os.execv(sys.argv[5], sys.argv[5:])
 """
 
 
@@ -88,13 +92,22 @@ def start(
     Raise ValueError if this host has fewer CPUs.
     """
     chosen = pick_cpus(cpus)
+    if not cwd.is_dir():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(cwd))
     limit_bytes = math.floor(memory_gib * 2**30)
     group = _new_group(limit_bytes)
     data_bytes = "" if group else str(limit_bytes)
-    words = [sys.executable, "-S", "-c", LAUNCHER, ",".join(map(str, chosen)), data_bytes, str(group or ""), *argv]
+    given = [",".join(map(str, chosen)), data_bytes, str(group or ""), str(cwd.absolute())]
     try:
+        words = [sys.executable, "-I", "-S", "-c", LAUNCHER, *given, child.program(argv[0]), *argv[1:]]
         process = subprocess.Popen(
-            words, cwd=cwd, env=dict(env), stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+            words,
+            cwd=child.ELSEWHERE,
+            env=dict(env),
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
         )
     except OSError:
         if group:

@@ -8,6 +8,8 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
+from fogspec.base import child
+
 CHECKS = 4
 
 
@@ -57,5 +59,5 @@ def end(variable: str, value: str, grace_s: float) -> list[int]:
 
 def equipped(environment: Mapping[str, str], out: Path) -> dict[str, str]:
     """Return the environment of a task's run script on this host: this Python comes first, output goes to `out`."""
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+    path = os.pathsep.join([str(Path(sys.executable).parent), child.environment().get("PATH", os.defpath)])
     return {**environment, "PATH": path, "FOGSPEC_OUT": str(out.absolute())}

@@ -5,7 +5,6 @@ import importlib.metadata
 import itertools
 import json
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from typing import IO, Any
 
 from fogspec.backends.protocol import Unreachable
 from fogspec.backends.skypilot.errors import CloudProblem, plain
+from fogspec.base import child
 from fogspec.base.errors import CloudError
 
 WORKER = "fogspec.backends.skypilot.worker"
@@ -88,12 +88,14 @@ class Client:
             errors = tempfile.TemporaryFile()  # noqa: SIM115 - the listener reads it when the worker has ended
             # In a session of its own: Ctrl-C on the terminal is for this process to handle.
             self._process = subprocess.Popen(
-                [sys.executable, "-m", WORKER],
+                child.python(WORKER),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
                 start_new_session=True,
+                cwd=child.ELSEWHERE,
+                env=child.environment(),
             )
             threading.Thread(target=self._listen, args=(self._process, errors), daemon=True).start()
         return self._process

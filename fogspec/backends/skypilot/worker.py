@@ -1,4 +1,7 @@
-"""The process that imports SkyPilot: `python -m fogspec.backends.skypilot.worker`.
+"""The process that imports SkyPilot. `fogspec.base.child` starts it, isolated and outside of the working folder.
+
+There, SkyPilot reads no `.sky.yaml` of a checkout, which may name code to run, and an API server that it starts, which outlives
+this process, stays in no folder that may be removed.
 
 A line of JSON on standard input is a call, `{"id": 1, "op": "jobs", "arguments": {...}}`; a line on standard output is its
 result, `{"id": 1, "value": ...}` or `{"id": 1, "problem": {...}}`. Calls run concurrently. The worker ends with its input.
@@ -27,8 +30,6 @@ def main() -> None:
     except ImportError as problem:
         write(results, lock, {"id": 0, "missing": str(problem)})
         return
-    # An API server that is started here outlives this process, and must not stay in a directory that may be removed.
-    os.chdir(os.path.expanduser("~"))
     while True:
         call = json.loads(calls.get())
         operation = api.OPERATIONS[call["op"]]

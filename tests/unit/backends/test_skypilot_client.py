@@ -8,6 +8,7 @@ import pytest
 from fogspec.backends.protocol import Unreachable
 from fogspec.backends.skypilot import client as module
 from fogspec.backends.skypilot.client import Client
+from fogspec.base import child
 from fogspec.base.errors import CloudError
 
 PATIENCE_S = 120.0  # it only bounds hangs
@@ -25,7 +26,7 @@ WORKERS = {
 @pytest.fixture
 def worker(request, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Client:
     (tmp_path / f"{request.param}.py").write_text(WORKERS[request.param])
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(child, "_own_folders", lambda: [str(tmp_path)])
     monkeypatch.setattr(module, "WORKER", request.param)
     with Client() as client:
         yield client

@@ -1,0 +1,64 @@
+"""Starting programs that are fogspec's own: nothing of the working folder is run, imported or configured by it.
+
+A checkout is written by others, and what runs in it by accident runs with the user's credentials. So each of our programs
+starts in `ELSEWHERE`, is found by an absolute entry of PATH, and an interpreter of ours starts isolated.
+"""
+
+import errno
+import os
+import site
+import sys
+from pathlib import Path
+
+import fogspec
+
+ELSEWHERE = "/"  # Nobody but root writes there, and it stays: what a child leaves running may outlive the checkout.
+SEARCHED = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
+# Isolated (-I), an interpreter ignores the working folder, PYTHON* and the user's packages. Folders that come after all others
+# can hide no module: that of this fogspec, which may be an editable install, and the user's packages where they are in use.
+START = "import runpy, sys; _, name, *sys.path[len(sys.path):] = sys.argv; sys.argv[1:] = []; "
+START += "runpy.run_module(name, run_name='__main__', alter_sys=True)"
+
+
+def python(module: str) -> list[str]:
+    """Return the command that runs a module in an isolated interpreter."""
+    return [sys.executable, "-I", "-c", START, module, *_own_folders()]
+
+
+def program(name: str) -> str:
+    """Return the path of a program, by the absolute entries of PATH; raise FileNotFoundError if there is none."""
+    if os.path.isabs(name):
+        return name
+    for folder in _absolute(os.environ.get("PATH", os.defpath)):
+        path = os.path.join(folder, name)
+        if os.path.isfile(path) and os.access(path, os.X_OK):
+            return path
+    raise FileNotFoundError(errno.ENOENT, "it is in none of the absolute folders of PATH", name)
+
+
+def environment(**more: str) -> dict[str, str]:
+    """Return this process's environment without search paths that depend on the working folder, and with `more`."""
+    absolute = {name: os.pathsep.join(_absolute(os.environ[name])) for name in SEARCHED if name in os.environ}
+    # An empty path would be the working folder again.
+    return {**os.environ, **{name: path or ELSEWHERE for name, path in absolute.items()}, **more}
+
+
+def leave_working_folder() -> None:
+    """Import nothing from the working folder from now on: `python -m` and an empty entry of PYTHONPATH put it first."""
+    try:
+        here = os.path.realpath(os.getcwd())
+    except OSError:
+        here = ""
+    own = _own_folders()[0]
+    others = [one for one in sys.path if os.path.isabs(one) and os.path.realpath(one) != here]
+    # Who develops fogspec stands in its own folder.
+    sys.path[:] = [*others, own] if os.path.realpath(own) == here else others
+
+
+def _own_folders() -> list[str]:
+    own = str(Path(fogspec.__file__).absolute().parents[1])
+    return [own, site.getusersitepackages()] if site.ENABLE_USER_SITE else [own]
+
+
+def _absolute(path: str) -> list[str]:
+    return [entry for entry in path.split(os.pathsep) if os.path.isabs(entry)]

@@ -1,0 +1,80 @@
+"""Run git on a checkout that others wrote: it reads, and runs nothing that the checkout or its configuration names."""
+
+import os
+import subprocess
+from functools import cache
+from pathlib import Path
+
+from fogspec.base import child
+from fogspec.base.errors import Refused, UsageError
+from fogspec.base.layout import Layout
+
+# What git would run while it reads. A folder that only looks like a bare repository has a configuration that anybody could
+# commit; without it, whoever prepares a whole checkout with its .git can name a program.
+OVERRIDES = {
+    "safe.bareRepository": "explicit",
+    "core.fsmonitor": "false",
+    "core.hooksPath": os.devnull,
+    "core.pager": "cat",
+    "core.sshCommand": "false",
+    "core.askPass": "false",
+    "credential.helper": "",
+    "diff.external": "",
+    "gpg.program": "false",
+    "log.showSignature": "false",
+}
+# A partial clone fetches what is missing from where its configuration says, by a protocol that may be a command.
+QUIET = {"GIT_NO_LAZY_FETCH": "1", "GIT_ALLOW_PROTOCOL": "none", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
+
+
+def git(*words: str, folder: str | os.PathLike[str] = ".") -> bytes:
+    """Return the output of a git command that reads; raise UsageError with git's own first line if it fails."""
+    settings = [word for name, value in OVERRIDES.items() for word in ("-c", f"{name}={value}")]
+    environment = child.environment(**QUIET)
+    environment.pop("GIT_EXTERNAL_DIFF", None)
+    try:
+        command = [child.program("git"), "--no-pager", *settings, "-C", os.path.abspath(folder), *words]
+        return subprocess.run(
+            command, check=True, capture_output=True, stdin=subprocess.DEVNULL, cwd=child.ELSEWHERE, env=environment
+        ).stdout
+    except OSError as problem:
+        raise UsageError(f"git cannot be started: {problem.strerror}") from None
+    except subprocess.CalledProcessError as failed:
+        report = failed.stderr.decode("utf-8", "replace").strip() or f"exit code {failed.returncode}"
+        raise UsageError(f"git {words[0]}: {report.splitlines()[0]}") from None
+
+
+def tracked_state(layout: Layout) -> str | None:
+    """Return a file of `.fogspec/NAME` that git tracks, None if there is none, or no git repository."""
+    if not layout.files.exists(layout.state):
+        return None
+    return _tracked(os.path.abspath(layout.root), layout.relative(layout.state))
+
+
+@cache
+def _tracked(root: str, state: str) -> str | None:
+    try:
+        # Not the folder alone: a submodule at `.fogspec` or at the state itself is one entry of that name.
+        found = git("ls-files", "-z", "--", ".fogspec", folder=root).decode("utf-8", "replace").split("\0")
+    except UsageError:
+        return None
+    inside = (name for name in found if name in (os.path.dirname(state), state) or name.startswith(f"{state}/"))
+    return next(inside, None)
+
+
+def check_untracked(layout: Layout) -> None:
+    """Raise Refused for live state that git tracks: what others commit must not name machines to end or to pay."""
+    if (name := tracked_state(layout)) is not None:
+        folder = Path(layout.relative(layout.state)).parts[0]
+        raise Refused(
+            f"{layout.root / name}: git tracks it: what runs is a record of this computer, and this one came with the checkout",
+            f"look at what it names, then: git rm -r --cached {folder}, and add {folder}/ to .gitignore",
+        )
+
+
+def tracked_note(layout: Layout) -> str | None:
+    """Return the sentence of a verb that only reads and ignores state that git tracks."""
+    name = tracked_state(layout)
+    return (
+        None if name is None else f"{layout.root / name}: ignored: git tracks it, so it says nothing of what runs here"
+    )

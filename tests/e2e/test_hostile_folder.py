@@ -1,0 +1,212 @@
+"""A checkout full of modules, programs and configuration that would run by accident: no verb runs any of it.
+
+Each of them leaves a mark outside of the folder. What the user's own workload is made of runs, of course.
+"""
+
+import importlib.metadata
+import json
+import os
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fogspec.backends.registry import owner_of
+from fogspec.base.layout import Layout
+from fogspec.cli import VERBS
+from tests.support.deployed import HOSTS, SPEC
+
+BIN = Path(sys.executable).parent
+WORK = """\
+number=0
+while :; do
+  number=$((number + 1))
+  printf '{"name": "work", "start_s": %s.0, "latency_s": 0.01, "ok": true}\\n' "$number" >> "$FOGSPEC_TIMINGS"
+  /bin/sleep 0.01
+done
+"""
+PROGRAMS = (
+    "git", "bash", "sh", "env", "python", "python3", "ssh", "rsync", "timeout", "head", "cut", "rm", "printf", "nvidia-smi",
+    "docker-credential-evil", "cc", "gcc", "uname", "id", "sudo", "systemctl",
+)  # fmt: skip
+CLOUD = {
+    "apiVersion": "fogspec.dev/v1alpha1", "kind": "LiveState", "metadata": {"name": "tiny"},
+    "spec": {"spent": 0.0, "machines": [{
+        "name": "fogspec-tiny-01234567-abcdef", "deployer": "skypilot", "state": "serving", "manifest": "sha256:" + "0" * 64,
+        "machine": {"infra": "aws/us-east-1", "instance": "m5.large", "cpus": 2, "memory": "8GiB", "price": "$0.1/h"},
+        "runs": "sha256:" + "0" * 64, "files": {}, "fallback": 0, "at": "1s", "boot": "none",
+        "since": "2026-01-01T00:00:00+00:00",
+    }]},
+}  # fmt: skip
+
+
+class Hostile:
+    """The folder, and the marks that were left."""
+
+    def __init__(self, folder: Path) -> None:
+        self.project, self.marks, self.home = folder / "project", folder / "marks", folder / "home"
+        for each in (self.project, self.marks, self.home):
+            each.mkdir()
+        for name, text in (
+            ("specs/tiny.yaml", SPEC.replace("python3, work.py", "/bin/sh, work.sh")),
+            ("hosts.csv", HOSTS),
+        ):
+            (self.project / name).parent.mkdir(exist_ok=True)
+            (self.project / name).write_text(text)
+        (self.project / "specs" / "work.sh").write_text(WORK)
+        for trap in (self.project, self.project / "specs"):
+            self.set(trap)
+        self.git()
+
+    def set(self, folder: Path) -> None:
+        """Fill a folder with every module that anything here imports, and with programs."""
+        third = {name for name in importlib.metadata.packages_distributions() if name.isidentifier()}
+        others = {"sitecustomize", "usercustomize", "conftest", "fogspec_agent", "fogspec_probe"}
+        for name in {*sys.stdlib_module_names, *third, *others}:
+            if name not in ("fogspec", "sky"):
+                (folder / f"{name}.py").write_text(self.leaves(f"module-{name}"))
+        for name in ("fogspec", "sky", "fogspec/base", "fogspec/backends", "fogspec/cli"):
+            (folder / name).mkdir()
+            (folder / name / "__init__.py").write_text(self.leaves(f"package-{name.replace('/', '.')}"))
+            (folder / name / "__main__.py").write_text(self.leaves(f"package-{name.replace('/', '.')}"))
+        for name in PROGRAMS:
+            self.program(folder / name)
+        (folder / ".sky.yaml").write_text("admin_policy: hostile_policy.Policy\n")
+        (folder / "hostile_policy.py").write_text(self.leaves("admin-policy"))
+
+    def leaves(self, name: str) -> str:
+        return f"open({str(self.marks / name)!r}, 'a').close()\n"
+
+    def program(self, path: Path) -> Path:
+        path.write_text(f"#!/bin/sh\n: >> '{self.marks}/program-{path.name}'\n")
+        path.chmod(path.stat().st_mode | stat.S_IXUSR)
+        return path
+
+    def git(self) -> None:
+        """A repository whose configuration names programs wherever git would run one."""
+        words = {
+            "capture_output": True,
+            "check": True,
+            "cwd": self.project,
+            "env": {**os.environ, "PATH": "/usr/bin:/bin"},
+        }
+        subprocess.run(["git", "init", "-q"], **words)
+        subprocess.run(["git", "add", "specs/tiny.yaml", "hosts.csv"], **words)
+        who = ["-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false"]
+        subprocess.run(["git", *who, "commit", "-q", "-m", "all"], **words)
+        evil = self.program(self.project / "evil")
+        for name in ("core.fsmonitor", "diff.external", "core.pager", "pager.show", "diff.evil.textconv", "filter.evil.smudge",
+                     "filter.evil.clean", "gpg.program", "core.sshCommand", "core.askPass", "credential.helper",
+                     "interactive.diffFilter", "uploadpack.packObjectsHook"):  # fmt: skip
+            subprocess.run(["git", "config", name, str(evil)], **words)
+        subprocess.run(["git", "config", "diff.evil.command", str(evil)], **words)
+        (self.project / ".gitattributes").write_text("* diff=evil filter=evil\n")
+        hooks = self.project / ".git" / "hooks"
+        for name in ("post-checkout", "post-index-change", "reference-transaction", "pre-commit"):
+            self.program(hooks / name)
+
+    def __call__(self, *words: str, cwd: str = ".") -> "subprocess.CompletedProcess[str]":
+        environment = {
+            **os.environ,
+            "PATH": os.pathsep.join([".", "", str(BIN), os.environ["PATH"]]),
+            "HOME": str(self.home),
+            "XDG_CACHE_HOME": str(self.home / "cache"),
+            "SKYPILOT_API_SERVER_ENDPOINT": "http://127.0.0.1:9",  # nothing listens there, and nothing is sent elsewhere
+            "SKYPILOT_DISABLE_USAGE_COLLECTION": "1",
+        }
+        environment.pop("PYTHONPATH", None)
+        ended = subprocess.run(
+            [str(BIN / "fogspec"), *words],
+            cwd=self.project / cwd,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=240,
+        )
+        assert "Traceback" not in ended.stderr, ended.stderr
+        assert not (left := self.left()), f"{words} ran {left}: {ended}"
+        return ended
+
+    def left(self) -> list[str]:
+        return sorted(path.name for path in self.marks.iterdir())
+
+
+@pytest.fixture
+def hostile(tmp_path: Path) -> Iterator[Hostile]:
+    found = Hostile(tmp_path)
+    yield found
+    found("down", "tiny")
+
+
+LIFE = (
+    ("init", "other"),
+    ("validate", "specs/tiny.yaml"),
+    ("explain", "spec.probe"),
+    ("config", "specs/tiny.yaml"),
+    ("lock", "--catalog", "hosts.csv", "specs/tiny.yaml"),
+    ("compile", "specs/tiny.yaml"),
+    ("bench", "specs/tiny.yaml", "--runner", "local"),
+    ("compile", "specs/tiny.yaml"),
+    ("explain", "specs/tiny.yaml"),
+    ("menu", "tiny"),
+    ("report", "tiny"),
+    ("verify", "tiny"),
+    ("attest", "tiny"),
+    ("review", "HEAD", "specs/tiny.yaml"),
+    ("apply", "tiny", "--yes"),
+    ("status", "specs/tiny.yaml"),
+    ("diff", "specs/tiny.yaml"),
+    ("down", "tiny"),
+)
+NEVER_WELL = (("keys", "specs/tiny.yaml"), ("priors", "build", "--out", "priors.zip"), ("evaluate", "specs/tiny.yaml"))
+
+
+@pytest.mark.slow
+def test_no_verb_runs_what_lies_in_the_working_folder(hostile: Hostile) -> None:
+    assert {words[0] for words in (*LIFE, *NEVER_WELL)} == set(VERBS)
+    for words in LIFE:
+        ended = hostile(*words)
+        assert ended.returncode == 0, f"{words}: {ended}"
+    for words in NEVER_WELL:
+        hostile(*words)
+    hostile("status", "tiny.yaml", cwd="specs")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", ["status", "down", "bench"])
+def test_skypilots_process_runs_nothing_of_it(hostile: Hostile, verb: str) -> None:
+    """A live state that names a cloud machine starts SkyPilot, also for a verb that only looks."""
+    state = hostile.project / ".fogspec" / "tiny" / "deployment.yaml"
+    state.parent.mkdir(parents=True)
+    ours = owner_of(Layout.of(hostile.project / "specs" / "tiny.yaml", "tiny")).deployment_name(
+        "sha256:01234567", "abcdef"
+    )
+    state.write_text(json.dumps(CLOUD).replace("fogspec-tiny-01234567-abcdef", ours))
+    hostile("compile", "specs/tiny.yaml")
+    words = {
+        "status": ["specs/tiny.yaml"],
+        "down": ["tiny"],
+        "bench": ["specs/tiny.yaml", "--runner", "skypilot", "--yes"],
+    }
+    hostile(verb, *words[verb])
+    state.unlink(missing_ok=True)
+
+
+@pytest.mark.slow
+def test_the_suite_itself_notices(hostile: Hostile) -> None:
+    """The traps are set where an interpreter, a shell and git would step into them."""
+    for words, mark in (
+        ([sys.executable, "-m", "fogspec", "validate"], "module-importlib"),
+        ([sys.executable, "-c", "import queue"], "module-queue"),
+        ([sys.executable, "-c", "import sky"], "package-sky"),
+        (["/bin/sh", "-c", "PATH=.:$PATH; timeout 1"], "program-timeout"),
+        (["/usr/bin/git", "status"], "program-evil"),
+    ):
+        subprocess.run(words, cwd=hostile.project, capture_output=True)
+        left = hostile.left()
+        for name in left:
+            (hostile.marks / name).unlink()
+        assert mark in left, words
