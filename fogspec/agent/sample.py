@@ -7,7 +7,7 @@
 The processes find the probe module on PYTHONPATH and append one line of JSON per request to FOGSPEC_TIMINGS
 (DIR/timings.jsonl). Their output is kept without the values of secret variables. However the sample ends, DIR/outcome.json
 is written unless the agent itself is killed: state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s,
-duration_s, waited_s, requests and unreadable lines.
+duration_s, waited_s, requests, unreadable lines, and facts of the server.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from . import processes, redaction
+from . import machine_facts, processes, redaction
 from .stopping import TIMINGS_LIMIT, Timings
 
 # The zip application that this module was loaded from.
@@ -93,9 +93,11 @@ class SampleRun:
         """Return the outcome, without its duration."""
         processes.adopt_orphans()
         kills = processes.memory_kills()
+        before = machine_facts.read()
         try:
             state, reason, detail, stopped_by = self._start() or self._watch()
             waited_s = self._waited_s(stopped_by)
+            server = machine_facts.between(before, machine_facts.read())
         finally:
             killed = processes.memory_kills() > kills
             processes.finish(self.children)
@@ -119,6 +121,7 @@ class SampleRun:
             "waited_s": waited_s,
             "requests": self.timings.requests,
             "unreadable": self.timings.unreadable,
+            "server": server,
         }
 
     def _waited_s(self, stopped_by: str | None) -> float | None:

@@ -3,8 +3,8 @@
     python3 agent.pyz supervisor --out DIR [--ready '<json argv>'] [--secret NAME ...]
                                  --process '<json argv>' [--process ...] [--listener ...]
 
-DIR/state.json has the state (starting, ready, ended), detail, ready_s, observed, and the public half of the link from
-DIR/link.pub. Probes append one line of JSON per request to FOGSPEC_TIMINGS (DIR/timings.jsonl), which is moved to
+DIR/state.json has the state (starting, ready, ended), detail, ready_s, observed, facts of the server, and the public half of
+the link from DIR/link.pub. Probes append one line of JSON per request to FOGSPEC_TIMINGS (DIR/timings.jsonl), which is moved to
 timings.1.jsonl when it is large, so that both together stay bounded. A listener only observes: its end does not end the
 nodes. The output of all is passed on without the values of secret variables. For controllers that cannot read files on
 this machine, the log regularly contains the same state with the latest requests:
@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from . import processes, redaction
+from . import machine_facts, processes, redaction
 from .sample import extract
 
 POLL_S = 0.1
@@ -85,6 +85,7 @@ class Supervisor:
         self.reported_s, self.report_after_s = self.started_s, REPORT_FIRST_S
         self.ready_s: float | None = None
         self.note = ""
+        self.facts = machine_facts.read()
 
     def start(self) -> None:
         """Start everything; raise OSError for a command that cannot be started."""
@@ -170,6 +171,7 @@ class Supervisor:
             "ready_s": self.ready_s,
             "observed": not self.note,
             "link": public,
+            "server": machine_facts.between(self.facts, machine_facts.read()),
         }
         self.reported_s = time.monotonic()
         with contextlib.suppress(OSError):

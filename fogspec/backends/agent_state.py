@@ -9,12 +9,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeGuard, get_args
 
+from pydantic import ValidationError
+
 from fogspec.backends.protocol import DeploymentStatus
 from fogspec.backends.skypilot.errors import plain
 from fogspec.base.files import open_untrusted
 from fogspec.base.units import UnitError
 from fogspec.results.ranges import TIME_S
-from fogspec.results.schema import Reason
+from fogspec.results.schema import Reason, ServerFacts
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {
     "starting": "starting",
@@ -41,6 +43,7 @@ class Outcome:
     setup_s: float | None = None
     waited_s: float | None = None
     duration_s: float | None = None
+    server: ServerFacts | None = None
 
     @property
     def measured_s(self) -> float | None:
@@ -72,6 +75,7 @@ def read_outcome(path: Path) -> Outcome | None:
         detail=_short(values.get("detail")),
         stopped_by=_short(values.get("stopped_by")),
         **times_s,
+        server=server_facts(values.get("server")),
     )
 
 
@@ -87,6 +91,7 @@ def deployment_status(state: bytes, timings: bytes, address: str | None) -> Depl
         timings=tail(timings),
         observed=values.get("observed") is not False,
         link=_public_key(values.get("link")),
+        server=server_facts(values.get("server")),
     )
 
 
@@ -123,6 +128,25 @@ def tail(timings: bytes) -> bytes:
         return timings
     cut = timings[-TAIL_BYTES:]
     return cut[cut.find(b"\n") + 1 :]
+
+
+def server_facts(value: object) -> ServerFacts | None:
+    """Return what a machine told of its server, without facts that are impossible; None without its CPU."""
+    if not isinstance(value, dict):
+        return None
+    facts = {name: _tidy(value[name]) for name in ServerFacts.model_fields if value.get(name) is not None}
+    try:
+        return ServerFacts.model_validate(facts, strict=True)
+    except ValidationError as problem:
+        wrong = {error["loc"][0] for error in problem.errors()}
+    try:
+        return ServerFacts.model_validate({name: one for name, one in facts.items() if name not in wrong}, strict=True)
+    except ValidationError:
+        return None
+
+
+def _tidy(value: object) -> object:
+    return "".join(c for c in value if c.isprintable())[:120] if isinstance(value, str) else value
 
 
 def _is_record(row: object) -> TypeGuard[list[Any]]:

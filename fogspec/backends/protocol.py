@@ -13,7 +13,7 @@ from typing import Literal, Protocol, TypeVar
 from fogspec.backends.naming import ForeignMachine, Owner
 from fogspec.base.project_files import ProjectFiles
 from fogspec.catalog.machine import Machine
-from fogspec.results.schema import Measured, Reason
+from fogspec.results.schema import Measured, Reason, ServerFacts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,6 +89,7 @@ class SampleStatus:
     billed_s: float | None = None
     recorded: Measured | None = None
     so_far: Partial | None = None
+    server: ServerFacts | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +99,7 @@ class DeploymentStatus:
     `starting` until the nodes answer, `ready` while they do; `ended` when a node has ended though its machine may
     still be up; `gone` when there is no machine. `timings` are the latest probe records, whole lines, at most a MiB.
     `observed` is False when nothing records them any more, and `detail` gives the reason. `address` is where the robot finds
-    the machine, `link` the public half of the cloud's end of their link.
+    the machine, `link` the public half of the cloud's end of their link, `server` what the machine told of itself.
     """
 
     state: Literal["starting", "ready", "ended", "gone"]
@@ -108,6 +109,7 @@ class DeploymentStatus:
     timings: bytes = b""
     observed: bool = True
     link: str | None = None
+    server: ServerFacts | None = None
 
 
 class LaunchRefused(Exception):

@@ -75,6 +75,7 @@ def _figures(requests: Requests, status: SampleStatus, rules: RecordRules) -> di
         "unmatched": requests.unmatched or None,
         "latency_lower_bound": status.waited_s if state in ("timeout", "insufficient") else None,
         "metrics": {name: _mean(values, rules.scenarios) for name, values in requests.metrics.items()},
+        "server": status.server,
     }
 
 
@@ -110,7 +111,15 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
         return "insufficient", None, f"{n} requests; {rules.statistic} needs {NEEDED[rules.statistic]}"
     if not max(requests.latencies_s) >= ranges.LATENCY_S.least:
         return "failed", "out_of_range", f"no request took a nanosecond: {n} latencies of 0s are none"
-    return "ok", None, "; ".join(filter(None, [status.detail, hangs, *_caveats(requests)])) or None
+    return "ok", None, "; ".join(filter(None, [status.detail, hangs, *_caveats(requests), _moved(status)])) or None
+
+
+def _moved(status: SampleStatus) -> str | None:
+    """Return what qualifies figures of a machine that had two CPUs one after the other."""
+    server = status.server
+    if server is None or server.changed_to is None:
+        return None
+    return f"its CPU changed while it was measured, from {server.cpu} to {server.changed_to}"
 
 
 def _caveats(requests: Requests) -> Iterator[str | None]:

@@ -19,7 +19,7 @@ from fogspec.compile.manifest import FileRef, Manifest, Sources, make_manifest
 from fogspec.model.fit import Models, fit, targets
 from fogspec.model.predict import PredictionSet, predict
 from fogspec.plan.schema import ApplicationRef, CatalogRef
-from fogspec.results.schema import Results
+from fogspec.results.schema import Results, other_servers
 from fogspec.spec import fingerprints
 from fogspec.spec.lockfile import image_named, is_pinned
 from fogspec.spec.schema import Application
@@ -76,7 +76,7 @@ def decide(
     """Select a machine and make the files of that choice; `application` has its image pinned."""
     selection = select(inputs, application, admissible, results)
     models, choice, layout = selection.models, selection.choice, inputs.layout
-    warnings = warnings_for(application, models, choice)
+    warnings = warnings_for(application, models, choice, results)
     menu = make_menu(application, choice, warnings)
     files = {layout.models: _yaml(models, layout), layout.menu: _yaml(menu, layout)}
     files |= _charts(application, choice, models, layout)
@@ -147,13 +147,14 @@ def _sources(
     )
 
 
-def warnings_for(application: Application, models: Models, choice: Choice) -> list[str]:
+def warnings_for(application: Application, models: Models, choice: Choice, results: Results) -> list[str]:
     """Return the warnings for reviewers about the predictions, most important first."""
     found, row = caveats(models, choice), choice.chosen
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
         found += [f"curve of {model.target}{beside}: {text}" for text in model.warnings]
     found += [f"sample {one.id} does not count: {one.reason}" for one in models.spec.rejected]
+    found += other_servers(results.spec.samples)
     image = image_named(application)
     if image is not None and not is_pinned(image):
         found.append(f"image {image} is not pinned to a digest: what is deployed may differ from what was measured")

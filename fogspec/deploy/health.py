@@ -1,6 +1,6 @@
 """Health of a deployment: sync (does it match the manifest) and health (do its nodes behave as predicted)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
@@ -20,6 +20,7 @@ from fogspec.deploy.drift import Observed, observe, violation_text
 from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, WallClock
+from fogspec.results.io import read_results
 from fogspec.spec.loader import read_document, read_plain
 from fogspec.spec.lock_io import files_deployed
 from fogspec.spec.schema import Application
@@ -81,6 +82,7 @@ def health_report(
     if live is not None and approved is not None and live.state == "ready":
         observed = observe(live.timings, application, approved.expected, subject.machine)
     health, why = _health(subject, live, observed, approved)
+    why += _another_cpu(layout, subject, live)
     return HealthReport(
         sync="OutOfSync" if differs or not fresh or serving is None else "Synced",
         health=health,
@@ -171,6 +173,20 @@ def _health(
     return "Degraded" if observed.violated else "Drifted" if drifted else "Healthy", notes
 
 
+def _another_cpu(layout: Layout, machine: DeployedMachine, live: DeploymentStatus | None) -> Iterator[str]:
+    """Yield a reason if the machine has a CPU on which its type was not measured."""
+    if live is None or live.server is None:
+        return
+    try:
+        results = read_results(layout)
+    except (DiagnosticError, FogspecError):
+        return
+    samples = [] if results is None else results.spec.samples
+    measured = {one.server.cpu for one in samples if one.server and one.machine.type_key == machine.machine.type_key}
+    if measured and live.server.cpu not in measured:
+        yield f"another CPU than measured: {live.server.cpu}, and {' and '.join(sorted(measured))} was measured"
+
+
 def as_text(one: HealthReport) -> list[str]:
     """Return the deployment in lines."""
     subject = one.serving or one.machines[-1]
@@ -214,6 +230,7 @@ def as_dict(one: HealthReport) -> dict[str, Any]:
         "spent_usd": round(one.spent_usd, 6),
         "up_s": one.up_s,
         "ready_s": one.live and one.live.ready_s,
+        "server": None if one.live is None or one.live.server is None else one.live.server.model_dump(mode="json"),
         "predicted": None if one.manifest is None else _predicted(one.manifest),
         "observed": None if one.observed is None or one.manifest is None else _observed(one.observed, one.manifest),
     }

@@ -79,6 +79,8 @@ def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
             "samples that matter most",
             *(f"  {_influence_text(one)}" for one in found.influences[:MOST_SAMPLES]),
         ]
+    if servers := _servers(compiled):
+        lines += ["", "measured on", *(f"  {text}" for text in servers)]
     lines += ["", "one more sample", f"  {_next_sample_text(choice, found.next, local)}"]
     lines += ["", "others", *_others(compiled, decision)]
     if menu.spec.warnings:
@@ -104,6 +106,7 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         "limits": [_slack_dict(b) for b in analysis.bindings],
         "confidences": [_confidence_dict(choice, one) for one in other_confidences(choice)],
         "samples": [asdict(one) for one in analysis.influences],
+        "servers": _server_dicts(compiled),
         "weak": [
             {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in widest_intervals(choice)
         ],
@@ -236,6 +239,17 @@ def _model(decision: Decision, found: Analysis) -> list[str]:
         low, high = (units.format_duration(rounded(end)) for end in interval)
         lines.append(f"  weak: {choice.offers.instance[one.row]} [{low}, {high}], a factor of {one.ratio:.2f}")
     return lines + [f"  curve: {_model_text(model)}" for model in body.models]
+
+
+def _server_dicts(compiled: Artifacts) -> list[dict[str, Any]]:
+    samples = [] if compiled.results is None else compiled.results.spec.samples
+    return [{"id": one.id, **one.server.model_dump(mode="json")} for one in samples if one.server is not None]
+
+
+def _servers(compiled: Artifacts) -> list[str]:
+    """Return a line for each server that ran samples, as it described itself."""
+    samples = [] if compiled.results is None else compiled.results.spec.samples
+    return [f"{one.machine.instance}: {one.server.line()}" for one in samples if one.server is not None]
 
 
 def _leave_one_out_text(found: list[Influence]) -> str:

@@ -48,7 +48,7 @@ def menu_view(inputs: Inputs, alpha: float | None, latency: str | None, cost: st
     application = pinned(changed(inputs.application, alpha, latency, cost), inputs.pins)
     admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
     found = select(inputs, application, admissible, results)
-    menu = make_menu(application, found.choice, warnings_for(application, found.models, found.choice))
+    menu = make_menu(application, found.choice, warnings_for(application, found.models, found.choice, results))
     return MenuView(application, found.choice, menu)
 
 

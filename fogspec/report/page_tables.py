@@ -18,7 +18,7 @@ from fogspec.results.schema import Measured, Results
 
 MEASURED_HEADS = (
     "machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "state", "requests", "mean", "sd", "p50", "p95", "p99",
-    "metrics", "took", "spent",
+    "metrics", "took", "spent", "measured on",
 )  # fmt: skip
 
 
@@ -74,6 +74,7 @@ def _measured(one: Measured) -> tuple[str, ...]:
         metrics,
         units.format_duration(rounded(one.duration)),
         units.format_money(one.spent),
+        "" if one.server is None else one.server.line(),
     )
 
 

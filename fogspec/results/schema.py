@@ -1,12 +1,13 @@
 """The results of a benchmark: one record per sample, measured or failed."""
 
-from typing import Literal
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from fogspec.base import digest
 from fogspec.base.quantities import Money, Strict
-from fogspec.catalog.machine import Machine
+from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.plan.schema import PlanMetadata, Sampling
 from fogspec.results.ranges import Amount, Counted, MetricValue, RequestTime, Text, Time
 
@@ -47,6 +48,40 @@ class Timings(Strict):
     digest: str
 
 
+class ServerFacts(Strict):
+    """The server that ran a sample, as it described itself; facts that it did not give are None.
+
+    `features` are instruction sets that matter to numerical code. `clock_ghz` and `run_queue`, the tasks that could have run,
+    are those at the end; `steal` is the fraction of the CPU time that its host gave to others. `changed_to` is another CPU
+    that it had at the end.
+    """
+
+    cpu: str = Field(min_length=1, max_length=120)
+    arch: str | None = Field(None, pattern=r"^[A-Za-z0-9_]{1,16}$")
+    features: list[Annotated[str, Field(pattern=r"^[a-z0-9_]{1,16}$")]] = Field([], max_length=32)
+    sockets: int | None = Field(None, ge=1, le=64)
+    cores: int | None = Field(None, ge=1, le=8192)
+    threads: int | None = Field(None, ge=1, le=8192)
+    clock_ghz: float | None = Field(None, gt=0, le=10)
+    steal: float | None = Field(None, ge=0, le=1)
+    run_queue: int | None = Field(None, ge=0, le=100_000)
+    changed_to: str | None = Field(None, max_length=120)
+
+    def line(self) -> str:
+        """Return the facts in one line, for people."""
+        cores = (
+            None
+            if self.cores is None
+            else f"{self.cores} cores" + (f", {self.threads} threads" if self.threads else "")
+        )
+        sockets = None if self.sockets in (None, 1) else f"{self.sockets} sockets"
+        clock = None if self.clock_ghz is None else f"{self.clock_ghz:.2g} GHz"
+        steal = None if not self.steal else f"{self.steal:.1%} of its time stolen"
+        busy = self.run_queue is not None and self.threads is not None and self.run_queue > self.threads
+        queue = f"{self.run_queue} tasks waiting to run" if busy else None
+        return ", ".join(filter(None, (self.cpu, sockets, cores, clock, steal, queue)))
+
+
 class Measured(Strict):
     """One sample's record.
 
@@ -58,7 +93,8 @@ class Measured(Strict):
     them apart; `lost` of the failed requests got no response, `unmatched` responses belong to no request.
     `latency` is there when at least one valid request was measured, whatever the state; `latency_lower_bound` is a lower
     bound on the latency of a sample that was aborted in the middle of a request. A figure that its machine sent out of
-    range (`fogspec.results.ranges`) is none: it makes the sample `failed`, `out_of_range`.
+    range (`fogspec.results.ranges`) is none: it makes the sample `failed`, `out_of_range`. `server` is the server
+    that ran it.
     """
 
     id: str
@@ -82,6 +118,7 @@ class Measured(Strict):
     duration: Time
     spent: Amount
     timings: Timings | None = None
+    server: ServerFacts | None = None
 
 
 class ResultsBody(Strict):
@@ -154,3 +191,17 @@ def _abandoned(body: ResultsBody) -> set[str]:
 def _checksum(metadata: PlanMetadata, body: ResultsBody) -> str:
     """Return the digest over all fields but those that are None, so that an optional field added later keeps it valid."""
     return digest.of_value([metadata.model_dump(mode="json"), body.model_dump(mode="json", exclude_none=True)])
+
+
+def other_servers(records: Sequence[Measured]) -> list[str]:
+    """Return a sentence for each instance type that was measured on servers with different CPUs."""
+    cpus: dict[TypeKey, dict[str, None]] = {}
+    for one in records:
+        if one.server is not None:
+            seen = filter(None, (one.server.cpu, one.server.changed_to))
+            cpus.setdefault(one.machine.type_key, {}).update(dict.fromkeys(seen))
+    return [
+        f"{instance} is not one kind of machine: it was measured on {' and on '.join(seen)}"
+        for (_, instance, *_), seen in cpus.items()
+        if len(seen) > 1
+    ]

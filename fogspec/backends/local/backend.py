@@ -173,6 +173,7 @@ class LocalSamples(LocalBackend):
             measured_s=outcome.measured_s,
             stopped_by=outcome.stopped_by,
             waited_s=outcome.waited_s,
+            server=outcome.server,
         )
 
     def stop(self, job: Job) -> None:

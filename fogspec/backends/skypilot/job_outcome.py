@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
-from fogspec.backends.agent_state import read_outcome
+from fogspec.backends.agent_state import read_outcome, server_facts
 from fogspec.backends.protocol import Job, SampleStatus
 from fogspec.backends.skypilot import logs
 
@@ -42,6 +42,7 @@ def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> Samp
         waited_s=outcome.waited_s,
         measured_s=measured_s,
         setup_s=setup_s,
+        server=outcome.server,
     )
 
 
@@ -63,12 +64,14 @@ def read_final(job: Job) -> SampleStatus | None:
     if values is None:
         return None
     timings = job.directory / "out" / "timings.jsonl"
-    return SampleStatus(**{**values, "timings": timings if values.get("timings") else None})
+    server = server_facts(values.get("server"))
+    return SampleStatus(**{**values, "timings": timings if values.get("timings") else None, "server": server})
 
 
 def write_final(job: Job, status: SampleStatus) -> None:
     """Write the final status."""
-    save(job, ENDED, {**asdict(status), "timings": status.timings is not None, "recorded": None})
+    server = None if status.server is None else status.server.model_dump(mode="json")
+    save(job, ENDED, {**asdict(status), "timings": status.timings is not None, "recorded": None, "server": server})
 
 
 def load(job: Job, name: str) -> dict[str, Any] | None:
