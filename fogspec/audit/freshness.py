@@ -20,11 +20,12 @@ from fogspec.plan.reuse import covers
 from fogspec.plan.schema import Plan, PlanBody, TaskRef
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
-from fogspec.spec.lockfile import pins_of_measurement
+from fogspec.spec.lockfile import changed_pins, differing, listed, pins_of_measurement
 from fogspec.spec.schema import Application
 
 State = Literal["fresh", "partial", "stale", "missing"]
 NAMED = 6
+LOCKED = "{} is locked to something else"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +110,7 @@ def _plan(compiled: Artifacts, differing: Sequence[Path]) -> Stage:
     file = inputs.on_disk.get(path)
     if file is None:
         return Stage("plan", path, "missing", (f"fogspec compile {inputs.layout.spec}",))
-    drifted = [f"{name} is not what the lock says" for name in inputs.drifted]
+    drifted = listed(inputs.drifted, "{} is not what the lock says", NAMED)
     mine = [one for one in differing if stage_of(one, inputs.layout) == "plan"]
     if not mine:
         return Stage("plan", path, "stale" if drifted else "fresh", tuple(drifted))
@@ -156,8 +157,7 @@ def changed_reads(before: Mapping[str, str] | None, application: Application) ->
 
 
 def _changed_pins(before: Mapping[str, str] | None, now: Mapping[str, str]) -> list[str]:
-    names = sorted((before or {}).keys() | now.keys())
-    return [f"{name} is locked to something else" for name in names if (before or {}).get(name) != now.get(name)]
+    return listed(differing(before or {}, now), LOCKED, NAMED)
 
 
 def _results(compiled: Artifacts) -> Stage:
@@ -187,7 +187,7 @@ def _changed_since(inputs: Inputs, results: Results) -> list[str]:
     """Return the changes since stale results were measured."""
     application = inputs.application
     pins = pins_of_measurement(application, inputs.pins)
-    others = [f"{name} is locked to something else" for name in fingerprints.changed_pins(results.spec.pins, pins)]
+    others = listed(changed_pins(results.spec.pins, pins), LOCKED, NAMED)
     if results.spec.application == fingerprints.measured_digest(application):
         return others
     fields = changed_reads(results.spec.field_digests, application) if results.spec.field_digests else []

@@ -24,6 +24,7 @@ from fogspec.results.requests import RecordRules, parse_requests
 from fogspec.results.schema import LatencySummary, Measured, Results
 from fogspec.results.statistics import summary, weights
 from fogspec.spec import fingerprints
+from fogspec.spec.lockfile import listed
 
 SHOWN = 8
 
@@ -102,7 +103,7 @@ def _beside(opened: ManifestBundle) -> Check:
         return Check(
             "lock", str(layout.lock), (), ("there is no lock: images and files beside the spec are not pinned",)
         )
-    return Check("lock", str(layout.lock), tuple(f"{name} is not what the lock says" for name in inputs.drifted))
+    return Check("lock", str(layout.lock), tuple(listed(inputs.drifted, "{} is not what the lock says", SHOWN)))
 
 
 def _plan(opened: ManifestBundle, compiled: Artifacts) -> Check:

@@ -24,7 +24,8 @@ class Job:
     the job. It is bound to the `owner`: no job with another's name can be made, so that no backend can touch its machine.
 
     `task` is the parsed task, `root` the directory that its relative paths are relative to, `directory` this job's own
-    directory for logs and fetched files. `machine` may be None and `task` empty where the job is only polled or stopped.
+    directory for logs and fetched files. `tree` is the snapshot of the files that the machine is sent in place of the task's
+    `workdir`; None sends that as it is. `machine` may be None and `task` empty where the job is only polled or stopped.
 
     A sample's machine shuts itself down after `lifetime_s` seconds, even if its controller has died; a deployment has no
     lifetime. `replicate` counts the samples on the same type of machine.
@@ -35,6 +36,7 @@ class Job:
     task: Mapping[str, object]
     root: Path
     directory: Path
+    tree: Path | None = None
     machine: Machine | None = None
     lifetime_s: float | None = None
     replicate: int = 1
@@ -48,6 +50,13 @@ class Job:
     def files(self) -> ProjectFiles:
         """Opens and writes what is in `directory`."""
         return ProjectFiles(self.root)
+
+    @property
+    def launched(self) -> Mapping[str, object]:
+        """The task with the snapshot as its `workdir`."""
+        if self.tree is None or "workdir" not in self.task:
+            return self.task
+        return {**self.task, "workdir": str(self.tree.absolute())}
 
     @property
     def machine_name(self) -> str:

@@ -149,6 +149,11 @@ class Layout:
         return self.state / "attempts"
 
     @property
+    def sent(self) -> Path:
+        """Folder of the snapshots of what a bench sends to its machines."""
+        return self.state / "sent"
+
+    @property
     def live(self) -> Path:
         """What runs."""
         return self.state / "deployment.yaml"

@@ -113,6 +113,7 @@ class Campaign:
             task=task,
             root=self.config.root,
             directory=self.config.attempts / started.name,
+            tree=self.config.tree,
             machine=started.sample.machine,
             lifetime_s=started.lifetime_s,
             replicate=replicate(started.sample.id),

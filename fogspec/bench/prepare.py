@@ -14,8 +14,8 @@ from fogspec.results.io import read_results
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import SourceFile
-from fogspec.spec.lock_io import lock_drift, read_pins
-from fogspec.spec.lockfile import pins_of_measurement
+from fogspec.spec.lock_io import files_sent, lock_drift, read_pins
+from fogspec.spec.lockfile import changed_pins, pins_of_measurement, some
 from fogspec.spec.schema import Application
 
 
@@ -66,8 +66,8 @@ def prepare(
     if plan.spec.application.digest != fingerprints.planned_digest(application):
         raise OutOfDate(f"{layout.plan} is stale: {_changed(application, plan)} changed since it was compiled", again)
     pins = read_pins(layout)
-    if drifted := lock_drift(application, layout, pins):
-        raise OutOfDate(f"{', '.join(drifted)}: not what {layout.lock} pins", f"fogspec lock {layout.spec}", again)
+    if drifted := lock_drift(pins, files_sent(application, layout) if pins else {}):
+        raise OutOfDate(f"{some(drifted)}: not what {layout.lock} pins", f"fogspec lock {layout.spec}", again)
     if plan.spec.pins != pins_of_measurement(application, pins):
         raise OutOfDate(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
     _check_agent(layout, again, {} if known is None else known)
@@ -75,7 +75,7 @@ def prepare(
     results = read_results(layout)
     outdated = results is not None and (
         results.spec.application != fingerprints.measured_digest(application)
-        or bool(fingerprints.changed_pins(results.spec.pins, plan.spec.pins))
+        or bool(changed_pins(results.spec.pins, plan.spec.pins))
     )
     counting = None if outdated else results
     return Prepared(

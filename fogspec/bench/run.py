@@ -1,5 +1,6 @@
 """One benchmark from start to end: locked, journaled, interruptible, and reported."""
 
+import contextlib
 import math
 import secrets
 from collections.abc import Callable
@@ -7,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.agent.redaction import Secrets
-from fogspec.backends.protocol import SampleBackend
+from fogspec.backends.protocol import Costs, SampleBackend
 from fogspec.backends.registry import owner_of
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
@@ -30,7 +31,7 @@ from fogspec.plan.schema import Sample, lifetime_s
 from fogspec.results.requests import RecordRules
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
-from fogspec.spec.lock_io import read_pins
+from fogspec.spec.lock_io import read_pins, snapshot
 from fogspec.spec.lockfile import pinned
 
 DEADLINE_BEFORE_END_S = 60.0
@@ -122,6 +123,9 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
         raise
     finally:
         journal.close()
+        if not journal.state.open:
+            with contextlib.suppress(OSError):
+                layout.files.remove_tree(layout.sent)
 
 
 def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, running: set[str]) -> None:
@@ -173,6 +177,10 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
     owner = owner_of(layout)
     journal.check_owned(owner)
     application = fingerprints.measured_digest(prepared.application)
+    token, pins = secrets.token_hex(4), read_pins(layout)
+    tree = None
+    if backend.costs != Costs.RECORDED:
+        tree = snapshot(prepared.application, layout, layout.sent / token, pins.files if pins else None)
     sink = ResultsFile(
         layout=layout,
         application=application,
@@ -190,7 +198,7 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
     if prepared.results is not None:
         check_same_runner(prepared.results, backend)
         sink.resume(prepared.results)
-    tasks = Tasks(pinned(prepared.application, read_pins(layout)), layout, prepared.plan, dict(prepared.tasks))
+    tasks = Tasks(pinned(prepared.application, pins), layout, prepared.plan, dict(prepared.tasks))
     # A sample that is still running from before must have been started by a task with the same pins.
     measured = digest.of_value([application, body.pins])
     journal.begin(backend.name, measured, prepared.plan_digest, sink.spent_usd)
@@ -206,8 +214,9 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
         task=tasks.task,
         root=layout.root,
         attempts=layout.attempts,
-        token=secrets.token_hex(4),
+        token=token,
         substitutes=lambda name: _substitutes(tasks.substitutes(name), sink, one.options.prices),
+        tree=tree,
     )
     campaign = Campaign(
         config=config,

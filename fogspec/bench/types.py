@@ -19,6 +19,7 @@ SAMPLE_IN_NAME = 30
 class CampaignConfig:
     """The configuration of a campaign. `owner` is whose machines it starts, `measured` a digest of what is measured.
 
+    `tree` is the snapshot of the files that each machine is sent, None for none.
     `task` returns a sample's reviewed task, parsed, or None if the sample is no longer wanted; `substitutes` returns samples to
     measure if the one with this id is unavailable, best first. The controller stops a sample after `deadline_s`; its machine
     shuts itself down after `lifetime_s`. `token` makes the names of this campaign's jobs differ from all others, also when the
@@ -36,6 +37,7 @@ class CampaignConfig:
     attempts: Path
     token: str
     substitutes: Callable[[str], Sequence[Sample]] = lambda _sample: ()
+    tree: Path | None = None
 
     def job_name(self, sample: Sample, number: int) -> str:
         """Return the name of the campaign's attempt with this number."""

@@ -28,9 +28,10 @@ def command(
     from fogspec.compile.compiler import compile_application
     from fogspec.report import summary
     from fogspec.spec.discover import find_specs
+    from fogspec.spec.lockfile import some
     from fogspec.spec.rules.policies import Policies
 
-    inputs, rules = load_inputs(find_specs(specs), catalog_path, priors, audit=check), Policies(policies)
+    inputs, rules = load_inputs(find_specs(specs), catalog_path, priors, audit=True), Policies(policies)
     echo_notes(note for one in inputs for note in one.catalog_notes)
     rules.require_specs([one.spec for one in inputs])
     compiled = [compile_application(one) for one in inputs]
@@ -52,8 +53,11 @@ def command(
         raise OutOfDate(
             f"{len(changed)} files differ from what compile would write", *map(str, changed), f"write them: {again}"
         )
-    if check and (drifted := [name for one in inputs for name in one.drifted]):
-        raise OutOfDate(f"{', '.join(drifted)}: not what the lock says", f"fogspec lock {' '.join(specs)}".strip())
+    if drifted := list(dict.fromkeys(name for one in inputs for name in one.drifted)):
+        lock = f"fogspec lock {' '.join(specs)}".strip()
+        if check:
+            raise OutOfDate(f"{some(drifted)}: not what the lock says", lock)
+        click.echo(f"{some(drifted)}: not what the lock says, so that bench and apply refuse it: {lock}", err=True)
     if infeasible := [one for one in compiled if one.decision is not None and one.decision.manifest is None]:
         names = ", ".join(one.layout.name for one in infeasible)
         raise Infeasible(f"{names}: no machine meets the limits", *(f"see {one.layout.menu}" for one in infeasible))

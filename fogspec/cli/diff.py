@@ -34,7 +34,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     found = []
     for one in inputs:
         differing = diff.difference(status(one, try_compile(one)))
-        found.append((differing, running_changes(one.layout, SystemWallClock(), one.application)))
+        found.append((differing, running_changes(one.layout, SystemWallClock(), one.application, one.sent)))
     if output == "json":
         data = [diff.as_dict(differing, live) for differing, live in found]
         click.echo(json.dumps(data, indent=2, ensure_ascii=False))

@@ -9,6 +9,8 @@ import click
 from fogspec.base.errors import OutOfDate
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from
 
+SHOWN = 40
+
 
 @click.command()
 @click.argument("specs", nargs=-1, type=click.Path(path_type=str))
@@ -82,4 +84,5 @@ def _print(changes: dict[Path, list[str]], output: str) -> None:
         click.echo(json.dumps({str(path): lines for path, lines in changes.items()}, indent=2, ensure_ascii=False))
         return
     for path, lines in changes.items():
-        click.echo("\n  ".join([f"{path}: {len(lines)} changes" if lines else f"{path}: complete", *lines]))
+        shown = [*lines[:SHOWN], *([f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else [])]
+        click.echo("\n  ".join([f"{path}: {len(lines)} changes" if lines else f"{path}: complete", *shown]))

@@ -31,7 +31,9 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     found = [freshness.status(one, try_compile(one)) for one in inputs]
     echo_notes(note for one in inputs if (note := tracked_note(one.layout)) is not None)
     lives = [
-        health.health_report(one.inputs.application, one.layout, one.fresh, SystemWallClock(), deployment_backend)
+        health.health_report(
+            one.inputs.application, one.layout, one.inputs.sent, one.fresh, SystemWallClock(), deployment_backend
+        )
         for one in found
     ]
     if output == "json":

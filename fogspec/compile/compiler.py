@@ -19,7 +19,7 @@ from fogspec.plan.reuse import plan_from_campaign, reuse_plan
 from fogspec.plan.schema import Plan, digest_without_budget
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
-from fogspec.spec.lockfile import pinned, pins_of_measurement
+from fogspec.spec.lockfile import changed_pins, pinned, pins_of_measurement, some
 from fogspec.spec.schema import Application
 
 if TYPE_CHECKING:
@@ -83,8 +83,8 @@ def usable_results(inputs: Inputs) -> tuple[Results | None, str | None]:
             "driven has changed since"
         )
     pins = pins_of_measurement(inputs.application, inputs.pins)
-    if others := fingerprints.changed_pins(results.spec.pins, pins):
-        return None, f"{path} measured something else: {', '.join(others)} changed since"
+    if others := changed_pins(results.spec.pins, pins):
+        return None, f"{path} measured something else: {some(others)} changed since"
     return results, None
 
 

@@ -21,7 +21,7 @@ from fogspec.model.predict import PredictionSet, predict
 from fogspec.plan.schema import ApplicationRef, CatalogRef
 from fogspec.results.schema import Results, other_servers
 from fogspec.spec import fingerprints
-from fogspec.spec.lockfile import image_named, is_pinned
+from fogspec.spec.lockfile import image_named, is_pinned, sent_files
 from fogspec.spec.schema import Application
 
 
@@ -142,6 +142,9 @@ def _sources(
         task=deployed.task,
         robot_launch=deployed.robot_launch,
         robot_environment=deployed.robot_environment,
+        sent=sent_files(
+            application, layout.beside_manifest(layout.spec.parent), inputs.pins, layout.spec.parent == layout.root
+        ),
         files=deployed.files,
         fallbacks=deployed.fallbacks,
     )

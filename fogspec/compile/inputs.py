@@ -23,9 +23,10 @@ from fogspec.compile.agent_archive import agent_archive, is_former_agent_file
 from fogspec.results.io import check_integrity
 from fogspec.results.schema import Results
 from fogspec.spec.loader import LoadedSpec, SourceFile, load
-from fogspec.spec.lock_io import lock_drift
+from fogspec.spec.lock_io import lock_drift, sent_tree
 from fogspec.spec.lockfile import Lock, Pins
 from fogspec.spec.schema import Application
+from fogspec.spec.tree import Tree
 
 if TYPE_CHECKING:
     from fogspec.numerics.priors import PriorData
@@ -48,9 +49,9 @@ class Inputs:
     """The inputs of an application.
 
     `damaged` is the error of unusable results on disk. `agent` are the files copied to every machine, by their path in
-    `compiled/`. `on_disk` are the compiled files on disk, `lock` is the lock file. `drifted` names the files next to the
-    spec that do not match the lock; it is computed only for an audit. `catalog_notes` are what the user should know of the
-    catalog.
+    `compiled/`. `on_disk` are the compiled files on disk, `lock` is the lock file. `sent` are the digests of the files that
+    machines are sent, `drifted` names those that do not match the lock: both only for an audit. `catalog_notes` are what the
+    user should know of the catalog.
     """
 
     spec: LoadedSpec
@@ -64,6 +65,7 @@ class Inputs:
     lock: SourceFile | None
     agent: Mapping[Path, bytes]
     on_disk: Mapping[Path, SourceFile]
+    sent: Mapping[str, str] = field(default_factory=dict)
     drifted: tuple[str, ...] = ()
     catalog_notes: tuple[str, ...] = ()
 
@@ -158,6 +160,7 @@ class _Reader:
     locks: dict[Path, Lock] = field(default_factory=dict)
     catalogs: dict[tuple[str, tuple[str, ...]], Catalog] = field(default_factory=dict)
     libraries: "dict[Path, PriorData]" = field(default_factory=dict)
+    trees: dict[Tree, Mapping[str, str]] = field(default_factory=dict)
 
     def inputs(self, one: LoadedSpec, audit: bool) -> Inputs:
         application = one.application
@@ -166,6 +169,7 @@ class _Reader:
         catalog = self.catalog(one, layout, pins)
         file = self.file(layout.results, layout) if layout.files.exists(layout.results) else None
         results, damaged = _results(layout, file)
+        sent = self.sent(application, layout) if audit else {}
         needs_library = file is not None or application.spec.benchmark.sampler == "adaptive"
         return Inputs(
             spec=one,
@@ -179,9 +183,19 @@ class _Reader:
             lock=self.files.get(layout.lock),
             agent={layout.agent: agent_archive()},
             on_disk=self.on_disk(layout),
-            drifted=tuple(lock_drift(application, layout, pins)) if audit else (),
+            sent=sent,
+            drifted=tuple(lock_drift(pins, sent)) if audit else (),
             catalog_notes=tuple(_catalog_notes(one, catalog)),
         )
+
+    def sent(self, application: Application, layout: Layout) -> Mapping[str, str]:
+        """Return the digests of the files that machines are sent; applications of a spec share most trees."""
+        tree = sent_tree(application, layout)
+        if tree is None:
+            return {}
+        if tree not in self.trees:
+            self.trees[tree] = tree.digests()
+        return self.trees[tree]
 
     def file(self, path: Path, layout: Layout) -> SourceFile:
         if path not in self.files:

@@ -8,7 +8,7 @@ from pathlib import Path
 from fogspec.base.errors import UsageError
 from fogspec.base.layout import Layout
 from fogspec.catalog.table import About
-from fogspec.spec.lock_io import files_beside, read_lock, read_pins
+from fogspec.spec.lock_io import files_sent, read_lock, read_pins
 from fogspec.spec.lockfile import CatalogPin, ImagePin, Lock, LockBody, Pins, PriorsPin, image_named, is_pinned
 from fogspec.spec.schema import Application
 
@@ -50,7 +50,7 @@ def relock(
             before = None if whole else read_lock(path)
             found[path] = dict(before.spec.applications) if before else {}
         image = _image(one.application, old, upgrade, ask)
-        files = files_beside(one.application, one.layout)
+        files = files_sent(one.application, one.layout)
         found[path][name] = Pins(
             catalog=_catalog(one, old, upgrade),
             image=image,

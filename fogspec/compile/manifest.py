@@ -18,6 +18,7 @@ from fogspec.choice.rule import latency_limit_s
 from fogspec.choice.shortlist import shortlist
 from fogspec.model.fit import Model, Models
 from fogspec.plan.schema import ApplicationRef, CatalogRef, PlanMetadata, TaskRef
+from fogspec.spec.lockfile import SentFiles
 from fogspec.spec.schema import Application, Billing, Connectivity, Node, Statistic
 
 
@@ -32,7 +33,8 @@ class Fallback(ListedMachine):
 class Pinned(ListedMachine):
     """What will run: one machine, its image, its nodes, and the reviewed task that starts them.
 
-    `files` are sent along; `fallbacks` may take the machine's place, in this order, when it cannot be had.
+    `sent` are the files of the spec's directory that the machine gets, `files` the compiled ones; `fallbacks` may take the
+    machine's place, in this order, when it cannot be had.
     """
 
     image: str | None
@@ -43,6 +45,7 @@ class Pinned(ListedMachine):
     task: TaskRef
     robot_launch: TaskRef | None
     robot_environment: dict[str, str]
+    sent: SentFiles | None
     files: list[TaskRef]
     ready: list[str] | None
     ready_timeout: Duration
@@ -234,6 +237,7 @@ class Sources:
     task: TaskRef
     robot_launch: TaskRef | None
     robot_environment: Mapping[str, str]
+    sent: SentFiles | None
     files: list[TaskRef]
     fallbacks: Mapping[int, TaskRef]
 
@@ -305,6 +309,7 @@ def _pinned(application: Application, entry: Entry, sources: Sources, choice: Ch
         task=sources.task,
         robot_launch=sources.robot_launch,
         robot_environment=dict(sources.robot_environment),
+        sent=sources.sent,
         files=sources.files,
         ready=spec.deployment.ready,
         ready_timeout=spec.deployment.ready_timeout,

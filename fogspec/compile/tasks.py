@@ -13,6 +13,7 @@ from fogspec.base.clouds import cloud_of
 from fogspec.catalog.machine import Machine
 from fogspec.compile.links import link_of, port_of
 from fogspec.plan.schema import Sample
+from fogspec.spec.lockfile import measurement_sends_files
 from fogspec.spec.probe import optional, player, probe_parts
 from fogspec.spec.schema import Application, Node, Spec
 
@@ -117,7 +118,7 @@ def _task(
         "name": application.metadata.name,
         "resources": _resources(spec, machine, autostop, labels),
     }
-    if _needs_files(spec):
+    if measurement_sends_files(spec):
         task["workdir"] = workdir
     if spec.secrets:
         task["secrets"] = dict.fromkeys(spec.secrets)
@@ -159,16 +160,6 @@ def left_out(spec: Spec, machine: Machine) -> list[str]:
     if machine.spot:
         found.append(f"spot is left out in {cloud.name}, which has none")
     return found
-
-
-def _needs_files(spec: Spec) -> bool:
-    """Return whether anything on the machine is named relative to the spec."""
-    workload = spec.benchmark.workload
-    if workload.bag is not None or spec.probe.bag is not None:
-        return True
-    nodes = [*spec.cloud, *([workload.node] if workload.node else [])]
-    workspace = spec.ros is not None and spec.ros.workspace is not None
-    return workspace or any(node.cmd is not None or node.parameter_files for node in nodes)
 
 
 def measured_processes(spec: Spec) -> list[list[str]]:

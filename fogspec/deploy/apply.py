@@ -9,6 +9,7 @@ import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, Refused
@@ -21,7 +22,8 @@ from fogspec.deploy.candidates import Candidate
 from fogspec.deploy.preflight import LaunchPlan
 from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import DeployedMachine, date_of
-from fogspec.deploy.state import DeploymentState, WallClock
+from fogspec.deploy.state import SENT, DeploymentState, WallClock
+from fogspec.spec.lock_io import snapshot
 
 NO_CAPACITY = ("capacity", "quota")
 STOPPED = "interrupted: what was being started is gone, what served before still does"
@@ -47,6 +49,7 @@ class RolloutResult:
 class Rollout:
     """One application of a manifest.
 
+    `send` makes the snapshot of the files that a machine is sent, and raises OutOfDate if they are not `files` any more.
     `backend_of` returns the backend of an infra; `link_check` connects robot and cloud once the nodes are ready, and returns
     why the link does not answer yet.
     """
@@ -62,6 +65,7 @@ class Rollout:
     report: Callable[[str], None] = lambda _text: None
     stopping: Callable[[], bool] = lambda: False
     link_check: LinkCheck = lambda _machine, _status: None
+    send: Callable[[Path], object] = lambda _target: None
 
     def current(self) -> DeployedMachine | None:
         """Return the machine that serves this manifest already; None if there is none, or its nodes have ended.
@@ -179,8 +183,10 @@ class Rollout:
     def _recorded(self, one: Candidate) -> DeployedMachine:
         """Return the machine's record, on disk before anything is started."""
         times = self.live.times
+        name = self.live.owner.deployment_name(self.digest, secrets.token_hex(3))
+        self.send(self.live.folder(name) / SENT)
         machine = DeployedMachine(
-            name=self.live.owner.deployment_name(self.digest, secrets.token_hex(3)),
+            name=name,
             deployer=self.backend_of(one.machine.infra).name,
             state="starting",
             manifest=self.digest,
@@ -347,6 +353,7 @@ def apply(
                 report=report,
                 stopping=lambda: interrupt.asked,
                 link_check=link_check(plan, report),
+                send=lambda target: snapshot(plan.opened.loaded.application, layout, target, plan.files),
             )
             if (served := rollout.current()) is not None:
                 return RolloutResult(served, rollout.stop_others([served.name]), times.now_s() - begun_s)

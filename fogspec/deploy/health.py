@@ -1,6 +1,6 @@
 """Health of a deployment: sync (does it match the manifest) and health (do its nodes behave as predicted)."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
@@ -22,7 +22,7 @@ from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, WallClock
 from fogspec.results.io import read_results
 from fogspec.spec.loader import read_document, read_plain
-from fogspec.spec.lock_io import files_deployed
+from fogspec.spec.lockfile import differing
 from fogspec.spec.schema import Application
 
 Sync = Literal["Synced", "OutOfSync"]
@@ -54,14 +54,15 @@ class HealthReport:
 def health_report(
     application: Application,
     layout: Layout,
+    sent: Mapping[str, str],
     fresh: bool,
     times: WallClock,
     backend_for: Callable[[str], DeploymentBackend],
 ) -> HealthReport | None:
     """Return the health of the application's deployment; None if nothing was applied. Nothing is written.
 
-    `fresh` tells whether the manifest on disk follows from its inputs. Raise ForeignMachine if the live state names a machine
-    of another application.
+    `sent` are the digests of the files that a machine would be sent now. `fresh` tells whether the manifest on disk follows
+    from its inputs. Raise ForeignMachine if the live state names a machine of another application.
     """
     live_file = DeploymentState.look(layout, times)
     live_file.check_owned()
@@ -71,12 +72,13 @@ def health_report(
     subject = serving or live_file.machines[-1]
     live = _poll(live_file, subject, cache(redacting(backend_for, application.spec.secrets)))
     approved = _manifest(live_file, subject)
-    differs = manifest_changes(layout, live_file, subject, application)
+    files = _files_changed(sent, subject)
+    differs = manifest_changes(layout, live_file, subject, application) + files
     reasons = [] if fresh else ["the manifest on disk is stale: fogspec diff says why"]
     reasons += (
         ["another manifest is committed than the one that runs"] if subject.manifest != _committed(layout) else []
     )
-    reasons += [f"{one.field} changed since it was started" for one in _files_changed(application, layout, subject)]
+    reasons += [f"{one.field} changed since it was started" for one in files]
     reasons += [f"{one.name} is {one.state} too" for one in live_file.machines if one is not subject]
     observed = None
     if live is not None and approved is not None and live.state == "ready":
@@ -101,17 +103,16 @@ def health_report(
 def manifest_changes(
     layout: Layout, live: DeploymentState, machine: DeployedMachine, application: Application
 ) -> list[Change]:
-    """Return the differences between the manifest on disk, with the files next to the spec, and a machine's own manifest."""
-    files = _files_changed(application, layout, machine)
+    """Return the differences between the manifest on disk and a machine's own manifest."""
     if _committed(layout) == machine.manifest:
-        return files
+        return []
     secrets = application.spec.secrets
     try:
         kept = live.folder(machine.name) / "manifest.yaml"
         before: Any = read_plain(kept, layout.files.read(kept))
     except (DiagnosticError, FogspecError, OSError):
         before = {"digest": machine.manifest}
-    return significant(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets))) + files
+    return significant(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets)))
 
 
 def _committed(layout: Layout) -> str | None:
@@ -119,18 +120,20 @@ def _committed(layout: Layout) -> str | None:
     return digest.of_bytes(layout.files.read(layout.manifest)) if layout.files.is_file(layout.manifest) else None
 
 
-def _files_changed(application: Application, layout: Layout, machine: DeployedMachine) -> list[Change]:
-    """Return the files and directories next to the spec that differ from those that the machine was given."""
-    now = files_deployed(application, layout)
-    names = sorted(name for name in now.keys() | machine.files.keys() if now.get(name) != machine.files.get(name))
-    return [Change(name, "as it was started", "changed since") for name in names]
+def _files_changed(sent: Mapping[str, str], machine: DeployedMachine) -> list[Change]:
+    """Return the files that differ from those that the machine was sent."""
+    return [Change(name, "as it was started", "changed since") for name in differing(machine.files, sent)]
 
 
-def running_changes(layout: Layout, times: WallClock, application: Application) -> list[Change] | None:
+def running_changes(
+    layout: Layout, times: WallClock, application: Application, sent: Mapping[str, str]
+) -> list[Change] | None:
     """Return the differences for the machine that serves now, without polling; None if there is none."""
     live = DeploymentState.look(layout, times)
     serving = next((one for one in live.machines if one.state == "serving"), None)
-    return None if serving is None else manifest_changes(layout, live, serving, application)
+    if serving is None:
+        return None
+    return manifest_changes(layout, live, serving, application) + _files_changed(sent, serving)
 
 
 def _poll(

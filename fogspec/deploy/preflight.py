@@ -17,14 +17,14 @@ from fogspec.compile.manifest import Fallback, Pinned
 from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
 from fogspec.plan.schema import TaskRef
-from fogspec.spec.lock_io import check_files, files_deployed
+from fogspec.spec.lock_io import check_files
 
 
 @dataclass(frozen=True, slots=True)
 class LaunchPlan:
     """The approved launch: the machine and its fallbacks, with the image that they run.
 
-    `files` are the current digests of the files and directories next to the spec that are sent along.
+    `files` are the current digests of the files of the spec's directory that are sent along.
     """
 
     opened: ManifestBundle
@@ -57,7 +57,7 @@ def launch_plan(
     peer = link.environment(opened.loaded.application, opened.layout)
     reviewed: list[Pinned | Fallback] = [spec, *spec.fallbacks]
     found: list[Candidate] = []
-    image, files = None, files_deployed(opened.loaded.application, opened.layout)
+    image, files = None, opened.inputs.sent
     for number, listed in enumerate(reviewed):
         machine = listed.machine
         content = read_task(opened, listed.task)

@@ -19,6 +19,8 @@ from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState
 from fogspec.plan.schema import PlanMetadata
 from fogspec.spec.loader import read_document
 
+SENT = "sent"  # in a machine's directory: the snapshot of the files that it was sent
+
 
 class WallClock(Protocol):
     """A monotonic clock, and the date."""
@@ -141,12 +143,14 @@ class DeploymentState:
     def job(self, machine: DeployedMachine, task: Mapping[str, Any] | None = None) -> Job:
         """Return the machine's job; only starting it needs the task."""
         root, directory = self.layout.root, self.folder(machine.name)
+        tree = directory / SENT
         return Job(
             name=machine.name,
             owner=self.owner,
             task=task or {},
             root=root,
             directory=directory,
+            tree=tree if self.layout.files.is_folder(tree) else None,
             machine=machine.machine,
         )
 

@@ -80,11 +80,6 @@ def measured_fields(application: Application) -> dict[str, str]:
     return {name: digest.shorten(digest.of_value(value)) for name, value in measured_part(application).items()}
 
 
-def changed_pins(measured: Mapping[str, str] | None, now: Mapping[str, str]) -> list[str]:
-    """Return the names pinned to something else since they were measured; names not pinned then are unknown."""
-    return sorted(name for name, one in (measured or {}).items() if now.get(name, one) != one)
-
-
 def measured_digest(application: Application) -> str:
     """Return the digest of `measured_part`."""
     return digest.of_value(measured_part(application))

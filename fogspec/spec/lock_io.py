@@ -1,22 +1,27 @@
-"""The lock on disk, and the digests of files and folders beside a spec."""
+"""The lock on disk, and the files that are sent to machines: every command takes their digests from here."""
 
-import hashlib
+import contextlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Mapping
 from pathlib import Path
 
-from fogspec.base import digest
-from fogspec.base.errors import InvalidInput
+from fogspec.base.errors import InvalidInput, OutOfDate
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.spec.loader import read_document
-from fogspec.spec.lockfile import Lock, Pins, files_needed, paths_deployed, paths_named
+from fogspec.spec.lockfile import (
+    Lock,
+    Pins,
+    differing,
+    files_needed,
+    ignored_patterns,
+    sends_files,
+    some,
+    words_of_commands,
+)
 from fogspec.spec.schema import Application
-
-# What building and running leave behind in a workspace: it is made again on the machine.
-DERIVED = {"build", "install", "log"}
-ANYWHERE = {"__pycache__", ".git", ".pytest_cache"}
+from fogspec.spec.tree import Tree
 
 
 def read_lock(path: Path) -> Lock | None:
@@ -39,68 +44,64 @@ def lock_text(lock: Lock) -> str:
     return yaml_text(data, "fogspec lock")
 
 
-def files_beside(application: Application, layout: Layout) -> dict[str, str]:
-    """Return the digest of each existing file and directory that the spec names, by name."""
-    return _digests(paths_named(application), layout)
-
-
-def files_deployed(application: Application, layout: Layout) -> dict[str, str]:
-    """Return the same for those that a deployment needs."""
-    return _digests(paths_deployed(application), layout)
-
-
-def _digests(words: Iterable[str], layout: Layout) -> dict[str, str]:
+def sent_tree(application: Application, layout: Layout) -> Tree | None:
+    """Return the tree that is sent to each machine; None if the application needs no files there."""
+    if not sends_files(application):
+        return None
     folder = layout.spec.parent
-    named = sorted({os.path.normpath(word) for word in words})
-    return {name: tree_digest(folder / name) for name in named if name != "." and (folder / name).exists()}
+    return Tree(folder, ignored_patterns(application, folder == layout.root), layout.spec.name)
+
+
+def files_sent(application: Application, layout: Layout) -> dict[str, str]:
+    """Return the digest of each file that is sent to a machine, by its path in the spec's directory.
+
+    Raise InvalidInput for a tree that cannot be sent; see `Tree.digests`.
+    """
+    tree = sent_tree(application, layout)
+    return {} if tree is None else tree.digests()
+
+
+def snapshot(application: Application, layout: Layout, target: Path, expected: Mapping[str, str] | None) -> Path | None:
+    """Copy the files that are sent to `target`, and return it; None if there are none to send.
+
+    Raise OutOfDate, naming the files, if the copy is not what is `expected`, and then leave nothing; otherwise raise as
+    `files_sent` does.
+    """
+    tree = sent_tree(application, layout)
+    if tree is None:
+        return None
+    layout.files.make_folder(target)
+    try:
+        copied = tree.snapshot(target)
+        if expected is not None and (changed := differing(expected, copied)):
+            raise OutOfDate(f"{some(changed)}: changed since this command began: nothing was started", "run it again")
+    except BaseException:
+        with contextlib.suppress(OSError):
+            layout.files.remove_tree(target)
+        raise
+    return target
 
 
 def check_files(application: Application, layout: Layout, measured: bool) -> None:
-    """Raise InvalidInput if something that the spec names is missing, before a machine is paid for."""
-    folder = layout.spec.parent
-    absent = [(field, name) for field, name in files_needed(application, measured) if not (folder / name).exists()]
-    if absent:
+    """Raise InvalidInput if something that the spec names is missing or not sent, before a machine is paid for."""
+    folder, tree = layout.spec.parent, sent_tree(application, layout)
+    needed = list(files_needed(application, measured))
+    if absent := [(field, name) for field, name in needed if not (folder / name).exists()]:
         raise InvalidInput(
             f"{layout.spec}: {absent[0][0]} names {absent[0][1]}, which is not there",
             *(f"{field} names {name}, which is not there either" for field, name in absent[1:]),
             f"paths are relative to the spec's folder: {folder}",
         )
+    named = [*needed, *((field, word) for field, word in words_of_commands(application, measured))]
+    for field, name in named:
+        path = os.path.normpath(name)
+        if tree is not None and tree.excludes(path) and (folder / path).exists():
+            raise InvalidInput(
+                f"{layout.spec}: {field} names {name}, which is not sent to machines",
+                f"rename it: these patterns leave files out: {', '.join(tree.ignored)}",
+            )
 
 
-def tree_digest(path: Path) -> str:
-    """Return the sha256 of a file's bytes, or of a directory's files: their names, executable bits and bytes.
-
-    Times, owners, the order of the file system and build outputs do not count.
-    """
-    if not path.is_dir():
-        return digest.of_value(_entry(path))
-    return digest.of_value({found.relative_to(path).as_posix(): _entry(found) for found in _files(path)})
-
-
-def _files(root: Path) -> Iterator[Path]:
-    for parent, folders, names in os.walk(root):
-        here = Path(parent)
-        skipped = ANYWHERE | (DERIVED if here == root else set())
-        yield from (here / name for name in folders if (here / name).is_symlink())
-        folders[:] = [name for name in folders if name not in skipped]
-        yield from (here / name for name in names if not name.endswith(".pyc"))
-
-
-def _entry(path: Path) -> list[str]:
-    if path.is_symlink():
-        return ["link", os.readlink(path)]
-    if not path.is_file():
-        return ["other"]
-    content = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            content.update(block)
-    return ["executable" if os.access(path, os.X_OK) else "file", content.hexdigest()]
-
-
-def lock_drift(application: Application, layout: Layout, pins: Pins | None) -> list[str]:
-    """Return the names of files and directories next to the spec that differ from the lock."""
-    if pins is None:
-        return []
-    now = files_beside(application, layout)
-    return sorted(name for name in now.keys() | pins.files.keys() if now.get(name) != pins.files.get(name))
+def lock_drift(pins: Pins | None, sent: Mapping[str, str]) -> list[str]:
+    """Return the paths of files that are sent, or were when they were locked, and differ from the lock."""
+    return [] if pins is None else differing(pins.files, sent)

@@ -29,6 +29,7 @@ API_VERSION = "fogspec.dev/v1alpha1"
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?$")]
 Identifier = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+Pattern = Annotated[str, Field(pattern=r"^[^\s\\!](.*[^\s\\])?$")]
 Condition = Annotated[
     str, Field(pattern=r"^\s*(len\([A-Za-z_][\w.\[\]]*\)|[A-Za-z_][\w.\[\]]*)\s*(==|!=|<=|>=|<|>)\s*\S.*$")
 ]
@@ -439,6 +440,12 @@ class Spec(Strict):
     )
     deployment: Annotated[Deployment, affects("choice")] = Field(
         Deployment(), description="how the cloud nodes are kept running", examples=[{"fallbacks": 2}]
+    )
+    ignore: Annotated[list[Pattern], affects("choice")] = Field(
+        [],
+        description="patterns of files in the spec's folder that are not sent to machines, besides those that never are: "
+        "a name anywhere, or with a slash a path",
+        examples=[["*.bag", "data/raw/", "/docs"]],
     )
     secrets: Annotated[list[Identifier], affects("plan", "results")] = Field(
         [], description="names of environment variables; values stay in no file", examples=[["API_KEY"]]

@@ -270,6 +270,25 @@ def test_a_job_runs_until_it_is_stopped_and_may_be_stopped_twice(bed: Bed, monke
     assert bed.list() == []
 
 
+def test_a_job_gets_the_snapshot_and_nothing_else_of_the_folder(machines: Bed) -> None:
+    snapshot = machines.folder / "snapshot"
+    snapshot.mkdir()
+    (snapshot / "work.py").write_text(WORK)
+    (snapshot / "only-in-the-snapshot").write_text("")
+    (machines.folder / "specs" / "changed-since").write_text("")
+    job = replace(lasting(machines.job()), tree=snapshot)
+    machines.backend.start(job)
+    machines.until(job, up)
+    here = {local_backend.LocalSamples: job.directory / "work", local_backend.LocalDeployments: snapshot}
+    at = here[type(machines.backend)] if machines.cloud is None else machines.workdir(job)
+    sent = {path.name for path in at.iterdir()}
+    assert {"work.py", "only-in-the-snapshot"} <= sent
+    assert "changed-since" not in sent
+    machines.backend.stop(job)
+    assert not (job.directory / "work").exists()
+    assert (snapshot / "only-in-the-snapshot").exists(), "it belongs to whoever made it"
+
+
 def test_another_process_polls_and_stops_it(bed: Bed) -> None:
     job = lasting(bed.job())
     bed.backend.start(job)

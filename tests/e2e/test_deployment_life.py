@@ -99,12 +99,10 @@ def test_an_update_replaces_the_old_machine_once_the_new_one_answers(tiny: Deplo
 
 
 def test_an_update_that_does_not_answer_leaves_the_old_machine(app: Make) -> None:
-    tiny = app(SPEC + "  deployment: {ready: [test, -e, answers]}\n")
-    (tiny.folder / "specs/answers").touch()
+    tiny = app(SPEC + "  deployment: {ready: [test, -e, work.py]}\n")
     tiny.apply()
     before = tiny.names()
-    (tiny.folder / "specs/answers").unlink()
-    tiny.change("[test, -e, answers]", "[test, -s, answers], ready_timeout: 3s")
+    tiny.change("[test, -e, work.py]", "[test, -e, absent], ready_timeout: 3s")
     tiny("compile", "specs/tiny.yaml")
     failed = tiny.apply(code=6)
     assert "the nodes did not answer within 3 s" in failed.stderr
@@ -313,12 +311,13 @@ def test_secrets_reach_the_nodes_and_no_file(app: Make, monkeypatch: pytest.Monk
     log = tiny.state / "deployed" / tiny.names()[0] / "run.log"
     until(lambda: b"my secret is $MY_SECRET\n" in log.read_bytes())
     said.append(tiny("status", "-o", "json"))
-    (tiny.folder / "specs" / "end").touch()
+    here = tiny.state / "deployed" / tiny.names()[0] / "sent"
+    (here / "end").touch()
     until(lambda: tiny.status()["health"] == "Degraded")
     said.append(tiny("status"))
     assert b"$MY_SECRET\n" in log.read_bytes().splitlines(keepends=True), "its last words are kept"
     assert [path for path in tiny.folder.rglob("*") if path.is_file() and b"hunter2" in path.read_bytes()] == []
-    (tiny.folder / "specs" / "end").unlink()
+    (here / "end").unlink()
     said.append(tiny("down", "tiny"))
     assert "hunter2" not in "".join(one.stdout + one.stderr for one in said)
     monkeypatch.delenv("MY_SECRET")

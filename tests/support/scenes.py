@@ -46,7 +46,7 @@ import fogspec_probe
 count = 0
 while True:
     fogspec_probe.start("work")
-    while count == 3 and not os.path.exists("go"):
+    while count == 3 and not os.path.exists("../../../../../specs/go"):  # from its copy of the folder
         time.sleep(0.01)
     time.sleep(0.01)
     fogspec_probe.stop("work")

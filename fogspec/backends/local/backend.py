@@ -9,6 +9,7 @@ import contextlib
 import math
 import os
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -23,6 +24,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.results.schema import Reason
 
 MARK = "FOGSPEC_JOB"
+WORK = "work"
 GRACE_S = 10.0
 # Variables of the user's shell that a workload need not, or must not, see: a number of threads set there would hide the
 # job's CPUs. Names that a task lists are passed on.
@@ -81,7 +83,7 @@ class LocalBackend:
                     ["bash", str(script.absolute())],
                     cpus=max(1, math.ceil(machine.cpus)),
                     memory_gib=machine.memory,
-                    cwd=job.root / str(job.task.get("workdir") or "."),
+                    cwd=self._workdir(job),
                     env=environment,
                     log=log,
                 )
@@ -90,6 +92,10 @@ class LocalBackend:
         except OSError as problem:
             raise LaunchRefused("setup", f"cannot be started: {problem}") from problem
         return started
+
+    def _workdir(self, job: Job) -> Path:
+        """Return the directory that the job runs in."""
+        return job.root / str(job.launched.get("workdir") or ".")
 
     def _fitting(self, machine: Machine | None) -> Machine:
         """Return the machine; raise LaunchRefused if this host cannot stand in for it."""
@@ -134,6 +140,15 @@ class LocalSamples(LocalBackend):
             f"affinity and to its memory by {limits.memory_by()}: clock, turbo, caches and neighbours are that host's, "
             "not those of a machine of that shape"
         )
+
+    def _workdir(self, job: Job) -> Path:
+        """Return a copy of the snapshot: as on machines, no sample finds what another one wrote there."""
+        place, copy = super()._workdir(job), job.directory / WORK
+        if job.tree is None or "workdir" not in job.task:
+            return place
+        job.files.make_folder(copy)
+        shutil.copytree(place, copy, symlinks=True, dirs_exist_ok=True)
+        return copy
 
     def start(self, job: Job) -> None:
         """Start the run script, and keep its process for its exit code."""
@@ -181,6 +196,8 @@ class LocalSamples(LocalBackend):
         if (own := self._own.get(job.name)) is not None:
             own.end(grace_s=GRACE_S)
         super().stop(job)
+        with contextlib.suppress(OSError):
+            job.files.remove_tree(job.directory / WORK)
 
 
 class LocalDeployments(LocalBackend):

@@ -372,9 +372,12 @@ def _absolute(root: Path, path: Path) -> dict[str, str]:
 
 
 def _labelled(job: Job) -> dict[str, Any]:
-    """Return the task with the owner's labels, which are not in the compiled file: it is the same in every fork."""
+    """Return the task to launch, with the owner's labels, which are not in the compiled file: it is the same in every fork."""
     resources: Any = job.task.get("resources") or {}
-    return {**job.task, "resources": {**resources, "labels": {**(resources.get("labels") or {}), **job.owner.labels}}}
+    return {
+        **job.launched,
+        "resources": {**resources, "labels": {**(resources.get("labels") or {}), **job.owner.labels}},
+    }
 
 
 def _launched_s(job: Job) -> float:

@@ -1,14 +1,23 @@
 """Names of images, digests of trees, and what a lock pins of a measurement."""
 
-import os
 from pathlib import Path
 
 import pytest
 
+from fogspec.base.errors import InvalidInput, OutOfDate
 from fogspec.base.layout import Layout
-from fogspec.spec.fingerprints import changed_pins
-from fogspec.spec.lock_io import files_beside, tree_digest
-from fogspec.spec.lockfile import CatalogPin, ImagePin, Pins, image_of, pinned, pins_of_measurement
+from fogspec.spec.lock_io import check_files, files_sent, snapshot
+from fogspec.spec.lockfile import (
+    CatalogPin,
+    ImagePin,
+    Pins,
+    changed_pins,
+    image_of,
+    listed,
+    pinned,
+    pins_of_measurement,
+    some,
+)
 from tests.unit.compile.test_tasks import application
 
 DIGEST = f"sha256:{'a' * 64}"
@@ -55,47 +64,67 @@ def test_only_the_image_that_was_locked_is_pinned() -> None:
 
 def test_what_was_not_pinned_is_not_known_to_differ() -> None:
     assert changed_pins(None, {"a": "1"}) == []
-    assert changed_pins({"a": "1", "b": "2", "c": "3"}, {"a": "1", "b": "9"}) == ["b"]
+    assert changed_pins({"a": "1"}, {}) == []
+    assert changed_pins({"a": "1", "b": "2", "c": "3"}, {"a": "1", "b": "9", "d": "4"}) == ["b", "c", "d"]
+
+
+def test_a_file_cannot_take_the_name_of_the_image() -> None:
+    app = application(ros={"image": "ros:jazzy"}, cloud=[{"cmd": ["./image"]}])
+    pins = Pins(catalog=CATALOG, image=ImagePin(image="ros:jazzy", digest=DIGEST), files={"image": "sha256:b"})
+    assert pins_of_measurement(app, pins) == {"image": DIGEST, "./image": "sha256:b"}
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> Path:
-    root = tmp_path / "ws"
-    for name, text in (("src/a.py", "a"), ("src/b/c.py", "c")):
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        (root / name).write_text(text)
-    return root
+def project(tmp_path: Path) -> Layout:
+    for name in ("work.py", "helper.py", "ros2_ws/src/a.py", "ros2_ws/build/x", "src/build/y", ".env", ".git/HEAD"):
+        (tmp_path / "specs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "specs" / name).write_text(name)
+    return Layout.of(tmp_path / "specs/x.yaml", "x")
 
 
-def test_a_tree_is_its_names_and_contents_and_nothing_else(tree: Path) -> None:
-    before = tree_digest(tree)
-    for left in ("build/x", "install/setup.bash", "log/latest", "src/__pycache__/a.pyc", ".git/HEAD"):
-        (tree / left).parent.mkdir(parents=True, exist_ok=True)
-        (tree / left).write_text("left behind")
-    os.utime(tree / "src/a.py", (1, 1))
-    assert tree_digest(tree) == before
-    changes = [
-        lambda: (tree / "src/a.py").write_text("other"),
-        lambda: (tree / "src/a.py").rename(tree / "src/d.py"),
-        lambda: (tree / "src/b/c.py").chmod(0o755),
-        lambda: (tree / "src/build").mkdir() or (tree / "src/build/x.py").write_text("inside a package"),
-        lambda: (tree / "src/link").symlink_to("b"),
-    ]
-    seen = {before}
-    for change in changes:
-        change()
-        seen.add(tree_digest(tree))
-    assert len(seen) == len(changes) + 1
+def test_all_that_a_node_may_import_is_sent(project: Layout) -> None:
+    app = application(cloud=[{"cmd": ["python3", "./work.py"]}])
+    assert set(files_sent(app, project)) == {
+        "helper.py", "work.py", "ros2_ws/src/a.py", "ros2_ws/build/x", "src/build/y"
+    }  # fmt: skip
+    built = application(cloud=[{"package": "p", "executable": "e"}], ros={"workspace": "./ros2_ws/"})
+    assert "ros2_ws/build/x" not in files_sent(built, project)
+    assert files_sent(application(cloud=[{"package": "p", "executable": "e"}]), project) == {}
 
 
-def test_files_that_a_spec_names_are_found_beside_it(tree: Path) -> None:
-    spec = tree.parent / "specs" / "x.yaml"
-    spec.parent.mkdir()
-    (spec.parent / "work.py").write_text("work")
-    (spec.parent / "p.yaml").write_text("p")
-    app = application(
-        cloud=[{"cmd": ["python3", "./work.py", "absent.py", "/etc/passwd", "."]},
-               {"package": "p", "executable": "e", "parameter_files": ["p.yaml"]}],
-        ros={"workspace": "../ws"},
-    )  # fmt: skip
-    assert set(files_beside(app, Layout.of(spec, "x"))) == {"../ws", "work.py", "p.yaml"}
+def test_compiled_files_beside_a_spec_are_not_sent(project: Layout, tmp_path: Path) -> None:
+    flat = Layout.of(tmp_path / "x.yaml", "x")
+    for name in ("compiled/x/plan.yaml", "results/x.yaml", "fogspec.lock", ".fogspec/x/journal.jsonl", "lib/results/a"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(name)
+    app = application(cloud=[{"cmd": ["./work.py"]}])
+    assert {name for name in files_sent(app, flat) if not name.startswith("specs/")} == {"lib/results/a"}
+
+
+def test_a_named_file_that_is_not_sent_is_said_before_a_machine_is_paid(project: Layout) -> None:
+    for cloud in ([{"cmd": ["sh", ".env"]}], [{"cmd": ["./work.py", ".git/HEAD"]}]):
+        with pytest.raises(InvalidInput, match="which is not sent to machines"):
+            check_files(application(cloud=cloud), project, measured=False)
+    check_files(application(cloud=[{"cmd": ["./work.py", ".venv/absent", "--flag", "/etc/passwd"]}]), project, False)
+    named = application(cloud=[{"cmd": ["./work.py"], "parameter_files": ["absent.yaml"]}])
+    with pytest.raises(InvalidInput, match="which is not there"):
+        check_files(named, project, measured=False)
+
+
+def test_a_snapshot_that_is_not_what_was_expected_names_the_file(project: Layout, tmp_path: Path) -> None:
+    app = application(cloud=[{"cmd": ["./work.py"]}])
+    before = files_sent(app, project)
+    assert snapshot(app, project, tmp_path / "one", before) == tmp_path / "one"
+    (project.spec.parent / "helper.py").write_text("changed")
+    with pytest.raises(OutOfDate, match=r"^helper\.py: changed since this command began"):
+        snapshot(app, project, tmp_path / "two", before)
+    assert not (tmp_path / "two").exists()
+    assert snapshot(application(cloud=[{"package": "p", "executable": "e"}]), project, tmp_path / "no", {}) is None
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_long_list_says_how_long_it_is() -> None:
+    names = [f"{number}.py" for number in range(9)]
+    assert some(names, 8).endswith("7.py and 1 more")
+    assert listed(names, "{} changed", 2) == ["0.py changed", "1.py changed", "and 7 more files"]
+    assert listed(names[:2], "{}", 2) == names[:2]
