@@ -60,7 +60,7 @@ def test_a_snapshot_is_no_link_to_what_it_was_made_of(folder: Path, tmp_path: Pa
     Tree(folder, ()).snapshot(tmp_path / "copy")
     (folder / "work.py").write_text("changed")
     assert (tmp_path / "copy/work.py").read_text() == "import helper\n"
-    with pytest.raises(FileExistsError):
+    with pytest.raises(InvalidInput, match="File exists"):
         Tree(folder, ()).snapshot(tmp_path / "copy")
 
 
