@@ -15,6 +15,7 @@ from fogspec.audit.verify import Check, verify
 from fogspec.base import digest
 from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import Layout
+from fogspec.base.text import json_text, shell_command
 from fogspec.compile.bundle import ManifestBundle, references
 from fogspec.compile.inputs import Inputs
 from fogspec.spec.lockfile import image_of, is_pinned
@@ -33,7 +34,7 @@ def statement(opened: ManifestBundle) -> dict[str, Any]:
         raise OutOfDate(
             f"{opened.layout.manifest}: not attested, for the chain breaks at {broken[0].name}",
             *broken[0].breaks,
-            f"see: fogspec verify {opened.layout.manifest}",
+            f"see: {shell_command('fogspec', 'verify', opened.layout.manifest)}",
         )
     return {
         "_type": STATEMENT,
@@ -56,7 +57,7 @@ def statement(opened: ManifestBundle) -> dict[str, Any]:
 
 def text(data: dict[str, Any]) -> str:
     """Return the statement as JSON with sorted keys."""
-    return json.dumps(data, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+    return json_text(json.dumps(data, indent=2, sort_keys=True, ensure_ascii=False)) + "\n"
 
 
 def subjects(opened: ManifestBundle) -> list[dict[str, Any]]:

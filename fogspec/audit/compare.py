@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.text import line
 from fogspec.spec.loader import SourceFile
 
 LONGEST = 80
@@ -51,7 +52,7 @@ def changes_in_file(file: SourceFile, content: bytes) -> list[Change]:
 
 def change_text(change: Change) -> str:
     """Format a change, such as `expected.latency.limit: 2s -> 1s`."""
-    return f"{change.field}: {short(change.before)} -> {short(change.after)}".removeprefix(": ")
+    return line(f"{change.field}: {short(change.before)} -> {short(change.after)}".removeprefix(": "))
 
 
 def short(value: Any) -> str:

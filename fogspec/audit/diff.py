@@ -14,6 +14,8 @@ from fogspec.base import units
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
+from fogspec.base.text import code, line
+from fogspec.base.text import markdown as md
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.inputs import Inputs
@@ -216,12 +218,12 @@ def measuring_text(one: Difference) -> str:
 
 def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
     """Return the difference as text; `running` are the changes from the manifest to the deployed state."""
-    lines = [f"{one.layout.name}: {headline(one)}"]
-    lines += [f"  {change.field}: {short(change.before)} -> {short(change.after)}" for change in one.changes]
-    lines += [f"  cost: {line}" for line in _cost_lines(one)]
+    lines = [line(f"{one.layout.name}: {headline(one)}")]
+    lines += [f"  {change_text(change)}" for change in one.changes]
+    lines += [f"  cost: {line(cost)}" for cost in _cost_lines(one)]
     if one.differs:
-        lines += [f"  why: {reason}" for reason in one.why]
-        lines.append(f"  {measuring_text(one)}")
+        lines += [f"  why: {line(reason)}" for reason in one.why]
+        lines.append(f"  {line(measuring_text(one))}")
     if running is not None:
         lines.append(f"  running: {'as the manifest says' if not running else 'not what the manifest says'}")
         lines += [f"    {change_text(change)}" for change in running]
@@ -273,16 +275,15 @@ def _change(change: Change) -> dict[str, Any]:
 
 def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
     """Return the difference as Markdown, for a pull request."""
-    lines = [f"### {one.layout.name}: {escaped(headline(one))}", ""]
+    lines = [f"### {md(one.layout.name)}: {md(headline(one))}", ""]
     if one.costs:
         lines += ["| | before | after | |", "|--|--|--|--|"]
         lines += [
-            f"| {NAMES[name]} | {escaped(was)} | {escaped(now)} | {rel} |"
-            for name, (was, now, rel) in one.costs.items()
+            f"| {NAMES[name]} | {md(was)} | {md(now)} | {md(rel)} |" for name, (was, now, rel) in one.costs.items()
         ]
         lines.append("")
     if one.differs:
-        lines += [*(f"- {escaped(reason)}" for reason in one.why), f"- {escaped(measuring_text(one))}", ""]
+        lines += [*(f"- {md(reason)}" for reason in one.why), f"- {md(measuring_text(one))}", ""]
     if one.changes:
         lines += [
             f"<details><summary>{len(one.changes)} fields differ</summary>",
@@ -291,19 +292,11 @@ def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
             "|--|--|--|",
         ]
         lines += [
-            f"| `{change.field}` | {escaped(short(change.before))} | {escaped(short(change.after))} |"
+            f"| {code(change.field)} | {md(short(change.before))} | {md(short(change.after))} |"
             for change in one.changes
         ]
         lines += ["", "</details>", ""]
     if running is not None:
         lines += [f"What runs {'is what the manifest says.' if not running else 'differs from the manifest:'}", ""]
-        lines += [f"- {escaped(change_text(change))}" for change in running]
+        lines += [f"- {md(change_text(change))}" for change in running]
     return "\n".join(lines).rstrip()
-
-
-def escaped(words: str) -> str:
-    """Escape text for Markdown, including tables."""
-    cleaned = "".join(letter if letter.isprintable() else " " for letter in words)
-    for character in "\\`*_[]<>|":
-        cleaned = cleaned.replace(character, f"\\{character}")
-    return cleaned

@@ -13,6 +13,7 @@ from fogspec.audit.compare import change_text, changes, changes_in_file
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
+from fogspec.base.text import shell_command
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.inputs import Inputs
@@ -109,7 +110,7 @@ def _plan(compiled: Artifacts, differing: Sequence[Path]) -> Stage:
     inputs, path = compiled.inputs, compiled.layout.plan
     file = inputs.on_disk.get(path)
     if file is None:
-        return Stage("plan", path, "missing", (f"fogspec compile {inputs.layout.spec}",))
+        return Stage("plan", path, "missing", (shell_command("fogspec", "compile", inputs.layout.spec),))
     drifted = listed(inputs.drifted, "{} is not what the lock says", NAMED)
     mine = [one for one in differing if stage_of(one, inputs.layout) == "plan"]
     if not mine:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from fogspec.base.errors import UsageError
 from fogspec.base.git import git
+from fogspec.base.text import shell_command
 
 
 class Repository:
@@ -29,7 +30,7 @@ class Repository:
         """
         base, dots, head = range_.partition("..")
         if dots and (head := head.lstrip(".")) and self._commit(head) != self._commit("HEAD"):
-            raise UsageError(f"{head} is not what is checked out", f"git checkout {head}")
+            raise UsageError(f"{head} is not what is checked out", shell_command("git", "checkout", head))
         commit = self._commit(base or "HEAD")
         try:
             return git("merge-base", commit, "HEAD").decode().strip()
@@ -54,5 +55,9 @@ class Repository:
         try:
             return git("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}").decode().strip()
         except UsageError:
-            hint = "commit something first" if name == "HEAD" else f"fetch it: git fetch origin {name}"
+            hint = (
+                "commit something first"
+                if name == "HEAD"
+                else f"fetch it: {shell_command('git', 'fetch', 'origin', name)}"
+            )
             raise UsageError(f"there is no commit {name} here", hint) from None

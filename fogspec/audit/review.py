@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from fogspec.audit.compare import Change, changes, short
 from fogspec.audit.diff import (
@@ -13,7 +14,6 @@ from fogspec.audit.diff import (
     Difference,
     committed_manifest,
     costs,
-    escaped,
     headline,
     manifest_in,
     significant,
@@ -22,6 +22,8 @@ from fogspec.audit.freshness import Status
 from fogspec.audit.git import Repository
 from fogspec.base import digest
 from fogspec.base.redaction import redacted
+from fogspec.base.text import code, shell_command
+from fogspec.base.text import markdown as md
 from fogspec.spec.loader import SourceFile
 
 MARK = "<!-- fogspec review -->"
@@ -122,32 +124,35 @@ def markdown(reviews: Sequence[Review], gone: Sequence[Removed], picture_base: s
     for application in gone:
         lines += [*_removal(application), ""]
     if rest := [one.difference.layout.name for one in reviews if not one.touched]:
-        lines.append(f"Unchanged and fresh: {', '.join(map(escaped, rest))}.")
+        lines.append(f"Unchanged and fresh: {', '.join(map(md, rest))}.")
     return "\n".join(lines).rstrip() + "\n"
 
 
 def _application(one: Review, picture_base: str | None) -> list[str]:
     difference, layout = one.difference, one.difference.layout
-    lines = [f"### {escaped(layout.name)}: {escaped(_headline(one))}", ""]
-    lines += [f"- {escaped(text)}" for text in _choice(difference.after)]
-    lines += [f"- why: {escaped(text)}" for text in difference.why]
+    lines = [f"### {md(layout.name)}: {md(_headline(one))}", ""]
+    lines += [f"- {md(text)}" for text in _choice(difference.after)]
+    lines += [f"- why: {md(text)}" for text in difference.why]
     lines += [
-        f"- **{escaped(stage.name)} is {stage.state}**: {escaped('; '.join(stage.reasons) or 'compile it')}"
+        f"- **{md(stage.name)} is {md(stage.state)}**: {md('; '.join(stage.reasons) or 'compile it')}"
         for stage in one.status.stages
         if stage.state != "fresh"
     ]
     if one.status.refused:
-        lines.append(f"- **cannot be compiled**: {escaped(one.status.refused)}")
+        lines.append(f"- **cannot be compiled**: {md(one.status.refused)}")
     if one.status.to_measure and one.status.artifacts is not None:
-        command = one.status.artifacts.plan.bench_command(_from_here(layout.spec))
-        lines.append(f"- {one.status.to_measure} samples to measure: `{command}`")
+        measure = one.status.artifacts.plan.bench_command(_from_here(layout.spec))
+        lines.append(f"- {one.status.to_measure} samples to measure: {code(measure)}")
     elif one.fresh:
         lines.append("- everything is fresh; no benchmark needed")
     elif not one.status.refused:
-        lines.append(f"- **to do**: `fogspec compile {_from_here(layout.spec)}`, and commit what it writes")
+        lines.append(
+            f"- **to do**: {code(shell_command('fogspec', 'compile', _from_here(layout.spec)))}, and commit what it writes"
+        )
     lines += ["", *_costs(difference), *_warnings(difference)]
     if layout.files.is_file(layout.picture) and picture_base is not None:
-        lines += [f"![menu of {escaped(layout.name)}]({picture_base.rstrip('/')}/{_from_here(layout.picture)})", ""]
+        address = f"{picture_base.rstrip('/')}/{quote(_from_here(layout.picture))}"
+        lines += [f"![menu of {md(layout.name)}]({address})", ""]
     return [*lines, *_provenance(difference.after), *_fields(difference.changes)]
 
 
@@ -162,16 +167,19 @@ def _headline(one: Review) -> str:
 
 def _removal(one: Removed) -> list[str]:
     """Return the section about a removed application; merging terminates no machine."""
-    lines = [f"### {escaped(one.name)}: no longer deployed", ""]
-    lines += [f"- {escaped(text)}" for text in itertools.islice(_choice(one.manifest), 1)]
-    return [*lines, f"- what runs of it goes on: `fogspec down {escaped(one.name)}` ends it, before the files are gone"]
+    lines = [f"### {md(one.name)}: no longer deployed", ""]
+    lines += [f"- {md(text)}" for text in itertools.islice(_choice(one.manifest), 1)]
+    return [
+        *lines,
+        f"- what runs of it goes on: {code(shell_command('fogspec', 'down', one.name))} ends it, before the files are gone",
+    ]
 
 
 def _warnings(difference: Difference) -> list[str]:
     """Return the warnings: new ones in full, earlier ones folded."""
     was, now = ((document or {}).get("warnings") or [] for document in (difference.before, difference.after))
-    lines = [f"- **warning**: {escaped(str(text))}" for text in now if text not in was]
-    if old := [f"- {escaped(str(text))}" for text in now if text in was]:
+    lines = [f"- **warning**: {md(str(text))}" for text in now if text not in was]
+    if old := [f"- {md(str(text))}" for text in now if text in was]:
         lines += ["", f"<details><summary>{len(old)} warnings, as before</summary>", "", *old, "", "</details>"]
     return [*lines, ""] if lines else []
 
@@ -198,8 +206,7 @@ def _costs(difference: Difference) -> list[str]:
     if not difference.costs:
         return []
     rows = [
-        f"| {NAMES[name]} | {escaped(was)} | {escaped(now)} | {rel} |"
-        for name, (was, now, rel) in difference.costs.items()
+        f"| {NAMES[name]} | {md(was)} | {md(now)} | {md(rel)} |" for name, (was, now, rel) in difference.costs.items()
     ]
     return ["| | before | after | |", "|--|--|--|--|", *rows, ""]
 
@@ -211,7 +218,7 @@ def _provenance(manifest: Mapping[str, Any] | None) -> list[str]:
         one = _part(named, name)
         where = one.get("path") or " ".join(filter(None, (one.get("source"), one.get("revision"), one.get("date"))))
         if one:
-            rows.append(f"| {name} | {escaped(str(where))} | `{digest.shorten(str(one.get('digest')))}` |")
+            rows.append(f"| {name} | {md(str(where))} | {code(digest.shorten(str(one.get('digest'))))} |")
     if not rows:
         return []
     return [
@@ -229,7 +236,7 @@ def _provenance(manifest: Mapping[str, Any] | None) -> list[str]:
 def _fields(found: Sequence[Change]) -> list[str]:
     if not found:
         return []
-    rows = [f"| `{one.field}` | {escaped(short(one.before))} | {escaped(short(one.after))} |" for one in found]
+    rows = [f"| {code(one.field)} | {md(short(one.before))} | {md(short(one.after))} |" for one in found]
     head = f"<details><summary>{len(found)} fields differ</summary>"
     return [head, "", "| field | before | after |", "|--|--|--|", *rows, "", "</details>", ""]
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from fogspec.audit.freshness import Status
 from fogspec.base import units
+from fogspec.base.text import shell_command
 from fogspec.base.units import dollars, rounded
 
 
@@ -32,7 +33,7 @@ def _next(one: Status) -> list[str]:
         return []
     if states.get("plan") == "fresh" and (one.to_measure or states.get("results") == "partial"):
         return [f"next: {one.artifacts.plan.bench_command(one.layout.spec)}"]
-    return [f"next: fogspec compile {one.layout.spec}"]
+    return [f"next: {shell_command('fogspec', 'compile', one.layout.spec)}"]
 
 
 def as_dict(one: Status) -> dict[str, Any]:

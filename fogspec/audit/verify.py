@@ -15,6 +15,7 @@ from fogspec.audit.compare import change_text, changes_in_file
 from fogspec.base import digest
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, InvalidInput
+from fogspec.base.text import shell_command
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.compiler import try_compile
@@ -215,11 +216,12 @@ def remedy(opened: ManifestBundle, broken: Check) -> str:
     """Return the commands that repair a broken link."""
     layout = opened.layout
     if broken.name in ("results", "timings"):
-        return f"put back what was measured (git checkout {layout.results.parent}), or measure it: fogspec bench {layout.spec}"
+        bench = shell_command("fogspec", "bench", layout.spec)
+        return f"put back what was measured ({shell_command('git', 'checkout', layout.results.parent)}), or measure it: {bench}"
     if broken.name == "attestation":
-        return f"attest it again: fogspec attest {layout.manifest}"
-    lock = f"fogspec lock {layout.spec}, then " if broken.name == "lock" else ""
-    return f"make it again and review it: {lock}fogspec compile {layout.spec}"
+        return f"attest it again: {shell_command('fogspec', 'attest', layout.manifest)}"
+    lock = f"{shell_command('fogspec', 'lock', layout.spec)}, then " if broken.name == "lock" else ""
+    return f"make it again and review it: {lock}{shell_command('fogspec', 'compile', layout.spec)}"
 
 
 def as_text(opened: ManifestBundle, links: list[Check]) -> str:

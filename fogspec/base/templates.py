@@ -1,13 +1,13 @@
 """Rendering of shell scripts, launch files and pictures; every value passes a quoting filter of the target language."""
 
 import json
-import shlex
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import jinja2
-from markupsafe import escape
+
+from fogspec.base import text
 
 
 def shipped(kind: str) -> Path:
@@ -27,19 +27,19 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["sh"] = lambda value: shlex.quote(str(value))
+    environment.filters["sh"] = text.shell
     environment.filters["py"] = python
-    environment.filters["comment"] = lambda text: "".join(c if c.isprintable() else "?" for c in str(text))
+    environment.filters["comment"] = text.line
     environment.filters["json"] = lambda value: json.dumps(value, sort_keys=True, ensure_ascii=False)
-    environment.filters["xml"] = lambda value: str(escape(value))
+    environment.filters["xml"] = text.xml
     return environment
 
 
 def python(value: Any, indent: int = 0) -> str:
     """Return the value as a Python expression: on one line if it fits, else one line per entry, indented by `indent` spaces."""
-    text = repr(value)
-    if len(text) + indent <= 100 or not isinstance(value, (dict, list)):
-        return text
+    written = repr(value)
+    if len(written) + indent <= 100 or not isinstance(value, (dict, list)):
+        return written
     inner = " " * (indent + 4)
     if isinstance(value, dict):
         lines = [f"{inner}{key!r}: {python(one, indent + 4)},\n" for key, one in value.items()]

@@ -9,6 +9,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from fogspec.base.console import live_console
+from fogspec.base.text import line
 from fogspec.base.units import dollars
 from fogspec.bench.progress import Tail, machine, seconds, verdict
 from fogspec.bench.types import Event, EventKind
@@ -29,7 +31,7 @@ class LiveTable:
                  now_s: Callable[[], float], console: Console | None = None, warmup: int = 0) -> None:  # fmt: skip
         self._samples = {sample.id: sample for sample in samples}
         self._steps, self._budget_usd, self._now_s, self._warmup = steps, budget_usd, now_s, warmup
-        self._console = console or Console(stderr=True)
+        self._console = console or live_console()
         self._state: dict[str, str] = {}
         self._tails: dict[str, Tail] = {}
         self._began: dict[str, float] = {}
@@ -71,7 +73,7 @@ class LiveTable:
             table.add_column(COLUMNS[n], no_wrap=n == 0)
         for sample in list(self._samples.values()):
             row = self._row(sample)
-            table.add_row(*(Text(row[n]) for n in shown))
+            table.add_row(*(Text(line(row[n])) for n in shown))
         return table
 
     def _row(self, sample: Sample) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any
 from fogspec.base import digest
 from fogspec.base.errors import OutOfDate, UsageError
 from fogspec.base.layout import Layout
+from fogspec.base.text import shell_command
 from fogspec.compile.agent_archive import agent_archive
 from fogspec.plan.schema import Plan, Sample
 from fogspec.results.io import read_results
@@ -58,7 +59,7 @@ def prepare(
     that the plan does not have.
     """
     layout = Layout.of(spec_path, application.metadata.name)
-    again = f"fogspec compile {layout.spec}"
+    again = shell_command("fogspec", "compile", layout.spec)
     if not layout.files.exists(layout.plan):
         raise OutOfDate(f"{layout.name} has no plan yet", again)
     plan_file = SourceFile.read(layout.plan, layout.files)
@@ -67,7 +68,8 @@ def prepare(
         raise OutOfDate(f"{layout.plan} is stale: {_changed(application, plan)} changed since it was compiled", again)
     pins = read_pins(layout)
     if drifted := lock_drift(pins, files_sent(application, layout) if pins else {}):
-        raise OutOfDate(f"{some(drifted)}: not what {layout.lock} pins", f"fogspec lock {layout.spec}", again)
+        lock = shell_command("fogspec", "lock", layout.spec)
+        raise OutOfDate(f"{some(drifted)}: not what {layout.lock} pins", lock, again)
     if plan.spec.pins != pins_of_measurement(application, pins):
         raise OutOfDate(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
     _check_agent(layout, again, {} if known is None else known)

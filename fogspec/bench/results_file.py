@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.base.layout import Layout
+from fogspec.base.text import shell_command
 from fogspec.bench.record import compress, timings_reference
 from fogspec.plan.schema import PlanMetadata, Sampling
 from fogspec.results.schema import Measured, Results, ResultsBody, is_final, with_checksum
@@ -98,7 +99,10 @@ class ResultsFile:
     def write(self) -> None:
         """Write the file whole, or leave the old one."""
         recorded = " --from RESULTS.yaml" if self.runner == "replay" else ""
-        made = f"fogspec bench {self.layout.relative(self.layout.spec)} --runner {self.runner}{recorded}"
+        made = (
+            shell_command("fogspec", "bench", self.layout.relative(self.layout.spec), "--runner", self.runner)
+            + recorded
+        )
         self.layout.files.write_yaml(
             self.layout.results, self.results().model_dump(mode="json", exclude_none=True), made
         )

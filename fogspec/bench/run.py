@@ -15,6 +15,7 @@ from fogspec.base.clock import SystemClock
 from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
 from fogspec.base.signals import Interrupt, interruptible
+from fogspec.base.text import shell_command
 from fogspec.bench.adaptive import AdaptiveSampling, Tasks
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.journal import Journal
@@ -150,7 +151,7 @@ def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, runni
         if not batch:
             return
         if options.prices is not None:
-            check_prices(batch, options.prices, f"fogspec compile {prepared.layout.spec}")
+            check_prices(batch, options.prices, shell_command("fogspec", "compile", prepared.layout.spec))
         campaign.run(batch)
 
 

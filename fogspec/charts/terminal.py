@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-import click
 import numpy as np
 
+from fogspec.base.console import styled
 from fogspec.charts.axes import Axis
 from fogspec.charts.chart import Chart, View, per_hour, per_request, y_axis, y_words
 
@@ -64,7 +64,7 @@ def _view(chart: Chart, view: View, width: int, color: bool) -> list[str]:
 
 
 def _styled(cell: str, color: bool) -> str:
-    return click.style(cell, **STYLES[cell]) if color and cell != " " else cell  # type: ignore[arg-type]
+    return styled(cell, **STYLES[cell]) if color and cell != " " else cell
 
 
 def _crowd(grid: Grid, x: Axis, y: Axis, chart: Chart, view: View) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import click
 
 from fogspec import __version__
+from fogspec.base.console import say
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 
@@ -56,16 +57,25 @@ def fogspec() -> None:
     """From a short spec to the right cloud machine for a robot's ROS 2 nodes, with the proof."""
 
 
+def usage(wrong: click.ClickException) -> list[str]:
+    """Return what click says of a wrong command line, as lines."""
+    found = [f"Error: {wrong.format_message()}"]
+    context = wrong.ctx if isinstance(wrong, click.UsageError) else None
+    if context is not None:
+        found = [*context.get_usage().splitlines(), f"Try '{context.command_path} --help' for help.", "", *found]
+    return found
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the documented exit code."""
     try:
         ended = fogspec.main(args=list(arguments) if arguments is not None else None, standalone_mode=False)
         code = ended if isinstance(ended, int) else 0
     except click.ClickException as wrong:
-        wrong.show()
+        say(*usage(wrong), err=True)
         code = 2
     except (click.Abort, KeyboardInterrupt):
-        click.echo("interrupted", err=True)
+        say("interrupted", err=True)
         code = 130
     except DiagnosticError as problems:
         from fogspec.report.diagnostics import show_diagnostics
@@ -73,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         show_diagnostics(problems.diagnostics)
         code = 1
     except FogspecError as outcome:
-        click.echo("\n  ".join([outcome.message, *outcome.hints]), err=True)
+        say(outcome.message, *(f"  {hint}" for hint in outcome.hints), err=True)
         code = outcome.exit_code
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -81,6 +91,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except Exception as bug:
         from fogspec.report.diagnostics import bug_paragraph
 
-        click.echo(bug_paragraph(bug), err=True)
+        say(bug_paragraph(bug), err=True)
         code = 70
     sys.exit(code)

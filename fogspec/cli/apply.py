@@ -1,12 +1,14 @@
 """Implement `fogspec apply`: deploy a manifest."""
 
-import json
 import sys
+from functools import partial
 from typing import TYPE_CHECKING
 
 import click
 
+from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import Refused, UsageError
+from fogspec.base.text import shell_command
 from fogspec.base.units import UnitError, format_price, parse_price_usd_per_hour
 from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_policies, open_manifest
 
@@ -52,32 +54,26 @@ def command(
     opened = open_manifest(manifest, catalog_path)
     check_policies(policies, [opened.inputs])
     check_fresh(opened)
-    ask = Registry().digest
-    ordered = launch_plan(opened, _prices(opened, prices), _price(most), resolve_image, ask)
-    click.echo("\n".join(as_text(ordered)), err=True)
+    ordered = launch_plan(opened, _prices(opened, prices), _price(most), resolve_image, Registry().digest)
+    say(*as_text(ordered), err=True)
     if dry_run:
         return
-    applied = apply(
-        ordered, deployment_backend, SystemWallClock(), lambda text: click.echo(text, err=True), lambda: _ask(yes)
-    )
+    applied = apply(ordered, deployment_backend, SystemWallClock(), partial(say, err=True), lambda: _ask(yes))
     machine = applied.machine
     if output == "json":
-        click.echo(
-            json.dumps({"changed": applied.changed, "waited_s": applied.waited_s, **machine.model_dump(mode="json")})
-        )
+        found = {"changed": applied.changed, "waited_s": applied.waited_s, **machine.model_dump(mode="json")}
+        say_json(found, indent=None)
         return
     what = f"{machine.machine.instance} in {machine.machine.infra}, {format_price(machine.machine.price)}"
     if applied.kept:
-        click.echo(f"{opened.layout.name}: the machine stays, under the new manifest: {what}, at {machine.address}")
+        say(f"{opened.layout.name}: the machine stays, under the new manifest: {what}, at {machine.address}")
     elif applied.changed:
-        click.echo(
-            f"{opened.layout.name}: runs on {what}, at {machine.address}; answered after {applied.waited_s:.1f} s"
-        )
+        say(f"{opened.layout.name}: runs on {what}, at {machine.address}; answered after {applied.waited_s:.1f} s")
         if opened.manifest.spec.robot_launch is not None:
-            click.echo(f"on the robot: ros2 launch {opened.layout.robot}")
-        click.echo(f"next: fogspec status {opened.layout.spec}")
+            say(f"on the robot: {shell_command('ros2', 'launch', opened.layout.robot)}")
+        say(f"next: {shell_command('fogspec', 'status', opened.layout.spec)}")
     else:
-        click.echo(f"{opened.layout.name}: no changes; runs on {what}, at {machine.address}")
+        say(f"{opened.layout.name}: no changes; runs on {what}, at {machine.address}")
 
 
 def _prices(opened: "ManifestBundle", origin: str | None) -> "Catalog":
@@ -99,5 +95,5 @@ def _ask(yes: bool) -> None:
         return
     if not sys.stdin.isatty():
         raise Refused("nobody to ask whether it may cost that", "say so: --yes")
-    if not click.confirm("start it?", err=True):
+    if not ask("start it?"):
         raise Refused("nothing was started")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from fogspec.base.console import say, say_text
 from fogspec.cli.options import CATALOG, MANIFEST, open_manifest
 
 
@@ -31,7 +32,7 @@ def command(manifest: str, catalog_path: str | None, key: str | None, out: Path 
 
         text = sign(text, key)
     if out is None:
-        click.echo(text, nl=False)
+        say_text(text, end="")
     else:
         write_output(out, text.encode())
-        click.echo(f"{out}: {'signed with ' + key if key else 'not signed'}")
+        say(f"{out}: {'signed with ' + key if key else 'not signed'}")

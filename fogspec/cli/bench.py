@@ -1,13 +1,15 @@
 """Implement `fogspec bench`: measure the samples of the plan."""
 
-import json
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
+from fogspec.base.text import shell_command
 from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from
 
 if TYPE_CHECKING:
@@ -100,15 +102,15 @@ def command(
         backend.at_once = min(backend.at_once, at_once or backend.at_once)
         _check_place(prepared, backend)
         offering = Quote.of(prepared, backend, max_usd)
-        click.echo(offering.line(), err=True)
+        say(offering.line(), err=True)
         if prepared.outdated:
             kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
-            click.echo(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)
+            say(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)
         catalog, prices = _catalogs(one, catalog_path, prepared, backend)
         if prices is not None:
-            check_prices(prepared.todo, prices, f"fogspec compile {prepared.layout.spec}")
+            check_prices(prepared.todo, prices, shell_command("fogspec", "compile", prepared.layout.spec))
         if dry_run:
-            click.echo("\n".join(offering.lines()))
+            say(*offering.lines())
             continue
         _check_needed(prepared, backend)
         _confirm(offering, yes)
@@ -179,7 +181,7 @@ def _catalogs(
         return None, None
     catalog = catalogs_for([one], path)[0]
     if adaptive and catalog.about.digest != prepared.plan.spec.catalog.digest:
-        compiling = f"fogspec compile {prepared.layout.spec}" + (f" --catalog {path}" if path else "")
+        compiling = shell_command("fogspec", "compile", prepared.layout.spec, *(["--catalog", path] if path else []))
         raise OutOfDate(
             f"{prepared.layout.plan} was compiled from another catalog: {prepared.plan.spec.catalog.source}", compiling
         )
@@ -188,7 +190,7 @@ def _catalogs(
     try:
         prices = load_catalog("skypilot", clouds_of(one))
     except FogspecError as unavailable:
-        click.echo(
+        say(
             f"prices are compared with {catalog.about.source}, not with SkyPilot's own: {unavailable.message}", err=True
         )
         prices = catalog
@@ -209,7 +211,7 @@ def _confirm(offering: "Quote", yes: bool) -> None:
         return
     if not sys.stdin.isatty():
         raise Refused(f"{offering.line()}: not confirmed", "spend it with --yes, look at it with --dry-run")
-    if not click.confirm("measure?", err=True):
+    if not ask("measure?"):
         raise Refused("not confirmed: nothing was started")
 
 
@@ -217,14 +219,14 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Progre
     from fogspec.bench import progress
 
     if output == "json":
-        return progress.Events(click.echo)
+        return progress.Events(say)
     if sys.stderr.isatty():
         from fogspec.bench.live_table import LiveTable
 
         body = prepared.plan.spec
         wall_usd, now_s = campaign.config.budget_usd, campaign.clock.now_s
         return LiveTable(prepared.todo, body.requests, wall_usd, now_s, warmup=body.warmup)
-    return progress.Lines(lambda text: click.echo(text, err=True))
+    return progress.Lines(partial(say, err=True))
 
 
 def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
@@ -232,14 +234,14 @@ def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
 
     layout, results = prepared.layout, benched.results
     if output == "json":
-        click.echo(json.dumps(results.model_dump(mode="json", exclude_none=True)))
+        say_json(results.model_dump(mode="json", exclude_none=True), indent=None)
         return
     for record in results.spec.samples:
-        click.echo(f"  {record.id}: {progress.outcome(record)}")
+        say(f"  {record.id}: {progress.outcome(record)}")
         if record.state != "ok" and record.id in benched.folders:
-            click.echo(f"    logs: {benched.folders[record.id]}")
+            say(f"    logs: {benched.folders[record.id]}")
     if results.spec.sampling is not None and results.spec.sampling.stop_reason is not None:
-        click.echo(f"sampling ended: {results.spec.sampling.stop_reason}")
-    click.echo(f"results   {layout.results}")
+        say(f"sampling ended: {results.spec.sampling.stop_reason}")
+    say(f"results   {layout.results}")
     if any(record.state == "ok" for record in results.spec.samples):
-        click.echo(f"next: fogspec compile {layout.spec}")
+        say(f"next: {shell_command('fogspec', 'compile', layout.spec)}")

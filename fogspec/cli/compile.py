@@ -1,11 +1,12 @@
 """Implement `fogspec compile`: write the plan and its tasks; once measured, models, menu and manifest."""
 
-import json
 from pathlib import Path
 
 import click
 
+from fogspec.base.console import say, say_json, say_text
 from fogspec.base.errors import Infeasible, OutOfDate
+from fogspec.base.text import shell_command
 from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, PRIORS, SPECS, echo_notes, load_inputs
 
 
@@ -37,11 +38,11 @@ def command(
     compiled = [compile_application(one) for one in inputs]
     changed = [path for one in compiled for path in (one.compare() if check else one.write())]
     for path in () if check else (path for one in compiled for path in one.removed):
-        click.echo(f"{path}: removed: it no longer follows from its inputs", err=True)
+        say(f"{path}: removed: it no longer follows from its inputs", err=True)
     if output == "json":
-        click.echo(json.dumps([summary.as_dict(one) for one in compiled], indent=2, ensure_ascii=False))
+        say_json([summary.as_dict(one) for one in compiled])
     else:
-        click.echo("\n\n".join(summary.summary(one) for one in compiled))
+        say_text("\n\n".join(summary.summary(one) for one in compiled))
     if any(one.decision is not None for one in compiled):
         from fogspec.compile.manifest import Manifest
 
@@ -49,15 +50,15 @@ def command(
         known = {path: file for files in on_disk for path, file in files.items()}
         rules.require_manifests([one.spec for one in inputs], Manifest, known)
     if check and changed:
-        again = f"fogspec compile {' '.join(specs)}"
+        again = shell_command("fogspec", "compile", *specs)
         raise OutOfDate(
             f"{len(changed)} files differ from what compile would write", *map(str, changed), f"write them: {again}"
         )
     if drifted := list(dict.fromkeys(name for one in inputs for name in one.drifted)):
-        lock = f"fogspec lock {' '.join(specs)}".strip()
+        lock = shell_command("fogspec", "lock", *specs)
         if check:
             raise OutOfDate(f"{some(drifted)}: not what the lock says", lock)
-        click.echo(f"{some(drifted)}: not what the lock says, so that bench and apply refuse it: {lock}", err=True)
+        say(f"{some(drifted)}: not what the lock says, so that bench and apply refuse it: {lock}", err=True)
     if infeasible := [one for one in compiled if one.decision is not None and one.decision.manifest is None]:
         names = ", ".join(one.layout.name for one in infeasible)
         raise Infeasible(f"{names}: no machine meets the limits", *(f"see {one.layout.menu}" for one in infeasible))

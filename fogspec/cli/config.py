@@ -1,11 +1,11 @@
 """Implement `fogspec config`: print a spec with overlays merged and defaults filled in."""
 
-import json
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import click
 
+from fogspec.base.console import say_json, say_text
 from fogspec.cli.options import OUTPUT, SPECS
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, ou
 
     loaded = load(find_specs(specs), overlays)
     if output == "json":
-        click.echo(json.dumps([render_document(one.application) for one in loaded], indent=2, ensure_ascii=False))
+        say_json([render_document(one.application) for one in loaded])
     else:
-        click.echo("\n---\n".join("\n".join(_lines(one, origins)) for one in loaded))
+        say_text("\n---\n".join("\n".join(_lines(one, origins)) for one in loaded))
 
 
 def _lines(loaded: "LoadedSpec", origins: bool) -> Iterator[str]:

@@ -1,9 +1,8 @@
 """Implement `fogspec diff`: show pending changes, their cost, and their reasons."""
 
-import json
-
 import click
 
+from fogspec.base.console import say_json, say_text
 from fogspec.base.errors import OutOfDate
 from fogspec.cli.options import CATALOG, echo_notes, load_inputs
 
@@ -37,9 +36,9 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
         found.append((differing, running_changes(one.layout, SystemWallClock(), one.application, one.sent)))
     if output == "json":
         data = [diff.as_dict(differing, live) for differing, live in found]
-        click.echo(json.dumps(data, indent=2, ensure_ascii=False))
+        say_json(data)
     else:
         show = diff.markdown if output == "markdown" else diff.as_text
-        click.echo("\n\n".join(show(differing, live) for differing, live in found))
+        say_text("\n\n".join(show(differing, live) for differing, live in found))
     if exit_code and (others := [differing.layout.name for differing, live in found if differing.differs or live]):
         raise OutOfDate(f"not what compile would write now, or not what runs: {', '.join(others)}")

@@ -1,11 +1,11 @@
 """Implement `fogspec down`: tear down an application."""
 
-import json
 from functools import partial
 from typing import TYPE_CHECKING
 
 import click
 
+from fogspec.base.console import say, say_json
 from fogspec.cli.options import OUTPUT
 
 if TYPE_CHECKING:
@@ -28,15 +28,15 @@ def command(spec_or_name: str, output: str) -> None:
     from fogspec.deploy.state import SystemWallClock
 
     layout = layout_of(spec_or_name)
-    count, spent_usd = down(layout, _backends(layout), SystemWallClock(), lambda text: click.echo(text, err=True))
+    count, spent_usd = down(layout, _backends(layout), SystemWallClock(), partial(say, err=True))
     leave_link(layout)
     if output == "json":
-        click.echo(json.dumps({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}))
+        say_json({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}, indent=None)
         return
     from fogspec.base.units import dollars
 
     ended = "nothing runs" if not count else f"{count} ended, {dollars(spent_usd)} spent; nothing is left"
-    click.echo(f"{layout.name}: {ended}")
+    say(f"{layout.name}: {ended}")
 
 
 def _backends(layout: "Layout") -> "list[Callable[[], DeploymentBackend]]":

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from fogspec.base.console import say, say_json
 from fogspec.base.errors import UsageError
 from fogspec.cli.options import CATALOG, OUTPUT, applications_of
 
@@ -113,12 +114,10 @@ def _of_suite(
         rows, calibrations = by_kind(ended)
         reports.append({**_about(campaign, digest), "by_kind": rows, "calibration": calibrations})
     if output == "json":
-        click.echo(json.dumps(reports[0] if len(reports) == 1 else reports, indent=2))
+        say_json(reports[0] if len(reports) == 1 else reports)
         return
     titles = [name for name, _, _ in ROWS] if len(reports) > 1 else [""]
-    click.echo(
-        "\n".join([HEAD, *(line(t, row) for t, one in zip(titles, reports, strict=True) for row in one["by_kind"])])
-    )
+    say(HEAD, *(line(t, row) for t, one in zip(titles, reports, strict=True) for row in one["by_kind"]))
 
 
 def _of_sweep(
@@ -138,9 +137,9 @@ def _of_sweep(
     found = replay_sweep(read, library, application.spec.benchmark.stop.duration, campaign)
     report = {"application": application.metadata.name, **_about(campaign, ""), **found}
     if output == "json":
-        click.echo(json.dumps(report, indent=2))
+        say_json(report)
     else:
-        click.echo("\n".join(f"{name:18} {_shown(value)}" for name, value in report.items()))
+        say(*(f"{name:18} {_shown(value)}" for name, value in report.items()))
 
 
 def _about(campaign: "Campaign", digest: str) -> dict[str, Any]:

@@ -1,12 +1,12 @@
 """Implement `fogspec explain`: explain a field, a diagnostic code, or the choice of a machine."""
 
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from fogspec.base.console import say_json, say_text
 from fogspec.base.errors import UsageError
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, load_named
 
@@ -55,9 +55,9 @@ def _choices(what: str, catalog_path: str | None, priors: Path | None, output: s
     inputs = load_named(what, None, catalog_path, priors)
     compiled = [compile_application(one) for one in inputs]
     if output == "json":
-        click.echo(json.dumps([explain.as_dict(one) for one in compiled], indent=2, ensure_ascii=False))
+        say_json([explain.as_dict(one) for one in compiled])
     else:
-        click.echo("\n\n".join(explain.explain(one) for one in compiled))
+        say_text("\n\n".join(explain.explain(one) for one in compiled))
 
 
 def _code(name: str, output: str) -> None:
@@ -70,7 +70,10 @@ def _code(name: str, output: str) -> None:
         raise UsageError(
             f"there is no code {name}", *([f"did you mean {near}?"] if near else []), f"codes: {', '.join(codes())}"
         )
-    click.echo(json.dumps({"code": name, **codes()[name]._asdict()}, indent=2) if output == "json" else code_text(name))
+    if output == "json":
+        say_json({"code": name, **codes()[name]._asdict()})
+    else:
+        say_text(code_text(name))
 
 
 def _field(name: str, spec: str | None, output: str) -> bool:
@@ -85,13 +88,9 @@ def _field(name: str, spec: str | None, output: str) -> bool:
     found = matching(known, name)
     spans = locate(spec_of(spec) or spec, [page.path for page in found]) if spec and found else {}
     if found and output == "json":
-        click.echo(
-            json.dumps([field_data(page, spans.get(page.path, [])) for page in found], indent=2, ensure_ascii=False)
-        )
+        say_json([field_data(page, spans.get(page.path, [])) for page in found])
     elif found:
-        click.echo(
-            "\n\n".join([*(field_text(page, spans.get(page.path, [])) for page in found), *_below(known, found)])
-        )
+        say_text("\n\n".join([*(field_text(page, spans.get(page.path, [])) for page in found), *_below(known, found)]))
     return bool(found)
 
 

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import click
 
+from fogspec.base.console import say
 from fogspec.base.errors import UsageError
+from fogspec.base.text import shell_command
 
 
 @click.command()
@@ -44,10 +46,10 @@ def command(spec: Path | None, launch: str | None, name: str | None) -> None:
         )
     if not files.exists(schema):
         files.write(schema, (shipped("schemas") / "Application.json").read_bytes())
-        click.echo(f"{schema}: the language for your editor")
+        say(f"{schema}: the language for your editor")
     text = first_text(first_data(name, found), Path(os.path.relpath(schema, spec.parent)).as_posix(), notes)
     write_output(spec, text.encode())
-    click.echo(f"{spec}: written; name your topics under probe, then: fogspec validate {spec}")
+    say(f"{spec}: written; name your topics under probe, then: {shell_command('fogspec', 'validate', spec)}")
     show_diagnostics(found.notes if found else [])
     wrong = [one for one in check_file([spec])[1] if one.severity == "error"]
     if wrong:

@@ -2,6 +2,8 @@
 
 import click
 
+from fogspec.base.console import say
+
 
 @click.command()
 @click.argument("specs", nargs=-1, required=True, type=click.Path(path_type=str))
@@ -18,5 +20,5 @@ def command(specs: tuple[str, ...]) -> None:
     for one in load(find_specs(specs)):
         name = one.application.metadata.name
         public = make_keys(one.application, Layout.of(one.path, name))
-        click.echo(f"{name}: {public}")
-        click.echo(f"{name}: the private key is in {folder_of(name)} and stays there", err=True)
+        say(f"{name}: {public}")
+        say(f"{name}: the private key is in {folder_of(name)} and stays there", err=True)

@@ -1,11 +1,11 @@
 """Implement `fogspec lock`: pin the mutable inputs of a spec to digests."""
 
-import json
 import os
 from pathlib import Path
 
 import click
 
+from fogspec.base.console import say, say_json
 from fogspec.base.errors import OutOfDate
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from
 
@@ -81,8 +81,8 @@ def _beside(path: str | os.PathLike[str], root: os.PathLike[str]) -> str:
 
 def _print(changes: dict[Path, list[str]], output: str) -> None:
     if output == "json":
-        click.echo(json.dumps({str(path): lines for path, lines in changes.items()}, indent=2, ensure_ascii=False))
+        say_json({str(path): lines for path, lines in changes.items()})
         return
     for path, lines in changes.items():
         shown = [*lines[:SHOWN], *([f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else [])]
-        click.echo("\n  ".join([f"{path}: {len(lines)} changes" if lines else f"{path}: complete", *shown]))
+        say(f"{path}: {len(lines)} changes" if lines else f"{path}: complete", *(f"  {one}" for one in shown))

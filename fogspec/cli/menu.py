@@ -1,13 +1,11 @@
 """Implement `fogspec menu`: show the choices of a measured application, also under other constraints."""
 
-import json
-import os
 import shutil
-import sys
 from pathlib import Path
 
 import click
 
+from fogspec.base.console import has_color, say_json, say_text
 from fogspec.base.errors import Infeasible, UsageError
 from fogspec.base.units import UnitError
 from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named
@@ -47,11 +45,11 @@ def command(
         raise UsageError(str(wrong), *([f"write {wrong.fix}"] if wrong.fix else [])) from None
     menus = [one.menu for one in views]
     if output == "json":
-        click.echo(json.dumps([menu.model_dump(mode="json") for menu in menus], indent=2, ensure_ascii=False))
+        say_json([menu.model_dump(mode="json") for menu in menus])
     else:
         width = shutil.get_terminal_size().columns
         if color is None:
-            color = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-        click.echo("\n\n".join(show(one.menu, one.plot(width, color)) for one in views), color=color)
+            color = has_color()
+        say_text("\n\n".join(show(one.menu, one.plot(width, color)) for one in views), color=color)
     if infeasible := [menu.metadata.name for menu in menus if menu.spec.balanced is None]:
         raise Infeasible(f"{', '.join(infeasible)}: no machine meets the limits")

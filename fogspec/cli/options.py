@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fogspec.base.console import say
 from fogspec.base.errors import UsageError
 
 if TYPE_CHECKING:
@@ -111,7 +112,7 @@ def check_policies(policies: Sequence[str], inputs: "Sequence[Inputs]") -> None:
 def echo_notes(notes: Iterable[str]) -> None:
     """Print notes for the user, each once."""
     for note in dict.fromkeys(notes):
-        click.echo(note, err=True)
+        say(note, err=True)
 
 
 def named(what: str, name: str | None = None) -> tuple[str, str | None]:

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from fogspec.base.console import say
+
 
 @click.group()
 def command() -> None:
@@ -29,4 +31,4 @@ def build(source: Path | None, out: Path) -> None:
         machines, latencies = read_sparecores(source or sparecores_database())
     write_priors(out, machines, latencies)
     library = read_priors(out)
-    click.echo(f"{out}: {len(library.workloads)} workloads on {len(library.names)} machines, {library.digest}")
+    say(f"{out}: {len(library.workloads)} workloads on {len(library.names)} machines, {library.digest}")

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import click
 
+from fogspec.base.console import say, say_text
 from fogspec.base.errors import UsageError
+from fogspec.base.text import shell_command
 from fogspec.cli.options import CATALOG, PRIORS, load_named
 
 
@@ -30,13 +32,13 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
     given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
     for compiled in [compile_application(one) for one in inputs]:
         common = shlex.join([compiled.inputs.source, "--name", compiled.layout.name, *given])
-        content = page(compiled, f"fogspec report {common}", f"fogspec menu {common}")
+        content = page(compiled, shell_command("fogspec", "report", common), shell_command("fogspec", "menu", common))
         if to == "-":
-            click.echo(content, nl=False)
+            say_text(content.decode(), end="")
         else:
             target = compiled.layout.page if to is None else Path(to)
             if to is None:
                 compiled.layout.files.write(target, content)
             else:
                 write_output(target, content)
-            click.echo(f"{target}: {len(content) / 1000:,.0f} kB")
+            say(f"{target}: {len(content) / 1000:,.0f} kB")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from fogspec.base.console import say_text
 from fogspec.base.errors import InvalidInput, OutOfDate
 from fogspec.cli.options import CATALOG, POLICIES, check_policies, load_inputs
 
@@ -50,7 +51,7 @@ def command(
     gone = removed(repository, commit, [one.layout.name for one in inputs])
     text = markdown(reviews, gone, picture_base)
     if out is None:
-        click.echo(text, nl=False)
+        say_text(text, end="")
     else:
         write_output(out, text.encode())
     check_policies(policies, inputs)

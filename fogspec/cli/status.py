@@ -1,9 +1,8 @@
 """Implement `fogspec status`: show fresh and stale stages with reasons, and the money spent."""
 
-import json
-
 import click
 
+from fogspec.base.console import say_json, say_text
 from fogspec.base.errors import OutOfDate
 from fogspec.cli.options import CATALOG, OUTPUT, echo_notes, load_inputs
 
@@ -41,12 +40,12 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
             {**status.as_dict(one), "deployment": None if live is None else health.as_dict(live)}
             for one, live in zip(found, lives, strict=True)
         ]
-        click.echo(json.dumps(data, indent=2, ensure_ascii=False))
+        say_json(data)
     else:
         texts = [
             status.as_text(one, health.as_text(live) if live else ()) for one, live in zip(found, lives, strict=True)
         ]
-        click.echo("\n\n".join(texts))
+        say_text("\n\n".join(texts))
     others = [
         one.layout.name
         for one, live in zip(found, lives, strict=True)

@@ -2,6 +2,7 @@
 
 import click
 
+from fogspec.base.console import say
 from fogspec.cli.options import COLOR, POLICIES
 
 
@@ -31,7 +32,7 @@ def command(
     if output == "text":
         names = ", ".join(one.application.metadata.name for one in loaded[:10])
         more = f" and {len(loaded) - 10} more" if len(loaded) > 10 else ""
-        click.echo(f"{_count(len(loaded), 'application')} in {_count(len(paths), 'file')} valid: {names}{more}")
+        say(f"{_count(len(loaded), 'application')} in {_count(len(paths), 'file')} valid: {names}{more}")
 
 
 def _count(number: int, word: str) -> str:

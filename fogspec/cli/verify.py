@@ -1,9 +1,8 @@
 """Implement `fogspec verify`: recompute the chain behind a manifest, byte for byte."""
 
-import json
-
 import click
 
+from fogspec.base.console import say_json, say_text
 from fogspec.base.errors import OutOfDate
 from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_policies, open_manifest
 
@@ -40,9 +39,9 @@ def command(
 
         links.append(check_signed(opened, attestation, key))
     if output == "json":
-        click.echo(json.dumps(verify.as_dict(opened, links), indent=2, ensure_ascii=False))
+        say_json(verify.as_dict(opened, links))
     else:
-        click.echo(verify.as_text(opened, links))
+        say_text(verify.as_text(opened, links))
     check_policies(policies, [opened.inputs])
     if broken := [link for link in links if link.breaks]:
         raise OutOfDate(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from fogspec.base import digest
 from fogspec.base.layout import Layout
+from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered
 from fogspec.charts import menu_svg, model_svg
@@ -205,7 +206,7 @@ def _caveats_of_machine(choice: Choice, row: int) -> list[str]:
 
 def _yaml(artifact: Models | Menu | Manifest, layout: Layout) -> bytes:
     source = layout.relative(layout.spec)
-    return yaml_text(artifact.model_dump(mode="json"), f"fogspec compile {source}", source).encode()
+    return yaml_text(artifact.model_dump(mode="json"), shell_command("fogspec", "compile", source), source).encode()
 
 
 def _charts(application: Application, choice: Choice, models: Models, layout: Layout) -> dict[Path, bytes]:

@@ -11,6 +11,7 @@ from typing import Any
 from fogspec.base import digest
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
+from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.choice.choose import Choice
 from fogspec.choice.shortlist import fallback_rows
@@ -93,4 +94,4 @@ def _task(application: Application, layout: Layout, choice: Choice, row: int) ->
         launch=layout.relative(layout.cloud) if spec.ros else None,
         link=layout.relative(layout.link) if link else None,
     )
-    return yaml_text(task, f"fogspec compile {source}", source).encode()
+    return yaml_text(task, shell_command("fogspec", "compile", source), source).encode()

@@ -16,6 +16,7 @@ from fogspec.base.clouds import cloud_name
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import Layout
+from fogspec.base.text import shell_command
 from fogspec.catalog.classes import unknown_families
 from fogspec.catalog.sources import default_origin, load_catalog
 from fogspec.catalog.table import Catalog
@@ -286,7 +287,7 @@ def _as_locked(catalog: Catalog, pins: Pins, layout: Layout) -> Catalog:
     if catalog.about.digest != pin.digest:
         raise OutOfDate(
             f"{layout.name}: the catalog {pin.origin} is not the one that {layout.lock} pins",
-            f"fogspec lock {layout.spec} --upgrade catalog",
+            shell_command("fogspec", "lock", layout.spec, "--upgrade", "catalog"),
         )
     about = replace(catalog.about, source=pin.source, revision=pin.revision, date=pin.date)
     return replace(catalog, about=about)

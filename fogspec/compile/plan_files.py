@@ -8,6 +8,7 @@ from typing import Any
 from fogspec.base import digest, units
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
+from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered
 from fogspec.compile.tasks import left_out, measured_processes, ros_environment, sample_task
@@ -106,4 +107,4 @@ def _limits(application: Application, plan: Plan) -> list[str]:
 
 def _yaml(data: Mapping[str, Any], layout: Layout) -> bytes:
     source = layout.relative(layout.spec)
-    return yaml_text(data, f"fogspec compile {source}", source).encode()
+    return yaml_text(data, shell_command("fogspec", "compile", source), source).encode()

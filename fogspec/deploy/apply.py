@@ -16,6 +16,7 @@ from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidIn
 from fogspec.base.locks import application_lock
 from fogspec.base.redaction import check_set
 from fogspec.base.signals import interruptible
+from fogspec.base.text import shell_command
 from fogspec.compile.links import link_of
 from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate
@@ -374,7 +375,9 @@ def apply(
                 confirm()
             return RolloutResult(rollout.run(), True, times.now_s() - begun_s)
     except KeyboardInterrupt:
-        again = f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything"
+        again = (
+            f"{shell_command('fogspec', 'apply', layout.manifest)} goes on, fogspec down {layout.name} ends everything"
+        )
         started = [one.name for one in live.machines if one.state != "serving"] if live is not None else []
         raise Interrupted("interrupted at once", *map("may still run: {}".format, started), again) from None
     except (BrokenPipeError, FogspecError):
@@ -382,5 +385,5 @@ def apply(
     except OSError as problem:
         raise InvalidInput(
             f"{problem.filename or layout.state}: {problem.strerror or problem}",
-            f"fogspec apply {layout.manifest} goes on, fogspec down {layout.name} ends everything",
+            f"{shell_command('fogspec', 'apply', layout.manifest)} goes on, fogspec down {layout.name} ends everything",
         ) from None

@@ -12,6 +12,7 @@ from pathlib import Path
 from fogspec.base import child
 from fogspec.base.errors import CloudError, InvalidInput, Refused
 from fogspec.base.layout import Layout
+from fogspec.base.text import shell_command
 from fogspec.compile.launch_files import link_script
 from fogspec.compile.links import link_of
 from fogspec.compile.tasks import LINK_PEER
@@ -46,7 +47,7 @@ def environment(application: Application, layout: Layout) -> dict[str, str]:
     if not public.is_file():
         raise Refused(
             f"{application.metadata.name}: the robot has no key for its link yet: {public} is missing",
-            f"on the robot: fogspec keys {layout.spec}",
+            f"on the robot: {shell_command('fogspec', 'keys', layout.spec)}",
             "on another computer: copy that file, the public half, from the robot to the same place here",
         )
     return {LINK_PEER: public.read_text("ascii", "replace").strip()}

@@ -15,6 +15,7 @@ from fogspec.base.clock import SystemClock
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.git import tracked_state
 from fogspec.base.layout import Layout
+from fogspec.base.text import shell_command
 from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState
 from fogspec.plan.schema import PlanMetadata
 from fogspec.spec.loader import read_document
@@ -164,9 +165,10 @@ class DeploymentState:
             metadata=PlanMetadata(name=self.layout.name),
             spec=DeploymentBody(machines=[*self.foreign, *machines], spent=spent),
         )
+        apply = shell_command("fogspec", "apply", self.layout.relative(self.layout.manifest))
         self.layout.files.write_yaml(
             self.layout.live,
             state.model_dump(mode="json"),
-            f"fogspec down {self.layout.name}; fogspec apply {self.layout.relative(self.layout.manifest)}",
+            f"fogspec down {self.layout.name}; {apply}",
         )
         self.machines, self.spent_usd = machines, spent

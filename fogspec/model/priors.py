@@ -23,6 +23,7 @@ from fogspec.base import digest
 from fogspec.base.errors import CloudError, InvalidInput, OutOfDate
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import write_output
+from fogspec.base.text import shell_command
 from fogspec.model.tables import LATENCY_COLUMNS, MACHINE_COLUMNS, found, read_latencies, read_machines, read_table
 from fogspec.numerics.priors import PriorData
 from fogspec.spec.lockfile import Pins
@@ -81,7 +82,7 @@ def locked_priors(layout: Layout, pins: Pins | None) -> PriorData | None:
     if library.digest != pins.priors.digest:
         raise OutOfDate(
             f"{layout.name}: the machine library {path} is not the one that {layout.lock} pins",
-            f"fogspec lock {layout.spec} --priors {path}",
+            shell_command("fogspec", "lock", layout.spec, "--priors", path),
         )
     return library
 

@@ -13,6 +13,7 @@ from pydantic import Field
 from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
 from fogspec.base.quantities import Duration, Money, Strict
+from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
 from fogspec.spec.schema import Hardware
 
@@ -138,7 +139,7 @@ class Plan(Strict):
     def bench_command(self, spec: str | PathLike[str]) -> str:
         """Return the command that measures this plan, with the spec at this path."""
         local = all(sample.machine.is_local for sample in self.spec.samples)
-        return f"fogspec bench {fspath(spec)}{' --runner local' if local else ''}"
+        return shell_command("fogspec", "bench", fspath(spec), *(["--runner", "local"] if local else []))
 
 
 LIFETIME_SLACK_S = 300.0

@@ -1,19 +1,17 @@
 """Report diagnostics as text for people, JSON for programs, or annotations for GitHub."""
 
-import json
 import os
 import platform
-import sys
 import traceback
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Literal
 
-import click
-
 from fogspec import __version__
+from fogspec.base.console import has_color, say, say_json, say_text, styled
 from fogspec.base.diagnostics import Diagnostic
+from fogspec.base.text import line, visible
 
 Output = Literal["text", "json", "github"]
 
@@ -27,21 +25,19 @@ def show_diagnostics(diagnostics: Sequence[Diagnostic], output: str = "text", co
     If `color` is None, text is colored only on a terminal and only if NO_COLOR is not set.
     """
     if output == "json":
-        click.echo(json.dumps([as_data(one) for one in diagnostics], ensure_ascii=False, indent=2))
+        say_json([as_data(one) for one in diagnostics])
     elif output == "github":
         for one in diagnostics:
-            click.echo(annotation(one))
+            say(annotation(one))
     else:
         if color is None:
-            color = sys.stderr.isatty() and not os.environ.get("NO_COLOR")
+            color = has_color(err=True)
         for one in diagnostics[:MOST_SHOWN]:
-            click.echo(as_text(one, color) + "\n", err=True, color=color)
+            say_text(as_text(one, color) + "\n", err=True, color=color)
         if len(diagnostics) > MOST_SHOWN:
-            click.echo(
-                f"... and {len(diagnostics) - MOST_SHOWN} more: `fogspec validate -o json` shows all\n", err=True
-            )
+            say(f"... and {len(diagnostics) - MOST_SHOWN} more: `fogspec validate -o json` shows all", "", err=True)
         if diagnostics:
-            click.echo(summary(diagnostics), err=True)
+            say(summary(diagnostics), err=True)
 
 
 def as_text(one: Diagnostic, color: bool = False) -> str:
@@ -49,23 +45,23 @@ def as_text(one: Diagnostic, color: bool = False) -> str:
     span, hue = one.span, "red" if one.severity == "error" else "yellow"
 
     def paint(text: str, **style: Any) -> str:
-        return click.style(text, **style) if color else text
+        return styled(text, **style) if color else text
 
-    head = paint(f"{one.severity}[{one.code}]", fg=hue, bold=True) + paint(f": {_clean(one.message)}", bold=True)
-    where = f"{_clean(span.path)}:{span.line}:{span.column}"
+    head = paint(f"{one.severity}[{one.code}]", fg=hue, bold=True) + paint(f": {line(one.message)}", bold=True)
+    where = f"{line(span.path)}:{span.line}:{span.column}"
     if one.source_line is None:
-        tail = [f" = {_clean(one.fix)}"] if one.fix else []
+        tail = [f" = {line(one.fix)}"] if one.fix else []
         return "\n".join([head, f" --> {where}", *tail])
     number = str(span.line)
     gutter = " " * len(number)
-    line, before, width = _window(one.source_line, span.column - 1, span.width)
-    carets = paint("^" * width + (f" {_clean(one.fix)}" if one.fix else ""), fg=hue)
+    shown, before, width = _window(one.source_line, span.column - 1, span.width)
+    carets = paint("^" * width + (f" {line(one.fix)}" if one.fix else ""), fg=hue)
     return "\n".join(
         [
             head,
             f"{gutter}--> {where}",
             f"{gutter} |",
-            f"{number} | {line}".rstrip(),
+            f"{number} | {shown}".rstrip(),
             f"{gutter} | {' ' * before}{carets}",
         ]
     )
@@ -113,36 +109,28 @@ def bug_paragraph(bug: BaseException) -> str:
     return (
         f"fogspec has a bug, and nothing is wrong with your files: {type(bug).__name__} at {steps or 'an unknown place'} "
         f"(fogspec {__version__}, Python {platform.python_version()}, {platform.system()}). Please report this paragraph, "
-        f"with the message if it holds nothing private: {_clean(str(bug))[:300]}"
+        f"with the message if it holds nothing private: {line(str(bug))[:300]}"
     )
 
 
-def _window(line: str, start: int, width: int) -> tuple[str, int, int]:
+def _window(source: str, start: int, width: int) -> tuple[str, int, int]:
     """Return the part of a line to show, the cells before the caret, and the cells under it."""
-    start = min(start, len(line))
-    left = max(0, start - MOST_COLUMNS // 2) if len(line) > MOST_COLUMNS else 0
-    shown = line[left : left + MOST_COLUMNS]
-    marked = shown[start - left : start - left + width]
-    lead, trail = "…" if left else "", "…" if left + MOST_COLUMNS < len(line) else ""
-    before = _cells(_clean(shown[: start - left])) + len(lead)
-    return lead + _clean(shown) + trail, before, max(1, _cells(_clean(marked)))
+
+    def shown(left: int, right: int) -> str:
+        return visible(source[left:right]).replace("\t", " ")
+
+    start = min(start, len(source))
+    left = max(0, start - MOST_COLUMNS // 2) if len(source) > MOST_COLUMNS else 0
+    right = left + MOST_COLUMNS
+    lead, trail = "…" if left else "", "…" if right < len(source) else ""
+    before, marked = shown(left, start), shown(start, min(start + width, right))
+    return lead + shown(left, right) + trail, _cells(before) + len(lead), max(1, _cells(marked))
 
 
 def _cells(text: str) -> int:
     """Return the number of terminal cells that the text takes."""
     wide = sum(1 for character in text if unicodedata.east_asian_width(character) in "WF")
     return len(text) + wide - sum(1 for character in text if unicodedata.combining(character))
-
-
-def _clean(text: str | None) -> str:
-    """Return the text without control characters, which a terminal would interpret."""
-    return "".join(_visible(character) for character in text or "")
-
-
-def _visible(character: str) -> str:
-    if character.isprintable():
-        return character
-    return " " if character in "\t\n" else "�"
 
 
 def _data(text: str) -> str:

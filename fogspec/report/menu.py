@@ -5,6 +5,7 @@ from typing import Any
 
 from fogspec.base import units
 from fogspec.base.errors import OutOfDate
+from fogspec.base.text import shell_command
 from fogspec.catalog.filters import filter_offers
 from fogspec.charts.menu_svg import menu_chart
 from fogspec.charts.terminal import plot
@@ -44,7 +45,7 @@ def menu_view(inputs: Inputs, alpha: float | None, latency: str | None, cost: st
     results, stale = usable_results(inputs)
     if results is None:
         what = "was not measured yet" if stale is None else "has changed since it was measured"
-        raise OutOfDate(f"{layout.name} {what}: there is no menu", f"fogspec bench {layout.spec}")
+        raise OutOfDate(f"{layout.name} {what}: there is no menu", shell_command("fogspec", "bench", layout.spec))
     application = pinned(changed(inputs.application, alpha, latency, cost), inputs.pins)
     admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
     found = select(inputs, application, admissible, results)

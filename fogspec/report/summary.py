@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base import units
+from fogspec.base.text import shell_command
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
 
@@ -42,7 +43,9 @@ def summary(compiled: Artifacts) -> str:
         return "\n".join([*lines, *infeasible_text(decision.menu)])
     lines.append(_row("manifest", str(layout.manifest), f"with {layout.deploy.name}"))
     lines.append(_row("choice", entry_text(entry), decision.menu.spec.objective))
-    return "\n".join([*lines, f"next: review {layout.manifest}; fogspec explain {layout.spec} says why"])
+    return "\n".join(
+        [*lines, f"next: review {layout.manifest}; {shell_command('fogspec', 'explain', layout.spec)} says why"]
+    )
 
 
 def _row(name: str, what: str, words: str) -> str:

@@ -9,6 +9,7 @@ from fogspec.base.errors import InvalidInput
 from fogspec.base.files import decompress, too_large
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import ProjectFiles
+from fogspec.base.text import shell_command
 from fogspec.results.requests import SIZE_LIMIT
 from fogspec.results.schema import Measured, Results, checksum_ok
 from fogspec.spec.loader import read_document
@@ -46,7 +47,7 @@ def check_integrity(results: Results, path: str | Path) -> None:
                     "FS701",
                     "the results were changed after they were measured: their seal does not hold",
                     Span(str(path), 1, 1),
-                    f"restore the file (git checkout -- {path}), or move it away and measure again",
+                    f"restore the file ({shell_command('git', 'checkout', '--', path)}), or move it away and measure again",
                 )
             ]
         )

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +15,7 @@ from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
 from fogspec.base.files import read_file
 from fogspec.base.project_files import ProjectFiles
+from fogspec.base.text import shell_command
 from fogspec.base.yaml.positions import Node, key_span, plain, span_of, spans
 from fogspec.base.yaml.positions import Path as Steps
 from fogspec.spec import rules
@@ -217,5 +219,16 @@ def read_plain(path: str | os.PathLike[str], content: bytes | None = None) -> An
 def _recompiled(one: Diagnostic, texts: SourceMap) -> Diagnostic:
     """Return the diagnostic of a generated file, which is repaired by generating it again."""
     first = next(iter(texts.lines.get(one.span.path, [])), "")
-    command = first.partition("Make it again: ")[2].strip()
-    return dataclasses.replace(one, fix=f"make it again: {command}") if command else one
+    commands = first.partition("Make it again: ")[2].strip().split("; ")
+    if not all(map(_is_ours, commands)):
+        return one  # the file may be anybody's
+    return dataclasses.replace(one, fix=f"make it again: {'; '.join(commands)}")
+
+
+def _is_ours(command: str) -> bool:
+    """Return whether a command runs fogspec and nothing else, whatever is in the words after that."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        return False
+    return words[:1] == ["fogspec"] and shell_command(*words) == command

@@ -3,6 +3,7 @@
 import re
 from typing import Any
 
+from fogspec.base.text import line as one_line
 from fogspec.base.yaml.writer import block, flow
 from fogspec.spec.field_docs import FieldPage, pages
 from fogspec.spec.launch_import.found import LaunchImport
@@ -51,7 +52,7 @@ def _over(spec: dict[str, Any], found: LaunchImport) -> None:
 def first_text(data: dict[str, Any], schema: str, notes: list[str]) -> str:
     """Return the spec as text: each field's meaning after its first line, omitted fields as hints at the end."""
     book = {page.path: page for page in pages(Application)}
-    lines = [f"# yaml-language-server: $schema={schema}", *(f"# {note}" for note in notes)]
+    lines = [f"# yaml-language-server: $schema={one_line(schema)}", *(f"# {one_line(note)}" for note in notes)]
     said: set[str] = set()
     for line, path in block(data):
         page = _page(book, path)

@@ -4,8 +4,8 @@ A spec does not declare publishers and subscribers, so each node may do both wit
 """
 
 from collections.abc import Sequence
-from xml.sax.saxutils import quoteattr
 
+from fogspec.base.text import xml
 from fogspec.spec.graph_names import exposed
 from fogspec.spec.schema import Application, Node
 
@@ -34,15 +34,15 @@ def _enclave(application: Application, side: str, nodes: Sequence[Node]) -> list
     if not named:
         return []
     inner = [f"        {line}" for node in named for line in _profile(application, node)]
-    path = quoteattr(f"/{application.metadata.name.replace('-', '_')}/{side}")
-    return [f"    <enclave path={path}>", "      <profiles>", *inner, "      </profiles>", "    </enclave>"]
+    path = xml(f"/{application.metadata.name.replace('-', '_')}/{side}")
+    return [f'    <enclave path="{path}">', "      <profiles>", *inner, "      </profiles>", "    </enclave>"]
 
 
 def _profile(application: Application, node: Node) -> list[str]:
     passing = exposed(application.spec)
     space = "/" + (node.namespace or "").strip("/")
     topics, calls = (*passing.topics, *passing.names), (*passing.services, *passing.names)
-    lines = [f"<profile ns={quoteattr(space)} node={quoteattr(str(node.name))}>"]
+    lines = [f'<profile ns="{xml(space)}" node="{xml(node.name)}">']
     for verb in ("publish", "subscribe"):
         lines += _rule("topic", verb, [*topics, *(f"/{name}" for name in OF_EVERY_NODE[verb])])
     lines += _rule("service", "reply", [*calls, *(f"~/{name}" for name in SERVICES_OF_EVERY_NODE)])
@@ -55,5 +55,5 @@ def _profile(application: Application, node: Node) -> list[str]:
 def _rule(kind: str, verb: str, names: Sequence[str]) -> list[str]:
     if not names:
         return []
-    inner = [f"    <{kind}>{name}</{kind}>" for name in dict.fromkeys(names)]
+    inner = [f"    <{kind}>{xml(name)}</{kind}>" for name in dict.fromkeys(names)]
     return [f'  <{kind}s {verb}="ALLOW">', *inner, f"  </{kind}s>"]
