@@ -16,7 +16,7 @@ HIDDEN = (
 )
 INVISIBLE = re.compile(f"[{HIDDEN}]")
 NOT_ON_A_LINE = re.compile(f"[\t\n{HIDDEN}]")
-MARKUP = re.compile(r"[\\`*_\[\]<>|~&]|^[#+=-]|(?<=^\d)[.)]|(?<=^\d\d)[.)]")
+MARKUP = re.compile(r"[\\`*_\[\]<>|~&]|^[#+=-](?=[#+=\s-]|$)|(?<=^\d)[.)]|(?<=^\d\d)[.)]")
 MATHEMATICS = re.compile(r"\$(?!\d)")
 # GitHub links addresses, mentions and numbers of issues in plain text, also escaped ones: a zero-width space between ends it.
 LINKED = re.compile(r":(?=//)|(?<!\w)@(?=\w)|@(?=[\w-]+\.)|#(?=\d)|(?<=\bwww)\.|(?<=\bGH)-(?=\d)", re.IGNORECASE)
