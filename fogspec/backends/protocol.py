@@ -28,7 +28,8 @@ class Job:
     `workdir`; None sends that as it is. `machine` may be None and `task` empty where the job is only polled or stopped.
 
     A sample's machine shuts itself down after `lifetime_s` seconds, even if its controller has died; a deployment has no
-    lifetime. `replicate` counts the samples on the same type of machine.
+    lifetime. The machine may cost at most `cap_usd_per_hour`, without it its own price. `replicate` counts the samples on
+    the same type of machine.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Job:
     tree: Path | None = None
     machine: Machine | None = None
     lifetime_s: float | None = None
+    cap_usd_per_hour: float | None = None
     replicate: int = 1
 
     def __post_init__(self) -> None:

@@ -1,22 +1,24 @@
 """The inputs of a campaign, all checked: the plan, its tasks, and existing results."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fogspec.base import digest
+from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate, UsageError
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
 from fogspec.compile.agent_archive import agent_archive
-from fogspec.plan.schema import Plan, Sample
+from fogspec.compile.plan_files import task_file
+from fogspec.plan.schema import Plan, Sample, replicate, sample_id
 from fogspec.results.io import read_results
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import SourceFile
 from fogspec.spec.lock_io import files_sent, lock_drift, read_pins
-from fogspec.spec.lockfile import changed_pins, pins_of_measurement, some
+from fogspec.spec.lockfile import changed_pins, pinned, pins_of_measurement, some
 from fogspec.spec.schema import Application
 
 
@@ -73,7 +75,9 @@ def prepare(
     if plan.spec.pins != pins_of_measurement(application, pins):
         raise OutOfDate(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
     _check_agent(layout, again, {} if known is None else known)
-    tasks = {sample.id: _task(layout, sample, again) for sample in plan.spec.samples}
+    _check_plan(application, plan, layout, again)
+    exact = pinned(application, pins)
+    tasks = {sample.id: _task(exact, plan, layout, sample, again) for sample in plan.spec.samples}
     results = read_results(layout)
     outdated = results is not None and (
         results.spec.application != fingerprints.measured_digest(application)
@@ -111,17 +115,59 @@ def _check_agent(layout: Layout, again: str, known: dict[Path, SourceFile]) -> N
         raise OutOfDate(f"{layout.agent} is not the agent of this version of fogspec", again)
 
 
-def _task(layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
-    if sample.task is None:
-        raise OutOfDate(f"{layout.plan}: sample {sample.id} has no task", again)
-    path = layout.compiled / sample.task.path
+def _check_plan(application: Application, plan: Plan, layout: Layout, again: str) -> None:
+    """Raise OutOfDate if the plan measures otherwise than the spec says, or calls a sample by another machine's name."""
+    body, benchmark = plan.spec, application.spec.benchmark
+    wanted = {
+        "requests": benchmark.stop.requests,
+        "duration": benchmark.stop.duration,
+        "warmup": benchmark.warmup,
+        "setup_timeout": benchmark.setup_timeout,
+        "sampler": "list" if benchmark.machines else benchmark.sampler,
+    }
+    edited = [name for name, value in wanted.items() if getattr(body, name) != value]
+    edited += [f"samples: {one.id}" for one in body.samples if one.id != sample_id(one.machine, replicate(one.id))]
+    if plan.metadata.name != layout.name or edited:
+        raise OutOfDate(
+            f"{layout.plan} is not what the spec compiles to: {', '.join(edited) or 'metadata.name'}", again
+        )
+
+
+def _task(application: Application, plan: Plan, layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
+    """Return the task that the sample compiles to; raise OutOfDate, naming the key, if the one on disk is another."""
+    path, compiled = layout.task(sample.id), task_file(application, plan, sample, layout)
     try:
         content = layout.files.read(path)
     except OSError as problem:
         raise OutOfDate(f"{path}: cannot be read: {problem.strerror}", again) from None
-    if digest.of_bytes(content) != sample.task.digest:
-        raise OutOfDate(f"{path} is not what was compiled: what is reviewed is what runs", again)
-    return read_task(content)
+    task = read_task(compiled)
+    if content != compiled:
+        key = _first_difference(SourceFile(path, content), task)
+        raise OutOfDate(f"{path} is not what {layout.spec} compiles to: {key}", "what is reviewed is what runs", again)
+    if sample.task is None or (layout.compiled / sample.task.path, sample.task.digest) != (
+        path,
+        digest.of_bytes(compiled),
+    ):
+        raise OutOfDate(f"{layout.plan}: samples: {sample.id}: task is not {path} as it is compiled", again)
+    return task
+
+
+def _first_difference(file: SourceFile, compiled: Mapping[str, Any]) -> str:
+    """Return the first key that differs, or that it is damaged."""
+    try:
+        found = file.plain()
+    except DiagnosticError as damaged:
+        return damaged.diagnostics[0].message
+    return next(_differences(found, compiled), "its comments or layout differ")
+
+
+def _differences(found: Any, wanted: Any, at: str = "") -> Iterator[str]:
+    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
+        for key in [*wanted, *(key for key in found if key not in wanted)]:
+            yield from _differences(found.get(key), wanted.get(key), f"{at}.{key}" if at else str(key))
+    elif found != wanted:
+        how = "is missing" if found is None else "was added" if wanted is None else "differs"
+        yield f"{at} {how}" if at else "it is not a task"
 
 
 def read_task(content: bytes) -> Mapping[str, Any]:

@@ -210,7 +210,7 @@ class Rollout:
         self.report(f"{one.machine.instance} in {one.machine.infra}: starting {machine.name}")
         self.live.keep_manifest(machine.name, self.manifest)
         try:
-            self._backend(machine).start(self.live.job(machine, one.task))
+            self._backend(machine).start(self.live.job(machine, one.task, one.cap_usd_per_hour))
         except Unreachable as lost:
             self.report(f"lost contact: {lost}")
         return machine

@@ -16,7 +16,8 @@ class Candidate:
     """A machine that may be launched with its reviewed task: the manifest's own, or one of its fallbacks.
 
     `number` counts the machines before it, `runs` is the digest of all that the machine is given; `now_usd_per_hour` is
-    its price now, None if the catalog does not have it.
+    its price now, None if the catalog does not have it. It may cost at most `cap_usd_per_hour`: the approved price, or what
+    the caller allows.
     """
 
     number: int
@@ -25,6 +26,7 @@ class Candidate:
     runs: str
     approved_usd_per_hour: float
     now_usd_per_hour: float | None = None
+    cap_usd_per_hour: float | None = None
 
     @property
     def price_usd_per_hour(self) -> float:

@@ -72,6 +72,7 @@ def launch_plan(
             runs=runs,
             approved_usd_per_hour=machine.price,
             now_usd_per_hour=price_now(machine, prices),
+            cap_usd_per_hour=machine.price if most_usd_per_hour is None else most_usd_per_hour,
         )
         if number == 0:
             check_price(candidate, limit, most_usd_per_hour, prices.about.source)

@@ -141,8 +141,10 @@ class DeploymentState:
         """Return the directory of one machine."""
         return self.layout.deployed / name
 
-    def job(self, machine: DeployedMachine, task: Mapping[str, Any] | None = None) -> Job:
-        """Return the machine's job; only starting it needs the task."""
+    def job(
+        self, machine: DeployedMachine, task: Mapping[str, Any] | None = None, cap_usd_per_hour: float | None = None
+    ) -> Job:
+        """Return the machine's job; only starting it needs the task, and the most that it may cost."""
         root, directory = self.layout.root, self.folder(machine.name)
         tree = directory / SENT
         return Job(
@@ -153,6 +155,7 @@ class DeploymentState:
             directory=directory,
             tree=tree if self.layout.files.is_folder(tree) else None,
             machine=machine.machine,
+            cap_usd_per_hour=cap_usd_per_hour,
         )
 
     def keep_manifest(self, name: str, content: bytes) -> None:

@@ -5,6 +5,7 @@ import itertools
 import json
 import os
 import secrets
+import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -29,6 +30,7 @@ from fogspec.results.io import Recording
 from fogspec.results.schema import LatencySummary, Measured
 from tests.support.agent import AGENT
 from tests.support.fake_sky import Cloud, SimulatedClient
+from tests.support.jobs import resources
 
 RECORD = {"name": "work", "start_s": 1.0, "latency_s": 0.25, "ok": True, "metrics": {}, "reason": None}
 LINE = json.dumps(RECORD)
@@ -109,7 +111,7 @@ def machine(instance: str, infra: str = "local", cpus: float = 1, gpu: Gpu | Non
 def project(folder: Path) -> Path:
     (folder / "specs").mkdir()
     (folder / "specs" / "work.py").write_text(WORK)
-    (folder / "agent.pyz").symlink_to(AGENT)
+    shutil.copy(AGENT, folder / "agent.pyz")
     return folder
 
 
@@ -119,7 +121,7 @@ def sample(folder: Path, ref: Machine, run: str = MEASURE, **task: Any) -> Job:
         name=name,
         owner=OWNER,
         machine=ref,
-        task={"run": run, "workdir": "specs", "file_mounts": MOUNTS, **task},
+        task={"run": run, "workdir": "specs", "file_mounts": MOUNTS, "resources": resources(ref, 900.0), **task},
         root=folder,
         directory=folder / ".fogspec" / "demo" / "attempts" / name,
         lifetime_s=900.0,
@@ -128,12 +130,11 @@ def sample(folder: Path, ref: Machine, run: str = MEASURE, **task: Any) -> Job:
 
 def deployment(folder: Path, ref: Machine, ready: str = "", **task: Any) -> Job:
     name = OWNER.deployment_name(f"sha256:{secrets.token_hex(4)}", secrets.token_hex(3))
-    labels = {"labels": {"fogspec-application": "demo"}}
     return Job(
         name=name,
         owner=OWNER,
         machine=ref,
-        task={"run": SERVE % ready, "workdir": "specs", "file_mounts": MOUNTS, "resources": labels, **task},
+        task={"run": SERVE % ready, "workdir": "specs", "file_mounts": MOUNTS, "resources": resources(ref), **task},
         root=folder,
         directory=folder / ".fogspec" / "demo" / "deployed" / name,
     )

@@ -18,6 +18,7 @@ from fogspec.backends import agent_state
 from fogspec.backends.local import limits, processes
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable
+from fogspec.backends.task_check import check_sources
 from fogspec.base import child
 from fogspec.base.project_files import LinkedPath
 from fogspec.catalog.machine import Machine
@@ -73,6 +74,7 @@ class LocalBackend:
 
     def _launch(self, job: Job) -> limits.LimitedProcess:
         machine = self._fitting(job.machine)
+        check_sources(job)
         environment = self._environment(job)
         try:
             job.files.make_folder(job.directory / "out")

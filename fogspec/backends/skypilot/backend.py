@@ -24,6 +24,7 @@ from fogspec.backends.skypilot.client import Client, result
 from fogspec.backends.skypilot.errors import FORGOTTEN, CloudProblem
 from fogspec.backends.skypilot.job_outcome import LOG, load, save
 from fogspec.backends.skypilot.logs import LogTail
+from fogspec.backends.task_check import check_sources, check_task
 from fogspec.base.errors import CloudError
 
 AT_ONCE = 8
@@ -105,6 +106,8 @@ class SkyPilotSamples(SkyPilotBackend):
 
     def start(self, job: Job) -> None:
         """Request the machine; `poll` tells whether it is available."""
+        check_task(job)
+        check_sources(job)
         try:
             secrets_file.check(job.task)
         except CloudProblem as problem:
@@ -284,6 +287,8 @@ class SkyPilotDeployments(SkyPilotBackend):
 
     def start(self, job: Job) -> None:
         """Request the machine; `poll` tells whether it is available."""
+        check_task(job)
+        check_sources(job)
         try:
             secrets_file.check(job.task)
             self._call("launch", task=_labelled(job), name=job.name, root=str(job.root.absolute()))

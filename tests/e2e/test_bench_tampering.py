@@ -1,0 +1,89 @@
+"""A bench launches what the spec compiles to: whatever a branch edits in plan or task is refused before anything starts."""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from fogspec.base import digest
+from fogspec.base.yaml.writer import yaml_text
+from tests.e2e.test_bench_money import bench, nothing_happened, paid  # noqa: F401
+from tests.support.running import Shell, shell  # noqa: F401
+
+PLAN = "compiled/demo/plan.yaml"
+ADDED = {
+    "num_nodes": 8, "envs": {"A": "b"}, "secrets": {"AWS_SECRET_ACCESS_KEY": None}, "resources.accelerators": "H100:8",
+    "resources.any_of": [{"instance_type": "p5.48xlarge"}], "file_mounts.~/.aws": "~/.aws", "resources.image_id": "docker:evil",
+}  # fmt: skip
+
+
+def load(text: str) -> Any:
+    return YAML(typ="safe", pure=True).load(text)
+
+
+def edited(value: Any, path: str, new: Any) -> Any:
+    """The document with one value in another's place, dropped for None. `.` in the target of a mount is no step."""
+    key, _, rest = path.partition(".")
+    inner = (
+        new
+        if not rest
+        else edited(value[key], rest, new)
+        if key != "file_mounts"
+        else {**value.get(key, {}), rest: new}
+    )
+    found = {**value, key: inner}
+    if isinstance(inner, Mapping):
+        found[key] = {name: one for name, one in inner.items() if one is not None or name.startswith("AWS")}
+    return {name: one for name, one in found.items() if one is not None}
+
+
+def paths(task: Mapping[str, Any], above: str = "") -> Iterator[str]:
+    for key, value in task.items():
+        yield f"{above}{key}"
+        if isinstance(value, Mapping):
+            yield from paths(value, f"{above}{key}.")
+
+
+def test_every_key_of_a_task_is_the_compiled_one(paid: Shell) -> None:
+    """Also if the plan is given the digest of the edited task."""
+    plan = load(paid.read(PLAN))
+    sample = plan["spec"]["samples"][-1]
+    name = f"compiled/demo/{sample['task']['path']}"
+    text, whole = paid.read(name), paid.read(PLAN)
+    task = load(text)
+    found = [(path, None) for path in paths(task)] + list(ADDED.items())
+    found += [(path, {"changed": 1}) for path in paths(task)] + [("resources.instance_type", "p5.48xlarge")]
+    assert len(found) >= 40
+    for path, new in found:
+        content = yaml_text(edited(task, path, new), "a branch", "specs/demo.yaml")
+        paid.write(name, content)
+        paid.write(PLAN, whole.replace(sample["task"]["digest"], digest.of_bytes(content.encode())))
+        said = bench(paid, "--yes", code=3)
+        key = path if path.count(".") < 2 or path.startswith("file_mounts") else path.rpartition(".")[0]
+        assert f"{name} is not what specs/demo.yaml compiles to: {key.partition('.~')[0]}" in said.err, (path, new)
+    assert nothing_happened(paid)
+    paid.write(name, text)
+    paid.write(PLAN, whole)
+    bench(paid, "--yes")
+
+
+@pytest.mark.parametrize(
+    ("field", "new", "named"),
+    [
+        ("  duration", "20h", "duration"),
+        ("  setup_timeout", "1d", "setup_timeout"),
+        ("  requests", "2", "requests"),
+        ("  warmup", "7", "warmup"),
+        ("  sampler", "adaptive", "sampler"),
+        ("[ -]*instance", "a.huge", "samples: aws-r1-a-small"),
+    ],
+)
+def test_a_plan_that_measures_otherwise_than_the_spec_is_refused(paid: Shell, field: str, new: str, named: str) -> None:
+    changed, count = re.subn(rf"^({field}:) .*", rf"\1 {new}", paid.read(PLAN), count=1, flags=re.MULTILINE)
+    assert count == 1
+    paid.write(PLAN, changed)
+    said = bench(paid, "--yes", code=3)
+    assert f"{PLAN} is not what the spec compiles to: {named}" in said.err
+    assert nothing_happened(paid)

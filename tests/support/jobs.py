@@ -1,0 +1,17 @@
+"""Resources of tasks as `fogspec.compile.tasks` writes them, for jobs that tests make by hand."""
+
+import math
+from typing import Any
+
+from fogspec.catalog.machine import Machine
+
+
+def resources(machine: Machine, lifetime_s: float | None = None) -> dict[str, Any]:
+    """The resources of a sample that lives so long, or of a deployment."""
+    shape = {"instance_type": machine.instance}
+    if machine.infra.startswith("slurm/"):
+        shape = {"cpus": f"{machine.cpus:g}", "memory": f"{machine.memory:g}"}
+    end = {"idle_minutes": 30, "down": True}
+    if lifetime_s is not None:
+        end = {"idle_minutes": math.ceil(lifetime_s / 60), "down": True, "wait_for": "none"}
+    return {"infra": machine.infra, **shape, "max_hourly_cost": machine.price, "autostop": end, "labels": {}}
