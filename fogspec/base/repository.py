@@ -1,16 +1,20 @@
 """The repository that a directory belongs to: the same for every clone of it, and not to be forged by a committed file.
 
-Git's own configuration is read as text: git is not started, so that nothing of a checkout can run, and git need not be there.
+Git's own configuration is read as text, so that the identity is the same where git is absent. Only the content of committed
+files is asked of git, by a command that runs no hook, filter or monitor of the checkout.
 """
 
 import os
 import re
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+from fogspec.base import child
 from fogspec.base.files import read_file
 
 LONGEST = 1 << 20  # bytes of a configuration
+GIT_S = 20.0
 URL = re.compile(
     r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?:[^@/]*@)?(?P<host>\[[^\]/]*\]|[^:/]*)(?::(?P<port>[^/]*))?(?P<path>.*)", re.I
 )
@@ -34,6 +38,21 @@ def repository_of(root: Path) -> str:
                 return origin if inside == "." else f"{origin}//{inside}"
             break
     return f"file://{os.uname().nodename}{real.as_posix()}"
+
+
+def committed(root: Path, path: Path) -> bytes | None:
+    """Return the content of a file below `root` as it was last committed; None if there is none, or git cannot tell."""
+    inside = Path(os.path.relpath(path, root)).as_posix()
+    environment = {name: value for name, value in child.environment().items() if not name.startswith("GIT_")}
+    environment |= {"GIT_NO_LAZY_FETCH": "1", "GIT_TERMINAL_PROMPT": "0", "GIT_OPTIONAL_LOCKS": "0"}
+    try:
+        words = [child.program("git"), "-C", os.path.realpath(root), "cat-file", "blob", f"HEAD:./{inside}"]
+        found = subprocess.run(
+            words, cwd=child.ELSEWHERE, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=GIT_S
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return None if found.returncode else found.stdout
 
 
 def normalized(url: str, top: Path) -> str | None:

@@ -23,6 +23,7 @@ from fogspec.base.project_files import ProjectFiles
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
 
+UNREADABLE = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
 MOST = 1e12  # of seconds, of USD: more is garbage
 
 
@@ -48,14 +49,32 @@ class LaunchRecord:
 
 @dataclass(slots=True, kw_only=True)
 class JournalState:
-    """The sum of the journal: machines not verified gone, records not yet in the results, money spent."""
+    """The sum of the journal: machines not verified gone, records not yet in the results, money spent.
+
+    `totals` is what the application has cost so far in USD, by runner: the recorded costs of a replay are no money.
+    """
 
     open: dict[str, LaunchRecord] = field(default_factory=dict)
     unwritten: dict[str, tuple[LaunchRecord, Measured]] = field(default_factory=dict)
-    spent_usd: float = 0.0
+    totals: dict[str, float] = field(default_factory=dict)
+    runner: str = ""
     campaign: dict[str, Any] | None = None
     campaigns: int = 0
     attempts: int = 0
+
+    @classmethod
+    def read(cls, content: bytes) -> "JournalState":
+        """Return the sum of a journal's content as far as it can be read."""
+        state = cls()
+        with contextlib.suppress(*UNREADABLE):
+            for line in content[: content.rfind(b"\n") + 1].splitlines():
+                state.apply(json.loads(line))
+        return state
+
+    @property
+    def spent_usd(self) -> float:
+        """The cost so far with the runner of the latest bench."""
+        return self.totals.get(self.runner, 0.0)
 
     @property
     def committed_usd(self) -> float:
@@ -67,14 +86,15 @@ class JournalState:
         kind = entry["do"]
         if kind == "campaign":
             _name(entry["application"])
-            self.campaign, self.spent_usd = entry, _amount(entry["base_usd"])
+            self.campaign, self.runner = entry, _name(entry["runner"])
+            self.totals[self.runner] = _amount(entry["base_usd"])
             self.campaigns += 1
         elif kind == "start":
             self.open[entry["name"]] = _started(entry)
             self.attempts += 1
         elif kind == "end":
             started = self.open.pop(entry["name"])
-            self.spent_usd += _amount(entry["spent_usd"])
+            self.totals[self.runner] = self.spent_usd + _amount(entry["spent_usd"])
             if entry["record"] is not None:
                 self.unwritten[started.name] = started, Measured.model_validate(entry["record"])
         elif kind == "written":
@@ -133,7 +153,7 @@ class Journal:
     def _replay(self, number: int, line: bytes) -> None:
         try:
             self.state.apply(json.loads(line))
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as wrong:
+        except UNREADABLE as wrong:
             raise OutOfDate(
                 f"{self.path}:{number}: this line of the journal cannot be read",
                 "it says which machines were started; look for machines left running, then delete the file",
@@ -161,12 +181,12 @@ class Journal:
         self.state.apply(json.loads(line))
 
     def begin(self, runner: str, application: str, plan: str, results_usd: float) -> None:
-        """Begin a bench on a results file with a cost of `results_usd` so far.
+        """Begin a bench of an application that has cost `results_usd` so far, by other records than this journal.
 
-        Only the journal's sum has machines that were stopped without a record.
+        Only the journal's sum has machines that were stopped without a record. It continues whatever has changed in what is
+        measured: the budget is the application's.
         """
-        continues = self.state.campaign is not None and self.state.campaign["application"] == application
-        base_usd = max(results_usd, self.state.spent_usd) if continues else results_usd
+        base_usd = max(results_usd, self.state.totals.get(runner, 0.0))
         self.append(do="campaign", runner=runner, application=application, plan=plan, base_usd=base_usd)
 
     def start(self, started: LaunchRecord) -> None:

@@ -1,7 +1,7 @@
 """The inputs of a campaign, all checked: the plan, its tasks, and existing results."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate, UsageError
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
+from fogspec.bench.spending import spending
 from fogspec.compile.agent_archive import agent_archive
 from fogspec.compile.plan_files import task_file
 from fogspec.plan.schema import Plan, Sample, replicate, sample_id
@@ -27,7 +28,8 @@ class Prepared:
     """The samples to measure, `todo`, with their reviewed tasks.
 
     `results` are those that still count; `outdated` tells that the file on disk measured something else; `only`
-    that the user named the samples. `read` are the results as they were on disk.
+    that the user named the samples. `read` are the results as they were on disk. `spent_usd` is the cost of measuring the
+    application so far by runner, also before it changed.
     """
 
     application: Application
@@ -40,6 +42,7 @@ class Prepared:
     only: bool
     todo: tuple[Sample, ...]
     read: Results | None = None
+    spent_usd: Mapping[str, float] = field(default_factory=dict)
 
     def check_current(self) -> None:
         """Raise OutOfDate if another bench has measured since this was prepared: its samples must not be lost."""
@@ -95,6 +98,7 @@ def prepare(
         only=bool(only),
         todo=tuple(_todo(plan, counting, only)),
         read=results,
+        spent_usd=spending(layout, results),
     )
 
 

@@ -33,7 +33,7 @@ class Quote:
     def of(cls, prepared: Prepared, backend: SampleBackend, max_usd: float | None) -> "Quote":
         """Return the quote of the plan, with what is left of its budget."""
         body, benchmark = prepared.plan.spec, prepared.application.spec.benchmark
-        spent = prepared.results.spec.spent if prepared.results is not None else 0.0
+        spent = prepared.spent_usd.get(backend.name, 0.0)
         left = None if benchmark.budget is None else max(benchmark.budget - spent, 0.0)
         sampling = prepared.results.spec.sampling if prepared.results is not None else None
         decided = (
@@ -67,6 +67,13 @@ class Quote:
     def usd(self, sample: Sample) -> float:
         """Return the most that one sample can cost."""
         return sample.machine.price * self.lifetime_s / 3600
+
+    def spent_line(self, prepared: Prepared) -> str | None:
+        """Return what is spent of the budget already; None if it is nothing, or no money."""
+        spent, budget = prepared.spent_usd.get(self.runner, 0.0), prepared.application.spec.benchmark.budget
+        if self.costs is not Costs.REAL or not spent or budget is None:
+            return None
+        return f"{dollars(spent)} of the budget of {dollars(budget)} is spent; spec.benchmark.budget allows more"
 
     def line(self) -> str:
         """Return one line: the samples to measure, and the most that they can cost."""

@@ -16,6 +16,7 @@ from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
 from fogspec.base.signals import Interrupt, interruptible
 from fogspec.base.text import shell_command
+from fogspec.base.units import dollars, format_money
 from fogspec.bench.adaptive import AdaptiveSampling, Tasks
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.journal import Journal
@@ -24,9 +25,11 @@ from fogspec.bench.prepare import Prepared
 from fogspec.bench.progress import ProgressReporter, RedactingProgress
 from fogspec.bench.quote import check_prices
 from fogspec.bench.results_file import ResultsFile, set_aside
+from fogspec.bench.retry import overdrawn
 from fogspec.bench.types import CampaignConfig
 from fogspec.catalog.table import Catalog
 from fogspec.numerics.priors import PriorData
+from fogspec.plan.budget import ceil_cents
 from fogspec.plan.reuse import price_rises
 from fogspec.plan.schema import Sample, lifetime_s
 from fogspec.results.requests import RecordRules
@@ -117,6 +120,8 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
             starts = bool(one.prepared.todo) or one.prepared.plan.spec.sampler == "adaptive"
             adopt_orphans(campaign, one.prepared.plan.spec.samples, one.options.resume, starts)
             running = campaign.recover()
+            if not campaign.running:
+                _check_affordable(campaign, one.prepared)
             _run(one, campaign, sink, tasks, running)
         return BenchResult(sink.results(), redacted.folders)
     except KeyboardInterrupt:
@@ -127,6 +132,21 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
         if not journal.state.open:
             with contextlib.suppress(OSError):
                 layout.files.remove_tree(layout.sent)
+
+
+def _check_affordable(campaign: Campaign, prepared: Prepared) -> None:
+    """Raise Refused if the budget is spent already: no sample that is to be measured fits into what is left."""
+    budget, spent_usd = prepared.application.spec.benchmark.budget, campaign.journal.state.spent_usd
+    if campaign.backend.costs != Costs.REAL or budget is None or not prepared.todo:
+        return
+    least_usd = min(map(campaign.price, prepared.todo)) * campaign.config.lifetime_s / 3600
+    if overdrawn(spent_usd + least_usd, budget):
+        needs = f"the next sample may cost {dollars(least_usd)}"
+        raise Refused(
+            f"{dollars(spent_usd)} of the budget of {dollars(budget)} is spent, and {needs}",
+            "the budget is the application's: what was measured before a change of the spec counts",
+            f"to allow more, raise spec.benchmark.budget to at least {format_money(ceil_cents(spent_usd + least_usd))}",
+        )
 
 
 def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, running: set[str]) -> None:
@@ -202,7 +222,9 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
     tasks = Tasks(pinned(prepared.application, pins), layout, prepared.plan, dict(prepared.tasks))
     # A sample that is still running from before must have been started by a task with the same pins.
     measured = digest.of_value([application, body.pins])
-    journal.begin(backend.name, measured, prepared.plan_digest, sink.spent_usd)
+    known_usd = max(sink.spent_usd, prepared.spent_usd.get(backend.name, 0.0))
+    journal.begin(backend.name, measured, prepared.plan_digest, known_usd)
+    sink.spent_usd = journal.state.spent_usd
     life_s = lifetime_s(body.duration, body.setup_timeout)
     allowed = None if one.options.max_usd is None else journal.state.spent_usd + one.options.max_usd
     config = CampaignConfig(

@@ -1,5 +1,8 @@
 """What a bench may spend: said first, agreed to, at prices that still hold, and never beyond the wall."""
 
+import shutil
+import subprocess
+
 import click
 import pytest
 from ruamel.yaml import YAML
@@ -7,6 +10,7 @@ from ruamel.yaml import YAML
 from fogspec.backends.protocol import Costs
 from fogspec.backends.replay import ReplaySamples
 from fogspec.base.errors import InvalidInput
+from fogspec.base.units import dollars
 from fogspec.catalog import sources
 from tests.support.running import CATALOG, Ended, Shell, project, shell  # noqa: F401
 
@@ -133,3 +137,41 @@ def test_a_machine_that_is_not_to_be_had_gives_its_place_in_a_grid_too(paid):
 def test_a_host_without_a_runner_word_measures_what_it_replays(paid):
     assert "with the replay runner" not in bench(paid, "--dry-run").err
     assert paid("bench", "specs/demo.yaml", "--runner", "replay", code=2).err
+
+
+def test_an_edit_of_what_is_measured_does_not_reset_what_was_spent(paid):
+    """Not with its results set aside, not deleted, and not without the journal: the budget is the application's."""
+    bench(paid, "--yes")
+    bench(paid, "--yes", "--only", ",".join(one["id"] for one in results(paid)["samples"]))
+    spent = float(results(paid)["spent"].removeprefix("$"))
+    text = paid.read("specs/demo.yaml")
+    budget = "$0.04"
+    paid.write("specs/demo.yaml", text.replace("work.py]", "work.py, fast]").replace("budget: $5", f"budget: {budget}"))
+    kept = paid.read("results/demo.yaml")
+    for case in ("journal", "deleted", "committed"):
+        if case != "journal":
+            (paid.folder / "results/demo.yaml").unlink(missing_ok=True)
+        if case == "committed":
+            shutil.rmtree(paid.folder / ".fogspec")
+            paid.write("results/demo.yaml", kept)
+            for words in (
+                ["init", "-q"],
+                ["add", "-A"],
+                ["-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "a"],
+            ):
+                subprocess.run(["git", *words], cwd=paid.folder, check=True)
+            (paid.folder / "results/demo.yaml").unlink(missing_ok=True)
+            for old in (paid.folder / "results").glob("demo.old-*"):
+                shutil.rmtree(old)
+        paid("compile", "specs/demo.yaml", *AT)
+        said = bench(paid, "--yes", code=5)
+        assert f"{dollars(spent)} of the budget of {dollars(0.04)} is spent" in said.err, case
+        assert "raise spec.benchmark.budget to at least $" in said.err
+        if case == "journal":
+            assert (paid.folder / "results/demo.old-1/demo.yaml").is_file()
+            paid.write("results/demo.yaml", kept)
+    raised = paid.read("specs/demo.yaml").replace(f"budget: {budget}", "budget: $9")
+    paid.write("specs/demo.yaml", raised)
+    paid("compile", "specs/demo.yaml", *AT)
+    assert f"{dollars(spent)} of the budget of $9.00 is spent" in bench(paid, "--yes").err
+    assert float(results(paid)["spent"].removeprefix("$")) > spent * 1.4

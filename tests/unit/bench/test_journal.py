@@ -115,5 +115,9 @@ def test_money_of_machines_without_a_record_is_not_forgotten(tmp_path):
     journal.begin("local", "sha256:app", "sha256:plan", 1.1)
     assert journal.state.spent_usd == pytest.approx(1.3)
     journal.begin("local", "sha256:another", "sha256:plan", 0.0)
-    assert journal.state.spent_usd == 0.0
+    assert journal.state.spent_usd == pytest.approx(1.3), "the budget is the application's"
+    journal.begin("replay", "sha256:another", "sha256:plan", 0.2)
+    assert journal.state.spent_usd == 0.2, "what a replay cost is no money"
+    journal.begin("local", "sha256:app", "sha256:plan", 1.5)
+    assert journal.state.spent_usd == 1.5
     journal.close()
