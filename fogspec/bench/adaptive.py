@@ -5,8 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from fogspec.base import digest
 from fogspec.base.layout import Layout
+from fogspec.base.units import format_duration
 from fogspec.bench.prepare import read_task
 from fogspec.bench.results_file import ResultsFile
 from fogspec.catalog.filters import Filtered, filter_offers
@@ -14,9 +17,10 @@ from fogspec.catalog.table import Catalog
 from fogspec.choice.next_samples import next_samples
 from fogspec.compile.plan_files import plan_file, task_file, with_substitutes, with_tasks
 from fogspec.numerics.priors import PriorData
-from fogspec.plan.initial_batch import NextBatch
+from fogspec.plan.initial_batch import NextBatch, batch_size
 from fogspec.plan.reuse import covers, plan_from_campaign
 from fogspec.plan.schema import Batch, Plan, Sample, Sampling, next_on, sample_on
+from fogspec.results.schema import Measured
 from fogspec.spec import fingerprints
 from fogspec.spec.lock_io import read_pins
 from fogspec.spec.lockfile import pinned, pins_of_measurement
@@ -112,16 +116,27 @@ class AdaptiveSampling:
         return samples
 
     def _next_samples(self, left_usd: float) -> NextBatch:
-        offers = self.filtered.offers
+        offers, benchmark = self.filtered.offers, self.application.spec.benchmark
+        records = list(self.sink.samples.values())
+        types = len(np.unique(offers.instance))
+        batch = batch_size(benchmark, types, batches=len(self._batches()), samples=len(records))
+        if not batch:
+            return NextBatch((), (), f"the wall time of {format_duration(benchmark.wall_time or 0.0)} is used up")
         return next_samples(
             self.application,
             offers,
-            list(self.sink.samples.values()),
+            records,
             usd_per_sample=offers.price_usd_per_hour * self.lifetime_s / 3600,
             left_usd=left_usd,
             library=self.library,
-            batch=self.application.spec.benchmark.batch_size,
+            batch=batch,
+            paid_share=self._paid_share(records),
         )
+
+    def _paid_share(self, records: Sequence[Measured]) -> float:
+        """Return the share of its longest time that a sample is expected to be paid for: as those measured so far."""
+        paid_s = [one.duration for one in records if one.state == "ok" and one.duration > 0]
+        return min(math.fsum(paid_s) / len(paid_s) / self.lifetime_s, 1.0) if paid_s else 1.0
 
     def _batches(self) -> Sequence[Batch]:
         return self.sink.sampling.batches if self.sink.sampling is not None else ()
@@ -162,6 +177,8 @@ def should_resume(application: Application, sampling: Sampling) -> bool:
 
 
 def limits_of(application: Application) -> str:
-    """Return a short digest of the limits and the objective, which decide what is sampled."""
+    """Return a short digest of the limits, the objective and what bounds sampling: they decide what is sampled."""
     chosen = fingerprints.chosen_part(application)
-    return digest.shorten(digest.of_value({name: chosen[name] for name in ("constraints", "objective", "metrics")}))
+    parts = {name: chosen[name] for name in ("constraints", "objective", "metrics")}
+    benchmark = application.spec.benchmark.model_dump(mode="json", include={"volume", "wall_time"}, exclude_none=True)
+    return digest.shorten(digest.of_value(parts | ({"benchmark": benchmark} if benchmark else {})))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.base.units import dollars
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.choice.choose import Choice, choose
@@ -29,16 +30,18 @@ def next_samples(
     left_usd: float = np.inf,
     library: PriorData | None = None,
     batch: int = 1,
+    paid_share: float = 1.0,
     excluded: Collection[tuple[str, str]] = (),
 ) -> NextBatch:
     """Return the offers to measure next, or none with the reason why sampling ends.
 
-    `usd_per_sample` (n,) is the maximum cost of a sample of each offer; the whole batch fits into `left_usd`. Types (cloud,
-    instance, accelerators) that could not be measured and those in `excluded` (cloud, instance) are not measured again;
-    measured types are if a repeat is worth most. If no further sample pays off, the chosen machine is measured to verify it.
+    `usd_per_sample` (n,) is the maximum cost of a sample of each offer, of which `paid_share` is expected to be paid; the whole
+    batch fits into `left_usd`. Types (cloud, instance, accelerators) that could not be measured and those in `excluded` (cloud,
+    instance) are not measured again; measured types are if a repeat is worth most. If no further sample pays off, the chosen
+    machine is measured to verify it; with a volume only if that saves its price.
     """
     if not records:
-        return initial_batch(offers, usd_per_sample, left_usd, library)
+        return initial_batch(offers, usd_per_sample, left_usd, library, application.spec.benchmark)
     known, unusable = partition(records, application.spec.constraints.statistic)
     predicted = predict_from(
         known=known, unusable=unusable, offers=offers, targets=targets(application), catalog=None, library=library
@@ -46,19 +49,26 @@ def next_samples(
     state = _State.of(application, predicted, [one.machine for one in unusable], usd_per_sample, excluded)
     if not any(one.machine.infra != "local" for one in known):
         return state.again(left_usd, library)
-    return state.improving(left_usd, batch)
+    return state.improving(left_usd, batch, paid_share)
+
+
+def worth_usd(application: Application, choice: Choice) -> float | None:
+    """Return what the choice's objective is worth in USD over the volume of requests; None without a volume."""
+    volume, usd = application.spec.benchmark.volume, choice.usd_per_request()
+    return None if volume is None or usd is None else volume.requests * usd
 
 
 @dataclass(frozen=True, slots=True)
 class NextSample:
     """The sample of the largest expected improvement per price.
 
-    `gain` is the expected relative improvement of the objective, `probability_better` that of the offer's type being better
-    than the chosen one, `usd` the maximum cost.
+    `gain` is the expected relative improvement of the objective, `saves_usd` what it saves over the volume of requests if there
+    is one, `probability_better` that of the offer's type being better than the chosen one, `usd` the maximum cost.
     """
 
     row: int
     gain: float
+    saves_usd: float | None
     probability_better: float | None
     usd: float
 
@@ -79,7 +89,9 @@ def best_next_sample(
     better = None
     if choice.chosen is not None:
         better = float(np.mean(values[:, one] < values[:, predicted.types.of[choice.chosen]]))
-    return NextSample(int(state.costs.row[one]), float(expected[one]), better, float(state.costs.usd[one]))
+    gain, worth = float(expected[one]), worth_usd(application, choice)
+    saves = None if worth is None else gain * worth
+    return NextSample(int(state.costs.row[one]), gain, saves, better, float(state.costs.usd[one]))
 
 
 def probability_better(predicted: PredictionSet, choice: Choice, row: int) -> float | None:
@@ -123,31 +135,41 @@ class _State:
         rows = self.costs.row[~self.excluded]
         if not len(rows):
             return NextBatch((), (), "every machine was tried or is ruled out, and none could be measured")
-        found = initial_batch(self.predicted.offers.take(rows), self.costs.usd[~self.excluded], left_usd, library)
+        offers, benchmark = self.predicted.offers.take(rows), self.application.spec.benchmark
+        found = initial_batch(offers, self.costs.usd[~self.excluded], left_usd, library, benchmark)
         return NextBatch(tuple(int(rows[row]) for row in found.rows), found.reasons, found.reason)
 
-    def improving(self, left_usd: float, batch: int) -> NextBatch:
+    def improving(self, left_usd: float, batch: int, paid_share: float) -> NextBatch:
         """Return the batch of the largest expected improvement, else the choice if it was not measured."""
         choice = choose(self.application, self.predicted)
         posterior = choice.latency.posterior
         if posterior is None:
             raise ValueError("without a measured machine nothing can be improved")
+        worth = worth_usd(self.application, choice)
         found = propose_batch(
             posterior,
             _utility(self.predicted, choice),
             sample_cost=self.costs.usd,
             left=left_usd,
-            policy=Policy(batch=batch),
+            policy=Policy(batch=batch, worth=None if worth is None else worth / paid_share),
             excluded=self.excluded,
         )
         if found.machines:
-            reasons = [self._reason(posterior, *each) for each in zip(found.machines, found.gains, strict=True)]
+            of = zip(found.machines, found.gains, strict=True)
+            reasons = [self._reason(posterior, one, gain, worth) for one, gain in of]
             return next_batch(found, self.costs, reasons, left_usd)
-        return self._verifying(choice, next_batch(found, self.costs, (), left_usd).reason, left_usd)
+        why = next_batch(found, self.costs, (), left_usd).reason
+        volume = self.application.spec.benchmark.volume
+        if volume is None:
+            return self._verifying(choice, why, left_usd)
+        row = choice.unverified
+        beside = "" if row is None else f"; not even one of the choice, {choice.offers.instance[row]}"
+        return NextBatch((), (), f"{why} on {volume.requests:,.0f} requests{beside}")
 
-    def _reason(self, posterior: Posterior, one: int, worth: float) -> str:
+    def _reason(self, posterior: Posterior, one: int, gain: float, worth: float | None) -> str:
         again = "measured again, for one sample may err: " if posterior.measured[one] else ""
-        return f"{again}may better the choice by {worth:.1%} on average, for at most ${self.costs.usd[one]:.4g}"
+        saves = "" if worth is None else f", which saves {dollars(gain * worth)}"
+        return f"{again}may better the choice by {gain:.1%} on average{saves}, for at most ${self.costs.usd[one]:.4g}"
 
     def _verifying(self, choice: Choice, why: str, left_usd: float) -> NextBatch:
         """Return the choice if it was not measured and the budget allows it."""

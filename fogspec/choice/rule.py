@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Catalog
 from fogspec.model.predict import Predictions
+from fogspec.numerics.acquisition import MORE_LIKELY_THAN_NOT
 from fogspec.numerics.pareto import pareto
 from fogspec.numerics.surrogate import Posterior
 from fogspec.spec.schema import Application
@@ -26,7 +27,6 @@ Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 
 TIE = 1e-9  # relative: smaller differences depend on the processor
-MORE_LIKELY_THAN_NOT = 0.5
 MOST_CERTAIN = 0.999
 
 
@@ -84,7 +84,7 @@ class Rule:
             max_cost_usd=constraints.cost,
             max_price_usd_per_hour=constraints.price,
             max_metrics=constraints.metrics,
-            measured_first=spec.benchmark.sampler == "adaptive",
+            measured_first=spec.benchmark.sampler == "adaptive" and spec.benchmark.volume is None,
         )
 
     def take(self, rows: Rows) -> "Rule":
@@ -280,6 +280,17 @@ class Selection:
         """The objective (n,), infinite for machines that are not eligible."""
         value = self.rule.objective(self.metric_value, self.cost_usd_per_request, self.scale)
         return np.where(self.eligible, value, np.inf)
+
+    def usd_per_request(self) -> float | None:
+        """Return what the chosen machine's objective is worth in USD; None where cost has no weight.
+
+        Objectives that differ by cost alone differ by this money. Without a choice it is that of the likeliest machine.
+        """
+        if self.rule.alpha == 1:
+            return None
+        row = self.best if self.best is not None else self.most_probable
+        value = float(np.min(self.objective)) if row is None else float(self.objective[row])
+        return value * self.scale.cost / (1 - self.rule.alpha) if np.isfinite(value) else None
 
     @cached_property
     def best(self) -> int | None:
@@ -488,6 +499,11 @@ class Utility:
     def confidence(self) -> float:
         """The probability with which the limits must be met."""
         return self.rule.confidence
+
+    @property
+    def measured_first(self) -> bool:
+        """Whether a machine that was not measured is chosen only if no measured one qualifies."""
+        return self.rule.measured_first
 
     def loss(self, posterior: Posterior) -> Floats:
         """Return the value of each type in each draw (S, N)."""

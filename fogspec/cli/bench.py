@@ -112,7 +112,7 @@ def command(
         if prices is not None:
             check_prices(prepared.todo, prices, shell_command("fogspec", "compile", prepared.layout.spec))
         if dry_run:
-            say(*offering.lines())
+            say(*offering.lines(), *_payoff(prepared, catalog, priors))
             continue
         _check_needed(prepared, backend)
         _confirm(offering, yes)
@@ -205,6 +205,21 @@ def _library(prepared: "Prepared", path: Path | None) -> "PriorData | None":
     from fogspec.spec.lock_io import read_pins
 
     return library_from(path) or locked_priors(prepared.layout, read_pins(prepared.layout))
+
+
+def _payoff(prepared: "Prepared", catalog: "Catalog | None", priors: Path | None) -> list[str]:
+    """Return what the benchmark is expected to spend and save, before anything was measured."""
+    application = prepared.application
+    if application.spec.benchmark.volume is None or catalog is None or prepared.results is not None:
+        return []
+    from fogspec.catalog.filters import filter_offers
+    from fogspec.choice.payoff import expected_payoff
+    from fogspec.plan.design import max_cost_usd
+
+    offers = filter_offers(catalog, application.spec.hardware, application.spec.infra).offers
+    usd = max_cost_usd(application.spec, offers.price_usd_per_hour)
+    found = expected_payoff(application, offers, usd, _library(prepared, priors))
+    return [] if found is None else [f"  {found.line()}"]
 
 
 def _confirm(offering: "Quote", yes: bool) -> None:

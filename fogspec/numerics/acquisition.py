@@ -10,6 +10,8 @@ from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.replicates import after_one_more
 from fogspec.numerics.surrogate import Posterior
 
+MORE_LIKELY_THAN_NOT = 0.5  # the probability of meeting the limits below which no machine is chosen
+
 
 class Question(Protocol):
     """The objective and limits that the sampler serves."""
@@ -17,6 +19,10 @@ class Question(Protocol):
     @property
     def confidence(self) -> float:
         """The probability with which a machine must meet the limits to be chosen."""
+
+    @property
+    def measured_first(self) -> bool:
+        """Whether a machine that was not measured is chosen only if no measured one qualifies."""
 
     def loss(self, posterior: Posterior) -> Floats:
         """Return the loss of each machine in each joint draw, (S, N); infinite where it breaks a limit."""
@@ -31,17 +37,29 @@ class Policy:
     improvement is at least `min_repeat_gain` times its fraction of the price of a full sweep. Machines rank by expected
     improvement over this threshold. The initial design has `first` machines, later batches have `batch`; `most` bounds the
     number of samples.
+
+    With `worth`, the value of an improvement of 1 in the unit of the costs, a sample of any machine must instead improve the
+    objective by its cost over this, and the only bound is `most_with_worth` samples.
     """
 
     min_gain: float = 0.009
     min_repeat_gain: float = 0.2
-    each: int = 3
+    each: int = 6
     first: int = 3
     batch: int = 1
     most: int = 30
+    worth: float | None = None
+    most_with_worth: int = 300
+
+    @property
+    def bound(self) -> int:
+        """The number of samples after which sampling ends in any case."""
+        return self.most if self.worth is None else self.most_with_worth
 
     def threshold(self, cost: Floats, measured: np.ndarray) -> Floats:
         """Return the expected improvement (N,) from which on a sample of each machine is worth its cost."""
+        if self.worth is not None:
+            return cost / max(self.worth, 1e-300)
         return np.asarray(cost * np.where(measured, self.min_repeat_gain / cost.sum(), self.min_gain / cost.mean()))
 
 
@@ -71,9 +89,9 @@ def propose_batch(
     """
     policy = policy or Policy()
     tried = np.unique(posterior.observations.machine)
-    room = policy.most - len(posterior.observations.machine)
+    room = policy.bound - len(posterior.observations.machine)
     if room <= 0:
-        return Batch((), f"{policy.most} samples were taken, the most allowed")
+        return Batch((), f"{policy.bound} samples were taken, the most allowed")
     allowed = np.ones(len(sample_cost), dtype=bool) if excluded is None else ~excluded
     untried = allowed.copy()
     untried[tried] = False
@@ -154,23 +172,28 @@ def _by_expected_gain(
 ) -> Batch:
     """Return the samples of largest expected gain over the measured machines and those already in this batch."""
     value, known = question.loss(posterior), posterior.measured
-    replicate = _replicate_gains(posterior, question, value)
+    gained = _gains(posterior, question, value)
     best = np.min(value[:, known], axis=1, initial=np.inf)
-    threshold = np.maximum(policy.threshold(cost, known), 1e-12 * cost / cost.mean())
+    threshold = policy.threshold(cost, known)
+    if policy.worth is None:
+        threshold = np.maximum(threshold, 1e-12 * cost / cost.mean())
     chosen: list[int] = []
     gains: list[float] = []
     for _ in range(count):
-        expected = np.where(known, replicate, expected_improvement(value, best))
-        good = usable & (cost <= left) & (expected >= threshold)
+        if chosen and question.measured_first:
+            gained = np.where(known, gained, expected_improvement(value, best))
+        good = usable & (cost <= left) & (gained >= threshold)
         if not good.any():
             break
-        pick = _highest(np.where(good, expected / threshold, -1.0), cost)
+        pick = _highest(np.where(good, gained / threshold, -1.0), cost)
         chosen.append(pick)
-        gains.append(float(expected[pick]))
+        gains.append(float(gained[pick]))
         left -= float(cost[pick])
         usable[pick] = False
         if not known[pick]:
             best = np.minimum(best, value[:, pick])
+    if not chosen and policy.worth is not None:
+        return Batch((), "no further sample is expected to save its price")
     if not chosen:
         return Batch(
             (), f"no further sample is expected to improve the choice by {policy.min_gain:.1%} per mean price of one"
@@ -180,9 +203,39 @@ def _by_expected_gain(
 
 def expected_gains(posterior: Posterior, question: Question) -> Floats:
     """Return the relative improvement of the choice expected of one more sample of each machine, (N,)."""
-    value = question.loss(posterior)
-    best = np.min(value[:, posterior.measured], axis=1, initial=np.inf)
-    return np.where(posterior.measured, _replicate_gains(posterior, question, value), expected_improvement(value, best))
+    return _gains(posterior, question, question.loss(posterior))
+
+
+def _gains(posterior: Posterior, question: Question, value: Floats) -> Floats:
+    known = posterior.measured
+    if question.measured_first:
+        best = np.min(value[:, known], axis=1, initial=np.inf)
+        return np.where(known, _replicate_gains(posterior, question, value), expected_improvement(value, best))
+    return np.where(known, _replicate_gains(posterior, question, value), _gains_of_knowing(value, question.confidence))
+
+
+def _gains_of_knowing(value: Floats, confidence: float) -> Floats:
+    """Return the expected relative improvement of a choice among all machines if one machine was known exactly, (N,).
+
+    A machine gains where it turns out better than the leader; the leader where it turns out worse than the second. While
+    no machine is likely to meet the limits, a machine gains 1 where it does.
+    """
+    leader, mean, second = _leader(_expected(value, confidence))
+    if not np.isfinite(mean):
+        leader, mean, second = _leader(_expected(value, min(confidence, MORE_LIKELY_THAN_NOT)))
+    if not np.isfinite(mean):
+        return np.asarray(np.isfinite(value).mean(0))
+    with np.errstate(invalid="ignore"):
+        lost = np.where(np.isfinite(value[:, leader]), np.maximum(1 - second / value[:, leader], 0.0), 1.0)
+    gained = np.maximum(1 - value / mean, 0.0).mean(0)
+    gained[leader] = lost.mean()
+    return np.asarray(gained)
+
+
+def _leader(expected: Floats) -> tuple[int, float, float]:
+    """Return the machine of the least expected loss, that loss, and the least of the others."""
+    leader = int(np.argmin(expected))
+    return leader, float(expected[leader]), float(np.min(np.delete(expected, leader), initial=np.inf))
 
 
 def _replicate_gains(posterior: Posterior, question: Question, value: Floats) -> Floats:
@@ -199,16 +252,18 @@ def _replicate_gains(posterior: Posterior, question: Question, value: Floats) ->
     updated = posterior.draws.copy()
     updated[:, at] = after.log_latency
     then = question.loss(replace(posterior, draw=lambda: updated))[:, at]
-    now = _expected(value[:, at], question.confidence)
-    leader = int(np.argmin(now))
-    if not np.isfinite(now[leader]):
+    among = at if question.measured_first else np.arange(value.shape[1])
+    leader, least, second = _leader(_expected(value[:, among], question.confidence))
+    if not np.isfinite(least):
         found[at] = (probability * np.isfinite(then)).sum(0)
         return found
-    second = np.min(np.delete(now, leader), initial=np.inf)
-    found[at] = (probability * np.maximum(1 - then / now[leader], 0.0)).sum(0)
-    with np.errstate(invalid="ignore"):
-        lost = np.where(np.isfinite(then[:, leader]), np.maximum(1 - second / then[:, leader], 0.0), 1.0)
-    found[at[leader]] = float(probability[:, leader] @ lost)
+    found[at] = (probability * np.maximum(1 - then / least, 0.0)).sum(0)
+    place = np.flatnonzero(at == among[leader])
+    if len(place):
+        own = then[:, place[0]]
+        with np.errstate(invalid="ignore"):
+            lost = np.where(np.isfinite(own), np.maximum(1 - second / own, 0.0), 1.0)
+        found[among[leader]] = float(probability[:, place[0]] @ lost)
     return found
 
 

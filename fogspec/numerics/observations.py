@@ -8,6 +8,9 @@ from fogspec.numerics.kernels import Floats
 
 DEFAULT_NOISE = 0.025  # relative standard error of a sample without a known one
 SYSTEMATIC_NOISE = 0.008  # relative difference between machines of one type, however many requests were timed
+TYPICAL_NOISE = 0.015  # median of a machine's relative noise, which is heavy-tailed: see `fogspec.numerics.replicates`
+NOISE_SPREAD = 0.95  # standard deviation of its logarithm
+SCALES = np.linspace(-1.5, 3.0, 8)  # grid of the noise, in these standard deviations from the median
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +64,13 @@ def observations(
 def pooled(samples: Observations) -> tuple[np.ndarray, Floats, Floats]:
     """Return the complete samples pooled by machine: index, mean log-latency, and variance of its error, each (M,).
 
-    Replicates are weighted by their precision; inconsistent replicates widen the error by the Birge ratio (Birge, Phys.
-    Rev. 40 (1932) 207).
+    Replicates are weighted by their precision. How noisy a machine is, its replicates tell: their error is the average over
+    the heavy-tailed distribution of noise given how far they are apart.
     """
     use = ~samples.lower_bound
-    error = np.where(np.isnan(samples.relative_error), DEFAULT_NOISE, samples.relative_error)
-    variance = error[use] ** 2 + SYSTEMATIC_NOISE**2
+    known, relative = ~np.isnan(samples.relative_error[use]), samples.relative_error[use]
+    variance = np.where(known, relative, DEFAULT_NOISE) ** 2 + SYSTEMATIC_NOISE**2
+    typical = np.where(known, variance, TYPICAL_NOISE**2)
     log = np.log(samples.latency_s[use])
     machines = np.unique(samples.machine[use])
     value, error_variance = np.empty(len(machines)), np.empty(len(machines))
@@ -74,9 +78,19 @@ def pooled(samples: Observations) -> tuple[np.ndarray, Floats, Floats]:
         mine = samples.machine[use] == machine
         precision = 1 / variance[mine]
         value[i] = (precision * log[mine]).sum() / precision.sum()
-        chi2 = (precision * (log[mine] - value[i]) ** 2).sum()
-        error_variance[i] = max(1.0, chi2 / max(1, mine.sum() - 1)) / precision.sum()
+        error_variance[i] = 1 / precision.sum()
+        if mine.sum() > 1:
+            error_variance[i] = _replicated_variance(log[mine] - value[i], typical[mine])
     return machines, value, error_variance
+
+
+def _replicated_variance(deviation: Floats, typical: Floats) -> float:
+    """Return the variance of the mean of replicates (n,) whose noise is `typical` (n,) times an unknown factor."""
+    factor = np.exp(2 * NOISE_SPREAD * SCALES)
+    chi2 = float((deviation**2 / typical).sum())
+    log = -0.5 * (SCALES**2 + chi2 / factor + (len(deviation) - 1) * np.log(factor))
+    weight = np.exp(log - log.max())
+    return float(weight @ factor / weight.sum() / (1 / typical).sum())
 
 
 def mean_level(samples: Observations) -> float:

@@ -11,13 +11,10 @@ from statistics import NormalDist
 import numpy as np
 
 from fogspec.numerics.kernels import Floats
-from fogspec.numerics.observations import pooled
+from fogspec.numerics.observations import NOISE_SPREAD, SCALES, TYPICAL_NOISE, pooled
 from fogspec.numerics.surrogate import Posterior
 
-TYPICAL_NOISE = 0.015  # median of a machine's relative noise
-NOISE_SPREAD = 0.95  # standard deviation of its logarithm
 FLAT = 0.01  # precision of log-latency below which the other machines are uninformative
-SCALES = np.linspace(-1.5, 3.0, 8)  # grid of the noise, in these standard deviations from the median
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ from fogspec.plan.schema import (
 )
 from fogspec.spec import fingerprints
 from fogspec.spec.lockfile import image_named
-from fogspec.spec.schema import Application, Spec, local_shape
+from fogspec.spec.schema import Application, Benchmark, Spec, local_shape
 
 if TYPE_CHECKING:
     from fogspec.numerics.priors import PriorData
@@ -149,21 +149,33 @@ def max_cost_usd(spec: Spec, price_usd_per_hour: Floats) -> Floats:
 
 def _adaptive(spec: Spec, admissible: Filtered, library: "PriorData | None") -> Design:
     """Return the first batch; `fogspec.choice.next_samples` chooses the next ones after it was measured."""
-    from fogspec.numerics.acquisition import Policy
     from fogspec.plan.initial_batch import initial_batch
 
     offers, budget = admissible.offers, spec.benchmark.budget
     if not len(offers):
         return Design((), ())
     usd = max_cost_usd(spec, offers.price_usd_per_hour)
-    batch = initial_batch(offers, usd, math.inf if budget is None else max(budget, float(usd.min())), library)
+    left = math.inf if budget is None else max(budget, float(usd.min()))
+    batch = initial_batch(offers, usd, left, library, spec.benchmark)
     samples = tuple(sample_on(offers.machine(row), why) for row, why in zip(batch.rows, batch.reasons, strict=True))
-    at_once = "one by one" if spec.benchmark.batch_size == 1 else f"{spec.benchmark.batch_size} at once"
+    return Design(samples, (_later(spec.benchmark),))
+
+
+def _later(benchmark: Benchmark) -> str:
+    from fogspec.numerics.acquisition import Policy
+
+    at_once = "one by one" if benchmark.batch_size in (None, 1) else f"{benchmark.batch_size} at once"
+    if benchmark.wall_time is not None and benchmark.batch_size is None:
+        at_once = f"as many at once as {units.format_duration(benchmark.wall_time)} needs"
+    bounds = []
+    if benchmark.volume is not None:
+        requests = f"{benchmark.volume.requests:,.0f} requests"
+        bounds.append(f"as long as the next is expected to save more than its price on {requests}")
     most = f"{Policy().most} samples: there is no budget"
-    if budget is not None:
-        most = f"the budget of {units.format_money(budget)}"
-    later = f"the first batch; then the model is asked for the next machines, {at_once}, never beyond {most}"
-    return Design(samples, (later,))
+    if benchmark.budget is not None:
+        most = f"the budget of {units.format_money(benchmark.budget)}"
+    bounds.append(f"never beyond {most}")
+    return f"the first batch; then the model is asked for the next machines, {at_once}, {', '.join(bounds)}"
 
 
 def _grid(spec: Spec, admissible: Filtered) -> Design:

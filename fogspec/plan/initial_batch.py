@@ -1,5 +1,6 @@
 """The initial design of an adaptive campaign, and batches of instance types as offers, each where it is cheapest."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,10 +9,13 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.instance_types import InstanceTypes, instance_types
 from fogspec.catalog.table import Catalog, Floats
-from fogspec.numerics.acquisition import Batch, initial_design
+from fogspec.numerics.acquisition import Batch, Policy, initial_design
 from fogspec.numerics.observations import observations
 from fogspec.numerics.priors import PriorData, prior_for
 from fogspec.numerics.surrogate import prepare
+from fogspec.spec.schema import Benchmark
+
+MOST_EXPECTED = 20  # samples of a campaign; of few instance types half as many as there are
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +43,38 @@ class SampleCosts:
         return cls(usd_per_sample[row], row)
 
 
+def batch_size(benchmark: Benchmark, types: int, *, batches: int = 0, samples: int = 0) -> int:
+    """Return how many machines to measure at once after these batches and samples; 0 if the wall time is used up.
+
+    A wall time is shared out among the batches that it has room for, each at its longest, so that as many samples are
+    possible as campaigns over this many instance types need.
+    """
+    first = Policy().first if benchmark.volume is None else 1
+    usual = (benchmark.batch_size or 1) if batches else first
+    if benchmark.wall_time is None:
+        return usual
+    room = math.floor(benchmark.wall_time / (benchmark.setup_timeout + benchmark.stop.duration) + 1e-9) - batches
+    if room <= 0:
+        return 0
+    if batches and benchmark.batch_size is not None:
+        return usual
+    return max(usual, math.ceil((min(MOST_EXPECTED, math.ceil(types / 2)) - samples) / room))
+
+
 def initial_batch(
-    offers: Catalog, usd_per_sample: Floats, left_usd: float = np.inf, library: PriorData | None = None
+    offers: Catalog,
+    usd_per_sample: Floats,
+    left_usd: float = np.inf,
+    library: PriorData | None = None,
+    benchmark: Benchmark | None = None,
 ) -> NextBatch:
     """Return the machines that together tell most about all offers for their price, before anything was measured."""
     types = instance_types(offers)
     costs = SampleCosts.of(types, usd_per_sample)
     prior = None if library is None else prior_for(library, types.names, types.machines)
     posterior = prepare(types.machines, prior).fit(observations([], []))
-    batch = initial_design(posterior, sample_cost=costs.usd, left=left_usd)
+    count = None if benchmark is None else batch_size(benchmark, len(types))
+    batch = initial_design(posterior, sample_cost=costs.usd, left=left_usd, count=count)
     reasons = ["one of the first: together they say most about all machines for their price"] * len(batch.machines)
     return next_batch(batch, costs, reasons, left_usd)
 

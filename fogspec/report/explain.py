@@ -133,6 +133,7 @@ def _next_sample_dict(choice: Choice, sample: NextSample) -> dict[str, Any]:
         "infra": choice.offers.infra(sample.row),
         "instance": str(choice.offers.instance[sample.row]),
         "gain": sample.gain,
+        "saves_usd": sample.saves_usd,
         "probability_better": sample.probability_better,
         "usd": sample.usd,
     }
@@ -276,16 +277,17 @@ def _next_sample_text(choice: Choice, found: NextSample | None, local: bool) -> 
         return "nothing is left to measure that could tell more"
     offer = choice.offers.machine(found.row)
     words = f"{offer.instance} in {offer.infra}, at most {dollars(found.usd)}: "
+    saves = "" if found.saves_usd is None else f", which saves {dollars(found.saves_usd)} over the volume"
     if choice.chosen is None:
         return f"{words}meets the limits with probability {choice.probability(found.row) or 0:.2f}"
     if choice.latency.measured[found.row]:
         which = "the choice" if found.row == choice.chosen else "a rival"
-        return f"{words}{which} once more, for one sample may err: betters the choice by {found.gain:.2%} on average"
+        again = f"{which} once more, for one sample may err"
+        return f"{words}{again}: betters the choice by {found.gain:.2%} on average{saves}"
     if found.row == choice.chosen:
-        return f"{words}it is the choice: measuring it verifies it"
-    return (
-        f"{words}better than the choice with probability {found.probability_better:.2f}, by {found.gain:.2%} on average"
-    )
+        return f"{words}it is the choice: measuring it verifies it{saves}"
+    better = f"better than the choice with probability {found.probability_better:.2f}"
+    return f"{words}{better}, by {found.gain:.2%} on average{saves}"
 
 
 def _model_text(model: Model) -> str:

@@ -6,9 +6,11 @@ from fogspec.base import units
 from fogspec.base.text import shell_command
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
+from fogspec.plan.design import max_cost_usd
 
 if TYPE_CHECKING:
     from fogspec.choice.menu import Entry, Menu
+    from fogspec.choice.payoff import Payoff
 
 NOTES = 3
 
@@ -65,8 +67,25 @@ def _plan_text(compiled: Artifacts) -> str:
     return f"{count}; measuring costs at most {cents} cents, with set-up at most {total}{budget}; {wall}"
 
 
+def payoff(compiled: Artifacts) -> "Payoff | None":
+    """Return what the benchmark will spend and save; None without a volume, and after it was measured."""
+    if compiled.application.spec.benchmark.volume is None or compiled.decision is not None:
+        return None
+    from fogspec.choice.payoff import expected_payoff
+
+    offers = compiled.admissible.offers
+    usd = max_cost_usd(compiled.application.spec, offers.price_usd_per_hour)
+    return expected_payoff(compiled.application, offers, usd, compiled.inputs.library)
+
+
 def _unmeasured(compiled: Artifacts) -> list[str]:
     command = compiled.plan.bench_command(compiled.layout.spec)
+    expected = payoff(compiled)
+    worth = [] if expected is None else [_row("worth", "", expected.line())]
+    return [*worth, *_next(compiled, command)]
+
+
+def _next(compiled: Artifacts, command: str) -> list[str]:
     if compiled.stale:
         return [f"  stale: {compiled.stale}", f"next: {command}"]
     return ["  not measured yet: models, menu and manifest follow once it is", f"next: {command}"]
@@ -112,7 +131,7 @@ def infeasible_text(menu: "Menu") -> list[str]:
 def as_dict(compiled: Artifacts) -> dict[str, Any]:
     """Return the summary as a dict for JSON."""
     layout, body = compiled.layout, compiled.plan.spec
-    chosen = compiled.decision
+    chosen, expected = compiled.decision, payoff(compiled)
     return {
         "name": layout.name,
         "files": sorted(str(path) for path in compiled.files),
@@ -125,6 +144,7 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
             "total": body.estimate.total,
         },
         "budget_usd": body.budget,
+        "payoff_usd": None if expected is None else {"spends": expected.spends_usd, "saves": expected.saves_usd},
         "stale": compiled.stale,
         "menu": None if chosen is None else chosen.menu.spec.model_dump(mode="json"),
         "manifest": None if chosen is None or chosen.manifest is None else str(layout.manifest),

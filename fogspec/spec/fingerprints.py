@@ -14,6 +14,7 @@ from fogspec.spec.introspect import part
 from fogspec.spec.schema import Affects, Application, Benchmark, Stage
 
 NOTHING: frozenset[Stage] = frozenset()
+ADDED = ("volume", "wall_time", "batch_size")  # to the benchmark, after plans were first written
 
 
 def stages_of_fields(
@@ -54,9 +55,15 @@ def measured_part(application: Application) -> dict[str, Any]:
 
 
 def planned_part(application: Application) -> dict[str, Any]:
-    """Return what the sampling plan depends on, besides the catalog: also the machines and how they are sampled."""
+    """Return what the sampling plan depends on, besides the catalog: also the machines and how they are sampled.
+
+    What later versions added is omitted while it is not set, so that digests of older plans stay valid.
+    """
     found = part_read_by("plan", application)
-    return {**found["spec"], **measured_part(application), **found["metadata"]}
+    benchmark = {
+        name: value for name, value in found["spec"]["benchmark"].items() if name not in ADDED or value is not None
+    }
+    return {**found["spec"], "benchmark": benchmark, **measured_part(application), **found["metadata"]}
 
 
 def chosen_part(application: Application) -> dict[str, Any]:

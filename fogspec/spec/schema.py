@@ -296,6 +296,20 @@ class Workload(Strict):
     node: Node | None = Field(None, description="the user's own client", examples=[{"cmd": ["python3", "client.py"]}])
 
 
+class Volume(Strict):
+    """The requests that the choice will serve: a sample must be expected to save its price on them."""
+
+    requests_per_month: float = Field(gt=0, le=1e15, description="requests in a month of use", examples=[1000000])
+    months: float = Field(
+        12.0, gt=0, description="months of use that the benchmark has to pay for itself", examples=[6]
+    )
+
+    @property
+    def requests(self) -> float:
+        """All of them."""
+        return self.requests_per_month * self.months
+
+
 class Benchmark(Strict):
     """How machines are sampled, and what that may cost."""
 
@@ -305,8 +319,22 @@ class Benchmark(Strict):
     sampler: Annotated[Literal["grid", "adaptive"], affects("plan")] = Field(
         "grid", description="which machines are sampled", examples=["grid"]
     )
-    batch_size: Annotated[int, affects()] = Field(
-        1, ge=1, description="adaptive: how many machines are measured at once after the first batch", examples=[2]
+    volume: Annotated[Volume | None, affects("plan")] = Field(
+        None,
+        description="adaptive: sampling ends when a further sample is not expected to save its price on these requests",
+        examples=[{"requests_per_month": 1000000, "months": 6}],
+    )
+    wall_time: Annotated[Duration | None, affects("plan")] = Field(
+        None,
+        gt=0,
+        description="adaptive: longest time that sampling may take, each batch at its longest; it decides batch_size",
+        examples=["1h"],
+    )
+    batch_size: Annotated[int | None, affects("plan")] = Field(
+        None,
+        ge=1,
+        description="adaptive: how many machines are measured at once after the first batch; 1, or what wall_time needs",
+        examples=[2],
     )
     machines: Annotated[list[str], affects("plan")] = Field(
         [],

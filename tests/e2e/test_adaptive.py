@@ -1,5 +1,7 @@
 """`sampler: adaptive` as a user runs it: compile, bench in batches on a replayed sweep, compile again."""
 
+import json
+import re
 import signal
 import subprocess
 import sys
@@ -272,3 +274,70 @@ def test_what_a_library_knows_of_machines_is_used_from_the_first_wave_on(project
     project("compile", "specs/demo.yaml", "--check")
     assert objective(document(project, "compiled/demo/manifest.yaml")["spec"]["instance"]) <= 1.05 * best()
     assert len(results(project)["samples"]) <= 9
+
+
+def with_(*more: str) -> str:
+    """The usual benchmark with more fields."""
+    return ADAPTIVE.replace("{", "{" + "".join(f"{one}, " for one in more), 1)
+
+
+def volume(requests: int, months: int = 6) -> str:
+    return f"volume: {{requests_per_month: {requests}, months: {months}}}"
+
+
+def test_a_larger_volume_pays_for_more_samples_and_a_tiny_one_for_a_single_one(project):
+    counts = {}
+    for requests in (1, 20_000, 100_000_000):
+        write_spec(project, benchmark=with_(volume(requests)))
+        project("compile", "specs/demo.yaml", *AT)
+        bench(project)
+        counts[requests] = len(results(project)["samples"])
+        ended = results(project)["sampling"]["stop_reason"]
+        assert f"save its price on {6 * requests:,} requests" in ended or "every machine was measured" in ended
+        (project.folder / "results/demo.yaml").unlink()
+        (project.folder / ".fogspec/demo/journal.jsonl").unlink()
+    assert counts[1] == 1
+    assert counts[1] < counts[20_000] < counts[100_000_000]
+
+
+def test_the_plan_says_what_the_benchmark_spends_and_saves(project):
+    write_spec(project, benchmark=with_(volume(1_000_000)))
+    said = project("compile", "specs/demo.yaml", *AT).out
+    assert re.search(r"worth +spends \$[0-9.]+ to save an expected \$[0-9,]+ over 6 months of 1,000,000 requests", said)
+    dry = bench(project, "--dry-run").out
+    assert re.search(r"  spends \$[0-9.]+ to save an expected", dry)
+    told = json.loads(project("compile", "specs/demo.yaml", *AT, "-o", "json").out)[0]["payoff_usd"]
+    assert 0 < told["spends"] < told["saves"]
+    bench(project)
+    assert "to save an expected" not in project("compile", "specs/demo.yaml", *AT).out
+    assert "which saves $" in project("explain", "specs/demo.yaml", *AT).out
+    assert json.loads(project("explain", "specs/demo.yaml", *AT, "-o", "json").out)[0]["next_sample"]["saves_usd"] >= 0
+
+
+def test_more_volume_takes_sampling_up_again_and_the_first_samples_are_kept(project):
+    write_spec(project, benchmark=with_(volume(1)))
+    project("compile", "specs/demo.yaml", *AT)
+    bench(project)
+    before = [one["id"] for one in results(project)["samples"]]
+    write_spec(project, benchmark=with_(volume(100_000_000)))
+    project("compile", "specs/demo.yaml", *AT)
+    bench(project)
+    after = [one["id"] for one in results(project)["samples"]]
+    assert after[: len(before)] == before
+    assert len(after) > len(before)
+
+
+@pytest.mark.parametrize(("wall_time", "batches"), [("2min", 1), ("4min", 2), ("10min", 5), ("2h", 60)])
+def test_the_wall_time_decides_how_many_are_measured_at_once(project, wall_time, batches):
+    """A sample takes two minutes at most."""
+    write_spec(project, benchmark=with_(f"wall_time: {wall_time}"))
+    project("compile", "specs/demo.yaml", *AT)
+    bench(project)
+    sampling = results(project)["sampling"]
+    sizes = [len(one["samples"]) for one in sampling["batches"]]
+    assert len(sizes) <= batches
+    if batches > 5:
+        assert set(sizes[1:]) == {1}
+    else:
+        assert max(sizes[1:], default=9) > 1 or sum(sizes) >= 8
+        assert ("wall time" in sampling["stop_reason"]) == (len(sizes) == batches)

@@ -29,7 +29,11 @@ spec:
   objective: {alpha: 0.5, scale: {latency: 1s}}
   hardware: {cpus: 2..64}
   infra: [aws/us-east-1]
-  benchmark: {budget: $2, workload: {node: {package: p, executable: client}}}
+  benchmark:
+    budget: $2
+    volume: {requests_per_month: 1000}
+    sampler: adaptive
+    workload: {node: {package: p, executable: client}}
   connectivity: {link: none}
 """
 LEAVES = dict(fingerprints.stages_of_fields())

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from fogspec.base.units import format_duration
+from fogspec.base.units import HOURS_PER_MONTH, format_duration, format_rate
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.probe import kind_of
 from fogspec.spec.rules.finding import Finding
@@ -10,6 +10,7 @@ from fogspec.spec.schema import Application, Interruption
 from fogspec.spec.suggest import closest
 
 PLACEHOLDER_TOPICS = ("/request", "/response")
+SECONDS_PER_MONTH = HOURS_PER_MONTH * 3600
 PROBES = ("request and response", "service", "action", "callback")
 
 
@@ -295,6 +296,66 @@ def budget(application: Application) -> Iterator[Finding]:
         )
 
 
+def volume(application: Application) -> Iterator[Finding]:
+    """Require a sampler that can stop, an objective in which money counts, and requests that can be served."""
+    spec, at = application.spec, ("spec", "benchmark", "volume")
+    found, rate = spec.benchmark.volume, spec.objective.rate
+    if found is None:
+        return
+    yield from _for_adaptive(application, "volume", "all of its samples are measured, whatever they save")
+    if spec.objective.alpha == 1:
+        yield Finding(
+            "FS528",
+            at,
+            "spec.benchmark.volume needs an objective in which cost counts, and alpha is 1",
+            "lower alpha, or remove volume",
+            (("spec", "objective", "alpha"),),
+            at_key=True,
+        )
+    if rate is not None and found.requests_per_month > rate * SECONDS_PER_MONTH:
+        most = f"{rate * SECONDS_PER_MONTH:,.0f}"
+        yield Finding(
+            "FS528",
+            (*at, "requests_per_month"),
+            f"spec.benchmark.volume has more requests than spec.objective.rate: {format_rate(rate)} is {most} a month",
+            f"write at most {most.replace(',', '')}, or raise the rate",
+            (("spec", "objective", "rate"),),
+        )
+
+
+def wall_time(application: Application) -> Iterator[Finding]:
+    """Require a sampler that measures in batches, and time for one of them."""
+    benchmark, path = application.spec.benchmark, ("spec", "benchmark", "wall_time")
+    if benchmark.wall_time is None:
+        return
+    yield from _for_adaptive(application, "wall_time", "all of its samples are measured at once")
+    one_s = benchmark.setup_timeout + benchmark.stop.duration
+    if benchmark.wall_time < one_s:
+        yield Finding(
+            "FS529",
+            path,
+            f"spec.benchmark.wall_time is shorter than one sample, which may take {format_duration(one_s)}",
+            "raise it, or lower setup_timeout or stop.duration",
+            (("spec", "benchmark", "setup_timeout"), ("spec", "benchmark", "stop", "duration")),
+        )
+
+
+def _for_adaptive(application: Application, name: str, why: str) -> Iterator[Finding]:
+    benchmark = application.spec.benchmark
+    if benchmark.sampler == "adaptive" and not benchmark.machines:
+        return
+    other = "machines" if benchmark.machines else "sampler"
+    what = "a list of machines" if benchmark.machines else "the grid"
+    yield Finding(
+        "FS529" if name == "wall_time" else "FS528",
+        ("spec", "benchmark", name),
+        f"spec.benchmark.{name} is for sampler: adaptive; of {what} {why}",
+        f"remove {name}, or {other}" if benchmark.machines else f"write 'sampler: adaptive', or remove {name}",
+        (("spec", "benchmark", other),),
+        at_key=True,
+    )
+
+
 def placeholders(application: Application) -> Iterator[Finding]:
     """Warn about the topics that `init` wrote as placeholders."""
     probe = application.spec.probe
@@ -321,5 +382,7 @@ RULES = (
     latency_limit,
     stop,
     budget,
+    volume,
+    wall_time,
     placeholders,
 )

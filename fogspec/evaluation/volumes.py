@@ -1,0 +1,97 @@
+"""What a benchmark and the choice after it cost together, for a volume of requests, against benchmarks of a fixed size.
+
+The total is the price of the samples plus the volume times the regret of the choice in USD a request: what its objective is
+above the best one's, by the money that the objective weighs against it. A choice that breaks a limit by more than the scores
+allow, or none where a machine meets them all, counts as twice the best. Settings in which cost has no weight are left out.
+What a benchmark program calls a request is arbitrary: requests are as long that the best machine's objective is worth
+`REQUEST_USD`, so that every problem counts alike.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from fogspec.choice.rule import Rule, Selection
+from fogspec.evaluation.replay import Case
+from fogspec.evaluation.scores import TOLERANCE
+from fogspec.model.predict import Predictions
+from fogspec.numerics.acquisition import Policy, propose_batch
+
+VOLUMES = tuple(10.0**power for power in range(2, 9))
+SIZES = (1, 2, 3, 5, 8, 12, 20, 30)  # of benchmarks of a fixed number of samples
+SAMPLE_S = 600.0  # of a machine that is paid for a sample: set-up and measuring as a spec has them by default
+REQUEST_USD = 1e-5
+WITHOUT_END = 1e12
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A campaign after some samples: their price, the regret of the choice, and what the next sample is expected to save.
+
+    `regret_usd` is for one request; `saving` is that of a request over the price of the next sample, 0 if there is none.
+    """
+
+    paid_usd: float
+    regret_usd: float
+    saving: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Totals:
+    """Total costs in USD of one problem and setting: paying for itself (V,), of fixed sizes (sizes, V), and relative."""
+
+    kind: str
+    own: tuple[float, ...]
+    fixed: tuple[tuple[float, ...], ...]
+    relative: tuple[float, ...]
+
+
+def totals(case: Case, rule: Rule) -> Totals | None:
+    """Return the total costs over `VOLUMES`; None where cost has no weight or no machine meets the limits."""
+    if rule.alpha == 1 or case.problem.truth(rule).best is None:
+        return None
+    own = list(_steps(case, replace(rule, measured_first=False), Policy(first=1, worth=WITHOUT_END)))
+    greedy = list(
+        _steps(case, replace(rule, measured_first=True), Policy(min_gain=1e-9, min_repeat_gain=1e-9, first=1))
+    )
+    usual = list(_steps(case, replace(rule, measured_first=True), Policy()))[-1]
+    ends = [next((one for one in own if one.saving * volume < 1), own[-1]) for volume in VOLUMES]
+    return Totals(
+        kind=case.problem.kind,
+        own=tuple(end.paid_usd + volume * end.regret_usd for end, volume in zip(ends, VOLUMES, strict=True)),
+        fixed=tuple(_of(greedy[min(size, len(greedy)) - 1]) for size in SIZES),
+        relative=_of(usual),
+    )
+
+
+def _of(step: Step) -> tuple[float, ...]:
+    return tuple(step.paid_usd + volume * step.regret_usd for volume in VOLUMES)
+
+
+def _steps(case: Case, rule: Rule, policy: Policy) -> Iterator[Step]:
+    """Yield the state after the first batch and after every further sample, as long as any volume would ask for one."""
+    meter, price, truth = case.meter(), case.machines.price_usd_per_hour, case.problem.truth(rule)
+    longer = REQUEST_USD / (truth.usd_per_request() or REQUEST_USD)
+    while True:
+        posterior = case.posterior(meter)
+        selection = Selection(rule=rule, latency=Predictions.of_posterior(posterior))
+        batch = propose_batch(posterior, selection.utility(), sample_cost=price, policy=policy)
+        machines, saving = batch.machines, 0.0
+        if not machines and rule.measured_first and selection.unverified is not None:
+            machines = (selection.unverified,)
+        worth = selection.usd_per_request()
+        if batch.gains and worth is not None:
+            saving = batch.gains[0] * worth * longer / (price[machines[0]] * SAMPLE_S / 3600)
+        if meter.sampled:
+            yield Step(meter.paid * SAMPLE_S / 3600, _regret(case, truth, selection.best) * REQUEST_USD, saving)
+        if not machines or (policy.worth is not None and meter.sampled and saving * VOLUMES[-1] < 1):
+            return
+        for machine in machines:
+            meter.sample(machine)
+
+
+def _regret(case: Case, truth: Selection, chosen: int | None) -> float:
+    """Return the relative regret of a choice where some machine meets the limits."""
+    least = float(truth.objective[truth.best])
+    if chosen is None or case.problem.latency_s[chosen] > truth.latency_budget_s[chosen] * (1 + TOLERANCE):
+        return 1.0
+    return max(float(truth.objective[chosen]) / least - 1, 0.0)
