@@ -43,6 +43,7 @@ ALIASES = {"ours": None}
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--choices", type=click.Path(path_type=Path), metavar="FILE", help="write a line for every choice")
 @click.option("--all", "every", is_flag=True, help="a table of every sampler and method")
+@click.option("--volumes", is_flag=True, help="total cost of benchmark and regret, for volumes of requests")
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="processes")
 @CATALOG
 @OUTPUT
@@ -58,6 +59,7 @@ def command(
     seed: int,
     choices: Path | None,
     every: bool,
+    volumes: bool,
     workers: int,
     catalog_path: str | None,
     output: str,
@@ -71,7 +73,9 @@ def command(
     campaign = Campaign(sampler, ALIASES.get(method, method) if method else None, noise, seed)
     if spec and sweep and not suite:
         _of_sweep(spec=spec, sweep=sweep, catalog_path=catalog_path, priors=priors, campaign=campaign, output=output)
-    elif suite and not (spec or sweep):
+    elif suite and volumes and not (spec or sweep or every):
+        _of_volumes(suite=suite, priors=priors, kinds=kinds, campaign=campaign, workers=workers, output=output)
+    elif suite and not (spec or sweep or volumes):
         campaigns = [Campaign(s, m, noise, seed) for _, s, m in ROWS] if every else [campaign]
         _of_suite(
             suite=suite,
@@ -101,10 +105,8 @@ def _of_suite(
 ) -> None:
     from fogspec.base.project_files import write_output
     from fogspec.evaluation.campaign import by_kind, evaluate
-    from fogspec.evaluation.suites import KINDS
 
-    if unknown := set(kinds) - set(KINDS):
-        raise UsageError(f"--kind is one of {', '.join(KINDS)}, got {min(unknown)!r}")
+    _check_kinds(kinds)
     done, digest = evaluate(suite, priors, kinds, campaigns, workers=workers)
     if choices:
         lines = [json.dumps(one.as_dict(), ensure_ascii=False) + "\n" for ended in done for one in ended]
@@ -118,6 +120,34 @@ def _of_suite(
         return
     titles = [name for name, _, _ in ROWS] if len(reports) > 1 else [""]
     say(HEAD, *(line(t, row) for t, one in zip(titles, reports, strict=True) for row in one["by_kind"]))
+
+
+def _of_volumes(
+    suite: Path, priors: Path | None, kinds: tuple[str, ...], campaign: "Campaign", workers: int, output: str
+) -> None:
+    from fogspec.evaluation.campaign import evaluate_volumes
+    from fogspec.evaluation.volumes import SIZES
+
+    _check_kinds(kinds)
+    rows = evaluate_volumes(suite, priors, kinds, campaign.seed, campaign.noise, workers=workers)
+    if output == "json":
+        say_json(rows)
+        return
+    sizes = "".join(f"{f'{size} samples':>12}" for size in SIZES)
+    say(f"{'kind':10} {'requests':>9} {'own rule':>10} {'relative':>10}{sizes} {'own/best':>9}")
+    for row in rows:
+        fixed = "".join(f"{usd:12.4g}" for usd in row["fixed_usd"].values())
+        say(
+            f"{row['kind']:10} {row['requests']:9.0e} {row['own_usd']:10.4g} {row['relative_usd']:10.4g}{fixed} "
+            f"{row['over_best']:9.3f}"
+        )
+
+
+def _check_kinds(kinds: tuple[str, ...]) -> None:
+    from fogspec.evaluation.suites import KINDS
+
+    if unknown := set(kinds) - set(KINDS):
+        raise UsageError(f"--kind is one of {', '.join(KINDS)}, got {min(unknown)!r}")
 
 
 def _of_sweep(

@@ -1,13 +1,14 @@
 """Campaigns over problems: every setting once, scored, in a few processes, and summed up by kind."""
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from fogspec.base import child
 from fogspec.evaluation.methods import METHODS, OWN_METHOD
@@ -16,6 +17,7 @@ from fogspec.evaluation.samplers import SAMPLERS
 from fogspec.evaluation.scores import Score, calibration, r2, score, staircase_deviation, summary
 from fogspec.evaluation.suites import KINDS, Problem, Suite, read_suite
 from fogspec.evaluation.sweeps import Sweep
+from fogspec.evaluation.volumes import Totals, total_rows, totals
 from fogspec.model.priors import read_priors
 from fogspec.model.tables import Table
 from fogspec.numerics.priors import PriorData, prior_for
@@ -56,18 +58,22 @@ class Result:
 
 def run(problem: Problem, table: Table, library: PriorData | None, campaign: Campaign) -> list[Result]:
     """Return the results of all settings of one problem; the problem's own suite is left out of the library."""
-    machines = table.machines.take(problem.rows)
-    names = [table.names[row] for row in problem.rows]
-    prior = None if library is None else prior_for(library, names, machines, leave_out=[problem.suite])
-    case = Case.of(problem, machines, prior, Noise.of(problem, campaign.noise, campaign.seed))
+    case, names = _case(problem, table, library, campaign), [table.names[row] for row in problem.rows]
     sample, answer = SAMPLERS[campaign.sampler], METHODS[campaign.reads_with]
     results = []
     for setting in problem.settings:
         done = answer(case, setting.rule, sample(case, setting.rule, campaign.seed))
-        scored = score(problem, setting.rule, machines.price_usd_per_hour, done)
+        scored = score(problem, setting.rule, case.machines.price_usd_per_hour, done)
         chosen = None if done.chosen is None else names[done.chosen]
         results.append(Result(problem.id, setting.name, chosen, tuple(names[i] for i in done.sampled), scored))
     return results
+
+
+def _case(problem: Problem, table: Table, library: PriorData | None, campaign: Campaign) -> Case:
+    machines = table.machines.take(problem.rows)
+    names = [table.names[row] for row in problem.rows]
+    prior = None if library is None else prior_for(library, names, machines, leave_out=[problem.suite])
+    return Case.of(problem, machines, prior, Noise.of(problem, campaign.noise, campaign.seed))
 
 
 def replay_sweep(sweep: Sweep, library: PriorData | None, window_s: float, campaign: Campaign) -> dict[str, Any]:
@@ -124,14 +130,50 @@ def evaluate(
     errors in the files.
     """
     data = _Data.read(suite, priors)
+    found = _in_processes(run, data, suite, priors, kinds, campaigns, workers)
+    return [[one for ended in of_it for one in ended] for of_it in found], data.library.digest if data.library else ""
+
+
+def evaluate_volumes(
+    suite: Path, priors: Path | None, kinds: Sequence[str], seed: int, noise: str, *, workers: int = 2
+) -> list[dict[str, Any]]:
+    """Return the rows of total costs by kind and volume; arguments and errors as of `evaluate`."""
+    data = _Data.read(suite, priors)
+    campaign = Campaign(noise=noise, seed=seed)
+    (found,) = _in_processes(all_totals, data, suite, priors, kinds, [campaign], workers)
+    return total_rows([one for ended in found for one in ended])
+
+
+def all_totals(problem: Problem, table: Table, library: PriorData | None, campaign: Campaign) -> list[Totals]:
+    """Return the total costs of all settings of one problem in which cost has a weight."""
+    case = _case(problem, table, library, campaign)
+    found = (totals(case, setting.rule) for setting in problem.settings)
+    return [one for one in found if one is not None]
+
+
+T = TypeVar("T")
+Job = Callable[[Problem, Table, PriorData | None, Campaign], list[T]]
+
+
+def _in_processes(
+    job: Job[T],
+    data: "_Data",
+    suite: Path,
+    priors: Path | None,
+    kinds: Sequence[str],
+    campaigns: Sequence[Campaign],
+    workers: int,
+) -> list[list[list[T]]]:
+    """Return what the job returns by campaign and problem."""
     wanted = [i for i, problem in enumerate(data.suite.problems) if not kinds or problem.kind in kinds]
     # The longest first: the other process does not wait for one at the end.
     order = sorted(wanted, key=lambda i: -len(data.suite.problems[i].rows))
     jobs = [(campaign, i) for campaign in campaigns for i in order]
+    if not jobs:
+        return [[] for _ in campaigns]
     with _one_thread(), ProcessPoolExecutor(workers, get_context("spawn"), _start, (suite, priors)) as pool:
-        found = dict(zip(jobs, pool.map(_run, *zip(*jobs, strict=True)), strict=True)) if jobs else {}
-    results = [[one for i in wanted for one in found[campaign, i]] for campaign in campaigns]
-    return results, data.library.digest if data.library else ""
+        found = dict(zip(jobs, pool.map(partial(_run, job), *zip(*jobs, strict=True)), strict=True))
+    return [[found[campaign, i] for i in wanted] for campaign in campaigns]
 
 
 @dataclass
@@ -153,9 +195,9 @@ def _start(suite: Path, priors: Path | None) -> None:
     _data[:] = [_Data.read(suite, priors)]
 
 
-def _run(campaign: Campaign, index: int) -> list[Result]:
+def _run(job: Job[T], campaign: Campaign, index: int) -> list[T]:
     (data,) = _data
-    return run(data.suite.problems[index], data.suite.table, data.library, campaign)
+    return job(data.suite.problems[index], data.suite.table, data.library, campaign)
 
 
 @contextmanager

@@ -7,8 +7,11 @@ What a benchmark program calls a request is arbitrary: requests are as long that
 `REQUEST_USD`, so that every problem counts alike.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from fogspec.choice.rule import Rule, Selection
 from fogspec.evaluation.replay import Case
@@ -95,3 +98,27 @@ def _regret(case: Case, truth: Selection, chosen: int | None) -> float:
     if chosen is None or case.problem.latency_s[chosen] > truth.latency_budget_s[chosen] * (1 + TOLERANCE):
         return 1.0
     return max(float(truth.objective[chosen]) / least - 1, 0.0)
+
+
+def total_rows(found: Sequence[Totals]) -> list[dict[str, Any]]:
+    """Return a row for each kind and volume: mean total costs in USD, and ours over the least of a fixed size."""
+    rows = []
+    for kind in sorted({one.kind for one in found}):
+        mine = [one for one in found if one.kind == kind]
+        own, relative = (np.array(some).mean(0) for some in ([one.own for one in mine], [one.relative for one in mine]))
+        fixed = np.array([one.fixed for one in mine]).mean(0)
+        for v, volume in enumerate(VOLUMES):
+            best = int(fixed[:, v].argmin())
+            rows.append(
+                {
+                    "kind": kind,
+                    "choices": len(mine),
+                    "requests": volume,
+                    "own_usd": float(own[v]),
+                    "relative_usd": float(relative[v]),
+                    "fixed_usd": {str(size): float(usd) for size, usd in zip(SIZES, fixed[:, v], strict=True)},
+                    "best_size": SIZES[best],
+                    "over_best": float(own[v] / fixed[best, v]),
+                }
+            )
+    return rows

@@ -268,10 +268,13 @@ def _replicate_gains(posterior: Posterior, question: Question, value: Floats) ->
 
 
 def _expected(value: Floats, confidence: float) -> Floats:
-    """Return the mean over the draws (S, M) that meet the limits, infinite for machines that meet them in too few."""
+    """Return the typical loss (M,) in the draws (S, M) that meet the limits, infinite for machines that meet them in too few.
+
+    Typical is the geometric mean, as the choice goes by typical latencies: the mean of what is nearly unknown is its tail.
+    """
     met = np.isfinite(value)
-    mean = np.where(met, value, 0.0).sum(0) / np.maximum(met.sum(0), 1)
-    return np.where(met.mean(0) >= confidence, mean, np.inf)
+    log = np.log(np.where(met, np.maximum(value, 1e-300), 1.0)).sum(0) / np.maximum(met.sum(0), 1)
+    return np.where(met.mean(0) >= confidence, np.exp(log), np.inf)
 
 
 def _highest(score: Floats, cost: Floats) -> int:
