@@ -7,10 +7,14 @@ import re
 import signal
 import subprocess
 import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 VMSTAT = Path("/proc/vmstat")
 PR_SET_CHILD_SUBREAPER = 36
+KILL_S = 10.0
+GLANCES = 50  # at the children, which takes microseconds, for each look at all processes
 
 
 def is_argv(value: object) -> bool:
@@ -44,43 +48,114 @@ def received_signals() -> list[int]:
     return received
 
 
-def adopt_orphans() -> None:
-    """Keep processes that detach themselves below this one, so that `finish` ends them too."""
+def adopt_orphans(adopt: bool = True) -> None:
+    """Keep processes that detach themselves below this one, so that it ends them too."""
     with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0)
 
 
 def finish(children: list[subprocess.Popen[bytes]]) -> None:
     """End the processes and all they started: INT (as ROS nodes expect), TERM, KILL, each after a delay."""
-    for number, patience_s in ((signal.SIGINT, 2.0), (signal.SIGTERM, 1.0), (signal.SIGKILL, 5.0)):
-        for pid in descendants():
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.kill(pid, number)
+    for number, patience_s in ((signal.SIGINT, 2.0), (signal.SIGTERM, 1.0)):
+        send(descendants(), number)
         end_s = time.monotonic() + patience_s
         while descendants() and time.monotonic() < end_s:
             time.sleep(0.02)
         for child in children:
             child.poll()
+    extinguish(lambda: set(descendants()), offspring)
+    for child in children:
+        child.poll()
     # Reap adopted processes: not every machine's init does.
     with contextlib.suppress(ChildProcessError):
         while os.waitpid(-1, os.WNOHANG)[0]:
             pass
 
 
-def descendants() -> list[int]:
-    """Return the ids of the living processes below this one, without zombies."""
-    below: dict[int, list[int]] = {}
-    dead = set()
+def extinguish(
+    find: Callable[[], set[int]], glance: Callable[[], Iterable[int]] = lambda: (), patience_s: float = KILL_S
+) -> list[int]:
+    """Kill processes until `find` finds none; return those that are left after `patience_s`.
+
+    All are stopped before the first is killed, and looked for again until no new one is found: what is stopped starts nothing,
+    while others may start again what is killed. A chain of processes, each of which ends once it has started the next, is
+    faster than a look at all processes: `glance` returns quickly those that have just lost their parent.
+    """
+    end_s = time.monotonic() + patience_s
+    while True:
+        stopped: set[int] = set()
+        while (new := find() - stopped) and time.monotonic() < end_s:
+            stopped |= send(new, signal.SIGSTOP)
+            for _ in range(GLANCES):
+                stopped |= send(set(glance()) - stopped, signal.SIGSTOP)
+        send(stopped, signal.SIGKILL)
+        if not (left := find()) or time.monotonic() >= end_s:
+            return sorted(left)
+        time.sleep(0.005)
+
+
+def send(pids: Iterable[int], number: int) -> set[int]:
+    """Send a signal, the latest processes first; return those that received it."""
+    received = set()
+    for pid in sorted(pids, reverse=True):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.kill(pid, number)
+            received.add(pid)
+    return received
+
+
+@dataclass(frozen=True)
+class Process:
+    """A living process: its parent and its session."""
+
+    parent: int
+    session: int
+
+
+def living() -> dict[int, Process]:
+    """Return all processes by id, without zombies."""
+    found = {}
     for entry in filter(str.isdigit, os.listdir("/proc")):
-        with contextlib.suppress(OSError):
-            state, parent = Path("/proc", entry, "stat").read_bytes().rsplit(b")", 1)[1].split()[:2]
-            below.setdefault(int(parent), []).append(int(entry))
-            if state in b"ZX":
-                dead.add(int(entry))
-    found, frontier = [], [os.getpid()]
+        with contextlib.suppress(OSError, ValueError):
+            with open(f"/proc/{entry}/stat", "rb") as file:
+                state, parent, _, session = file.read().rsplit(b")", 1)[1].split()[:4]
+            if state not in b"ZX":
+                found[int(entry)] = Process(int(parent), int(session))
+    return found
+
+
+def below(roots: Iterable[int], processes: dict[int, Process]) -> set[int]:
+    """Return the processes that descend from `roots`."""
+    children: dict[int, list[int]] = {}
+    for pid, one in processes.items():
+        children.setdefault(one.parent, []).append(pid)
+    found: set[int] = set()
+    frontier = list(roots)
     while frontier:
-        frontier = [pid for parent in frontier for pid in below.get(parent, [])]
-        found += [pid for pid in frontier if pid not in dead]
+        frontier = [pid for parent in frontier for pid in children.get(parent, []) if pid not in found]
+        found.update(frontier)
+    return found
+
+
+def descendants() -> list[int]:
+    """Return the ids of the living processes below this one."""
+    return sorted(below([os.getpid()], living()))
+
+
+def bury(children: list[subprocess.Popen[bytes]]) -> None:
+    """Reap adopted processes that have ended, besides `children`, whose exit codes are asked for elsewhere."""
+    for pid in set(offspring()) - {child.pid for child in children}:
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(pid, os.WNOHANG)
+
+
+def offspring() -> list[int]:
+    """Return the ids of the children of this process, zombies included; none where the kernel does not list them."""
+    found: list[int] = []
+    with contextlib.suppress(OSError):
+        for task in os.listdir("/proc/self/task"):
+            with contextlib.suppress(OSError), open(f"/proc/self/task/{task}/children", "rb") as file:
+                found += map(int, file.read().split())
     return found
 
 

@@ -24,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 from . import machine_facts, processes, redaction
+from .files import open_plain, read_tail, truncate
+from .shared_memory import SharedMemory
 from .stopping import TIMINGS_LIMIT, Timings
 
 # The zip application that this module was loaded from.
@@ -84,6 +86,7 @@ class SampleRun:
         self.options, self.out, self.started_s, self.signals = options, out, started_s, signals
         self.children: list[subprocess.Popen[bytes]] = []
         self.output = redaction.Output(options.secret)
+        self.shared_memory = SharedMemory()
         self.timings = Timings(out / "timings.jsonl", options.warmup, options.callback)
         self.setup_s: float | None = None
         self.last_request_s: float | None = None
@@ -100,7 +103,9 @@ class SampleRun:
             server = machine_facts.between(before, machine_facts.read())
         finally:
             killed = processes.memory_kills() > kills
+            self.shared_memory.look(processes.descendants, again=True)
             processes.finish(self.children)
+            self.shared_memory.remove()
             self.output.settle()
         if stopped_by not in (None, "exit"):
             self.timings.cut()
@@ -186,12 +191,15 @@ class SampleRun:
             codes = [child.poll() for child in self.children]
             self._read()
             self._print_progress()
+            self.shared_memory.look(processes.descendants)
+            processes.bury(self.children)
             end = self._enough() or self._exited(codes) or self._late(time.monotonic())
             if end:
                 return end
             for number in range(len(self.children)):
-                if self._log(number).stat().st_size > LOG_LIMIT:
-                    os.truncate(self._log(number), 0)
+                with contextlib.suppress(OSError):
+                    if os.lstat(self._log(number)).st_size > LOG_LIMIT:
+                        truncate(self._log(number), 0)
             time.sleep(POLL_S)
 
     def _read(self) -> None:
@@ -262,12 +270,7 @@ def extract(out: Path) -> None:
 
 def last_line(path: Path) -> str:
     """Return the last non-empty line of a log, without control characters, at most 300 characters."""
-    try:
-        with open(path, "rb") as file:
-            file.seek(max(0, path.stat().st_size - 4096))
-            lines = file.read().decode("utf-8", "replace").splitlines()
-    except OSError:
-        return ""
+    lines = read_tail(path, 4096).decode("utf-8", "replace").splitlines()
     found = [line.strip() for line in lines if line.strip()]
     return "".join(c for c in found[-1] if c.isprintable())[:300] if found else ""
 
@@ -284,7 +287,7 @@ def write_outcome(out: Path, outcome: dict[str, Any]) -> None:
     """Write the outcome into the reserved space and rename it; print it to standard error if that fails."""
     text = json.dumps(outcome) + "\n"
     try:
-        with open(out / "outcome.part", "r+b") as file:
+        with open(open_plain(out / "outcome.part", os.O_RDWR), "r+b") as file:
             file.write(text.encode())
             file.truncate()
             file.flush()

@@ -4,9 +4,10 @@ import contextlib
 import itertools
 import json
 import math
-import os
 import statistics
 from pathlib import Path
+
+from .files import open_plain, truncate
 
 TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
@@ -30,7 +31,7 @@ class Timings:
     def read(self) -> bool:
         """Read new records; return True if there was at least one complete request."""
         before = self.requests
-        with contextlib.suppress(FileNotFoundError), open(self.path, "rb", opener=open_nonblocking) as file:
+        with contextlib.suppress(OSError), open(open_plain(self.path), "rb") as file:
             file.seek(self.offset)
             # Python allocates the size of each read, and the memory is the workload's.
             while new := file.read(min(READ_BYTES, TIMINGS_LIMIT - self.offset)):
@@ -44,8 +45,7 @@ class Timings:
 
     def cut(self) -> None:
         """Truncate the file to what was read: a request that was interrupted by ending its process did not fail."""
-        with contextlib.suppress(OSError):
-            os.truncate(self.path, min(self.offset - len(self.rest), self.path.stat().st_size))
+        truncate(self.path, self.offset - len(self.rest))
 
     def _take(self, line: bytes) -> None:
         try:
@@ -80,11 +80,6 @@ class Timings:
         self.next_check = math.ceil(len(self.valid) * 1.05) + 1
         value, half = interval(self.valid, statistic)
         return half <= precision * value
-
-
-def open_nonblocking(path: str, flags: int) -> int:
-    """Open without blocking: a workload may have replaced its timings by a pipe."""
-    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def interval(values: list[float], statistic: str) -> tuple[float, float]:

@@ -26,7 +26,9 @@ from pathlib import Path
 from typing import Any
 
 from . import machine_facts, processes, redaction
+from .files import read_tail, write_new
 from .sample import extract
+from .shared_memory import SharedMemory
 
 POLL_S = 0.1
 ALIVE_S = 2.0
@@ -50,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as problem:
         detail = f"cannot be started: {problem}"
     finally:
-        processes.finish(supervisor.nodes + supervisor.listeners)
+        supervisor.finish()
         supervisor.output.settle()
     supervisor.report("ended", detail)
     return 0 if signals else 1
@@ -78,6 +80,7 @@ class Supervisor:
         self.options, self.out = options, Path(options.out).absolute()
         self.timings = self.out / "timings.jsonl"
         self.output = redaction.Output(options.secret)
+        self.shared_memory = SharedMemory()
         self.nodes: list[subprocess.Popen[bytes]] = []
         self.listeners: list[subprocess.Popen[bytes]] = []
         self.check: subprocess.Popen[bytes] | None = None
@@ -114,11 +117,19 @@ class Supervisor:
                 self.ready_s = time.monotonic() - self.started_s
                 self._report_running()
             self._bound_files()
+            self.shared_memory.look(processes.descendants)
+            processes.bury([*self.nodes, *self.listeners, *([self.check] if self.check else [])])
             if time.monotonic() - self.reported_s > self.report_after_s:
                 self.report_after_s = min(2 * self.report_after_s, REPORT_EVERY_S)
                 self._report_running()
             time.sleep(POLL_S)
         return None
+
+    def finish(self) -> None:
+        """End all processes and what they left in shared memory."""
+        self.shared_memory.look(processes.descendants, again=True)
+        processes.finish(self.nodes + self.listeners)
+        self.shared_memory.remove()
 
     def _is_ready(self) -> bool:
         """Return True once the ready command succeeds; without one, after the first request or `ALIVE_S` seconds."""
@@ -176,7 +187,7 @@ class Supervisor:
         self.reported_s = time.monotonic()
         with contextlib.suppress(OSError):
             part = self.out / "state.part"
-            part.write_text(json.dumps(document) + "\n", encoding="utf-8")
+            write_new(part, json.dumps(document) + "\n")
             os.replace(part, self.out / "state.json")
         with contextlib.suppress(OSError):
             print(f"=== fogspec state {json.dumps({**document, 'latest': latest(self.timings)})} ===", flush=True)
@@ -191,14 +202,6 @@ def latest(timings: Path) -> list[list[Any]]:
             name, latency_s = str(record["name"])[:256], round(float(record["latency_s"]), 6)
             rows.append([name, latency_s, record["ok"] is True, record.get("scenario")])
     return rows
-
-
-def read_tail(path: Path, limit: int) -> bytes:
-    """Return at most `limit` bytes from the end of a file; nothing if it does not exist."""
-    with contextlib.suppress(OSError), open(path, "rb") as file:
-        file.seek(max(0, os.fstat(file.fileno()).st_size - limit))
-        return file.read(limit)
-    return b""
 
 
 if __name__ == "__main__":

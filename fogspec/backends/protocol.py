@@ -183,13 +183,15 @@ class Costs(StrEnum):
 class SampleBackend(Backend[SampleStatus], Protocol):
     """Measures samples. No method blocks longer than a few seconds.
 
-    `source` describes the validity of the figures in one sentence, where that is needed; `at_once` is the largest number of
+    `source` describes the validity of the figures in one sentence, where that is needed; `notes` are lines for who starts a
+    bench: which limits hold, what the nodes are given. `at_once` is the largest number of
     jobs at the same time.
     """
 
     source: str | None
     at_once: int
     costs: Costs
+    notes: tuple[str, ...]
 
 
 DeploymentBackend = Backend[DeploymentStatus]

@@ -16,6 +16,7 @@ class ReplaySamples:
 
     name = "replay"
     costs = Costs.RECORDED
+    notes: tuple[str, ...] = ()
 
     def __init__(
         self,

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fogspec.base.credentials import kind_of
 from fogspec.base.errors import UsageError
 from fogspec.base.project_files import ProjectFiles
 
@@ -17,21 +18,6 @@ FILE_LIMIT = 256 * 2**20
 SECRET_KEY = re.compile(
     r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_?KEY|PRIVATE_?KEY|(^|_)PSK$|(^|_)AUTH$", re.IGNORECASE
 )
-
-# Prefixes that issuers put at the start of their keys, so that leaks can be found.
-PRIVATE_KEY = re.compile(
-    r"-----BEGIN [A-Z0-9 ]*PRIVATE KEY|AGE-SECRET-KEY-1|\b(?:AKIA|ASIA)[0-9A-Z]{16}\b|\bgh[pousr]_[A-Za-z0-9]{36}"
-    r"|\bgithub_pat_[A-Za-z0-9_]{22}|\bglpat-[A-Za-z0-9_-]{20}|\bxox[abprs]-[A-Za-z0-9-]{10}|\bAIza[0-9A-Za-z_-]{35}"
-    r"|\bhf_[A-Za-z]{30}"
-)
-NAMED_PRIVATE = re.compile(r"private_?key|preshared_?key", re.IGNORECASE)
-WIREGUARD_KEY = re.compile(r"[A-Za-z0-9+/]{42}[AEIMQUYcgkosw048]=")
-
-
-def looks_private(text: str, key: str) -> bool:
-    """Return whether the value of `key` looks like a private key or a credential."""
-    named = NAMED_PRIVATE.search(key) is not None and WIREGUARD_KEY.fullmatch(text.strip()) is not None
-    return PRIVATE_KEY.search(text) is not None or named
 
 
 def check_set(names: Iterable[str]) -> None:
@@ -59,7 +45,7 @@ def _redacted(value: Any, known: "Secrets", key: str) -> Any:
         return {name: _redacted(one, known, str(name)) for name, one in value.items()}
     if isinstance(value, (list, tuple)):
         return [_redacted(one, known, key) for one in value]
-    if isinstance(value, str) and value and SECRET_KEY.search(key):
+    if isinstance(value, str) and value and (SECRET_KEY.search(key) or kind_of(value, key)):
         return HIDDEN
     return known.redact(value) if isinstance(value, str) else value
 

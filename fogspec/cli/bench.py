@@ -105,6 +105,8 @@ def command(
         say(offering.line(), err=True)
         if (spent := offering.spent_line(prepared)) is not None:
             say(spent, err=True)
+        for note in backend.notes:
+            say(note, err=True)
         if prepared.outdated:
             kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
             say(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)

@@ -1,5 +1,6 @@
 """The local backend keeps what the protocol promises: a name is enough to find, look at and end a sample."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.backends.local import backend as local
-from fogspec.backends.local import processes
+from fogspec.backends.local import limits, processes
 from fogspec.backends.local.backend import MARK, LocalSamples, mark_of
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus
@@ -112,6 +113,62 @@ fogspec_probe.start("plan"); fogspec_probe.stop("plan"); os._exit(0)
     assert processes.marked(MARK, mark_of(asked)) == []
 
 
+def scanned(word: str) -> list[int]:
+    """Living processes with this word on their command line, whatever else they dropped."""
+    found = []
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        with contextlib.suppress(OSError):
+            if word.encode() in Path("/proc", entry, "cmdline").read_bytes().split(b"\0"):
+                found.append(int(entry))
+    return found
+
+
+# Each ends once it has started the next, in a session of its own and without the job's name.
+CHAIN = """
+import os, signal, sys
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP): signal.signal(number, signal.SIG_IGN)
+while True:
+    if os.fork():
+        os._exit(0)
+    os.setsid()
+"""
+DROPS_ITS_NAME = """
+import fogspec_probe, os, subprocess, sys, time
+for _ in range({chains}):
+    subprocess.Popen([sys.executable, "-S", "chain.py", "{word}"], env={{}}, start_new_session=True)
+kept = open("/dev/shm/{word}", "wb"); kept.write(b"x" * 4096); kept.flush()
+fogspec_probe.start("plan"); fogspec_probe.stop("plan")
+{then}
+"""
+
+
+@pytest.mark.parametrize("groups", [True, False], ids=["with-cgroups", "without"])
+@pytest.mark.parametrize(
+    "then", ["time.sleep(600)", "os.kill(os.getppid(), 9); time.sleep(600)"], ids=["agent", "no-agent"]
+)
+def test_chains_of_processes_that_drop_everything_are_ended(tmp_path, backend, monkeypatch, groups, then):
+    if not groups:
+        monkeypatch.setattr(limits, "_new_group", lambda _name, _bytes: (None, False))
+    monkeypatch.setattr(local, "GRACE_S", 1.0 if "kill" in then else 10.0)
+    word = f"fogspec-test-{time.monotonic_ns()}"
+    (tmp_path / "chain.py").write_text(CHAIN)
+    asked = job(tmp_path, script=DROPS_ITS_NAME.format(word=word, then=then, chains=3), steps=100_000)
+    backend.start(asked)
+    shared = Path("/dev/shm", word)
+    until(backend, asked, lambda progress: progress.ready and shared.exists())
+    others = Path("/dev/shm", f"{word}-of-others")
+    others.write_bytes(b"kept")
+    try:
+        backend.stop(asked)
+        assert scanned(word) == []
+        assert processes.marked(MARK, mark_of(asked)) == []
+        assert not shared.exists(), "a killed node does not remove its shared memory"
+        assert others.exists(), "what no process of the sample used is not touched"
+        assert limits.groups(local.group_of(asked)) == []
+    finally:
+        others.unlink()
+
+
 def test_a_memory_hog_is_recorded_as_out_of_memory_from_any_process(tmp_path, backend):
     hog = "kept = []\nwhile True: kept.append(bytearray(2**24)); kept[-1][::4096] = b'x' * 4096"
     asked = job(tmp_path, script=hog, memory_gib=0.25)
@@ -184,20 +241,43 @@ def test_what_this_host_cannot_do_is_said_and_leaves_nothing(tmp_path, backend, 
     assert processes.marked(MARK, mark_of(asked)) == []
 
 
-def test_the_environment_keeps_credentials_and_thread_counts_back_unless_asked(tmp_path, backend, monkeypatch):
-    for name in ("AWS_SECRET_ACCESS_KEY", "MY_TOKEN", "OMP_NUM_THREADS", "HARMLESS"):
+KEPT_BACK = (
+    "AWS_SECRET_ACCESS_KEY",
+    "OPENAI_KEY",
+    "GITHUB_PAT",
+    "KUBECONFIG",
+    "ROS_API_KEY",
+    "OPENBLAS_NUM_THREADS",
+    "MINE",
+)
+GIVEN = (
+    "ROS_DOMAIN_ID",
+    "RMW_IMPLEMENTATION",
+    "AMENT_PREFIX_PATH",
+    "CYCLONEDDS_URI",
+    "LC_ALL",
+    "CUDA_VISIBLE_DEVICES",
+    "HOME",
+)
+
+
+def test_the_environment_is_what_ros_needs_and_what_the_spec_names(tmp_path, backend, monkeypatch):
+    for name in (*KEPT_BACK, *GIVEN, "MY_TOKEN", "OMP_NUM_THREADS"):
         monkeypatch.setenv(name, "from the shell")
     asked = job(tmp_path, run="env", secrets={"MY_TOKEN": None}, envs={"OMP_NUM_THREADS": 1})
     backend.start(asked)
     until(backend, asked, over)
     backend.stop(asked)
     said = dict(line.partition("=")[::2] for line in (asked.directory / "run.log").read_text().splitlines())
-    assert "AWS_SECRET_ACCESS_KEY" not in said
-    assert (said["MY_TOKEN"], said["OMP_NUM_THREADS"], said["HARMLESS"]) == ("from the shell", "1", "from the shell")
+    assert not said.keys() & set(KEPT_BACK)
+    assert (said["MY_TOKEN"], said["OMP_NUM_THREADS"]) == ("from the shell", "1")
+    assert {said[name] for name in GIVEN} == {"from the shell"}
     assert said[MARK] == mark_of(asked)
     assert said["PATH"].split(":")[0] == str(Path(sys.executable).parent)
 
 
 def test_the_source_says_what_was_emulated_and_how(backend):
     assert "by affinity" in backend.source
-    assert "by cgroup" in backend.source or "by rlimit" in backend.source
+    assert "by cgroup" in backend.source or "by rlimit of each process (shared memory is not limited)" in backend.source
+    assert "CPUs by affinity, memory by" in backend.notes[0]
+    assert "name it in spec.secrets" in backend.notes[1]

@@ -115,7 +115,7 @@ def test_an_update_that_does_not_answer_leaves_the_old_machine(app: Make) -> Non
 def test_nodes_that_crash_are_said_and_nothing_is_left(app: Make) -> None:
     # Without a command that asks them, nodes that take long to crash would answer by staying alive.
     tiny = app(SPEC + "  deployment: {ready: ['false']}\n")
-    crashed = tiny.apply(code=1, env={"TOOK_S": "no number"})
+    crashed = tiny.apply(code=1, env={"ROS_TOOK_S": "no number"})
     assert "python3 ended with exit code 1" in crashed.stderr
     assert (tiny.machines(), tiny.alive()) == ([], [])
 
@@ -203,7 +203,7 @@ def test_fallbacks_only_if_the_spec_allows_them(app: Make) -> None:
 
 
 def test_requests_that_became_slow_are_drift(tiny: Deployed) -> None:
-    tiny.apply(env={"TOOK_S": "0.2"})
+    tiny.apply(env={"ROS_TOOK_S": "0.2"})
     until(lambda: tiny.status()["observed"]["interval_s"] is not None)
     live = tiny.status()
     assert (live["health"], live["observed"]["drift"]) == ("Drifted", "slower")
@@ -214,7 +214,7 @@ def test_requests_that_became_slow_are_drift(tiny: Deployed) -> None:
 
 def test_over_the_limit_is_degraded(app: Make) -> None:
     tiny = app(SPEC.replace("latency: 1s", "latency: 100ms"))
-    tiny.apply(env={"TOOK_S": "0.2"})
+    tiny.apply(env={"ROS_TOOK_S": "0.2"})
     until(lambda: tiny.status()["observed"]["interval_s"] is not None)
     live = tiny.status()
     assert live["health"] == "Degraded"
@@ -262,7 +262,7 @@ def test_whoever_applies_is_alone(app: Make) -> None:
 
 def test_down_ends_a_bench_that_died(app: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = app()
-    monkeypatch.setenv("TOOK_S", "60")
+    monkeypatch.setenv("ROS_TOOK_S", "60")
     (tiny.folder / "results/tiny.yaml").unlink()
     bench = tiny.begin("bench", "specs/tiny.yaml", "--runner", "local")
     until(lambda: tiny.alive())

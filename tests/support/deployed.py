@@ -49,7 +49,7 @@ class Clock:
         return self.now_s
 
 clock = fogspec_probe.time = Clock()
-took_s = float(os.environ.get("TOOK_S", "0.01"))
+took_s = float(os.environ.get("ROS_TOOK_S", "0.01"))
 for number in itertools.count():
     fogspec_probe.start("work")
     time.sleep(took_s)

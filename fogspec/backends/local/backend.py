@@ -6,16 +6,21 @@ must match, so that a copy of a name in another checkout leads to no process. Th
 """
 
 import contextlib
+import functools
+import hashlib
 import math
 import os
-import re
 import shutil
+import stat
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from fogspec.agent.processes import Process, adopt_orphans, offspring
+from fogspec.agent.shared_memory import SharedMemory
 from fogspec.backends import agent_state
-from fogspec.backends.local import limits, processes
+from fogspec.backends.local import environment, limits, processes
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable
 from fogspec.backends.task_check import check_sources
@@ -27,10 +32,6 @@ from fogspec.results.schema import Reason
 MARK = "FOGSPEC_JOB"
 WORK = "work"
 GRACE_S = 10.0
-# Variables of the user's shell that a workload need not, or must not, see: a number of threads set there would hide the
-# job's CPUs. Names that a task lists are passed on.
-CREDENTIALS = r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY|ACCESS_KEY|PRIVATE_KEY|^AWS_|^AZURE_|^GOOGLE_|^SSH_AUTH"
-WITHHELD = re.compile(CREDENTIALS + r"|_NUM_THREADS$|^OMP_THREAD_LIMIT$")
 # Mounts that the scripts find by a variable: the reviewed files, in place.
 MOUNTED = (
     ("~/.fogspec/agent.pyz", "FOGSPEC_AGENT", ""),
@@ -53,14 +54,13 @@ class LocalBackend:
         self._launch(job)
 
     def stop(self, job: Job) -> None:
-        """Send TERM, which the agent passes on, then KILL, to all processes with the job's name; remove their cgroups."""
-        groups: set[str | None] = {_read(job, "group").decode()}
-        groups |= {limits.cgroup_of(pid) for pid in processes.marked(MARK, mark_of(job))}
-        if left := processes.end(MARK, mark_of(job), GRACE_S):
+        """Send TERM, which the agent passes on, then kill all processes of the job until none is left."""
+        self._end(job, lambda: processes.members(MARK, mark_of(job)), set)
+
+    def _end(self, job: Job, find: processes.Find, glance: processes.Find) -> None:
+        groups = limits.groups(group_of(job))
+        if left := processes.end(find, glance, GRACE_S, lambda: [*map(limits.end_group, groups)]):
             raise Unreachable(f"processes {', '.join(map(str, left))} do not end")
-        for group in filter(None, groups):
-            with contextlib.suppress(OSError):
-                os.rmdir(group)
 
     def list(self, owner: Owner, directory: Path) -> Sequence[str]:
         """Return the names of the owner's jobs that run here and have their directories below `directory`."""
@@ -75,7 +75,7 @@ class LocalBackend:
     def _launch(self, job: Job) -> limits.LimitedProcess:
         machine = self._fitting(job.machine)
         check_sources(job)
-        environment = self._environment(job)
+        given = self._environment(job)
         try:
             job.files.make_folder(job.directory / "out")
             script = job.directory / "run.sh"
@@ -86,11 +86,10 @@ class LocalBackend:
                     cpus=max(1, math.ceil(machine.cpus)),
                     memory_gib=machine.memory,
                     cwd=self._workdir(job),
-                    env=environment,
+                    env=given,
                     log=log,
+                    name=group_of(job),
                 )
-            if started.group is not None:
-                job.files.write(job.directory / "group", str(started.group).encode())
         except OSError as problem:
             raise LaunchRefused("setup", f"cannot be started: {problem}") from problem
         return started
@@ -115,14 +114,14 @@ class LocalBackend:
         secrets = _mapping(job.task.get("secrets"))
         if missing := [name for name in secrets if name not in os.environ]:
             raise LaunchRefused("setup", f"the environment does not have {', '.join(sorted(missing))}")
-        shell = {k: v for k, v in child.environment().items() if k in secrets or not WITHHELD.search(k.upper())}
+        shell = environment.passed(child.environment(), secrets)
         task = {key: str(value) for key, value in _mapping(job.task.get("envs")).items()}
-        environment = processes.equipped({**shell, **task}, job.directory / "out")
+        given = processes.equipped({**shell, **task}, job.directory / "out")
         mounts = _mapping(job.task.get("file_mounts"))
-        for target, variable, below in MOUNTED:
+        for target, variable, folder in MOUNTED:
             if target in mounts:
-                environment[variable] = os.path.abspath(job.root / str(mounts[target]) / below)
-        return {**environment, MARK: mark_of(job)}
+                given[variable] = os.path.abspath(job.root / str(mounts[target]) / folder)
+        return {**given, MARK: mark_of(job)}
 
 
 class LocalSamples(LocalBackend):
@@ -136,11 +135,18 @@ class LocalSamples(LocalBackend):
     def __init__(self) -> None:
         super().__init__()
         cpus, memory_gib = self._capacity
-        self._own: dict[str, limits.LimitedProcess] = {}
+        self._own: dict[str, _Started] = {}
+        memory = limits.MEMORY_TEXT[limits.memory_by()]
         self.source = (
             f"measured on one host ({_processor()}, {cpus} CPUs, {memory_gib:.0f} GiB), each sample confined to its CPUs by "
-            f"affinity and to its memory by {limits.memory_by()}: clock, turbo, caches and neighbours are that host's, "
+            f"affinity and to its memory {memory}: clock, turbo, caches and neighbours are that host's, "
             "not those of a machine of that shape"
+        )
+        kept_back = len(os.environ) - len(environment.passed(os.environ))
+        self.notes = (
+            f"samples run on this host: CPUs by affinity, memory {memory}",
+            f"{kept_back} variables of your environment are kept from the nodes; to pass one on, name it in spec.secrets "
+            "or give it a value in the node's env",
         )
 
     def _workdir(self, job: Job) -> Path:
@@ -153,19 +159,22 @@ class LocalSamples(LocalBackend):
         return copy
 
     def start(self, job: Job) -> None:
-        """Start the run script, and keep its process for its exit code."""
-        self._own[job.name] = self._launch(job)
+        """Start the run script, keep its process for its exit code, and adopt what it leaves without a parent."""
+        before, memory = frozenset(offspring()), SharedMemory()
+        adopt_orphans()
+        self._own[job.name] = _Started(self._launch(job), before, memory)
 
     def poll(self, job: Job) -> SampleStatus:
         """Return the status by the job's files and processes; `lost` if it ended without an outcome."""
-        own = self._own.get(job.name)
+        started = self._own.get(job.name)
+        own = None if started is None else started.process
         alive = own.poll() is None if own is not None else bool(processes.found(MARK, mark_of(job)))
         out, machine = job.directory / "out", job.machine
         timings = out / "timings.jsonl"
         memory = "the memory" if machine is None else f"{machine.memory:g} GiB"
         measured_on = "local" if machine is None else f"local/{math.ceil(machine.cpus)}cpu-{machine.memory:g}gib"
         if alive:
-            ready = timings.is_file() and timings.stat().st_size > 0
+            ready = _is_written(timings)
             return SampleStatus(running=True, timings=timings, ready=ready, measured_on=measured_on)
         outcome = agent_state.read_outcome(out / "outcome.json")
         if outcome is None and own is None:
@@ -174,7 +183,7 @@ class LocalSamples(LocalBackend):
             )
         if outcome is None:
             starved = own is not None and own.outcome() == "out_of_memory"
-            early: Reason = "crash" if timings.exists() else "setup"
+            early: Reason = "crash" if os.path.lexists(timings) else "setup"
             reason = "out_of_memory" if starved else early
             outcome = agent_state.Outcome(reason=reason, detail=_ended_early(own, job))
         detail = outcome.detail
@@ -195,11 +204,43 @@ class LocalSamples(LocalBackend):
 
     def stop(self, job: Job) -> None:
         """Ask the agent to stop, which answers with an outcome; then stop whatever is left."""
-        if (own := self._own.get(job.name)) is not None:
-            own.end(grace_s=GRACE_S)
-        super().stop(job)
+        if (started := self._own.get(job.name)) is None:
+            super().stop(job)
+        else:
+            self._end_own(job, started)
         with contextlib.suppress(OSError):
             job.files.remove_tree(job.directory / WORK)
+
+    def _end_own(self, job: Job, started: "_Started") -> None:
+        started.memory.look(functools.partial(started.members, job), again=True)
+        started.process.end(grace_s=GRACE_S)
+        self._end(job, functools.partial(started.members, job), started.orphans)
+        processes.bury(started.orphans())
+        started.memory.remove()
+        adopt_orphans(False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Started:
+    """A sample that this process started; `before` are the children that this process had then."""
+
+    process: limits.LimitedProcess
+    before: frozenset[int]
+    memory: SharedMemory
+
+    def orphans(self) -> set[int]:
+        """Return the children that this process adopted since then."""
+        return processes.orphans(self.before | {self.process.process.pid})
+
+    def members(self, job: Job) -> set[int]:
+        """Return the processes of the sample, also those that dropped its name."""
+        return processes.members(MARK, mark_of(job), self._also)
+
+    def _also(self, known: dict[int, Process]) -> set[int]:
+        found = self.orphans() & known.keys()
+        if self.process.poll() is None:  # once it is reaped, another session may have its number
+            found |= {pid for pid, one in known.items() if one.session == self.process.process.pid}
+        return found
 
 
 class LocalDeployments(LocalBackend):
@@ -223,6 +264,19 @@ class LocalDeployments(LocalBackend):
 def mark_of(job: Job) -> str:
     """Return what every process of the job has in its environment: its name and directory."""
     return f"{job.name}@{os.path.realpath(job.directory)}"
+
+
+def group_of(job: Job) -> str:
+    """Return the name of the job's cgroup."""
+    return limits.GROUP + hashlib.sha256(mark_of(job).encode()).hexdigest()[:32]
+
+
+def _is_written(path: Path) -> bool:
+    try:
+        status = os.stat(path, follow_symlinks=False)
+    except OSError:
+        return False
+    return stat.S_ISREG(status.st_mode) and status.st_size > 0
 
 
 def _mapping(value: object) -> Mapping[str, Any]:

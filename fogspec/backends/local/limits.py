@@ -2,7 +2,8 @@
 
 Affinity is inherited by every descendant, so a sample of n CPUs runs on n CPUs of this host, and
 `nproc`, OpenMP and the like see n. A cgroup bounds the memory of the whole tree. RLIMIT_DATA, the fallback, bounds
-the private memory of each process by itself, so a tree of several processes may use more.
+the private memory of each process by itself, so a tree of several processes may use more, and shared memory is not bounded.
+A cgroup is used without its memory controller too: it ends all of its processes at once, however fast they start others.
 """
 
 import contextlib
@@ -21,6 +22,9 @@ from fogspec.base import child
 
 CGROUPS = Path("/sys/fs/cgroup")
 MemoryBy = Literal["cgroup", "rlimit"]
+MEMORY_TEXT = {"cgroup": "by cgroup", "rlimit": "by rlimit of each process (shared memory is not limited)"}
+
+GROUP = "fogspec-"  # the beginning of the names of cgroups
 
 # Runs in a process of its own before the program: affinity and limits must not affect the caller.
 LAUNCHER = """
@@ -64,18 +68,8 @@ class LimitedProcess:
             os.killpg(self.process.pid, 9)
         if self.process.poll() is None:
             self.process.wait(5)
-        self._remove_group()
-
-    def _remove_group(self) -> None:
-        if self.group is None or not self.group.is_dir():
-            return
-        with contextlib.suppress(OSError):
-            (self.group / "cgroup.kill").write_text("1")
-        for _ in range(50):
-            with contextlib.suppress(OSError):
-                self.group.rmdir()
-                return
-            time.sleep(0.05)
+        if self.group is not None:
+            end_group(self.group)
 
 
 def start(
@@ -86,17 +80,18 @@ def start(
     cwd: Path,
     env: Mapping[str, str],
     log: BinaryIO,
+    name: str,
 ) -> LimitedProcess:
     """Start `argv` on `cpus` CPUs with `memory_gib` of memory, its output to `log`; raise OSError if it cannot be started.
 
-    Raise ValueError if this host has fewer CPUs.
+    Its cgroup, if it gets one, is called `name`, by which `groups` finds it. Raise ValueError if this host has fewer CPUs.
     """
     chosen = pick_cpus(cpus)
     if not cwd.is_dir():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(cwd))
     limit_bytes = math.floor(memory_gib * 2**30)
-    group = _new_group(limit_bytes)
-    data_bytes = "" if group else str(limit_bytes)
+    group, limited = _new_group(name, limit_bytes)
+    data_bytes = "" if limited else str(limit_bytes)
     given = [",".join(map(str, chosen)), data_bytes, str(group or ""), str(cwd.absolute())]
     try:
         words = [sys.executable, "-I", "-S", "-c", LAUNCHER, *given, child.program(argv[0]), *argv[1:]]
@@ -113,7 +108,7 @@ def start(
         if group:
             group.rmdir()
         raise
-    return LimitedProcess(process, chosen, "cgroup" if group else "rlimit", group)
+    return LimitedProcess(process, chosen, "cgroup" if limited else "rlimit", group)
 
 
 def pick_cpus(count: int) -> tuple[int, ...]:
@@ -144,23 +139,30 @@ def host_capacity() -> tuple[int, float]:
     return max(1, math.floor(cpus)), memory_bytes / 2**30
 
 
-def cgroup_of(pid: int) -> str | None:
-    """Return the path of a process's cgroup, if `start` made it."""
-    for line in _text(Path("/proc", str(pid), "cgroup")).splitlines():
-        path = line.partition("0::")[2].strip("/")
-        if path.rpartition("/")[2].startswith("fogspec-"):
-            return str(CGROUPS / path)
-    return None
+def groups(name: str) -> list[Path]:
+    """Return the cgroups that `start` made under this name, by whatever process."""
+    return [Path(at, name) for at, below, _ in os.walk(_version_2()) if name in below]
+
+
+def end_group(group: Path) -> None:
+    """Kill all processes of a cgroup and of those below it, and remove them as far as they are empty."""
+    with contextlib.suppress(OSError), open(group / "cgroup.kill", "w") as file:
+        file.write("1")
+    for _ in range(50):
+        for at, _, _ in os.walk(group, topdown=False):
+            with contextlib.suppress(OSError):
+                os.rmdir(at)
+        if not group.is_dir():
+            return
+        time.sleep(0.05)
 
 
 def memory_by() -> MemoryBy:
     """Return how memory is limited on this host."""
-    group = _new_group(2**30)
-    if group is None:
-        return "rlimit"
-    with contextlib.suppress(OSError):
-        group.rmdir()
-    return "cgroup"
+    group, limited = _new_group(f"{GROUP}{os.getpid()}-{time.monotonic_ns()}", 2**30)
+    if group is not None:
+        end_group(group)
+    return "cgroup" if limited else "rlimit"
 
 
 def _own(controller: str) -> str | None:
@@ -171,8 +173,14 @@ def _own(controller: str) -> str | None:
 
 def _limiting(controller: str) -> list[Path]:
     """Return the directories whose limits hold for this process: its cgroup and all above, up to the visible root."""
-    root, own = CGROUPS / controller, _own(controller)
+    root, own = CGROUPS / controller if controller else _version_2(), _own(controller)
     return [] if own is None else [root / own, *(root / own).parents[: len(Path(own).parts)]]
+
+
+def _version_2() -> Path:
+    """Return where version 2 is mounted: on hybrid hosts beside the controllers of version 1."""
+    hybrid = CGROUPS / "unified"
+    return hybrid if (hybrid / "cgroup.procs").is_file() else CGROUPS
 
 
 def _share(quota: str, period: str) -> float:
@@ -188,17 +196,15 @@ def _core(cpu: int) -> str:
     return _text(Path(f"/sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list")) or str(cpu)
 
 
-def _new_group(limit_bytes: int) -> Path | None:
-    """Return a new cgroup with this limit, which a child of this process may enter; None if that is impossible.
+def _new_group(name: str, limit_bytes: int) -> tuple[Path | None, bool]:
+    """Return a new cgroup that a child of this process may enter, None if that is impossible, and whether it has this limit.
 
     It is below this process's own one, or next to it: except for the root, a cgroup with processes cannot have cgroups
-    with limits below it.
+    with limits below it. Without a memory controller it is there to end its processes.
     """
-    for above in _limiting("")[:2]:
-        group = above / f"fogspec-{os.getpid()}-{time.monotonic_ns()}"
-        # Moving a process requires write access to the common ancestor of both cgroups.
-        if not os.access(above / "cgroup.procs", os.W_OK):
-            continue
+    # Moving a process requires write access to the common ancestor of both cgroups.
+    possible = [above / name for above in _limiting("")[:2] if os.access(above / "cgroup.procs", os.W_OK)]
+    for group in possible:
         with contextlib.suppress(OSError):
             group.mkdir()
             try:
@@ -206,8 +212,14 @@ def _new_group(limit_bytes: int) -> Path | None:
             except OSError:
                 group.rmdir()
                 continue
-            return group
-    return None
+            return group, True
+    for group in possible:
+        with contextlib.suppress(OSError):
+            group.mkdir()
+            if (group / "cgroup.kill").exists():
+                return group, False
+            group.rmdir()
+    return None, False
 
 
 def _limit(group: Path, limit_bytes: int) -> None:

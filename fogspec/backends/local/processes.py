@@ -5,12 +5,14 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 
+from fogspec.agent.processes import Process, below, extinguish, living, offspring, send
 from fogspec.base import child
 
 CHECKS = 4
+Find = Callable[[], set[int]]
 
 
 def marked(variable: str, value: str) -> list[int]:
@@ -23,38 +25,63 @@ def marked(variable: str, value: str) -> list[int]:
 def environments() -> Iterator[tuple[int, list[bytes]]]:
     """Yield every readable process with the entries of its environment."""
     for entry in filter(str.isdigit, os.listdir("/proc")):
-        with contextlib.suppress(OSError):
-            yield int(entry), Path("/proc", entry, "environ").read_bytes().split(b"\0")
+        with contextlib.suppress(OSError), open(f"/proc/{entry}/environ", "rb") as file:
+            yield int(entry), file.read().split(b"\0")
 
 
 def found(variable: str, value: str) -> list[int]:
     """Like `marked`, but recheck before reporting none: during exec a process has no environ."""
+    return sorted(_rechecked(lambda: set(marked(variable, value))))
+
+
+def members(variable: str, value: str, also: Callable[[dict[int, Process]], set[int]] = lambda _: set()) -> set[int]:
+    """Return the tagged processes, those of their sessions, those that `also` adds, and all that descend from them.
+
+    A process may drop its environment, its session or its parent; one that drops all three is among `also` if this process
+    adopted it. A session counts if it was made by a tagged process: its leader is tagged or gone.
+    """
+    known, tagged = living(), set(marked(variable, value)) - {os.getpid()}
+    tagged &= known.keys()
+    sessions = {known[pid].session for pid in tagged} - {os.getsid(0)}
+    sessions = {one for one in sessions if one in tagged or one not in known}
+    all_of = tagged | {pid for pid, one in known.items() if one.session in sessions} | also(known)
+    return all_of | below(all_of, known)
+
+
+def orphans(before: Collection[int]) -> set[int]:
+    """Return this process's children of other sessions, without those in `before`: it adopted them."""
+    own, found = os.getsid(0), set[int]()
+    for pid in set(offspring()) - set(before):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            if os.getsid(pid) != own:
+                found.add(pid)
+    return found
+
+
+def end(find: Find, glance: Find, grace_s: float, force: Callable[[], object] = lambda: None) -> list[int]:
+    """Send TERM, after `grace_s` call `force`, and kill until `find` finds no process; return those that are left."""
+    if some := _rechecked(find):
+        send(some, signal.SIGTERM)
+        until = time.monotonic() + grace_s
+        while find() and time.monotonic() < until:
+            time.sleep(0.05)
+    force()
+    return extinguish(lambda: _rechecked(find), glance) if some else []
+
+
+def bury(pids: Collection[int]) -> None:
+    """Reap children that have ended."""
+    for pid in pids:
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(pid, os.WNOHANG)
+
+
+def _rechecked(find: Find) -> set[int]:
     for _ in range(CHECKS - 1):
-        if pids := marked(variable, value):
+        if pids := find():
             return pids
         time.sleep(0.03)
-    return marked(variable, value)
-
-
-def send(pids: Iterable[int], number: int) -> int:
-    """Send a signal; return how many processes received it."""
-    count = 0
-    for pid in pids:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, number)
-            count += 1
-    return count
-
-
-def end(variable: str, value: str, grace_s: float) -> list[int]:
-    """Send TERM, then after `grace_s` KILL, to all tagged processes; return those that are left."""
-    for number, timeout_s in ((signal.SIGTERM, grace_s), (signal.SIGKILL, 5.0)):
-        if not send(found(variable, value), number):
-            return []
-        until = time.monotonic() + timeout_s
-        while marked(variable, value) and time.monotonic() < until:
-            time.sleep(0.05)
-    return marked(variable, value)
+    return find()
 
 
 def equipped(environment: Mapping[str, str], out: Path) -> dict[str, str]:

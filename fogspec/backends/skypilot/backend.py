@@ -96,6 +96,7 @@ class SkyPilotSamples(SkyPilotBackend):
 
     poll_s = 0.5
     costs = Costs.REAL
+    notes: tuple[str, ...] = ()
 
     def __init__(self, client: Client | None = None) -> None:
         super().__init__(client)

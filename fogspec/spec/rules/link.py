@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from fogspec.base.clouds import cloud_of
-from fogspec.base.redaction import looks_private
+from fogspec.base.credentials import kind_of
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.graph_names import exposed, resolve
 from fogspec.spec.rules.finding import Finding
@@ -79,18 +79,21 @@ def names_that_pass(application: Application) -> Iterator[Finding]:
 def no_private_keys(application: Application) -> Iterator[Finding]:
     """Reject private keys and credentials anywhere in a spec."""
     for path, key, text in _texts((), application.model_dump(mode="json")):
-        if looks_private(text, key):
+        if (kind := kind_of(text, key)) is not None:
             fix = "make a new one, and name it in spec.secrets or leave it where it was made"
-            yield Finding("FS509", path, f"{dotted(path)} looks like a private key or a credential", fix)
+            yield Finding("FS509", path, f"{dotted(path)} looks like a private key or a credential: {kind}", fix)
 
 
 def _texts(path: Path, value: Any, key: str = "") -> Iterator[tuple[Path, str, str]]:
     if isinstance(value, dict):
         for name, one in value.items():
+            yield path, "", str(name)
             yield from _texts((*path, name), one, str(name))
     elif isinstance(value, list):
         for number, one in enumerate(value):
-            yield from _texts((*path, number), one, key)
+            before = value[number - 1] if number else None
+            is_option = isinstance(before, str) and before.startswith("-") and "=" not in before
+            yield from _texts((*path, number), one, str(before) if is_option else key)
     elif isinstance(value, str):
         yield path, key, value
 

@@ -16,7 +16,15 @@ def run(tmp_path: Path, script: str, cpus: int = 1, memory_gib: float = 1.0) -> 
     log = tmp_path / "log"
     words = [sys.executable, "-c", script]
     with open(log, "ab") as file:
-        started = limits.start(words, cpus=cpus, memory_gib=memory_gib, cwd=tmp_path, env=dict(os.environ), log=file)
+        started = limits.start(
+            words,
+            cpus=cpus,
+            memory_gib=memory_gib,
+            cwd=tmp_path,
+            env=dict(os.environ),
+            log=file,
+            name=f"fogspec-{time.time_ns()}",
+        )
     return started, log
 
 
