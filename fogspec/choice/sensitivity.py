@@ -167,11 +167,12 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
     name = None if without.chosen is None else str(without.offers.instance[without.chosen])
     now = None if choice.chosen is None else str(choice.offers.instance[choice.chosen])
     missed, covered = float("nan"), False
-    posterior = without.latency.posterior
-    if posterior is not None and predicted.space is not None:
+    ranges = without.latency.ranges
+    if ranges is not None and predicted.space is not None:
         at, value = predicted.space.place[left_out.machine.type_key], left_out.values["latency"]
-        missed = abs(float(np.exp(posterior.mean[at])) / value - 1)
-        low, high = (float(posterior.quantile(p)[at]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+        missed = abs(float(np.exp(ranges.mean[at])) / value - 1)
+        own = ranges.take(np.array([at]))
+        low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
         covered = low <= value <= high
     return Influence(
         id=left_out.id,
@@ -185,10 +186,10 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
 
 def widest_intervals(choice: Choice, count: int = 3) -> list[WideInterval]:
     """Return the machines with the widest intervals among those that might meet the limits, one offer of each type."""
-    posterior = choice.latency.posterior
-    if posterior is None:
+    ranges = choice.latency.ranges
+    if ranges is None:
         return []
-    low, high = (posterior.quantile(p) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    low, high = (ranges.quantile(p) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     of = choice.latency.type_index
     possible = choice.eligible & (low[of] <= choice.latency_budget_s)
     found: list[WideInterval] = []

@@ -34,8 +34,8 @@ def _modelled(case: Case, rule: Rule, meter: Meter) -> Run:
         sampled=tuple(meter.sampled),
         paid=meter.paid,
         log_latency=posterior.mean,
-        low=np.log(posterior.quantile(0.05)),
-        high=np.log(posterior.quantile(0.95)),
+        low=np.log(posterior.elsewhere.quantile(0.05)),
+        high=np.log(posterior.elsewhere.quantile(0.95)),
         probability_met=posterior.probability_below(selection.latency_budget_s),
     )
 

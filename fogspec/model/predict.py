@@ -32,6 +32,9 @@ class Predictions:
     `value` (n,) is NaN where nothing can be predicted; `type_index` (n,) is the place of each offer's type in the posterior.
     Types are `measured` if a machine of the type was measured, `extrapolated` outside of the sampled range, and `unfit` if a
     machine of the type failed, or one with at least as much memory ran out of it. Without a posterior there are only values.
+
+    `ranges` is the posterior of the prediction intervals: for the latency that of another server of each type, because the
+    machine that is deployed is not the one that was measured. Probabilities and the choice are about the types.
     """
 
     value: Floats
@@ -40,6 +43,7 @@ class Predictions:
     unfit: Mask
     type_index: NDArray[np.intp]
     posterior: Posterior | None
+    ranges: Posterior | None = None
 
     @classmethod
     def of_values(cls, value: Floats) -> "Predictions":
@@ -56,11 +60,16 @@ class Predictions:
 
     @classmethod
     def of_posterior(
-        cls, posterior: Posterior, unfit: Mask | None = None, type_index: NDArray[np.intp] | None = None
+        cls,
+        posterior: Posterior,
+        unfit: Mask | None = None,
+        type_index: NDArray[np.intp] | None = None,
+        *,
+        varies_by_server: bool = True,
     ) -> "Predictions":
         """Return the predictions of a posterior over N types for n offers; `unfit` is (N,).
 
-        Without `type_index` (n,) the offers are the types.
+        Without `type_index` (n,) the offers are the types. Metrics of the application do not vary by server.
         """
         at = np.arange(len(posterior.machines)) if type_index is None else type_index
         # Within what an exponential can hold: a lower bound alone may leave nearly everything open.
@@ -72,14 +81,16 @@ class Predictions:
             unfit=np.zeros(len(at), dtype=bool) if unfit is None else unfit[at],
             type_index=at,
             posterior=posterior,
+            ranges=posterior.elsewhere if varies_by_server else posterior,
         )
 
     def interval(self, row: int, level: float) -> tuple[float, float] | None:
         """Two-sided prediction interval of one offer, None where the model cannot say."""
-        if self.posterior is None or not math.isfinite(self.value[row]):
+        if self.ranges is None or not math.isfinite(self.value[row]):
             return None
-        low, high = (self.posterior.quantile(p)[self.type_index[row]] for p in ((1 - level) / 2, (1 + level) / 2))
-        return float(low), float(high)
+        # Only of this type: a bisection over a whole catalog takes a second.
+        own = self.ranges.take(self.type_index[[row]])
+        return float(own.quantile((1 - level) / 2)[0]), float(own.quantile((1 + level) / 2)[0])
 
     def probability_below(self, row: int, bound: float) -> float | None:
         """Probability that one offer's true value is at most `bound`, None where the model cannot say."""
@@ -127,7 +138,7 @@ class PredictionSpace:
         of = self.types.of[: len(self.offers)]
         found = {name: _conditioned(self.space, self.place, known, unusable, name) for name in targets}
         return PredictionSet(
-            self.offers, self.types, {name: _predictions(one, unfit, of) for name, one in found.items()}, self
+            self.offers, self.types, {name: _predictions(name, one, unfit, of) for name, one in found.items()}, self
         )
 
 
@@ -204,9 +215,9 @@ def _conditioned(
     )
 
 
-def _predictions(posterior: Posterior | None, unfit: Mask, type_index: NDArray[np.intp]) -> Predictions:
+def _predictions(target: str, posterior: Posterior | None, unfit: Mask, type_index: NDArray[np.intp]) -> Predictions:
     if posterior is not None:
-        return Predictions.of_posterior(posterior, unfit, type_index)
+        return Predictions.of_posterior(posterior, unfit, type_index, varies_by_server=target == "latency")
     none = Predictions.of_values(np.full(len(type_index), np.nan))
     return replace(none, unfit=unfit[type_index], type_index=type_index)
 

@@ -22,11 +22,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fogspec.numerics.ensemble import Ensemble, ensemble_with_prior, ensemble_without_prior
 from fogspec.numerics.kernels import Floats, Machines
 from fogspec.numerics.normal import normal_cdf, truncated_above_moments
 from fogspec.numerics.observations import Observations, lower_bounds, mean_level, pooled
+from fogspec.numerics.servers import Shifts, shifts_of
 
 VERSION = 1  # of the model: predictions of another version may differ from the same samples
 OUTLIER = 0.5  # deviation of log-latency from the other machines' prediction that noise does not explain
@@ -52,7 +54,10 @@ class Prior:
 
 @dataclass(frozen=True, kw_only=True)
 class Posterior:
-    """Posterior of every machine's log-latency: a mixture of Gaussian processes, weights summing to 1."""
+    """Posterior of every machine's log-latency: a mixture of Gaussian processes, weights summing to 1.
+
+    With `shifts` its quantiles and probabilities are those of another server of each type (`elsewhere`).
+    """
 
     machines: Machines
     observations: Observations
@@ -60,6 +65,36 @@ class Posterior:
     means: Floats
     variances: Floats
     draw: Callable[[], Floats] = field(repr=False, compare=False)
+    shifts: Shifts | None = None
+
+    @cached_property
+    def elsewhere(self) -> "Posterior":
+        """The posterior with the quantiles and probabilities of another server of each type; means and draws stay."""
+        return replace(self, shifts=shifts_of(self.machines.cloud))
+
+    def take(self, rows: NDArray[np.intp]) -> "Posterior":
+        """Return the posterior of the machines at these indices, without draws."""
+        return replace(
+            self,
+            machines=self.machines.take(rows),
+            means=self.means[:, rows],
+            variances=self.variances[:, rows],
+            shifts=None if self.shifts is None else self.shifts.take(rows),
+        )
+
+    def _below(self, log_latency: Floats) -> Floats:
+        """Return the probability (N,) that each machine's log-latency is at most `log_latency` (N,)."""
+        if self.shifts is None:
+            return np.asarray(self.weights @ normal_cdf((log_latency - self.means) / self._roots))
+        # The wide part is wider than the models differ: their mean and variance are enough for it.
+        wide = normal_cdf((log_latency - self.mean) / np.sqrt(self.sd**2 + self.shifts.core + self.shifts.spread))
+        core = self.weights @ normal_cdf((log_latency - self.means) / self._roots)
+        return np.asarray((1 - self.shifts.tail) * core + self.shifts.tail * wide)
+
+    @cached_property
+    def _roots(self) -> Floats:
+        """Standard deviations of log-latency under each model, on another server if so asked, (H, N)."""
+        return np.sqrt(self.variances if self.shifts is None else self.variances + self.shifts.core)
 
     @cached_property
     def draws(self) -> Floats:
@@ -105,7 +140,7 @@ class Posterior:
         """Return the probability (N,) that latency is at most the limit; 1 for an infinite limit, 0 for a limit <= 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             limit = np.broadcast_to(np.log(np.maximum(limit_s, 0.0)), self.mean.shape)
-        return np.asarray(self.weights @ normal_cdf((limit - self.means) / np.sqrt(self.variances)))
+            return self._below(limit)
 
     @cached_property
     def _quantiles(self) -> dict[float, Floats]:
@@ -126,11 +161,11 @@ class Posterior:
     def _bisected(self, p: Floats | float) -> Floats:
         if not np.all((np.asarray(p) > 0) & (np.asarray(p) < 1)):
             raise ValueError(f"a probability lies between 0 and 1, got {p}")
-        low, high = self.mean - 12 * self.sd, self.mean + 12 * self.sd
-        root = np.sqrt(self.variances)
+        sd = self.sd if self.shifts is None else np.sqrt(self.sd**2 + self.shifts.core + self.shifts.spread)
+        low, high = self.mean - 12 * sd, self.mean + 12 * sd
         for _ in range(24):
             middle = (low + high) / 2
-            below = self.weights @ normal_cdf((middle - self.means) / root) < p
+            below = self._below(middle) < p
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         return np.asarray(np.exp(np.clip((low + high) / 2, -600, 600)))
 

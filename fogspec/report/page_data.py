@@ -155,11 +155,10 @@ def undominated(choice: Choice, needed: list[Floats], rows: Rows) -> Rows:
 def _ends(choice: Choice, rows: Rows, metric: str | None) -> tuple[list[float | None], list[float | None]]:
     """Return the interval ends of the metric in the objective, as two columns."""
     predictions = choice.metrics[metric] if metric else choice.latency
-    if predictions.posterior is None:
+    if predictions.ranges is None:
         return [None] * len(rows), [None] * len(rows)
-    low, high = (
-        predictions.posterior.quantile(p)[predictions.type_index][rows] for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
-    )
+    own = predictions.ranges.take(predictions.type_index[rows])
+    low, high = (own.quantile(p) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     return _numbers(low), _numbers(high)
 
 

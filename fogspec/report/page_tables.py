@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -122,12 +122,11 @@ def _without(models: Models, refits: Refits, one: Observation) -> tuple[str, str
     predicted = refits.of(others) if others else None
     if predicted is None or refits.space is None:
         return "", "", ""
-    posterior = predicted.targets["latency"].posterior
-    if posterior is None:
+    ranges = predicted.targets["latency"].ranges
+    if ranges is None:
         return "", "", ""
-    at = [refits.space.place[one.machine.type_key]]
     # Only for this machine: a bisection over a whole catalog for each sample would take seconds.
-    own = replace(posterior, means=posterior.means[:, at], variances=posterior.variances[:, at])
+    own = ranges.take(np.array([refits.space.place[one.machine.type_key]]))
     low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     value = math.exp(own.mean[0])
     return _time(value), f"{_time(low)} to {_time(high)}", _off(value, one.values["latency"])
