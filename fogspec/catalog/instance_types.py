@@ -38,12 +38,14 @@ def instance_types(offers: Catalog) -> InstanceTypes:
     for column in (offers.cloud, offers.instance, offers.gpu, offers.gpu_count):
         rank = ranks(column)
         key = key * (int(rank.max(initial=0)) + 1) + rank
-    distinct, of = np.unique(key, return_inverse=True)
-    order = np.lexsort((offers.spot, offers.price_usd_per_hour, of))
-    cheapest = order[np.searchsorted(of[order], np.arange(len(distinct)))]
+    order = np.lexsort((offers.spot, offers.price_usd_per_hour, key))
+    first = np.diff(key[order], prepend=-1) != 0
+    of = np.empty(len(offers), dtype=np.intp)
+    of[order] = np.cumsum(first) - 1
+    cheapest = order[first]
     rows = offers.take(cheapest)
     columns = (rows.cloud.tolist(), rows.instance.tolist(), rows.gpu.tolist(), rows.gpu_count.tolist())
-    return InstanceTypes(tuple(zip(*columns, strict=True)), machines_of(rows), of.astype(np.intp), cheapest)
+    return InstanceTypes(tuple(zip(*columns, strict=True)), machines_of(rows), of, cheapest)
 
 
 def machines_of(offers: Catalog) -> Machines:
@@ -52,14 +54,18 @@ def machines_of(offers: Catalog) -> Machines:
     Catalogs do not name the CPU. Machines of one cloud, architecture, clock rate and number of vCPUs per core mostly
     have the same one: on the development set that is nearly as good as its name, and much better than no CPU at all.
     """
-    about = zip(
-        offers.cloud.tolist(),
-        offers.arch.tolist(),
-        offers.clock_ghz.tolist(),
-        (offers.vcpus / offers.physical_cores).tolist(),
-        strict=True,
+    about = list(
+        zip(
+            offers.cloud.tolist(),
+            offers.arch.tolist(),
+            # Not a number is not equal to itself, and would be a CPU of its own.
+            np.nan_to_num(offers.clock_ghz, nan=-1.0).tolist(),
+            np.nan_to_num(offers.vcpus / offers.physical_cores, nan=-1.0).tolist(),
+            strict=True,
+        )
     )
-    cpu = [f"{cloud} {arch} {ghz:g} {smt:g}" if ghz == ghz else "" for cloud, arch, ghz, smt in about]
+    known = {one: _cpu(*one) for one in set(about)}
+    cpu = [known[one] for one in about]
     return Machines(
         vcpus=offers.vcpus,
         memory_gib=offers.memory_gib,
@@ -77,20 +83,30 @@ def machines_of(offers: Catalog) -> Machines:
     )
 
 
+def _cpu(cloud: str, arch: str, clock_ghz: float, smt: float) -> str:
+    """Return what tells the CPU from others; numbers below 0 are unknown."""
+    return "" if clock_ghz < 0 else f"{cloud} {arch} {clock_ghz:g} {'nan' if smt < 0 else f'{smt:g}'}"
+
+
 def with_measured(offers: Catalog, measured: Sequence[Machine], catalog: Catalog | None = None) -> Catalog:
     """Return the offers followed by a row for each measured machine that is not among them.
 
     Its row is taken from `catalog` if it is there; otherwise family, architecture and the rest are unknown. Its price
     does not matter, because it cannot be chosen.
     """
-    there = set(zip(offers.cloud, offers.instance, offers.gpu, offers.gpu_count, strict=True))
+    rows = np.flatnonzero(_named(offers, {machine.instance for machine in measured})).tolist()
+    there = {(offers.cloud[i], offers.instance[i], offers.gpu[i], float(offers.gpu_count[i])) for i in rows}
     missing = {machine.type_key: machine for machine in measured if machine.type_key not in there}
     if not missing:
         return offers
-    rows = [_row(machine, offers, catalog) for _, machine in sorted(missing.items())]
+    added = [_row(machine, offers, catalog) for _, machine in sorted(missing.items())]
     columns = [f.name for f in fields(Catalog) if f.name != "about"]
-    joined = {name: np.concatenate([getattr(one, name) for one in (offers, *rows)]) for name in columns}
+    joined = {name: np.concatenate([getattr(one, name) for one in (offers, *added)]) for name in columns}
     return Catalog(about=offers.about, **joined)
+
+
+def _named(offers: Catalog, names: set[str]) -> NDArray[np.bool_]:
+    return np.fromiter(map(names.__contains__, offers.instance.tolist()), np.bool_, len(offers))
 
 
 def _row(machine: Machine, offers: Catalog, catalog: Catalog | None) -> Catalog:
@@ -124,4 +140,4 @@ def _text(text: str) -> Strings:
 
 
 def _codes(column: Strings) -> NDArray[np.int64]:
-    return codes([str(text) for text in column])
+    return codes(column.tolist())

@@ -150,5 +150,9 @@ def concatenated(catalogs: Sequence[Catalog], about: About) -> Catalog:
 
 def ranks(column: Strings | Floats) -> NDArray[np.int32]:
     """Return each row's rank among the distinct texts, in code point order, or numbers, none NaN, of the column."""
-    rank = {word: i for i, word in enumerate(sorted(set(column.tolist())))}
-    return np.fromiter(map(rank.__getitem__, column.tolist()), np.int32, len(column))
+    values = column.tolist()
+    words = set(values)
+    if len(words) == 1:
+        return np.zeros(len(values), dtype=np.int32)
+    rank = {word: i for i, word in enumerate(sorted(words))}
+    return np.fromiter(map(rank.__getitem__, values), np.int32, len(values))

@@ -43,7 +43,7 @@ class Predictions:
     unfit: Mask
     type_index: NDArray[np.intp]
     posterior: Posterior | None
-    ranges: Posterior | None = None
+    varies_by_server: bool = False
 
     @classmethod
     def of_values(cls, value: Floats) -> "Predictions":
@@ -81,8 +81,13 @@ class Predictions:
             unfit=np.zeros(len(at), dtype=bool) if unfit is None else unfit[at],
             type_index=at,
             posterior=posterior,
-            ranges=posterior.elsewhere if varies_by_server else posterior,
+            varies_by_server=varies_by_server,
         )
+
+    @property
+    def ranges(self) -> Posterior | None:
+        """The posterior of the prediction intervals."""
+        return self.posterior.elsewhere if self.posterior and self.varies_by_server else self.posterior
 
     def interval(self, row: int, level: float) -> tuple[float, float] | None:
         """Two-sided prediction interval of one offer, None where the model cannot say."""

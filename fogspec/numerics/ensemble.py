@@ -1,6 +1,7 @@
 """The ensemble of Gaussian process models: mean curves, covariance components and a grid of their amplitudes."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Protocol
 
@@ -43,7 +44,7 @@ class Ensemble:
     nugget: Floats
     inflation: float = 1.0
 
-    @property
+    @cached_property
     def diagonal(self) -> Floats:
         """Variance of each component at each machine at amplitude 1, (J, N)."""
         return np.array([(f**2).sum(1) for f in self.features])
@@ -174,6 +175,8 @@ def _ensemble(
         curves=curves - curves.mean(1, keepdims=True),
         curve=np.array([row[0] for row in rows]),
         theta=np.array([row[1] for row in rows]),
-        nugget=np.repeat(alone[:, None] ** 2, len(machines), axis=1) + nugget,
+        nugget=np.broadcast_to(alone[:, None] ** 2, (len(rows), len(machines))) + nugget
+        if isinstance(nugget, np.ndarray)
+        else np.broadcast_to(alone[:, None] ** 2 + nugget, (len(rows), len(machines))),
         inflation=INFLATION if heterogeneity(machines) in ("many", "gpus") else 1.0,
     )

@@ -70,7 +70,8 @@ def _median(values: Floats) -> float:
 
 def codes(names: list[str]) -> Ints:
     """Return integer codes of names, equal in every table (CRC-32 of the lower-case name); -1 for an empty name."""
-    return np.array([crc32(name.lower().encode()) if name else -1 for name in names], dtype=np.int64)
+    known = {name: crc32(name.lower().encode()) if name else -1 for name in set(names)}
+    return np.fromiter(map(known.__getitem__, names), np.int64, len(names))
 
 
 def one_hot(code: Ints) -> Floats:

@@ -50,6 +50,7 @@ class Shifts:
 def shifts_of(cloud: Ints) -> Shifts:
     """Return the shifts of machines by the code of their cloud (N,)."""
     known = dict(zip(codes(list(SHIFTS)).tolist(), SHIFTS.values(), strict=True))
-    each = [known.get(code, OTHER) for code in cloud.tolist()]
-    core, tail, spread = (np.array([getattr(one, name) for one in each]) for name in ("core", "tail", "spread"))
+    clouds, of = np.unique(cloud, return_inverse=True)
+    each = [known.get(code, OTHER) for code in clouds.tolist()]
+    core, tail, spread = np.array([(one.core, one.tail, one.spread) for one in each]).reshape(-1, 3).T[:, of.ravel()]
     return Shifts(core**2, tail, spread**2)

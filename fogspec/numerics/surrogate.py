@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from fogspec.numerics.ensemble import Ensemble, ensemble_with_prior, ensemble_without_prior
 from fogspec.numerics.kernels import Floats, Machines
-from fogspec.numerics.normal import normal_cdf, truncated_above_moments
+from fogspec.numerics.normal import normal_cdf_and_density, normal_quantile, truncated_above_moments
 from fogspec.numerics.observations import Observations, lower_bounds, mean_level, pooled
 from fogspec.numerics.servers import Shifts, shifts_of
 
@@ -36,6 +36,8 @@ KEPT_MODELS = 64
 MAX_EVIDENCE = 100  # samples in the evidence of the models; predictions use all samples
 MAX_BLOCK = 4_000_000  # numbers in a table: with many samples of many machines, models are conditioned in blocks
 DRAWS = 512
+MOST_STEPS = 60  # of the search for a quantile; Newton's method takes about six
+PRECISION = 1e-9  # of a quantile, in standard deviations
 MAX_DRAWN = 600_000  # numbers in a table of draws: over thousands of machines there are fewer draws
 
 
@@ -82,14 +84,17 @@ class Posterior:
             shifts=None if self.shifts is None else self.shifts.take(rows),
         )
 
-    def _below(self, log_latency: Floats) -> Floats:
-        """Return the probability (N,) that each machine's log-latency is at most `log_latency` (N,)."""
+    def _below(self, log_latency: Floats) -> tuple[Floats, Floats]:
+        """Return the probability (N,) that each machine's log-latency is at most `log_latency` (N,), and the density."""
+        root = self._roots
+        core, density = normal_cdf_and_density((log_latency - self.means) / root)
+        below, density = self.weights @ core, self.weights @ (density / root)
         if self.shifts is None:
-            return np.asarray(self.weights @ normal_cdf((log_latency - self.means) / self._roots))
+            return below, density
         # The wide part is wider than the models differ: their mean and variance are enough for it.
-        wide = normal_cdf((log_latency - self.mean) / np.sqrt(self.sd**2 + self.shifts.core + self.shifts.spread))
-        core = self.weights @ normal_cdf((log_latency - self.means) / self._roots)
-        return np.asarray((1 - self.shifts.tail) * core + self.shifts.tail * wide)
+        sd, tail = np.sqrt(self.sd**2 + self.shifts.core + self.shifts.spread), self.shifts.tail
+        wide, of_wide = normal_cdf_and_density((log_latency - self.mean) / sd)
+        return (1 - tail) * below + tail * wide, (1 - tail) * density + tail * of_wide / sd
 
     @cached_property
     def _roots(self) -> Floats:
@@ -140,7 +145,7 @@ class Posterior:
         """Return the probability (N,) that latency is at most the limit; 1 for an infinite limit, 0 for a limit <= 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             limit = np.broadcast_to(np.log(np.maximum(limit_s, 0.0)), self.mean.shape)
-            return self._below(limit)
+            return self._below(limit)[0]
 
     @cached_property
     def _quantiles(self) -> dict[float, Floats]:
@@ -153,21 +158,36 @@ class Posterior:
         Raise ValueError for a probability outside 0 to 1.
         """
         if not isinstance(p, float):
-            return self._bisected(p)
+            return self._solved(p)
         if p not in self._quantiles:
-            self._quantiles[p] = self._bisected(p)
+            self._quantiles[p] = self._solved(p)
         return self._quantiles[p]
 
-    def _bisected(self, p: Floats | float) -> Floats:
+    def _solved(self, p: Floats | float) -> Floats:
         if not np.all((np.asarray(p) > 0) & (np.asarray(p) < 1)):
             raise ValueError(f"a probability lies between 0 and 1, got {p}")
+        return np.asarray(np.exp(np.clip(self._root(np.broadcast_to(p, self.mean.shape)), -600, 600)))
+
+    def _root(self, p: Floats) -> Floats:
+        """Return the log-latency (N,) not exceeded with probability p (N,): Newton's method, kept within a bracket."""
         sd = self.sd if self.shifts is None else np.sqrt(self.sd**2 + self.shifts.core + self.shifts.spread)
-        low, high = self.mean - 12 * sd, self.mean + 12 * sd
-        for _ in range(24):
-            middle = (low + high) / 2
-            below = self._below(middle) < p
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
-        return np.asarray(np.exp(np.clip((low + high) / 2, -600, 600)))
+        low, high, found = self.mean - 12 * sd, self.mean + 12 * sd, self.mean + sd * normal_quantile(p)
+        active, part = np.arange(len(found)), self
+        for _ in range(MOST_STEPS):
+            at = found[active]
+            below, density = part._below(at)
+            off = below - p[active]
+            low[active], high[active] = np.where(off < 0, at, low[active]), np.where(off < 0, high[active], at)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                then = at - off / density
+            inside = (then > low[active]) & (then < high[active])
+            found[active] = np.where(inside, then, (low[active] + high[active]) / 2)
+            far = np.abs(found[active] - at) > PRECISION * sd[active]
+            if not far.any():
+                break
+            if not far.all():
+                active, part = active[far], part.take(np.flatnonzero(far))
+        return found
 
 
 def prepare(machines: Machines, prior: Prior | None = None, *, seed: int = 0, draws: int = DRAWS) -> "Space":
@@ -254,26 +274,28 @@ class Space:
         keep, weights = _resampled(
             self._evidence(cross[:, at][:, few][:, :, few], at[few], value[few] - level, noise[few])
         )
-        means, variances = np.empty((2, len(keep), len(self.machines)))
+        # Models differ in mean curve or covariance: what follows from the covariance is computed once for each.
+        models, covariance = self._distinct(keep)
+        means = ensemble.curves[ensemble.curve[keep]] + level
+        residual = value - means[:, at]
+        variances = np.empty((len(models), len(self.machines)))
         at_once = max(1, MAX_BLOCK // (len(at) * len(self.machines)))
         found = None
-        for first in range(0, len(keep), at_once):
-            some = keep[first : first + at_once]
-            link, inverse = found = self._terms(some, cross, at, noise)
-            mean = ensemble.curves[ensemble.curve[some]]
-            solved = np.einsum("hij,hj->hi", inverse, value - level - mean[:, at])
-            means[first : first + at_once] = mean + level + np.einsum("hni,hi->hn", link, solved)
-            explained = ((link @ inverse) * link).sum(-1)
-            variances[first : first + at_once] = (
-                ensemble.theta[some] @ ensemble.diagonal + ensemble.nugget[some] - explained
-            )
+        for first in range(0, len(models), at_once):
+            link, inverse = found = self._terms(models[first : first + at_once], cross, at, noise)
+            variances[first : first + at_once] = -np.einsum("hni,hni->hn", link @ inverse, link)
+            for i in range(len(link)):
+                mine = covariance == first + i
+                means[mine] += residual[mine] @ inverse[i] @ link[i].T
+        variances += ensemble.theta[models] @ ensemble.diagonal + ensemble.nugget[models]
         variances = np.maximum(variances, 1e-8)
         variances[:, np.isin(np.arange(len(self.machines)), at, invert=True)] *= ensemble.inflation
 
         def terms(model: int) -> tuple[Floats, Floats]:
-            if found is not None and len(found[0]) == len(keep):
-                return found[0][model], found[1][model]
-            link, inverse = self._terms(keep[model : model + 1], cross, at, noise)
+            one = int(covariance[model])
+            if found is not None and len(found[0]) == len(models):
+                return found[0][one], found[1][one]
+            link, inverse = self._terms(models[one : one + 1], cross, at, noise)
             return link[0], inverse[0]
 
         return Posterior(
@@ -281,28 +303,35 @@ class Space:
             observations=samples,
             weights=weights,
             means=means,
-            variances=variances,
+            variances=variances[covariance],
             draw=partial(self._draws, keep=keep, weights=weights, means=means, at=at, noise=noise, terms=terms),
         )
+
+    def _distinct(self, models: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return one model for each covariance of these models, and the position of each model's among them."""
+        rows = np.column_stack([self.ensemble.theta[models], self.ensemble.nugget[models, 0]])
+        _, first, of = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        return models[first], of.ravel()
 
     def _inner(self, models: np.ndarray, cross: Floats, at: np.ndarray, noise: Floats) -> Floats:
         """Return the covariance of the samples under these models, (h, n, n); `cross` (J, n, n) is that of each component."""
         same_machine = (at[:, None] == at[None, :]).astype(float)
         inner = np.tensordot(self.ensemble.theta[models], cross, axes=1)
-        inner += self.ensemble.nugget[models][:, at][:, :, None] * same_machine + np.diag(noise)
+        inner += self.ensemble.nugget[np.ix_(models, at)][:, :, None] * same_machine + np.diag(noise)
         return np.asarray(inner)
 
     def _evidence(self, cross: Floats, at: np.ndarray, value: Floats, noise: Floats) -> Floats:
         """Return the log-evidence (H,) of every model up to a constant."""
-        inner = self._inner(np.arange(len(self.ensemble.theta)), cross, at, noise)
-        residual = value - self.ensemble.curves[self.ensemble.curve][:, at]
-        solved = np.einsum("hij,hj->hi", np.linalg.inv(inner), residual)
-        return np.asarray(-0.5 * (residual * solved).sum(1) - 0.5 * np.linalg.slogdet(inner)[1])
+        models, covariance = self._distinct(np.arange(len(self.ensemble.theta)))
+        inner = self._inner(models, cross, at, noise)
+        residual = value - self.ensemble.curves[:, at][self.ensemble.curve]
+        solved = np.einsum("hij,hj->hi", np.linalg.inv(inner)[covariance], residual)
+        return np.asarray(-0.5 * (residual * solved).sum(1) - 0.5 * np.linalg.slogdet(inner)[1][covariance])
 
     def _terms(self, models: np.ndarray, cross: Floats, at: np.ndarray, noise: Floats) -> tuple[Floats, Floats]:
         """Return the covariance of the machines with the samples (h, N, n) and the samples' precision (h, n, n)."""
         link = np.tensordot(self.ensemble.theta[models], cross, axes=1)
-        link += self.ensemble.nugget[models][:, :, None] * (np.arange(len(self.machines))[:, None] == at[None, :])
+        link[:, at, np.arange(len(at))] += self.ensemble.nugget[np.ix_(models, at)]
         inverse = np.asarray(np.linalg.inv(self._inner(models, cross[:, at], at, noise)), dtype=float)
         return np.asarray(link), inverse
 

@@ -144,7 +144,8 @@ def test_the_page_of_every_offering_stays_small(checkout, tmp_path_factory, cata
     text = spec.read_text().replace("infra: [aws/us-east-1]", "infra: [aws, azure, gcp]")
     for old, new in (
         (r"    cpus: .*", "    cpus: 1..1024"), (r"    memory: .*", "    memory: 0.5GiB..32TiB"),
-        (r"    memory_per_cpu: .*", "    spot: true"), (r"    machines: .*", "    arch: [x86_64, arm64]"),
+        (r"    memory_per_cpu: .*", "    spot: true\n    arch: [x86_64, arm64]"),
+        (r"    machines: .*", "    machines: {include: [previous-generation, burstable]}"),
         (r"    budget: .*", "    budget: $900"),
     ):  # fmt: skip
         text = re.sub(old, new, text)
