@@ -19,7 +19,7 @@ from fogspec.base.text import markdown as md
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.inputs import Inputs
-from fogspec.plan.schema import lifetime_s
+from fogspec.plan.schema import estimate
 from fogspec.results.schema import completed
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import SourceFile
@@ -68,7 +68,7 @@ def difference(status: Status) -> Difference:
     after = redacted(_manifest_now(compiled), secrets)
     body, measured = compiled.plan.spec, completed(compiled.results)
     left = [sample for sample in body.samples if sample.id not in measured]
-    worst_usd = sum(sample.machine.price for sample in left) * lifetime_s(body.duration, body.setup_timeout) / 3600
+    worst_usd = estimate(left, body.commitment).total
     differing = tuple(significant(changes(before, after))) if after else ()
     why = list(_why(status, before))
     if not differing and not why:

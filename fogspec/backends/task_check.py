@@ -13,8 +13,9 @@ from typing import Any
 from fogspec.backends.protocol import Job, LaunchRefused
 from fogspec.base.clouds import cloud_of
 from fogspec.catalog.machine import Machine
+from fogspec.plan.commitment import time_limit
 
-TASK = {"name", "resources", "workdir", "secrets", "file_mounts", "setup", "run", "envs"}
+TASK = {"name", "resources", "workdir", "secrets", "file_mounts", "setup", "run", "envs", "config"}
 UNPRICED = {"image_id", "labels", "ports"}  # of resources: they change neither the machine nor its price
 TARGETS = {"~/.fogspec/agent.pyz", "~/.fogspec/launch/cloud.launch.py", "~/.fogspec/link"}
 DEPLOYMENT_IDLE_MINUTES = 30  # of a deployment that nobody uses
@@ -48,6 +49,9 @@ def _differences(job: Job) -> Iterator[str]:
             yield f"resources.{key} is {_shown(found.get(key))}, of its machine {_shown(wanted.get(key))}"
     yield from _cap(cap, job)
     yield from _end(end, job)
+    limit = None if job.lifetime_s is None else time_limit(job.machine, job.lifetime_s)
+    if job.task.get("config") != limit:
+        yield f"config is {_shown(job.task.get('config'))}, of the job {_shown(limit)}"
     yield from (f"{key} is not a key of compiled tasks" for key in job.task if key not in TASK)
 
 

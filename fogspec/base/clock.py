@@ -1,4 +1,4 @@
-"""A monotonic clock: seconds that never jump, comparable between processes of one boot."""
+"""A monotonic clock, whose seconds never jump and are comparable between processes of one boot, and the wall clock."""
 
 import time
 from pathlib import Path
@@ -14,6 +14,10 @@ class Clock(Protocol):
 
     def boot(self) -> str:
         """Names the boot of this machine."""
+        ...
+
+    def unix_s(self) -> float:
+        """Seconds since 1970 by the wall clock, which survives a restart and may be wrong or changed."""
         ...
 
     def sleep(self, seconds: float) -> None:
@@ -34,6 +38,10 @@ class SystemClock:
     def boot(self) -> str:
         """Return the kernel's identifier of this boot."""
         return self._boot
+
+    def unix_s(self) -> float:
+        """Return the reading of the wall clock."""
+        return time.time()
 
     def sleep(self, seconds: float) -> None:
         """Wait; a signal's handler runs at once, the wait goes on after it."""

@@ -2,8 +2,22 @@
 
 import re
 from dataclasses import dataclass
+from enum import StrEnum
 
 LOCAL = "local"
+
+
+class OwnEnd(StrEnum):
+    """What ends a sample's machine if nobody does, besides SkyPilot's autostop, which is armed after boot and copying.
+
+    `AUTOSTOP`: nothing else. `JOB_TIME_LIMIT`: the machine is a batch job with a time limit. `POD_DEADLINE`: it is a pod
+    with a deadline. `POWER_OFF`: its first boot sets a timer that turns it off, whereupon the cloud bills its disk only.
+    """
+
+    AUTOSTOP = "autostop"
+    JOB_TIME_LIMIT = "job time limit"
+    POD_DEADLINE = "pod deadline"
+    POWER_OFF = "power-off"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,7 +30,7 @@ class Cloud:
     A cloud that `opens_ports` does so for SkyPilot; `open_udp` is a command of the cloud's own program that opens a UDP
     port of the machine at an address. `places_in_zones`: a zone (a partition) has machines and prices of its own.
     `context_regions`: the region is the name of a context, which may have slashes. `attaches_gpus`: one instance type
-    may carry one of several accelerators.
+    may carry one of several accelerators. `own_end`: see `OwnEnd`.
 
     `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
     whose groups are its family's name. So are `accelerated`, `burstable`: of instance types with an accelerator, even if a
@@ -34,6 +48,7 @@ class Cloud:
     places_in_zones: bool = False
     context_regions: bool = False
     attaches_gpus: bool = False
+    own_end: OwnEnd = OwnEnd.AUTOSTOP
     open_udp: str | None = None
     region: str | None = None
     arm: str | None = None
@@ -59,6 +74,7 @@ class Cloud:
 _ROWS = (
     Cloud(
         name="aws",
+        own_end=OwnEnd.POWER_OFF,
         region=r"[a-z]{2}-(?:gov-)?[a-z]+-\d",
         arm=r"a1\.|mac2|[a-z]+\d+[a-z]*g[a-z]*(-[^.]*)?\.",
         accelerated=r"(dl|f|g|gr|inf|p|trn|vt)\d",
@@ -114,7 +130,13 @@ _ROWS = (
     Cloud(name="vast"),
     Cloud(name="vsphere"),
     Cloud(name="scp"),
-    Cloud(name="kubernetes", priced=False, instance_types=False, context_regions=True),
+    Cloud(
+        name="kubernetes",
+        priced=False,
+        instance_types=False,
+        context_regions=True,
+        own_end=OwnEnd.POD_DEADLINE,
+    ),
     Cloud(name="hyperbolic"),
     Cloud(name="primeintellect"),
     Cloud(name="seeweb"),
@@ -126,8 +148,9 @@ _ROWS = (
         containers=False,
         opens_ports=False,
         places_in_zones=True,
+        own_end=OwnEnd.JOB_TIME_LIMIT,
     ),
-    Cloud(name="ssh", priced=False, instance_types=False, opens_ports=False),
+    Cloud(name="ssh", priced=False, instance_types=False, opens_ports=False, own_end=OwnEnd.POD_DEADLINE),
     Cloud(name="mithril"),
     Cloud(name="verda"),
     Cloud(name="yotta"),

@@ -80,7 +80,6 @@ class AdaptiveSampling:
     catalog: Catalog
     tasks: Tasks
     sink: ResultsFile
-    lifetime_s: float
     library: PriorData | None = None
     filtered: Filtered = field(init=False)
 
@@ -126,17 +125,22 @@ class AdaptiveSampling:
             self.application,
             offers,
             records,
-            usd_per_sample=offers.price_usd_per_hour * self.lifetime_s / 3600,
+            usd_per_sample=offers.price_usd_per_hour * self._paid_s / 3600,
             left_usd=left_usd,
             library=self.library,
             batch=batch,
             paid_share=self._paid_share(records),
         )
 
+    @property
+    def _paid_s(self) -> float:
+        """The longest time that a sample is paid for."""
+        return self.tasks.plan.spec.commitment.paid_s
+
     def _paid_share(self, records: Sequence[Measured]) -> float:
         """Return the share of its longest time that a sample is expected to be paid for: as those measured so far."""
         paid_s = [one.duration for one in records if one.state == "ok" and one.duration > 0]
-        return min(math.fsum(paid_s) / len(paid_s) / self.lifetime_s, 1.0) if paid_s else 1.0
+        return min(math.fsum(paid_s) / len(paid_s) / self._paid_s, 1.0) if paid_s else 1.0
 
     def _batches(self) -> Sequence[Batch]:
         return self.sink.sampling.batches if self.sink.sampling is not None else ()

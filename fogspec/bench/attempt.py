@@ -3,29 +3,35 @@
 from dataclasses import dataclass, replace
 
 from fogspec.backends.protocol import Job, SampleStatus
+from fogspec.base.clock import Clock
+from fogspec.base.units import format_duration
 from fogspec.bench.journal import LaunchRecord
+from fogspec.plan.commitment import PATIENCE_S, TEARDOWN_S
 from fogspec.results.schema import Reason
 
 STOP_BACKOFF_S = 30.0
 STOP_PATIENCE_S = 900.0
-SILENCE_S = 120.0
 
 
 @dataclass(slots=True, kw_only=True)
 class Attempt:
     """A machine that was started, until it is verified gone.
 
-    `since_s` is when it was started, by a clock that can be compared with that moment only if `same_boot`. `end` is the final
-    status, from when the machine is to be stopped. `silent_s` is since when the backend could not reach it, `stops` how often
-    it was stopped without success, `stop_after_s` when to try again and `give_up_s` when no longer.
+    `since_s` is when it was started, by the clock of this boot and, if it was started in another, the wall clock.
+    `found_s` is when this controller began to watch it: at its start, or after an absence. `was_ready` tells that it was seen
+    to measure. `end` is the final status, from when the machine is to be stopped. `gone_s` is when it was looked for, after
+    its longest time was over, and had ended by itself. `silent_s` is since when the backend could not reach it,
+    `stops` how often it was stopped without success, `stop_after_s` when to try again and `give_up_s` when no longer.
     """
 
     started: LaunchRecord
     job: Job
     since_s: float
-    same_boot: bool
+    found_s: float
+    was_ready: bool = False
     end: SampleStatus | None = None
     last: SampleStatus | None = None
+    gone_s: float | None = None
     silent_s: float | None = None
     stop_after_s: float = 0.0
     give_up_s: float | None = None
@@ -34,6 +40,7 @@ class Attempt:
     def reached(self, status: SampleStatus) -> None:
         """Take the status that the backend returned."""
         self.last, self.silent_s = status, None
+        self.was_ready = self.was_ready or (status.running and status.ready)
 
     def unreachable(self, now_s: float) -> None:
         """Remember since when the backend has not reached it."""
@@ -46,10 +53,11 @@ class Attempt:
     def overdue(self, now_s: float, deadline_s: float) -> SampleStatus | None:
         """Return the final status after `deadline_s`; None before.
 
-        A short silence at the deadline is waited out: the measurements may still be fetched.
+        A short silence at the deadline is waited out, and so is a short time after an absence: the measurements may still
+        be fetched.
         """
-        patient = self.silent_s is not None and now_s - self.silent_s < SILENCE_S
-        if now_s - self.since_s < deadline_s or patient:
+        patient = self.silent_s is not None and now_s - self.silent_s < PATIENCE_S
+        if now_s - self.since_s < deadline_s or patient or self.just_found(now_s):
             return None
         latest, limit = self._latest(), f"{deadline_s:g} s"
         if self.last is None:
@@ -58,23 +66,41 @@ class Attempt:
             return replace(latest, reason="setup", detail=f"not ready after {limit}")
         return replace(latest, detail=f"ended by force after {limit}")
 
+    def just_found(self, now_s: float) -> bool:
+        """Return whether this controller began to watch it only now: it may be over, and nothing was heard of it yet."""
+        return self.found_s > self.since_s and now_s - self.found_s < PATIENCE_S
+
     def not_stopped(self, now_s: float) -> bool:
         """Set when to stop it again after a failure to verify that it is gone; return True to give up."""
         if self.give_up_s is None:
-            self.give_up_s = max(now_s, self.since_s + self.started.lifetime_s) + STOP_PATIENCE_S
+            self.give_up_s = max(now_s, self.since_s + self.started.paid_s) + STOP_PATIENCE_S
         self.stops += 1
         self.stop_after_s = now_s + min(STOP_BACKOFF_S, 2.0**self.stops)
         return now_s >= self.give_up_s
 
-    def billed_s(self, end: SampleStatus, now_s: float) -> float:
-        """Return the seconds for which its machine is paid.
+    def outlived_s(self, clock: Clock) -> float:
+        """Return for how long it has been there beyond the longest time that was committed, as far as is known."""
+        return 0.0 if self.gone_s is not None else max(self.started.passed_s(clock) - self.started.paid_s, 0.0)
 
-        Over a restart of this host, the running time is unknown: the whole lifetime is billed.
+    def billed_s(self, end: SampleStatus, clock: Clock) -> float:
+        """Return the seconds for which its machine is paid, now that it is verified gone: those since its start.
+
+        Nobody saw the end of one that had ended during an absence: it came after the longest time that was committed at the
+        latest, or when the request of an earlier controller to end it was carried out. That nothing is paid is not believed
+        of a machine that was seen to measure.
         """
-        if end.billed_s is not None:
+        if end.billed_s is not None and (end.billed_s > 0 or not self.was_ready):
             return end.billed_s
-        lifetime_s = self.started.lifetime_s
-        return min(now_s - self.since_s, lifetime_s) if self.same_boot else lifetime_s
+        passed_s = self.started.passed_s(clock)
+        if self.gone_s is None:
+            return passed_s
+        since_gone_s = clock.now_s() - self.gone_s
+        return min(passed_s - since_gone_s, self.started.paid_s + TEARDOWN_S) + since_gone_s
 
     def _latest(self) -> SampleStatus:
         return replace(self.last or SampleStatus(running=False), running=False)
+
+
+def outlived(seconds: float) -> str:
+    """Return what to say of a machine that was there longer than it should have been."""
+    return f"its machine did not end by itself and was paid for {format_duration(round(seconds))} longer than its longest time"

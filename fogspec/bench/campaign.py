@@ -5,13 +5,14 @@ anything its start is in the journal; after it is verified gone its record is. S
 between any two steps, and the next one resumes from the journal.
 """
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleBackend, SampleStatus, Unreachable
 from fogspec.base.clock import Clock
 from fogspec.base.errors import Refused
-from fogspec.bench.attempt import Attempt
+from fogspec.bench.attempt import Attempt, outlived
 from fogspec.bench.journal import Journal, LaunchRecord
 from fogspec.bench.record import make_record, within_attempt
 from fogspec.bench.retry import RetryPolicy, overdrawn
@@ -20,6 +21,7 @@ from fogspec.plan.schema import Sample, replicate
 from fogspec.results.schema import Measured
 
 IDLE_S = 0.5
+ABSENCE_S = 60.0  # without a look at any machine: this host was asleep
 SLOW_STOPS = 4
 
 
@@ -38,6 +40,8 @@ class Campaign:
     queue: list[Queued] = field(default_factory=list)
     retry: RetryPolicy = field(default_factory=RetryPolicy)
     left: list[str] = field(default_factory=list)
+    unstopped: list[Attempt] = field(default_factory=list)
+    looked_s: float | None = None
 
     def recover(self) -> set[str]:
         """Finish the work of an earlier controller: unwritten records, and machines that may still run.
@@ -63,8 +67,11 @@ class Campaign:
         self.queue += [Queued(sample) for sample in samples]
         try:
             while self.queue or self.running:
+                self._notice_absence()
                 if self.stopping():
                     self.queue.clear()
+                for attempt in self.running.values():
+                    self._look_for(attempt)
                 self._start_what_fits()
                 self._stop_what_does_not_fit()
                 for attempt in list(self.running.values()):
@@ -76,6 +83,14 @@ class Campaign:
         except BaseException:
             self._stop_all()
             raise
+
+    def _notice_absence(self) -> None:
+        """After this host was asleep, machines are watched as after a restart: they may have ended meanwhile."""
+        now, before = self.clock.now_s(), self.looked_s
+        self.looked_s = now
+        if before is not None and now - before > ABSENCE_S:
+            for attempt in self.running.values():
+                attempt.found_s = now
 
     def _pause_s(self) -> float:
         """Return the seconds until something may have changed; a wait for a retry is not spent polling."""
@@ -92,13 +107,13 @@ class Campaign:
         return [attempt for attempt in self.running.values() if attempt.end is None]
 
     def _adopted(self, started: LaunchRecord) -> Attempt:
-        same_boot = started.boot == self.clock.boot()
+        now = self.clock.now_s()
         task = self.config.task(started.sample) if started.application == self.config.measured else None
         attempt = Attempt(
             started=started,
             job=self._job(started, task or {}),
-            since_s=started.at_s if same_boot else self.clock.now_s(),
-            same_boot=same_boot,
+            since_s=now - started.age_s(self.clock),
+            found_s=now,
         )
         self.retry.started(started.sample.id)
         if task is None:
@@ -124,9 +139,9 @@ class Campaign:
         for entry in list(self.queue):
             if entry.not_before_s > now or len(self.running) >= self.backend.at_once:
                 continue
-            commitment = self.price(entry.sample) * self.config.lifetime_s / 3600
-            state, budget = self.journal.state, self.config.budget_usd
-            if budget is not None and overdrawn(state.spent_usd + state.committed_usd + commitment, budget):
+            commitment = self.config.commitment.usd(self.price(entry.sample))
+            budget = self.config.budget_usd
+            if budget is not None and overdrawn(self._bound_usd() + commitment, budget):
                 if not self.running:
                     self.queue.remove(entry)
                     self._unaffordable(entry, commitment)
@@ -142,8 +157,10 @@ class Campaign:
             application=config.measured,
             sample=sample,
             price_usd_per_hour=self.price(sample),
-            lifetime_s=config.lifetime_s,
+            lifetime_s=config.commitment.lifetime_s,
+            paid_s=config.commitment.paid_s,
             at_s=now,
+            at_unix_s=self.clock.unix_s(),
             boot=self.clock.boot(),
             substitute_for=entry.substitute_for,
         )
@@ -152,7 +169,7 @@ class Campaign:
             raise LookupError(f"{sample.id} has no task")
         job = self._job(started, task)
         self.journal.start(started)
-        attempt = Attempt(started=started, job=job, since_s=now, same_boot=True)
+        attempt = Attempt(started=started, job=job, since_s=now, found_s=now)
         self.running[started.name] = attempt
         self.retry.started(sample.id)
         self._report(sample, EventKind.STARTS, attempt)
@@ -163,13 +180,25 @@ class Campaign:
         except Unreachable as lost:
             self._report(sample, EventKind.LOST_CONTACT, attempt, detail=str(lost))
 
+    def _bound_usd(self) -> float:
+        """Return the most that everything started so far costs: spent, committed, and by machines that outlived that."""
+        state = self.journal.state
+        return state.spent_usd + state.committed_usd + self._outlived_usd()
+
+    def _outlived_usd(self) -> float:
+        there = [*self.running.values(), *self.unstopped]
+        return sum(one.started.price_usd_per_hour * one.outlived_s(self.clock) / 3600 for one in there)
+
     def _stop_what_does_not_fit(self) -> None:
         """If the budget was lowered since they were started, stop the most expensive machines first."""
         state, budget = self.journal.state, self.config.budget_usd
-        if budget is None or not overdrawn(state.spent_usd + state.committed_usd, budget):
+        if budget is None or not overdrawn(self._bound_usd(), budget):
             return
-        left = budget - state.spent_usd
-        for attempt in sorted(self._continuing(), key=lambda a: (a.started.commitment_usd, a.started.name)):
+        left = budget - state.spent_usd - self._outlived_usd()
+        # What has just been found may be done: its results are fetched first.
+        settled = [one for one in self._continuing() if not one.just_found(self.clock.now_s())]
+        left -= sum(one.started.commitment_usd for one in self.running.values() if one not in settled)
+        for attempt in sorted(settled, key=lambda a: (a.started.commitment_usd, a.started.name)):
             left -= attempt.started.commitment_usd
             if overdrawn(-left, 0.0):
                 left += attempt.started.commitment_usd
@@ -180,6 +209,17 @@ class Campaign:
             attempt.end = self._poll(attempt)
         if attempt.end is not None and self.clock.now_s() >= attempt.stop_after_s and self._stopped(attempt):
             self._finish(attempt, attempt.end)
+
+    def _look_for(self, attempt: Attempt) -> None:
+        """Find out whether a machine whose longest time is over has ended by itself; nobody saw when it did."""
+        name = attempt.started.name
+        if attempt.started.outlived or attempt.gone_s is not None or attempt.outlived_s(self.clock) <= 0:
+            return
+        with contextlib.suppress(Unreachable):
+            if name in self.backend.list(self.config.owner, self.config.attempts):
+                attempt.started = self.journal.outlived(name)
+            else:
+                attempt.gone_s = self.clock.now_s()
 
     def _poll(self, attempt: Attempt) -> SampleStatus | None:
         """Return the final status of the sample; None while it runs."""
@@ -197,7 +237,7 @@ class Campaign:
             self._report(sample, kind, attempt, status=status)
         if self.stopping():
             return attempt.stopped("interrupted", "stopped by its user")
-        return attempt.overdue(self.clock.now_s(), self.config.deadline_s)
+        return attempt.overdue(self.clock.now_s(), self.config.commitment.deadline_s)
 
     def _stopped(self, attempt: Attempt) -> bool:
         """Stop the attempt; return whether its machine is verified gone."""
@@ -210,6 +250,7 @@ class Campaign:
             if attempt.not_stopped(self.clock.now_s()):
                 # It stays open in the journal: the next bench stops it again, and its bill stays committed.
                 self.left.append(attempt.started.name)
+                self.unstopped.append(attempt)
                 del self.running[attempt.started.name]
             return False
         return True
@@ -217,14 +258,16 @@ class Campaign:
     def _finish(self, attempt: Attempt, end: SampleStatus) -> None:
         """Pay a machine that is gone, then record its sample, retry it, or measure it on another machine."""
         started, sample = attempt.started, attempt.started.sample
-        billed_s = attempt.billed_s(end, self.clock.now_s())
+        billed_s = attempt.billed_s(end, self.clock)
+        if (outlived_s := attempt.outlived_s(self.clock)) > 0 and end.recorded is None:
+            end = replace(end, detail="; ".join(filter(None, (end.detail, outlived(outlived_s)))))
         # A recording was paid at that time's prices and rounding.
         recorded = end.recorded
         spent_usd = started.price_usd_per_hour * billed_s / 3600 if recorded is None else recorded.spent
         wanted = started.application == self.config.measured and self.config.task(sample) is not None
         pause_s = None if self.stopping() or not wanted else self.retry.pause_s(sample.id, end)
         if not wanted or pause_s is not None:
-            self.journal.end(started.name, spent_usd, None)
+            self.journal.end(started.name, spent_usd, None, self.clock)
             self.sink.paid(self.journal.state.spent_usd)
             if pause_s is not None:
                 self.queue.append(Queued(sample, self.clock.now_s() + pause_s, started.substitute_for))
@@ -247,7 +290,7 @@ class Campaign:
             detail = filter(None, (record.detail, f"{substitute.id} takes its place"))
             record = record.model_copy(update={"detail": "; ".join(detail)})
         record = self.sink.keep(record, end.timings)
-        self.journal.end(started.name, record.spent, record)
+        self.journal.end(started.name, record.spent, record, self.clock)
         self._write(started, record)
         if substitute is not None:
             self.queue.append(Queued(substitute, substitute_for=root))
@@ -294,6 +337,6 @@ class Campaign:
             record=record,
             detail=detail,
             folder=None if attempt is None else attempt.job.directory,
-            ends_s=None if attempt is None else attempt.since_s + self.config.deadline_s,
+            ends_s=None if attempt is None else attempt.since_s + self.config.commitment.deadline_s,
         )
         self.report(event)

@@ -5,6 +5,7 @@ last line, which describes nothing that had happened yet and is cut off. Entries
 
     campaign  a bench begins: runner, and what had been spent on the results file until then
     start     about to start a machine: its name, its sample, price, lifetime and the clock's reading
+    outlived  that machine is still there though its longest time is over
     end       that machine is verified gone: what it cost and, unless it is tried again, its record
     written   that record is in the results file
 """
@@ -13,23 +14,30 @@ import contextlib
 import json
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from fogspec.backends.naming import ForeignMachine, Owner
+from fogspec.base.clock import Clock
 from fogspec.base.errors import OutOfDate
 from fogspec.base.project_files import ProjectFiles
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
 
 UNREADABLE = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
+ORPHAN = "unknown"  # the application of a machine that is only taken down
 MOST = 1e12  # of seconds, of USD: more is garbage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaunchRecord:
-    """A machine that was started, or was about to be: enough to find it, stop it and bound its cost."""
+    """A machine that was started, or was about to be: enough to find it, stop it and bound its cost.
+
+    Its own end comes `lifetime_s` after it was armed, and it is paid for `paid_s` at most; see `fogspec.plan.commitment`.
+    `at_s` is the reading of the clock of this `boot`, `at_unix_s` that of the wall clock, None in an old journal.
+    One that has `outlived` its longest time does not end by itself.
+    """
 
     name: str
     runner: str
@@ -37,14 +45,31 @@ class LaunchRecord:
     sample: Sample
     price_usd_per_hour: float
     lifetime_s: float
+    paid_s: float
     at_s: float
+    at_unix_s: float | None
     boot: str
     substitute_for: str | None = None
+    outlived: bool = False
 
     @property
     def commitment_usd(self) -> float:
-        """The most that it can cost: its price for its whole lifetime."""
-        return self.price_usd_per_hour * self.lifetime_s / 3600
+        """The most that it can cost: its price for the longest time that is paid."""
+        return self.price_usd_per_hour * self.paid_s / 3600
+
+    def passed_s(self, clock: Clock) -> float:
+        """Return the seconds since it was started.
+
+        Over a restart of this host the wall clock tells, and it may be wrong: no less than the longest time is assumed.
+        """
+        age_s = self.age_s(clock)
+        return age_s if self.boot == clock.boot() else max(age_s, self.paid_s)
+
+    def age_s(self, clock: Clock) -> float:
+        """Return the seconds since it was started, as far as the clocks tell."""
+        if self.boot == clock.boot():
+            return clock.now_s() - self.at_s
+        return 0.0 if self.at_unix_s is None else max(clock.unix_s() - self.at_unix_s, 0.0)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -52,9 +77,11 @@ class JournalState:
     """The sum of the journal: machines not verified gone, records not yet in the results, money spent.
 
     `totals` is what the application has cost so far in USD, by runner: the recorded costs of a replay are no money.
+    `ended` are machines that were verified gone, as if they had been started then: should one come back, it is paid from there.
     """
 
     open: dict[str, LaunchRecord] = field(default_factory=dict)
+    ended: dict[str, LaunchRecord] = field(default_factory=dict)
     unwritten: dict[str, tuple[LaunchRecord, Measured]] = field(default_factory=dict)
     totals: dict[str, float] = field(default_factory=dict)
     runner: str = ""
@@ -92,8 +119,12 @@ class JournalState:
         elif kind == "start":
             self.open[entry["name"]] = _started(entry)
             self.attempts += 1
+        elif kind == "outlived":
+            self.open[entry["name"]] = replace(self.open[entry["name"]], outlived=True)
         elif kind == "end":
             started = self.open.pop(entry["name"])
+            if "at_s" in entry:
+                self.ended[started.name] = replace(started, **_moment(entry), application=ORPHAN, outlived=False)
             self.totals[self.runner] = self.spent_usd + _amount(entry["spent_usd"])
             if entry["record"] is not None:
                 self.unwritten[started.name] = started, Measured.model_validate(entry["record"])
@@ -112,10 +143,21 @@ def _started(entry: Mapping[str, Any]) -> LaunchRecord:
         sample=Sample.model_validate(entry["sample"]),
         price_usd_per_hour=_amount(entry["price_usd_per_hour"]),
         lifetime_s=_amount(entry["lifetime_s"]),
-        at_s=_amount(entry["at_s"]),
-        boot=_name(entry["boot"]),
+        paid_s=_amount(entry["paid_s"] if "paid_s" in entry else entry["lifetime_s"]),
+        **_moment(entry),
         substitute_for=None if substitute_for is None else _name(substitute_for),
+        outlived=entry.get("outlived") is True,
     )
+
+
+def _moment(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the readings of the clocks in an entry."""
+    unix_s = entry.get("at_unix_s")
+    return {
+        "at_s": _amount(entry["at_s"]),
+        "at_unix_s": None if unix_s is None else _amount(unix_s),
+        "boot": _name(entry["boot"]),
+    }
 
 
 def _amount(value: Any) -> float:
@@ -194,10 +236,16 @@ class Journal:
         facts = {key: getattr(started, key) for key in LaunchRecord.__slots__}
         self.append(do="start", **{**facts, "sample": started.sample.model_dump(mode="json")})
 
-    def end(self, name: str, spent_usd: float, record: Measured | None) -> None:
-        """Record that a machine is verified gone; without a record its sample is measured again."""
+    def outlived(self, name: str) -> LaunchRecord:
+        """Record that a machine is still there though its longest time is over, and return what is known of it."""
+        self.append(do="outlived", name=name)
+        return self.state.open[name]
+
+    def end(self, name: str, spent_usd: float, record: Measured | None, clock: Clock | None = None) -> None:
+        """Record that a machine is verified gone, now; without a record its sample is measured again."""
         dumped = None if record is None else record.model_dump(mode="json")
-        self.append(do="end", name=name, spent_usd=spent_usd, record=dumped)
+        now = {} if clock is None else {"at_s": clock.now_s(), "at_unix_s": clock.unix_s(), "boot": clock.boot()}
+        self.append(do="end", name=name, spent_usd=spent_usd, record=dumped, **now)
 
     def written(self, name: str) -> None:
         """Record that the sample is in the results file."""

@@ -10,8 +10,9 @@ from fogspec.base.units import dollars
 from fogspec.bench.adaptive import should_resume
 from fogspec.bench.prepare import Prepared
 from fogspec.catalog.table import Catalog
+from fogspec.plan.commitment import Commitment, unattended
 from fogspec.plan.reuse import price_rises
-from fogspec.plan.schema import Sample, lifetime_s
+from fogspec.plan.schema import Sample
 
 NAMED = 9
 
@@ -24,7 +25,7 @@ class Quote:
     todo: tuple[Sample, ...]
     planned: int
     adaptive: bool
-    lifetime_s: float
+    commitment: Commitment
     cap_usd: float | None
     runner: str
     costs: Costs
@@ -48,7 +49,7 @@ class Quote:
             todo=prepared.todo,
             planned=len(body.samples),
             adaptive=adaptive,
-            lifetime_s=lifetime_s(body.duration, body.setup_timeout),
+            commitment=body.commitment,
             cap_usd=min(caps, default=None),
             runner=backend.name,
             costs=backend.costs,
@@ -56,7 +57,7 @@ class Quote:
 
     @property
     def worst_usd(self) -> float:
-        """The cost of the samples if each machine runs for its whole lifetime, without the cap."""
+        """The cost of the samples if each machine is paid for its longest time, without the cap."""
         return sum(self.usd(sample) for sample in self.todo)
 
     @property
@@ -66,7 +67,7 @@ class Quote:
 
     def usd(self, sample: Sample) -> float:
         """Return the most that one sample can cost."""
-        return sample.machine.price * self.lifetime_s / 3600
+        return self.commitment.usd(sample.machine.price)
 
     def spent_line(self, prepared: Prepared) -> str | None:
         """Return what is spent of the budget already; None if it is nothing, or no money."""
@@ -88,6 +89,11 @@ class Quote:
         most = min(self.worst_usd, self.worst_usd if self.cap_usd is None else self.cap_usd)
         when = ", where it stops" if capped else ", if every machine runs until it ends by itself"
         return f"{count}: at most {dollars(most)}{when if self.todo else ''}"
+
+    def unattended(self) -> Iterator[str]:
+        """Yield what becomes of machines that cost money if this computer goes off while they start."""
+        if self.costs is Costs.REAL:
+            yield from unattended((sample.machine for sample in self.todo), self.commitment, self.name)
 
     def lines(self) -> Iterator[str]:
         """Yield a line per sample."""

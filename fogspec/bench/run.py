@@ -5,6 +5,7 @@ import math
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from fogspec.agent.redaction import Secrets
@@ -20,7 +21,7 @@ from fogspec.base.units import dollars, format_money
 from fogspec.bench.adaptive import AdaptiveSampling, Tasks
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.journal import Journal
-from fogspec.bench.orphans import adopt_orphans
+from fogspec.bench.orphans import adopt_orphans, adopt_returned
 from fogspec.bench.prepare import Prepared
 from fogspec.bench.progress import ProgressReporter, RedactingProgress
 from fogspec.bench.quote import check_prices
@@ -31,14 +32,13 @@ from fogspec.catalog.table import Catalog
 from fogspec.numerics.priors import PriorData
 from fogspec.plan.budget import ceil_cents
 from fogspec.plan.reuse import price_rises
-from fogspec.plan.schema import Sample, lifetime_s
+from fogspec.plan.schema import Sample
 from fogspec.results.requests import RecordRules
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
 from fogspec.spec.lock_io import read_pins, snapshot
 from fogspec.spec.lockfile import pinned
 
-DEADLINE_BEFORE_END_S = 60.0
 Watch = Callable[[Campaign], ProgressReporter]
 
 
@@ -123,6 +123,12 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
             if not campaign.running:
                 _check_affordable(campaign, one.prepared)
             _run(one, campaign, sink, tasks, running)
+            if not campaign.left:
+                # A cloud's list lags behind: what had just been started elsewhere is on it by now.
+                adopt = partial(adopt_orphans, samples=one.prepared.plan.spec.samples, resume=True)
+                (adopt if one.options.resume else adopt_returned)(campaign)
+                campaign.recover()
+                campaign.run([])
         return BenchResult(sink.results(), redacted.folders)
     except KeyboardInterrupt:
         one.left[:] = journal.state.open
@@ -139,7 +145,7 @@ def _check_affordable(campaign: Campaign, prepared: Prepared) -> None:
     budget, spent_usd = prepared.application.spec.benchmark.budget, campaign.journal.state.spent_usd
     if campaign.backend.costs != Costs.REAL or budget is None or not prepared.todo:
         return
-    least_usd = min(map(campaign.price, prepared.todo)) * campaign.config.lifetime_s / 3600
+    least_usd = campaign.config.commitment.usd(min(map(campaign.price, prepared.todo)))
     if overdrawn(spent_usd + least_usd, budget):
         needs = f"the next sample may cost {dollars(least_usd)}"
         raise Refused(
@@ -161,7 +167,6 @@ def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, runni
             catalog=options.catalog,
             tasks=tasks,
             sink=sink,
-            lifetime_s=campaign.config.lifetime_s,
             library=options.library,
         )
         todo = _unmeasured(sampling.begin(), sink)
@@ -225,15 +230,13 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
     known_usd = max(sink.spent_usd, prepared.spent_usd.get(backend.name, 0.0))
     journal.begin(backend.name, measured, prepared.plan_digest, known_usd)
     sink.spent_usd = journal.state.spent_usd
-    life_s = lifetime_s(body.duration, body.setup_timeout)
     allowed = None if one.options.max_usd is None else journal.state.spent_usd + one.options.max_usd
     config = CampaignConfig(
         owner=owner,
         measured=measured,
         rules=RecordRules.of(prepared.application),
         budget_usd=min((cap for cap in (spec.benchmark.budget, allowed) if cap is not None), default=None),
-        deadline_s=life_s - DEADLINE_BEFORE_END_S,
-        lifetime_s=life_s,
+        commitment=body.commitment,
         task=tasks.task,
         root=layout.root,
         attempts=layout.attempts,

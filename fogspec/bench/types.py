@@ -8,6 +8,7 @@ from typing import Protocol
 
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import SampleStatus
+from fogspec.plan.commitment import Commitment
 from fogspec.plan.schema import Sample
 from fogspec.results.requests import RecordRules
 from fogspec.results.schema import Measured
@@ -21,17 +22,15 @@ class CampaignConfig:
 
     `tree` is the snapshot of the files that each machine is sent, None for none.
     `task` returns a sample's reviewed task, parsed, or None if the sample is no longer wanted; `substitutes` returns samples to
-    measure if the one with this id is unavailable, best first. The controller stops a sample after `deadline_s`; its machine
-    shuts itself down after `lifetime_s`. `token` makes the names of this campaign's jobs differ from all others, also when the
-    journal is lost.
+    measure if the one with this id is unavailable, best first. `commitment` has the times of each sample's machine. `token`
+    makes the names of this campaign's jobs differ from all others, also when the journal is lost.
     """
 
     owner: Owner
     measured: str
     rules: RecordRules
     budget_usd: float | None
-    deadline_s: float
-    lifetime_s: float
+    commitment: Commitment
     task: Callable[[Sample], Mapping[str, object] | None]
     root: Path
     attempts: Path

@@ -103,6 +103,8 @@ def command(
         _check_place(prepared, backend)
         offering = Quote.of(prepared, backend, max_usd)
         say(offering.line(), err=True)
+        for text in offering.unattended():
+            say(f"  {text}", err=True)
         if (spent := offering.spent_line(prepared)) is not None:
             say(spent, err=True)
         for note in backend.notes:

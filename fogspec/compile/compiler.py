@@ -95,11 +95,12 @@ def check_budget(application: Application, plan: Plan, admissible: Filtered, res
     if budget is None or within_budget(plan, due):
         return
     before = f", {dollars(due.spent_usd)} of it spent already" if due.spent_usd else ""
-    measuring, setup = dollars(due.estimate.measuring), dollars(due.estimate.setup)
+    parts = due.estimate
     raise Refused(
         f"{plan.metadata.name}: the plan may cost {dollars(due.total_usd)}{before}, "
         f"the budget is {dollars(budget)}: nothing was written",
-        f"{len(due.todo)} samples to measure: measuring {measuring}, set-up {setup}",
+        f"{len(due.todo)} samples to measure: measuring {dollars(parts.measuring)}, set-up {dollars(parts.setup)}, "
+        f"start and end of the machines {dollars(parts.overhead)}, each at most",
         "ways to make it fit, those that lose least first:",
         *(f"- {option.line()}" for option in cheapest_options(application, plan, due, admissible)),
         f"- raise spec.benchmark.budget to {format_money(ceil_cents(due.total_usd))}: loses nothing",

@@ -12,7 +12,7 @@ from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered
 from fogspec.compile.tasks import left_out, measured_processes, ros_environment, sample_task
-from fogspec.plan.schema import Plan, Sample, TaskRef, lifetime_s
+from fogspec.plan.schema import Plan, Sample, TaskRef
 from fogspec.plan.substitutes import substitutes
 from fogspec.results.schema import Results
 from fogspec.spec.probe import name_of, probe_parts
@@ -63,20 +63,19 @@ def task_file(application: Application, plan: Plan, sample: Sample, layout: Layo
 def sample_task_of(application: Application, plan: Plan, sample: Sample, layout: Layout) -> dict[str, Any]:
     """Return the task of one sample."""
     body = plan.spec
-    life_s = lifetime_s(body.duration, body.setup_timeout)
     ros = ros_environment(application.spec)
     secrets = [word for name in application.spec.secrets for word in ("--secret", name)]
     run = render(
         "run_sample.sh.j2",
         **ros,
         limits=[*_limits(application, plan), *secrets],
-        lifetime_s=life_s,
+        lifetime_s=body.commitment.lifetime_s,
         processes=measured_processes(application.spec),
     )
     return sample_task(
         application,
         sample,
-        life_s,
+        body.commitment,
         workdir=layout.relative(layout.spec.parent),
         agent=layout.relative(layout.agent),
         setup=_setup_script(ros),

@@ -12,6 +12,7 @@ from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
 from fogspec.catalog.machine import Machine
 from fogspec.compile.links import link_of, port_of
+from fogspec.plan.commitment import Commitment, time_limit
 from fogspec.plan.schema import Sample
 from fogspec.spec.lockfile import measurement_sends_files
 from fogspec.spec.probe import optional, player, probe_parts
@@ -37,7 +38,7 @@ ROS_APT_PACKAGES = {
 def sample_task(
     application: Application,
     sample: Sample,
-    lifetime_s: float,
+    commitment: Commitment,
     *,
     workdir: str,
     agent: str,
@@ -46,12 +47,13 @@ def sample_task(
 ) -> dict[str, Any]:
     """Return the task that measures one sample; `workdir` and `agent` are paths relative to where it is launched.
 
-    The machine ends `lifetime_s` after its start at the latest: SkyPilot's autostop with `wait_for: none` counts
-    whether or not the job still runs, so that one that hangs keeps no machine.
+    SkyPilot's autostop with `wait_for: none` counts the machine's lifetime whether or not the job still runs, so that one
+    that hangs keeps no machine. SkyPilot arms it once the files are there, and the job begins. Where the engine has a time
+    limit of its own, the task sets it as well: it counts from the machine's start, so no controller is needed for it.
     """
-    autostop = {"idle_minutes": math.ceil(lifetime_s / 60), "down": True, "wait_for": "none"}
+    autostop = {"idle_minutes": math.ceil(commitment.lifetime_s / 60), "down": True, "wait_for": "none"}
     labels = {"fogspec-application": application.metadata.name, "fogspec-sample": sample.id[:63].rstrip("-")}
-    return _task(
+    task = _task(
         application,
         sample.machine,
         autostop=autostop,
@@ -61,6 +63,8 @@ def sample_task(
         setup=setup,
         run=run,
     )
+    limit = time_limit(sample.machine, commitment.lifetime_s)
+    return task if limit is None else {**task, "config": limit}
 
 
 def deploy_task(

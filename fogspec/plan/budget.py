@@ -8,6 +8,7 @@ from fogspec.base import units
 from fogspec.base.errors import Infeasible, InvalidInput
 from fogspec.catalog.filters import Filtered
 from fogspec.catalog.table import Catalog
+from fogspec.plan.commitment import Commitment, room_s
 from fogspec.plan.design import make_plan
 from fogspec.plan.schema import Estimate, Plan, Sample, estimate
 from fogspec.spec.schema import Application, Hardware
@@ -52,7 +53,7 @@ class CostEstimate:
 def estimate_cost(plan: Plan, done: frozenset[str] = frozenset(), spent_usd: float = 0.0) -> CostEstimate:
     """Return the cost estimate of a plan whose samples `done` are measured, at `spent_usd` so far."""
     todo = tuple(sample for sample in plan.spec.samples if sample.id not in done)
-    return CostEstimate(todo, spent_usd, estimate(todo, plan.spec.duration, plan.spec.setup_timeout))
+    return CostEstimate(todo, spent_usd, estimate(todo, plan.spec.commitment))
 
 
 def within_budget(plan: Plan, due: CostEstimate) -> bool:
@@ -75,17 +76,17 @@ def ceil_cents(usd: float) -> float:
 
 def _less_time(plan: Plan, due: CostEstimate) -> Iterator[BudgetOption]:
     body = plan.spec
-    usd_per_s = math.fsum(sample.machine.price for sample in due.todo) / 3600
-    left_s = ((body.budget or 0.0) - due.spent_usd) / usd_per_s
+    usd_per_hour = math.fsum(sample.machine.price for sample in due.todo)
+    left_s = room_s(((body.budget or 0.0) - due.spent_usd) * 3600 / usd_per_hour)
     shorter = _round_down(left_s - body.setup_timeout)
     if MIN_MEASURING_S <= shorter < body.duration:
         change = _lower("spec.benchmark.stop.duration", body.duration, shorter)
-        total_usd = due.spent_usd + usd_per_s * (shorter + body.setup_timeout)
+        total_usd = due.spent_usd + Commitment(measuring_s=shorter, setup_s=body.setup_timeout).usd(usd_per_hour)
         yield BudgetOption(1 - shorter / body.duration, change, total_usd, "loses requests of each sample after that")
     sooner = _round_down(left_s - body.duration)
     if MIN_SETUP_S <= sooner < body.setup_timeout:
         change = _lower("spec.benchmark.setup_timeout", body.setup_timeout, sooner)
-        total_usd = due.spent_usd + usd_per_s * (sooner + body.duration)
+        total_usd = due.spent_usd + Commitment(measuring_s=body.duration, setup_s=sooner).usd(usd_per_hour)
         loses = "loses every machine that takes longer to be ready"
         yield BudgetOption(1 - sooner / body.setup_timeout, change, total_usd, loses)
 
@@ -105,10 +106,10 @@ def _fewer_machines(plan: Plan, due: CostEstimate) -> Iterator[BudgetOption]:
     kept = sorted(due.todo, key=lambda sample: (sample.machine.price, sample.id))
     lost: list[Sample] = []
     body = plan.spec
-    while kept and due.spent_usd + estimate(kept, body.duration, body.setup_timeout).total > (body.budget or 0.0):
+    while kept and due.spent_usd + estimate(kept, body.commitment).total > (body.budget or 0.0):
         lost.append(kept.pop())
     if kept:
-        total = due.spent_usd + estimate(kept, body.duration, body.setup_timeout).total
+        total = due.spent_usd + estimate(kept, body.commitment).total
         words = f"measure {len(kept)} of {len(due.todo)} machines (spec.benchmark.machines)"
         yield BudgetOption(len(lost) / len(due.todo), words, total, f"loses {_named([_cell(one) for one in lost])}")
 

@@ -25,6 +25,7 @@ from fogspec.catalog.filters import (
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import About, Catalog, Floats, ranks
 from fogspec.numerics.design import Cell, Grid, edge_grid
+from fogspec.plan.commitment import Commitment
 from fogspec.plan.schema import (
     NO_PINS,
     ApplicationRef,
@@ -105,7 +106,7 @@ def plan_of(
         warmup=benchmark.warmup,
         setup_timeout=benchmark.setup_timeout,
         budget=benchmark.budget,
-        estimate=estimate(design.samples, stop.duration, benchmark.setup_timeout),
+        estimate=estimate(design.samples, commitment(spec)),
         samples=list(design.samples),
         notes=[*design.notes, *_unpinned(application, pins)],
     )
@@ -143,8 +144,13 @@ def cheapest_first(offers: Catalog) -> NDArray[np.intp]:
 
 
 def max_cost_usd(spec: Spec, price_usd_per_hour: Floats) -> Floats:
-    """Return the maximum cost in USD of one sample of each machine: set-up and measuring, as long as the spec allows."""
-    return price_usd_per_hour * (spec.benchmark.setup_timeout + spec.benchmark.stop.duration) / 3600
+    """Return the maximum cost in USD of one sample of each machine."""
+    return price_usd_per_hour * commitment(spec).paid_s / 3600
+
+
+def commitment(spec: Spec) -> Commitment:
+    """Return the times that a sample of this spec is paid for at most."""
+    return Commitment(measuring_s=spec.benchmark.stop.duration, setup_s=spec.benchmark.setup_timeout)
 
 
 def _adaptive(spec: Spec, admissible: Filtered, library: "PriorData | None") -> Design:

@@ -7,7 +7,7 @@ from fogspec.base.units import Range
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
-from fogspec.plan.design import Design, plan_of
+from fogspec.plan.design import Design, commitment, plan_of
 from fogspec.plan.schema import (
     NO_PINS,
     ApplicationRef,
@@ -109,7 +109,7 @@ def _with(application: Application, body: PlanBody, catalog: Catalog, samples: S
             ),
             "catalog": CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
             "budget": benchmark.budget,
-            "estimate": estimate(samples, benchmark.stop.duration, benchmark.setup_timeout),
+            "estimate": estimate(samples, commitment(application.spec)),
             "samples": list(samples),
         }
     )

@@ -15,6 +15,7 @@ from fogspec.base.clouds import cloud_of
 from fogspec.base.quantities import Duration, Money, Strict
 from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
+from fogspec.plan.commitment import Commitment
 from fogspec.spec.schema import Hardware
 
 Sampler = Literal["grid", "adaptive", "list"]
@@ -88,10 +89,14 @@ class Sampling(Strict):
 
 
 class Estimate(Strict):
-    """The maximum cost of the plan, and its duration with all samples at once."""
+    """The maximum cost of the plan, and its duration with all samples at once.
+
+    `measuring` and `setup` are their longest times, `overhead` the rest that is paid: provisioning, collecting, teardown.
+    """
 
     measuring: Money
     setup: Money
+    overhead: Money = Field(0.0)
     total: Money
     wall: Duration
 
@@ -121,6 +126,11 @@ class PlanBody(Strict):
     substitutes: list[Substitute] = Field([])
     notes: list[str]
 
+    @property
+    def commitment(self) -> Commitment:
+        """The most that each sample's machine is paid for."""
+        return Commitment(measuring_s=self.duration, setup_s=self.setup_timeout)
+
 
 class PlanMetadata(Strict):
     """The name of the application."""
@@ -142,7 +152,6 @@ class Plan(Strict):
         return shell_command("fogspec", "bench", fspath(spec), *(["--runner", "local"] if local else []))
 
 
-LIFETIME_SLACK_S = 300.0
 NO_PINS: Mapping[str, str] = MappingProxyType({})
 
 
@@ -175,18 +184,16 @@ def next_on(machine: Machine, reason: str, taken: Collection[str]) -> Sample:
     return next(sample for sample in numbered if sample.id not in taken)
 
 
-def estimate(samples: Sequence[Sample], after_s: float, setup_s: float) -> Estimate:
-    """Return the cost in USD and the duration in seconds if each sample takes `setup_s` and measures for `after_s`."""
-    usd_per_s = math.fsum(sample.machine.price for sample in samples) / 3600
-    measuring, setup = round(usd_per_s * after_s, 6), round(usd_per_s * setup_s, 6)
-    return Estimate(measuring=measuring, setup=setup, total=round(measuring + setup, 6), wall=after_s + setup_s)
+def estimate(samples: Sequence[Sample], each: Commitment) -> Estimate:
+    """Return the most that the samples can cost in USD, and the time in seconds that they measure and set up at most."""
+    usd_per_hour = math.fsum(sample.machine.price for sample in samples)
+    measuring, setup = (round(usd_per_hour * seconds / 3600, 6) for seconds in (each.measuring_s, each.setup_s))
+    total = round(each.usd(usd_per_hour), 6)
+    overhead = max(round(total - measuring - setup, 6), 0.0)
+    wall = each.measuring_s + each.setup_s
+    return Estimate(measuring=measuring, setup=setup, overhead=overhead, total=total, wall=wall)
 
 
 def digest_without_budget(plan: Plan) -> str:
     """Return the digest of a plan's content without its budget, which decides only whether the plan is measured."""
     return digest.of_value(plan.model_dump(mode="json", exclude={"spec": {"budget"}}))
-
-
-def lifetime_s(after_s: float, setup_s: float) -> float:
-    """Return the lifetime of a benchmark machine in seconds, in whole minutes: it terminates itself after that."""
-    return math.ceil((setup_s + after_s + LIFETIME_SLACK_S) / 60) * 60.0

@@ -24,7 +24,6 @@ from fogspec.choice.shortlist import shortlist
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision
 from fogspec.model.fit import Model, targets
-from fogspec.plan.schema import lifetime_s
 from fogspec.report.summary import entry_text, infeasible_text
 
 MOST_SAMPLES = 3
@@ -43,7 +42,7 @@ class Analysis:
         """Analyze a decision; refit the model without each sample in turn."""
         offers = compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
-        usd = offers.price_usd_per_hour * lifetime_s(body.duration, body.setup_timeout) / 3600
+        usd = offers.price_usd_per_hour * body.commitment.paid_s / 3600
         failed = [one.machine for one in decision.models.spec.rejected]
         return cls(
             slacks(decision.choice),

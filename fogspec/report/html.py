@@ -142,8 +142,8 @@ def _models(compiled: Artifacts, refits: Refits | None) -> dict[str, Any] | None
 def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
     body, results = compiled.plan.spec, compiled.results
     rows = [
-        ("measuring, at most", units.format_money(body.estimate.measuring)),
-        ("with set-up, at most", units.format_money(body.estimate.total)),
+        ("measuring", units.format_money(body.estimate.measuring)),
+        ("with set-up, start and end, at most", units.format_money(body.estimate.total)),
         ("budget", "none" if body.budget is None else units.format_money(body.budget)),
         ("spent on measuring", units.format_money(results.spec.spent if results else 0.0)),
     ]

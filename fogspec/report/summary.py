@@ -6,6 +6,7 @@ from fogspec.base import units
 from fogspec.base.text import shell_command
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
+from fogspec.plan.commitment import unattended
 from fogspec.plan.design import max_cost_usd
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def _plan_text(compiled: Artifacts) -> str:
     wall = f"{units.format_duration(estimate.wall)} if all run at once"
     cents = f"{estimate.measuring * 100:.3f}".rstrip("0").rstrip(".")
     total = dollars(estimate.total)
-    return f"{count}; measuring costs at most {cents} cents, with set-up at most {total}{budget}; {wall}"
+    return f"{count}; measuring costs {cents} cents, with set-up, start and end at most {total}{budget}; {wall}"
 
 
 def payoff(compiled: Artifacts) -> "Payoff | None":
@@ -88,7 +89,10 @@ def _unmeasured(compiled: Artifacts) -> list[str]:
 def _next(compiled: Artifacts, command: str) -> list[str]:
     if compiled.stale:
         return [f"  stale: {compiled.stale}", f"next: {command}"]
-    return ["  not measured yet: models, menu and manifest follow once it is", f"next: {command}"]
+    body = compiled.plan.spec
+    machines = [sample.machine for sample in body.samples]
+    beware = [_row("", "", text) for text in unattended(machines, body.commitment, compiled.layout.name)]
+    return [*beware, "  not measured yet: models, menu and manifest follow once it is", f"next: {command}"]
 
 
 def _menu_text(menu: "Menu") -> str:
@@ -141,6 +145,7 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         "estimate_usd": {
             "measuring": body.estimate.measuring,
             "setup": body.estimate.setup,
+            "overhead": body.estimate.overhead,
             "total": body.estimate.total,
         },
         "budget_usd": body.budget,

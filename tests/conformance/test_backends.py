@@ -30,7 +30,7 @@ from fogspec.results.io import Recording
 from fogspec.results.schema import LatencySummary, Measured
 from tests.support.agent import AGENT
 from tests.support.fake_sky import Cloud, SimulatedClient
-from tests.support.jobs import resources
+from tests.support.jobs import config, resources
 
 RECORD = {"name": "work", "start_s": 1.0, "latency_s": 0.25, "ok": True, "metrics": {}, "reason": None}
 LINE = json.dumps(RECORD)
@@ -121,7 +121,14 @@ def sample(folder: Path, ref: Machine, run: str = MEASURE, **task: Any) -> Job:
         name=name,
         owner=OWNER,
         machine=ref,
-        task={"run": run, "workdir": "specs", "file_mounts": MOUNTS, "resources": resources(ref, 900.0), **task},
+        task={
+            "run": run,
+            "workdir": "specs",
+            "file_mounts": MOUNTS,
+            "resources": resources(ref, 900.0),
+            **config(ref, 900.0),
+            **task,
+        },
         root=folder,
         directory=folder / ".fogspec" / "demo" / "attempts" / name,
         lifetime_s=900.0,

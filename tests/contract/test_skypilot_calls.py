@@ -39,7 +39,7 @@ SCRIPT = """
 from fogspec.backends.skypilot import api
 for op, words in [("end", {"name": "production"}), ("launch", {"task": {"run": "true"}, "name": "x", "root": "/"}),
                   ("jobs", {"name": "x"}), ("autostop", {"name": "x", "idle_minutes": 1}), ("find", {"name": "fogspe"}),
-                  ("clusters", {"prefix": ""}), ("log", {"name": "x", "job": 1, "path": "/dev/null", "limit": 1})]:
+                  ("clusters", {"prefix": ""}), ("log", {"name": "x", "job": 1, "root": "/", "path": "/dev/null", "limit": 1})]:
     try:
         api.OPERATIONS[op](**words)
     except ValueError as refused:
@@ -141,3 +141,53 @@ assert log == ["down"], ("the machine was there", log)
 def test_what_skypilot_knows_nothing_of_is_looked_for_once_more() -> None:
     ended = subprocess.run([sys.executable, "-c", ENDED], capture_output=True, text=True, timeout=120)
     assert ended.returncode == 0, ended.stderr[-2000:]
+
+
+POWER_OFF = """
+import json, re, yaml
+from importlib import resources
+from jinja2 import Template
+from sky import skypilot_config
+from sky.server.requests import payloads
+from sky.utils.annotations import client_api
+from fogspec.backends.skypilot.power_off import power_off_armed
+
+def user_data(task):
+    \"\"\"What SkyPilot's API server writes into the user data of a machine on AWS, from what its client sends.\"\"\"
+    with power_off_armed(task):
+        sent = client_api(lambda: json.loads(json.dumps(payloads.get_override_skypilot_config_from_client())))()
+    with skypilot_config.override_skypilot_config(sent):
+        runcmd = skypilot_config.get_effective_region_config(
+            cloud="aws", region="us-east-1", keys=("post_provision_runcmd",), default_value=None)
+    template = resources.files("sky").joinpath("templates/aws-ray.yml.j2").read_text()
+    part = re.search(r"UserData: [|]\\n(.*?)TagSpecifications", template, re.DOTALL)[1]
+    return yaml.safe_load(Template(part).render(runcmd=runcmd))
+
+def task(infra, **autostop):
+    return {"resources": {"infra": infra, "autostop": {"idle_minutes": 15, "down": True, **autostop}}}
+
+before = skypilot_config.to_dict()
+sample = user_data(task("aws/us-east-1", wait_for="none"))
+print(json.dumps({
+    "sample": sample.get("runcmd"), "first_boot": sorted(sample),
+    "deployment": user_data(task("aws/us-east-1")).get("runcmd"),
+    "gcp": user_data(task("gcp/us-central1", wait_for="none")).get("runcmd"),
+    "left": skypilot_config.to_dict() == before,
+}))
+"""
+
+
+@pytest.mark.usefixtures("no_server")
+@pytest.mark.parametrize("theirs", [None, "modprobe fuse"])
+def test_the_first_boot_on_aws_arms_a_timer_that_turns_the_machine_off(tmp_path: Path, theirs: str | None) -> None:
+    """Fifteen minutes of lifetime, after five until SkyPilot's own end is armed: in the user data that the cloud gets."""
+    if theirs is not None:
+        (tmp_path / ".sky").mkdir()
+        (tmp_path / ".sky" / "config.yaml").write_text(f"aws: {{post_provision_runcmd: [{theirs}]}}\n")
+    ended = subprocess.run([sys.executable, "-c", POWER_OFF], capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    said, kept = json.loads(ended.stdout.splitlines()[-1]), [theirs] if theirs else []
+    assert said["sample"] == ["systemd-run --on-boot=1200 systemctl poweroff", *kept]
+    assert said["deployment"] == said["gcp"] == (kept or None), "no end of ours, and the user's own commands stay"
+    assert "runcmd" in said["first_boot"]
+    assert said["left"]

@@ -139,6 +139,24 @@ def test_skypilot_finds_the_machine_that_was_planned(project: Path, understood: 
     assert seen == {"aws", "gcp", "azure", "slurm", "kubernetes"}
 
 
+def test_skypilot_takes_the_time_limit_of_each_engine_that_has_one(project: Path, understood: dict[str, dict]) -> None:
+    plan = read_document(project / "compiled" / "everywhere" / "plan.yaml", Plan)
+    most_s, seen = plan.spec.commitment.machine_s, set()
+    for sample in plan.spec.samples:
+        one = understood[f"compiled/everywhere/tasks/{sample.id}.sky.yaml"]
+        assert one["allowed"]
+        assert one["pod_problem"] is None
+        cloud = sample.machine.infra.split("/")[0]
+        if cloud == "slurm":
+            assert one["directives"] == ["#SBATCH", f"--time={most_s / 60:g}"]
+        elif cloud == "kubernetes":
+            assert one["limits"] == {"kubernetes": {"pod_config": {"spec": {"activeDeadlineSeconds": most_s}}}}
+        else:
+            assert one["limits"] == {}
+        seen.add(cloud)
+    assert seen == {"gcp", "azure", "slurm", "kubernetes"}
+
+
 def test_slurm_gets_no_image_and_the_plan_says_so(project: Path, understood: dict[str, dict]) -> None:
     slurm = [one for path, one in understood.items() if "slurm" in path]
     assert slurm

@@ -157,7 +157,7 @@ def test_a_larger_box_is_partial_and_a_smaller_one_fresh(project):
     project("status", "specs/demo.yaml", *AT, "--exit-code")
 
 
-@pytest.mark.parametrize("budget", ["$0.02", "$0.1", "$0.3", "$1"])
+@pytest.mark.parametrize("budget", ["$0.09", "$0.2", "$0.6", "$2"])
 def test_the_budget_is_a_wall_for_waves_too(project, budget):
     write_spec(project, benchmark=ADAPTIVE.replace("$5", budget))
     project("compile", "specs/demo.yaml", *AT)

@@ -26,8 +26,9 @@ def offers(shell: Shell) -> Shell:
 
 
 def test_nothing_is_written_and_three_ways_are_named_besides_more_money(offers: Shell) -> None:
-    said = refused(offers, "$0.40")
-    assert "the plan may cost $0.6420, the budget is $0.4000" in said, "$6.42 an hour for six minutes"
+    said = refused(offers, "$1.20")
+    assert "the plan may cost $1.93, the budget is $1.20" in said, "$6.42 an hour for 18 minutes"
+    assert "measuring $0.5350, set-up $0.1070, start and end of the machines $1.28, each at most" in said
     assert not (offers.folder / "compiled").exists()
     ways = [line for line in said.splitlines() if line.startswith("  - ")]
     assert len(ways) == 4
@@ -67,11 +68,11 @@ def test_every_way_that_changes_the_spec_makes_it_fit(offers: Shell, budget: str
 
 
 def test_what_was_measured_already_is_not_paid_twice(offers: Shell) -> None:
-    project(offers, benchmark="{budget: $0.05, stop: {duration: 1min}, setup_timeout: 1min}")
+    project(offers, benchmark="{budget: $0.30, stop: {duration: 1min}, setup_timeout: 1min}")
     measure(offers)
     offers("compile", "specs/demo.yaml", *AT)
     offers.write(
-        "specs/demo.yaml", spec(hardware=WIDE, benchmark="{budget: $0.05, stop: {duration: 1min}, setup_timeout: 1min}")
+        "specs/demo.yaml", spec(hardware=WIDE, benchmark="{budget: $0.30, stop: {duration: 1min}, setup_timeout: 1min}")
     )
     said = offers("compile", "specs/demo.yaml", *AT, code=5).err
     assert "of it spent already" in said

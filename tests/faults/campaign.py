@@ -5,32 +5,74 @@ other faults is killed at each of its steps in turn, journal writes among them.
 """
 
 import collections
+import json
 import math
 import random
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from fogspec.results.schema import is_final
-from tests.faults.controllers import bench, place
+from tests.faults.controllers import COMMITMENT, bench, place
 from tests.faults.simulation import World
 
 
 class Tally(collections.Counter[str]):
     """Counts of benches, controllers, kills, faults and misdeeds."""
 
+    def __init__(self, *words: object) -> None:
+        super().__init__(*words)
+        self.true_usd, self.billed_usd, self.worst = 0.0, 0.0, 1.0
+
+    def billed(self, spent: Mapping[str, float], world: World) -> None:
+        """Compare what the journal says with the provider's bill."""
+        self.true_usd += world.bill
+        self.billed_usd += sum(spent.values())
+        if world.bill > 0:
+            self.worst = max(self.worst, sum(spent.values()) / world.bill)
+
     def line(self) -> str:
-        return ", ".join(f"{name} {self[name]}" for name in self)
+        counts = ", ".join(f"{name} {self[name]}" for name in self)
+        return f"{counts}, billed {self.billed_usd / self.true_usd:.3f} of the true bill, at most {self.worst:.2f}"
 
 
-WRONG = ("machines leaked", "budgets exceeded", "finished samples lost", "measured twice", "other misdeeds")
+WRONG = ("machines leaked", "budgets exceeded", "machines under-billed", "finished samples lost", "measured twice",
+         "other misdeeds")  # fmt: skip
+UNWATCHED = "budgets passed by machines without an end of their own while nobody looked"
+COMMITTED_S = COMMITMENT.paid_s
+
+
+def over(world: World, budget: float | None) -> bool:
+    """Whether the true bill passes the budget, but for machines without an end of their own that nobody looked after."""
+    if budget is None or world.bill <= budget * (1 + 1e-9):
+        return False
+    beyond = sum(world.beyond_control(machine, COMMITTED_S) for machine in world.machines.values())
+    return world.bill - beyond > budget * (1 + 1e-9)
+
+
+def paid(world: World) -> dict[str, float]:
+    """What the journal says that each machine cost."""
+    entries = [json.loads(line) for line in (world.folder / "journal.jsonl").read_text().splitlines()]
+    sums = collections.defaultdict[str, float](float)
+    for entry in entries:
+        if entry["do"] == "end":
+            sums[entry["name"]] += entry["spent_usd"]
+    return sums
 
 
 def judge(world: World, budget: float | None, tally: Tally) -> None:
     """What must never happen, counted by what the world knows, not by what fogspec believes."""
     records = world.disk["samples"]
-    tally["machines leaked"] += sum(m.ended is None for m in world.machines.values())
-    tally["budgets exceeded"] += budget is not None and world.bill > budget * (1 + 1e-9)
+    tally["machines leaked"] += sum(m.ended is None or m.there(world.now) for m in world.machines.values())
+    tally["budgets exceeded"] += over(world, budget)
+    passed = budget is not None and world.bill > budget * (1 + 1e-9)
+    tally[UNWATCHED] += passed and not over(world, budget)
+    spent = paid(world)
+    tally["machines under-billed"] += sum(
+        spent[name] < machine.bill(world.now) * (1 - 1e-9) for name, machine in world.machines.items()
+    )
+    tally.billed(spent, world)
     by_sample = collections.defaultdict(list)
     for machine in world.machines.values():
         if machine.fetched:
@@ -57,7 +99,7 @@ def run_one(seed: int, tally: Tally, kills: set[int] | None = None, faults: bool
         world = World(seed, Path(folder), faults=faults, kills=kills)
 
         def check(now: World) -> None:
-            tally["budgets exceeded"] += budget is not None and now.bill > budget * (1 + 1e-9)
+            tally["budgets exceeded"] += over(now, budget)
 
         tally["controllers"] += bench(world, budget, count, check)
         judge(world, budget, tally)
@@ -77,22 +119,22 @@ def run_forgetful(seed: int, tally: Tally) -> None:
     with tempfile.TemporaryDirectory() as folder:
         world = World(seed, Path(folder), kills=kills, forgets=True)
         bench(world, None, count, lambda _: None)
-        tally["machines leaked"] += sum(m.up(world.now) for m in world.machines.values())
+        tally["machines leaked"] += sum(m.there(world.now) for m in world.machines.values())
         tally["other misdeeds"] += len(world.misdeeds)
     tally["benches that lost their journal"] += 1
 
 
-def main(benches: int = 1000) -> Tally:
+def main(benches: int = 1000, first: int = 0) -> Tally:
     """Random benches, then the base bench killed at every step, then benches that lose their journal."""
     names = ("benches", "benches that lost their journal", "controllers", "kills", "machines started",
-             "machines in another's place", "samples finished", *WRONG)  # fmt: skip
+             "machines in another's place", "samples finished", UNWATCHED, *WRONG)  # fmt: skip
     tally = Tally(dict.fromkeys(names, 0))
-    for seed in range(benches):
+    for seed in range(first, first + benches):
         run_one(seed, tally)
     for step in range(1, run_one(0, tally, kills=set(), faults=False).steps + 1):
         run_one(0, tally, kills={step}, faults=False)
         run_one(0, tally, kills={step, step + 3}, faults=False)
-    for seed in range(benches // 10):
+    for seed in range(first, first + benches // 10):
         run_forgetful(seed, tally)
     return tally
 

@@ -7,6 +7,7 @@ from fogspec.bench.campaign import Campaign
 from fogspec.bench.orphans import adopt_orphans
 from fogspec.bench.types import CampaignConfig
 from fogspec.catalog.machine import Machine
+from fogspec.plan.commitment import Commitment
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import is_final
 from tests.faults.simulation import (
@@ -14,7 +15,6 @@ from tests.faults.simulation import (
     OWNER,
     RULES,
     SETUP_S,
-    SLACK_S,
     FaultyBackend,
     Killed,
     MortalJournal,
@@ -22,6 +22,8 @@ from tests.faults.simulation import (
     VirtualClock,
     World,
 )
+
+COMMITMENT = Commitment(measuring_s=AFTER_S, setup_s=SETUP_S)
 
 
 def samples(count: int) -> list[Sample]:
@@ -64,13 +66,13 @@ def bench(world: World, budget_usd: float | None, count: int, check: Callable[[W
         try:
             one_bench(world, controller, budget_usd, samples(count), check)
         except Killed:
-            world.now += world.chance.uniform(0, 900)
+            world.absent(world.chance.uniform(0, 900))
             if world.forgets:
                 # The next controller is on another host, where there are only the results.
                 (world.folder / "journal.jsonl").unlink(missing_ok=True)
-                world.boot, world.boot_at = world.boot + 1, world.now
+                world.reboot()
             if world.chance.random() < 0.3:
-                world.boot, world.boot_at = world.boot + 1, world.now
+                world.reboot()
         except OSError:
             world.trail.append("disk full")
         else:
@@ -82,8 +84,8 @@ def campaign_of(world: World, controller: int, budget: float | None, check: Call
     """A controller's campaign in this world."""
     journal = MortalJournal(world.folder / "journal.jsonl", world, controller)
     config = CampaignConfig(
-        owner=OWNER, measured="a", rules=RULES, budget_usd=budget, deadline_s=SETUP_S + AFTER_S,
-        lifetime_s=SETUP_S + AFTER_S + SLACK_S, task=lambda _sample: {}, root=world.folder,
+        owner=OWNER, measured="a", rules=RULES, budget_usd=budget,
+        commitment=COMMITMENT, task=lambda _sample: {}, root=world.folder,
         attempts=world.folder / "attempts", token=f"{controller}x{os.urandom(2).hex()}",
         substitutes=lambda name: [one for one in others(name) if one.id not in measured(world)],
     )  # fmt: skip
@@ -103,6 +105,9 @@ def one_bench(
         adopt_orphans(campaign, wanted, resume=True)
         running = campaign.recover()
         campaign.run([s for s in wanted if s.id not in running | measured(world)])
+        adopt_orphans(campaign, wanted, resume=True)
+        campaign.recover()
+        campaign.run([])
         if campaign.left:
             world.misdeeds.append(f"left: {campaign.left}")
     finally:

@@ -51,7 +51,7 @@ def compiled(cwd: Path, spec: str) -> dict[str, dict]:
 def with_machines(cwd: Path, spec: str, machines: list[str]) -> None:
     path = cwd / "specs" / f"{spec}.yaml"
     text = path.read_text().replace("  benchmark:\n", f"  benchmark:\n    machines: [{', '.join(machines)}]\n")
-    text = text.replace("budget: $2.50", "budget: $5")
+    text = text.replace("budget: $5", "budget: $10")
     path.write_text(text)
 
 

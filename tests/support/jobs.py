@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from fogspec.catalog.machine import Machine
+from fogspec.plan.commitment import time_limit
 
 
 def resources(machine: Machine, lifetime_s: float | None = None) -> dict[str, Any]:
@@ -15,3 +16,9 @@ def resources(machine: Machine, lifetime_s: float | None = None) -> dict[str, An
     if lifetime_s is not None:
         end = {"idle_minutes": math.ceil(lifetime_s / 60), "down": True, "wait_for": "none"}
     return {"infra": machine.infra, **shape, "max_hourly_cost": machine.price, "autostop": end, "labels": {}}
+
+
+def config(machine: Machine, lifetime_s: float) -> dict[str, Any]:
+    """The settings of a sample's task besides its resources, if it has any."""
+    limit = time_limit(machine, lifetime_s)
+    return {} if limit is None else {"config": limit}

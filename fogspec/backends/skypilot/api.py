@@ -15,6 +15,7 @@ from sky import exceptions
 
 from fogspec.backends.skypilot import secrets_file
 from fogspec.backends.skypilot.errors import CloudProblem
+from fogspec.backends.skypilot.power_off import power_off_armed
 from fogspec.backends.skypilot.teardown import await_gone
 from fogspec.base.project_files import ProjectFiles
 
@@ -36,7 +37,8 @@ def launch(task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
     try:
         wanted = sky.Task.from_yaml_config(given)
         _afford(wanted, task)
-        return {"request": str(sky.launch(wanted, cluster_name=name))}
+        with power_off_armed(task):
+            return {"request": str(sky.launch(wanted, cluster_name=name))}
     except BaseException:
         secrets_file.forget(name)
         raise

@@ -13,7 +13,7 @@ from fogspec.backends.protocol import Job, LaunchRefused
 from fogspec.backends.skypilot.backend import SkyPilotDeployments, SkyPilotSamples
 from fogspec.catalog.machine import Gpu, Machine
 from tests.support.fake_sky import Cloud, SimulatedClient
-from tests.support.jobs import resources
+from tests.support.jobs import config, resources
 
 OWNER = Owner("a repository", "default", "demo")
 MACHINES = {
@@ -54,6 +54,7 @@ OTHER: dict[str, Any] = {
     "resources.autostop.wait_for": "jobs_and_ssh",
     "resources.autostop": False,
     "resources": {},
+    "config": {"slurm": {"sbatch_options": {"time": 60_000}}},
     "workdir": "..",
     "file_mounts.~/.fogspec/agent.pyz": "~/.ssh/id_ed25519",
     "file_mounts": {"/root/.aws": "~/.aws"},
@@ -84,6 +85,7 @@ def job(root: Path, machine: Machine, sample: bool, task: Mapping[str, Any] | No
         "file_mounts": {"~/.fogspec/agent.pyz": "agent.pyz"},
         "setup": "true",
         "run": "true",
+        **({} if lifetime_s is None else config(machine, lifetime_s)),
     }
     name = f"{OWNER.prefix}one"
     return Job(name=name, owner=OWNER, task=task or compiled, root=root, directory=root / "job", machine=machine,

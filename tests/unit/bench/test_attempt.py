@@ -1,12 +1,14 @@
 """One attempt: when it is overdue, when asking is given up, and what is billed."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, SampleStatus
-from fogspec.bench.attempt import SILENCE_S, STOP_PATIENCE_S, Attempt
+from fogspec.bench.attempt import STOP_PATIENCE_S, Attempt
 from fogspec.bench.journal import LaunchRecord
 from fogspec.catalog.machine import Machine
+from fogspec.plan.commitment import PATIENCE_S, TEARDOWN_S
 from fogspec.plan.schema import Sample
 
 MACHINE = Machine(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory="4GiB", price="$3.6/h")
@@ -17,10 +19,31 @@ OWNER = Owner("a repository", "default", "a")
 NAME = f"{OWNER.prefix}one"
 
 
-def made(same_boot: bool = True) -> Attempt:
+@dataclass
+class At:
+    """A clock that stands still."""
+
+    now: float
+    name: str = "boot"
+    unix: float = 1.7e9
+
+    def now_s(self) -> float:
+        return self.now
+
+    def boot(self) -> str:
+        return self.name
+
+    def unix_s(self) -> float:
+        return self.unix
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+def made() -> Attempt:
     started = LaunchRecord(
         name=NAME, runner="sky", application="sha256:app", sample=SAMPLE, price_usd_per_hour=3.6, lifetime_s=600.0,
-        at_s=100.0, boot="boot",
+        paid_s=1000.0, at_s=100.0, at_unix_s=1.7e9, boot="boot",
     )  # fmt: skip
     return Attempt(
         started=started,
@@ -34,7 +57,7 @@ def made(same_boot: bool = True) -> Attempt:
             lifetime_s=600.0,
         ),
         since_s=100.0,
-        same_boot=same_boot,
+        found_s=100.0,
     )
 
 
@@ -55,8 +78,8 @@ def test_silence_at_the_deadline_is_waited_out():
     attempt.reached(SampleStatus(running=True))
     attempt.unreachable(395.0)
     attempt.unreachable(399.0)
-    assert attempt.overdue(395.0 + SILENCE_S - 0.1, DEADLINE_S) is None
-    assert attempt.overdue(395.0 + SILENCE_S, DEADLINE_S) is not None
+    assert attempt.overdue(395.0 + PATIENCE_S - 0.1, DEADLINE_S) is None
+    assert attempt.overdue(395.0 + PATIENCE_S, DEADLINE_S) is not None
     attempt.reached(SampleStatus(running=True))
     assert attempt.overdue(401.0, DEADLINE_S) is not None, "it can be heard: there is nothing to wait for"
 
@@ -65,13 +88,43 @@ def test_asking_it_to_end_is_given_up_only_long_after_it_ended_itself():
     attempt, now_s, asked = made(), 200.0, 0
     while not attempt.not_stopped(now_s):
         now_s, asked = attempt.stop_after_s, asked + 1
-    assert 100 + 600 + STOP_PATIENCE_S <= now_s <= 100 + 600 + STOP_PATIENCE_S + 30
+    assert 100 + 1000 + STOP_PATIENCE_S <= now_s <= 100 + 1000 + STOP_PATIENCE_S + 30
     assert asked < 100
 
 
-def test_what_is_billed():
-    over = SampleStatus(running=False)
-    assert made().billed_s(over, 250.0) == 150.0
-    assert made().billed_s(over, 9000.0) == 600.0, "it ended itself"
-    assert made(same_boot=False).billed_s(over, 130.0) == 600.0, "nobody knows how long it ran"
-    assert made().billed_s(SampleStatus(running=False, billed_s=7.0), 250.0) == 7.0
+def test_what_was_measured_while_nobody_looked_is_fetched_before_it_is_overdue():
+    attempt = made()
+    attempt.found_s = 5000.0
+    assert attempt.overdue(5000.0 + PATIENCE_S - 1, DEADLINE_S) is None
+    assert attempt.overdue(5000.0 + PATIENCE_S, DEADLINE_S) is not None
+
+
+OVER = SampleStatus(running=False)
+
+
+def test_what_passed_is_billed_and_no_cap():
+    assert made().billed_s(OVER, At(250.0)) == 150.0
+    assert made().billed_s(OVER, At(9000.0)) == 8900.0, "it was there until then"
+    assert made().outlived_s(At(9000.0)) == 7900.0
+
+
+def test_a_machine_that_ended_while_nobody_looked_is_billed_for_its_longest_time():
+    attempt = made()
+    attempt.gone_s = 9000.0
+    assert attempt.billed_s(OVER, At(9007.0)) == 1000.0 + TEARDOWN_S + 7, "and until it is verified"
+    assert attempt.outlived_s(At(9007.0)) == 0.0
+
+
+def test_over_a_restart_the_wall_clock_tells_and_is_believed_only_upwards():
+    assert made().billed_s(OVER, At(30.0, "another", 1.7e9 + 200)) == 1000.0
+    assert made().billed_s(OVER, At(30.0, "another", 1.7e9 - 86400)) == 1000.0
+    assert made().billed_s(OVER, At(30.0, "another", 1.7e9 + 4000)) == 4000.0
+
+
+def test_that_nothing_is_paid_is_not_believed_of_a_machine_that_measured():
+    free = SampleStatus(running=False, reason="capacity", billed_s=0.0)
+    attempt = made()
+    assert attempt.billed_s(free, At(250.0)) == 0.0
+    attempt.reached(SampleStatus(running=True))
+    assert attempt.billed_s(free, At(250.0)) == 150.0
+    assert made().billed_s(SampleStatus(running=False, billed_s=7.0), At(250.0)) == 7.0

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 
 import pytest
 
@@ -20,7 +21,7 @@ RECORD = Measured(id="one", machine=MACHINE, measured_on="aws/c6i.large", state=
 def started(name: str) -> LaunchRecord:
     return LaunchRecord(
         name=name, runner="local", application="sha256:app", sample=SAMPLE, price_usd_per_hour=3.6, lifetime_s=600.0,
-        at_s=12.5, boot="boot",
+        paid_s=1200.0, at_s=12.5, at_unix_s=1.7e9, boot="boot",
     )  # fmt: skip
 
 
@@ -43,9 +44,29 @@ def test_what_is_read_back_is_what_was_written(tmp_path):
     assert again.state == journal.state
     assert list(again.state.open) == ["c"]
     assert again.state.open["c"] == started("c")
-    assert again.state.open["c"].commitment_usd == pytest.approx(0.6)
+    assert again.state.open["c"].commitment_usd == pytest.approx(1.2)
     assert (again.state.unwritten, again.state.attempts) == ({}, 3)
     assert again.state.spent_usd == pytest.approx(1.3)
+    again.close()
+
+
+def test_that_a_machine_did_not_end_by_itself_is_remembered(tmp_path):
+    journal = whole(tmp_path / "journal.jsonl")
+    assert journal.outlived("c").outlived
+    journal.close()
+    again = Journal(tmp_path / "journal.jsonl")
+    assert again.state.open["c"] == replace(started("c"), outlived=True)
+    again.close()
+
+
+def test_a_machine_of_an_older_journal_is_bounded_by_its_lifetime(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    whole(path).close()
+    entries = [json.loads(line) for line in path.read_text().splitlines()]
+    newer = ("paid_s", "at_unix_s", "outlived")
+    path.write_text("".join(json.dumps({k: v for k, v in one.items() if k not in newer}) + "\n" for one in entries))
+    again = Journal(path)
+    assert again.state.open["c"] == replace(started("c"), paid_s=600.0, at_unix_s=None)
     again.close()
 
 

@@ -36,7 +36,7 @@ def test_the_dearest_machine_that_a_name_may_mean_is_charged_for_all_of_its_life
     assert [one.price_usd_per_hour for one in opened.values()] == [0.2, 0.3]
     assert campaign.recover() == set()
     campaign.run([])
-    life_h = campaign.config.lifetime_s / 3600
+    life_h = campaign.config.commitment.paid_s / 3600
     assert campaign.journal.state.spent_usd == pytest.approx(0.5 * life_h)
     assert campaign.journal.state.open == {}
 

@@ -16,10 +16,12 @@ from fogspec.compile.tasks import (
     ros_environment,
     sample_task,
 )
+from fogspec.plan.commitment import Commitment
 from fogspec.plan.schema import Sample
 from fogspec.spec.schema import Application, Node
 from tests.support.agent import AGENT
 
+COMMITMENT = Commitment(measuring_s=301, setup_s=300)
 NASTY = """it's "$(touch owned)" `x` \\ $HOME ; & | é"""
 
 
@@ -36,14 +38,31 @@ def sample(**machine) -> Sample:
 
 
 def task_of(app: Application, one: Sample, run: str = "true") -> dict:
-    return sample_task(app, one, 601.0, workdir="specs", agent="compiled/agent.pyz", setup=None, run=run)
+    return sample_task(app, one, COMMITMENT, workdir="specs", agent="compiled/agent.pyz", setup=None, run=run)
 
 
 def test_every_task_ends_its_machine_by_itself():
     resources = task_of(application(), sample())["resources"]
-    assert resources["autostop"] == {"idle_minutes": 11, "down": True, "wait_for": "none"}
+    assert resources["autostop"] == {"idle_minutes": 16, "down": True, "wait_for": "none"}
     deployed = deploy_task(application(), sample().machine, workdir=".", agent="a", setup=None, run="true")
     assert deployed["resources"]["autostop"]["down"] is True
+
+
+@pytest.mark.parametrize(
+    ("infra", "config"),
+    [
+        ("slurm/lab/cpu", {"slurm": {"sbatch_options": {"time": 21}}}),
+        ("kubernetes", {"kubernetes": {"pod_config": {"spec": {"activeDeadlineSeconds": 1260}}}}),
+        ("ssh/pool", {"ssh": {"pod_config": {"spec": {"activeDeadlineSeconds": 1260}}}}),
+        ("gcp/us-central1", None),
+        ("local", None),
+    ],
+)
+def test_an_engine_with_a_time_limit_of_its_own_is_given_it(infra, config):
+    """Provisioning and lifetime, from the machine's start: 5 min and 16 min."""
+    assert task_of(application(), sample(infra=infra)).get("config") == config
+    deployed = deploy_task(application(), sample(infra=infra).machine, workdir=".", agent="a", setup=None, run="true")
+    assert "config" not in deployed, "a deployment has no longest time"
 
 
 def test_the_machine_is_pinned_with_its_accelerators_spot_and_image():

@@ -9,8 +9,9 @@ import pytest
 
 from fogspec.catalog.sources.snapshot import Snapshot
 from fogspec.catalog.table import Catalog
+from fogspec.plan.commitment import PATIENCE_S, PROVISIONING_S, TEARDOWN_S, Commitment, room_s
 from fogspec.plan.design import make_plan
-from fogspec.plan.schema import Plan, lifetime_s
+from fogspec.plan.schema import Plan
 from tests.support.catalogs import PAPER_HARDWARE, application, table
 
 
@@ -73,7 +74,9 @@ def test_no_hash_seed_changes_a_byte_and_no_scipy_is_loaded() -> None:
 def test_all_machines_at_once_the_estimate_adds_up() -> None:
     offers = table("c6i.large,,,2,4,0.36,,us-east-1,a")
     found = make_plan(application(stop={"duration": "10min"}, setup_timeout="5min"), "demo.yaml", offers).spec.estimate
-    assert (found.measuring, found.setup, found.total, found.wall) == (0.06, 0.03, 0.09, 900.0)
+    assert (found.measuring, found.setup, found.wall) == (0.06, 0.03, 900.0)
+    # 5 min until its own end is armed, 20 min of lifetime (15 and 5 to collect), 2 min until it is gone.
+    assert (found.overhead, found.total) == (0.072, 0.162)
 
 
 def test_a_plan_records_its_catalog_and_its_search_box() -> None:
@@ -95,5 +98,20 @@ def test_a_listed_plan_says_so() -> None:
 
 
 def test_a_machine_ends_itself_after_whole_minutes() -> None:
-    assert lifetime_s(300, 300) == 900
-    assert lifetime_s(301, 300) == 960
+    assert Commitment(measuring_s=300, setup_s=300).lifetime_s == 900
+    assert Commitment(measuring_s=301, setup_s=300).lifetime_s == 960
+
+
+def test_what_a_sample_may_cost_covers_the_time_before_and_after_its_lifetime() -> None:
+    each = Commitment(measuring_s=300, setup_s=300)
+    assert each.machine_s == PROVISIONING_S + each.lifetime_s
+    assert each.paid_s == each.machine_s + TEARDOWN_S
+    assert each.usd(3.6) == pytest.approx(0.001 * each.paid_s)
+    assert each.deadline_s + PATIENCE_S + TEARDOWN_S <= each.paid_s, "a controller that can act stops it in time"
+
+
+@pytest.mark.parametrize("paid_s", [900.0, 1320.0, 1379.0, 5000.0])
+def test_the_room_for_measuring_is_the_longest_that_is_paid(paid_s: float) -> None:
+    room = room_s(paid_s)
+    assert Commitment(measuring_s=room - 30, setup_s=30).paid_s <= paid_s
+    assert Commitment(measuring_s=room - 30 + 61, setup_s=30).paid_s > paid_s
