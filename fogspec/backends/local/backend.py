@@ -212,12 +212,31 @@ class LocalSamples(LocalBackend):
             job.files.remove_tree(job.directory / WORK)
 
     def _end_own(self, job: Job, started: "_Started") -> None:
-        started.memory.look(functools.partial(started.members, job), again=True)
+        find, glance = functools.partial(self._members, job), functools.partial(self._orphans, job)
+        started.memory.look(find, again=True)
         started.process.end(grace_s=GRACE_S)
-        self._end(job, functools.partial(started.members, job), started.orphans)
-        processes.bury(started.orphans())
+        self._end(job, find, glance)
+        processes.bury(glance())
         started.memory.remove()
-        adopt_orphans(False)
+        if all(one.process.poll() is not None for one in self._own.values()):
+            adopt_orphans(False)
+
+    def _members(self, job: Job) -> set[int]:
+        """Return the processes of a sample that this process started, also those that dropped its name."""
+        first = self._own[job.name].process
+
+        def also(known: dict[int, Process]) -> set[int]:
+            found = self._orphans(job) & known.keys()
+            if first.poll() is None:  # once it is reaped, another session may have its number
+                found |= {pid for pid, one in known.items() if one.session == first.process.pid}
+            return found
+
+        return processes.members(MARK, mark_of(job), also)
+
+    def _orphans(self, job: Job) -> set[int]:
+        """Return the children that this process adopted since it started the sample."""
+        firsts = {one.process.process.pid for one in self._own.values()}
+        return processes.orphans(MARK, mark_of(job), self._own[job.name].before | firsts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,20 +246,6 @@ class _Started:
     process: limits.LimitedProcess
     before: frozenset[int]
     memory: SharedMemory
-
-    def orphans(self) -> set[int]:
-        """Return the children that this process adopted since then."""
-        return processes.orphans(self.before | {self.process.process.pid})
-
-    def members(self, job: Job) -> set[int]:
-        """Return the processes of the sample, also those that dropped its name."""
-        return processes.members(MARK, mark_of(job), self._also)
-
-    def _also(self, known: dict[int, Process]) -> set[int]:
-        found = self.orphans() & known.keys()
-        if self.process.poll() is None:  # once it is reaped, another session may have its number
-            found |= {pid for pid, one in known.items() if one.session == self.process.process.pid}
-        return found
 
 
 class LocalDeployments(LocalBackend):

@@ -48,14 +48,27 @@ def members(variable: str, value: str, also: Callable[[dict[int, Process]], set[
     return all_of | below(all_of, known)
 
 
-def orphans(before: Collection[int]) -> set[int]:
-    """Return this process's children of other sessions, without those in `before`: it adopted them."""
+def orphans(variable: str, value: str, before: Collection[int]) -> set[int]:
+    """Return this process's children of other sessions, without those in `before`: it adopted them.
+
+    One that is tagged with another value belongs to another.
+    """
     own, found = os.getsid(0), set[int]()
     for pid in set(offspring()) - set(before):
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            if os.getsid(pid) != own:
+        with contextlib.suppress(OSError):
+            if os.getsid(pid) != own and not _is_of_another(pid, variable, value):
                 found.add(pid)
     return found
+
+
+def _is_of_another(pid: int, variable: str, value: str) -> bool:
+    with contextlib.suppress(OSError), open(f"/proc/{pid}/environ", "rb") as file:
+        words = file.read().split(b"\0")
+        return (
+            any(word.startswith(f"{variable}=".encode()) for word in words)
+            and f"{variable}={value}".encode() not in words
+        )
+    return False
 
 
 def end(find: Find, glance: Find, grace_s: float, force: Callable[[], object] = lambda: None) -> list[int]:
