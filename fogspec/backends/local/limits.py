@@ -10,6 +10,7 @@ import contextlib
 import errno
 import math
 import os
+import re
 import subprocess
 import sys
 import time

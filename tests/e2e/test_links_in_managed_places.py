@@ -1,0 +1,109 @@
+"""A link in each place that fogspec keeps files in: nothing behind it is written, emptied, renamed or deleted by any verb."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from fogspec.base.layout import Layout
+from tests.support.deployed import Deployed
+from tests.support.running import Ended, Shell, shell  # noqa: F401
+
+NAME = "tiny"
+SPEC = f"specs/{NAME}.yaml"
+# What reads or writes everything that there is.
+VERBS = {
+    "init": ("init", "specs/other.yaml"),
+    "lock": ("lock", "--catalog", "hosts.csv"),
+    "compile": ("compile", SPEC),
+    "bench": ("bench", SPEC, "--runner", "local"),
+    "status": ("status", SPEC),
+    "diff": ("diff", SPEC),
+    "menu": ("menu", NAME),
+    "report": ("report", NAME),
+    "explain": ("explain", SPEC),
+    "verify": ("verify", NAME),
+    "attest": ("attest", NAME),
+    "review": ("review", "HEAD", SPEC),
+    "apply": ("apply", NAME, "--dry-run", "--yes"),
+    "measure": ("bench", SPEC, "--runner", "local", "--only", "local-1cpu-1gib"),
+    "start": ("apply", NAME, "--yes"),
+    "down": ("down", NAME),
+}
+STARTING = ("measure", "start")  # seconds each, so only where they may write
+FOLDERS = ("compiled", f"compiled/{NAME}", f"compiled/{NAME}/tasks", f"compiled/{NAME}/link", "compiled/_agent", "results",
+           f"results/{NAME}", f"results/{NAME}/timings", ".fogspec", f".fogspec/{NAME}", f".fogspec/{NAME}/attempts",
+           f".fogspec/{NAME}/deployed", "schemas")  # fmt: skip
+NOT_MANAGED = {"root", "spec", "files", "name"}  # the user's own, and no path
+
+
+def managed() -> list[str]:
+    """Every path of the layout, so that one that is added is tried too."""
+    layout = Layout(Path(), Path(SPEC), NAME)
+    names = [name for name, value in vars(Layout).items() if isinstance(value, property) and name not in NOT_MANAGED]
+    paths = [getattr(layout, name) for name in names]
+    paths += [layout.task("local-1cpu-1gib"), layout.fallback(1), Path("schemas/Application.json")]
+    return list(dict.fromkeys([*map(str, paths), *FOLDERS]))
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with all that can be there, as far as it stays when nothing runs."""
+    folder = tmp_path_factory.mktemp("links") / "measured"
+    Deployed.made(folder)
+    state = folder / ".fogspec" / NAME
+    for path in (state / "attempts" / "fogspec-x", state / "deployed" / "Documents", folder / "compiled" / "_agent",
+                 folder / f"compiled/{NAME}/link", folder / "schemas"):  # fmt: skip
+        path.mkdir(parents=True)
+        (path / "precious.txt").write_text("precious")
+    for path in (state / "lock", state / "journal.jsonl", folder / f"compiled/{NAME}/link/link.sh",
+                 folder / f"compiled/{NAME}/deploy.fallback-1.sky.yaml", folder / "schemas/Application.json",
+                 folder / f"compiled/{NAME}/report.html", folder / "compiled/_agent/agent.py"):  # fmt: skip
+        path.write_text("")
+    return folder
+
+
+def fingerprint(folder: Path) -> dict[str, tuple[object, ...]]:
+    return {
+        str(path.relative_to(folder)): (
+            path.lstat().st_mtime_ns, path.lstat().st_mode, path.lstat().st_ino, path.read_bytes() if path.is_file() else b"",
+        )
+        for path in [folder, *sorted(folder.rglob("*"))]
+    }  # fmt: skip
+
+
+class Linked:
+    """The project with one path replaced by a link to what stood there, outside."""
+
+    def __init__(self, shell: Shell, measured: Path, path: str) -> None:
+        self.shell, self.outside = shell, shell.folder.parent / "outside"
+        shutil.copytree(measured, shell.folder, dirs_exist_ok=True)
+        self.outside.mkdir()
+        there, target = shell.folder / path, self.outside / "target"
+        if there.exists():
+            there.rename(target)
+        else:
+            target.write_text("precious")
+        there.parent.mkdir(parents=True, exist_ok=True)
+        there.symlink_to(target)
+        self.before = fingerprint(self.outside)
+
+    def __call__(self, verb: str) -> Ended:
+        ended = self.shell(*VERBS[verb], code=None)
+        assert fingerprint(self.outside) == self.before, f"{verb} touched what is outside: {ended}"
+        said = (ended.out + ended.err).count("it is a link, which may lead out of the project")
+        # `verify` and `attest` say it of a link of the chain that breaks.
+        assert ended.code in ((1, 3) if said else (0, 1, 2, 3, 5)), ended
+        assert said <= 1 or verb == "verify", ended
+        return ended
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", managed())
+def test_no_verb_touches_what_a_link_leads_to(shell: Shell, measured: Path, path: str) -> None:
+    linked = Linked(shell, measured, path)
+    verbs = [verb for verb in VERBS if path.startswith(".fogspec") or verb not in STARTING]
+    said = [verb for verb in verbs if "it is a link" in (ended := linked(verb)).out + ended.err]
+    assert said, "somebody says it"
+    assert os.path.islink(shell.folder / path), "the link is the user's to remove"
