@@ -62,6 +62,10 @@ def _whole(value: float) -> int | float:
 Parts = tuple[BeforeValidator, PlainSerializer, WithJsonSchema]
 
 
+# Ids become names of files, so they are none that lead elsewhere.
+Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+
+
 def _quantity(parse: Callable[[Any], float], fmt: Callable[[float], str], pattern: str, example: str) -> Parts:
     def read(value: Any, info: ValidationInfo) -> float:
         bare = info.context is not None and type(value) in (int, float) and info.context.get("base_units")

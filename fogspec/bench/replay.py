@@ -7,6 +7,7 @@ from pathlib import Path
 from fogspec.catalog.machine import Machine
 from fogspec.evaluation.sweeps import COLUMNS
 from fogspec.model.tables import read_table
+from fogspec.plan.schema import sample_id
 from fogspec.results.io import Recording, recordings
 from fogspec.results.ranges import LATENCY_S
 from fogspec.results.schema import LatencySummary, Measured
@@ -40,7 +41,7 @@ def _record(infra: str, instance: str, latencies_s: list[float], after_s: float)
     mean = math.fsum(latencies_s) / len(latencies_s)
     latency = LatencySummary(mean=mean, sd=statistics.stdev(latencies_s) if len(latencies_s) > 1 else None)
     return Measured.model_construct(
-        id=instance,
+        id=sample_id(machine),
         machine=machine,
         measured_on=f"{infra}/{instance}".strip("/"),
         state="ok",

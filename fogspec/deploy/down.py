@@ -114,7 +114,8 @@ def _down(
     if unwritten:
         raise unwritten[0]
     live.check_owned()
-    live.clear()
+    for path in live.clear():
+        report(f"{path}: removed")
     return ended, spent
 
 

@@ -3,9 +3,9 @@
 from datetime import UTC, datetime
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
-from fogspec.base.quantities import Duration, Money, Strict
+from fogspec.base.quantities import Duration, Id, Money, Strict
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import PlanMetadata
 
@@ -26,7 +26,7 @@ class DeployedMachine(Strict):
     `at` is the reading, in seconds, of this host's clock since its `boot`; `since` is the date in UTC.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    name: Id
     deployer: str
     state: Literal["starting", "serving", "ending"]
     manifest: str

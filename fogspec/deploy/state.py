@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -113,17 +113,20 @@ class DeploymentState:
         with contextlib.suppress(OSError):
             self.layout.files.remove_tree(self.folder(name))
 
-    def clear(self) -> None:
-        """Remove the file and what is left next to it, once no machine is left; raise OSError if that fails."""
+    def clear(self) -> Iterator[Path]:
+        """Remove the file and what is left next to it, once no machine is left, and yield each; raise OSError if that fails.
+
+        Of `deployed`, only what belongs to machines of the application goes: other things there are somebody else's.
+        """
         if self.machines or self.foreign:
             raise ValueError("machines are left")
         # A process that was killed in the middle of a write leaves a part.
         layout, files = self.layout, self.layout.files
-        files.remove(layout.live)
-        for name in files.names(layout.state):
-            if name.startswith(f".{layout.live.name}."):
-                files.remove(layout.state / name)
-        files.remove_tree(layout.deployed)
+        parts = [name for name in files.names(layout.state) if name.startswith(f".{layout.live.name}.")]
+        yield from (path for path in (layout.live, *(layout.state / name for name in parts)) if files.remove(path))
+        folders = [self.folder(name) for name in files.names(layout.deployed) if self.owner.has(name)]
+        yield from (path for path in folders if files.remove_tree(path))
+        files.remove_folder(layout.deployed)
 
     def spent(self, machine: DeployedMachine) -> float:
         """Return the cost of the machine so far, in USD, at the price it was started for."""

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
-from fogspec.base.quantities import Duration, Money, Strict
+from fogspec.base.quantities import Duration, Id, Money, Strict
 from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import Commitment
@@ -31,7 +31,7 @@ class TaskRef(Strict):
 class Sample(Strict):
     """One machine to measure; `id` is unique in the plan and names its cluster, task and files."""
 
-    id: str
+    id: Id
     machine: Machine
     reason: str
     task: TaskRef | None = None
@@ -40,7 +40,7 @@ class Sample(Strict):
 class Substitute(Strict):
     """A machine to measure if the machine of the sample `substitute_for` is unavailable; they are tried in this order."""
 
-    substitute_for: str
+    substitute_for: Id
     machine: Machine
     reason: str
 
@@ -135,7 +135,7 @@ class PlanBody(Strict):
 class PlanMetadata(Strict):
     """The name of the application."""
 
-    name: str
+    name: Name
 
 
 class Plan(Strict):

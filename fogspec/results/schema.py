@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from fogspec.base import digest
-from fogspec.base.quantities import Money, Strict
+from fogspec.base.quantities import Id, Money, Strict
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.plan.schema import PlanMetadata, Sampling
 from fogspec.results.ranges import Amount, Counted, MetricValue, RequestTime, Text, Time
@@ -97,7 +97,7 @@ class Measured(Strict):
     that ran it.
     """
 
-    id: str
+    id: Id
     machine: Machine
     measured_on: Text
     state: State
@@ -111,7 +111,7 @@ class Measured(Strict):
     unmatched: Counted | None = None
     latency_lower_bound: RequestTime | None = None
     metrics: dict[str, MetricValue] = Field({})
-    substitute_for: str | None = None
+    substitute_for: Id | None = None
     stopped_by: StoppedBy | None = None
     setup: Time | None = None
     measuring: Time | None = None

@@ -10,7 +10,6 @@ import contextlib
 import errno
 import math
 import os
-import re
 import subprocess
 import sys
 import time

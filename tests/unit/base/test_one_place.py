@@ -15,6 +15,8 @@ WRITES = {
     "backends/skypilot/client.py": "what the worker prints, in a file without a name",
     "backends/skypilot/backend.py": "a folder of its own for a log, which goes with the call",
     "catalog/sources/cache.py": "the user's cache, by names that it made itself",
+    "spec/tree.py": "a snapshot, in a folder that ProjectFiles has just made: each file in it is new",
+    "backends/local/backend.py": "a sample's copy of that snapshot, in a folder that ProjectFiles has just made",
     "cli/__init__.py": "the null device in place of a closed pipe",
     "agent": AGENT,
 }
