@@ -16,7 +16,7 @@ from fogspec.base.quantities import Duration, Id, Money, Strict
 from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import Commitment
-from fogspec.spec.schema import Hardware
+from fogspec.spec.schema import Hardware, Name
 
 Sampler = Literal["grid", "adaptive", "list"]
 
