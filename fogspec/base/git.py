@@ -26,17 +26,26 @@ OVERRIDES = {
 # A partial clone fetches what is missing from where its configuration says, by a protocol that may be a command.
 QUIET = {"GIT_NO_LAZY_FETCH": "1", "GIT_ALLOW_PROTOCOL": "none", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
 
+GIT_S = 60.0
+
 
 def git(*words: str, folder: str | os.PathLike[str] = ".") -> bytes:
     """Return the output of a git command that reads; raise UsageError with git's own first line if it fails."""
     settings = [word for name, value in OVERRIDES.items() for word in ("-c", f"{name}={value}")]
-    environment = child.environment(**QUIET)
-    environment.pop("GIT_EXTERNAL_DIFF", None)
+    kept = {k: v for k, v in child.environment().items() if not k.startswith("GIT_") or k.startswith("GIT_CONFIG")}
     try:
         command = [child.program("git"), "--no-pager", *settings, "-C", os.path.abspath(folder), *words]
         return subprocess.run(
-            command, check=True, capture_output=True, stdin=subprocess.DEVNULL, cwd=child.ELSEWHERE, env=environment
+            command,
+            check=True,
+            capture_output=True,
+            stdin=subprocess.DEVNULL,
+            cwd=child.ELSEWHERE,
+            env=kept | QUIET,
+            timeout=GIT_S,
         ).stdout
+    except subprocess.TimeoutExpired:
+        raise UsageError(f"git {words[0]}: it has not ended within {GIT_S:g} s") from None
     except OSError as problem:
         raise UsageError(f"git cannot be started: {problem.strerror}") from None
     except subprocess.CalledProcessError as failed:

@@ -6,15 +6,14 @@ files is asked of git, by a command that runs no hook, filter or monitor of the 
 
 import os
 import re
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-from fogspec.base import child
+from fogspec.base.errors import UsageError
 from fogspec.base.files import read_file
+from fogspec.base.git import git
 
 LONGEST = 1 << 20  # bytes of a configuration
-GIT_S = 20.0
 URL = re.compile(
     r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?:[^@/]*@)?(?P<host>\[[^\]/]*\]|[^:/]*)(?::(?P<port>[^/]*))?(?P<path>.*)", re.I
 )
@@ -43,16 +42,10 @@ def repository_of(root: Path) -> str:
 def committed(root: Path, path: Path) -> bytes | None:
     """Return the content of a file below `root` as it was last committed; None if there is none, or git cannot tell."""
     inside = Path(os.path.relpath(path, root)).as_posix()
-    environment = {name: value for name, value in child.environment().items() if not name.startswith("GIT_")}
-    environment |= {"GIT_NO_LAZY_FETCH": "1", "GIT_TERMINAL_PROMPT": "0", "GIT_OPTIONAL_LOCKS": "0"}
     try:
-        words = [child.program("git"), "-C", os.path.realpath(root), "cat-file", "blob", f"HEAD:./{inside}"]
-        found = subprocess.run(
-            words, cwd=child.ELSEWHERE, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=GIT_S
-        )
-    except (OSError, subprocess.TimeoutExpired):
+        return git("cat-file", "blob", f"HEAD:./{inside}", folder=os.path.realpath(root))
+    except UsageError:
         return None
-    return None if found.returncode else found.stdout
 
 
 def normalized(url: str, top: Path) -> str | None:

@@ -28,7 +28,9 @@ def record(cpus: float, memory: float, mean: float | None, **more) -> Measured:
                          gpu=gpu, price=0.1)  # fmt: skip
     latency = None if mean is None else LatencySummary(mean=mean, **more.pop("summary", {}))
     base = {"state": "ok", "requests": 50, "duration": 60.0, "spent": 0.01, "measured_on": "x"}
-    return Measured(id=f"{cpus:g}-{memory:g}-{gpu}", machine=machine, latency=latency, **(base | more))
+    return Measured(
+        id=f"{cpus:g}-{memory:g}-{gpu.name if gpu else 0}", machine=machine, latency=latency, **(base | more)
+    )
 
 
 def results(*records: Measured) -> Results:
