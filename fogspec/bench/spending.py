@@ -41,7 +41,7 @@ def _others(layout: Layout) -> Iterator[Results | None]:
             with contextlib.suppress(OSError, FogspecError):
                 yield _parsed(path, layout.files.read(path))
     if (content := committed(layout.root, layout.results)) is not None:
-        yield _parsed(layout.results, content)
+        yield _parsed(Path(f"HEAD:{layout.results}"), content)
 
 
 def _parsed(path: Path, content: bytes) -> Results | None:
