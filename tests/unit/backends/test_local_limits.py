@@ -155,7 +155,15 @@ def test_the_launcher_imports_nothing_from_the_folder_of_the_spec(tmp_path: Path
     for name in ("resource", "os", "sitecustomize", "usercustomize", "encodings"):
         (tmp_path / f"{name}.py").write_text(f"open({str(mark)!r}, 'a').close()\n")
     with open(tmp_path / "log", "ab") as file:
-        started = limits.start(["pwd"], cpus=1, memory_gib=1.0, cwd=tmp_path, env={"PYTHONPATH": f":.:{tmp_path}"}, log=file)
+        started = limits.start(
+            ["pwd"],
+            cpus=1,
+            memory_gib=1.0,
+            cwd=tmp_path,
+            env={"PYTHONPATH": f":.:{tmp_path}"},
+            log=file,
+            name="fogspec-x",
+        )
     assert ended(started) == 0
     assert (tmp_path / "log").read_text().strip() == str(tmp_path)
     assert not mark.exists()
