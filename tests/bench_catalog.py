@@ -29,7 +29,7 @@ spec:
   probe: {callback: x}
   hardware: {cpus: 2..64, gpus: [none, T4]}
   infra: [aws, azure, gcp, lambda, vast]
-  benchmark: {stop: {duration: 1min}, budget: $100}
+  benchmark: {sampler: grid, stop: {duration: 1min}, budget: $100}
 """
 
 

@@ -84,7 +84,7 @@ class Rule:
             max_cost_usd=constraints.cost,
             max_price_usd_per_hour=constraints.price,
             max_metrics=constraints.metrics,
-            measured_first=spec.benchmark.sampler == "adaptive" and spec.benchmark.volume is None,
+            measured_first=spec.benchmark.is_adaptive and spec.benchmark.volume is None,
         )
 
     def take(self, rows: Rows) -> "Rule":

@@ -171,7 +171,7 @@ class _Reader:
         file = self.file(layout.results, layout) if layout.files.exists(layout.results) else None
         results, damaged = _results(layout, file)
         sent = self.sent(application, layout) if audit else {}
-        needs_library = file is not None or application.spec.benchmark.sampler == "adaptive"
+        needs_library = file is not None or application.spec.benchmark.is_adaptive
         return Inputs(
             spec=one,
             layout=layout,

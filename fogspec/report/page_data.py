@@ -53,7 +53,7 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
         "confidence": choice.confidence,
         "floors": list(choice.rule.levels),
         "probabilities": choice.latency.posterior is not None,
-        "adaptive": spec.benchmark.sampler == "adaptive",
+        "adaptive": spec.benchmark.is_adaptive,
         "tie": TIE,
         "relaxed": spec.objective.method == "relaxed",
         "scale": {

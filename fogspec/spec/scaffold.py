@@ -34,7 +34,7 @@ def first_data(name: str, found: LaunchImport | None = None) -> dict[str, Any]:
     spec["objective"] = {"alpha": 0.5}
     spec["hardware"] = {"cpus": "2..64", "memory": "4GiB..512GiB", "memory_per_cpu": "2GiB..8GiB", "gpus": ["none"]}
     spec["infra"] = ["aws/us-east-1"]
-    spec["benchmark"] = {"budget": "$2.50", "sampler": "grid", "stop": {"requests": 200, "duration": "5min"}}
+    spec["benchmark"] = {"budget": "$2.50", "sampler": "adaptive", "stop": {"requests": 200, "duration": "5min"}}
     if found is not None:
         _over(spec, found)
     return {"apiVersion": API_VERSION, "kind": "Application", "metadata": {"name": name}, "spec": spec}

@@ -317,7 +317,9 @@ class Benchmark(Strict):
         None, description="hard: refused before, stopped during", examples=["$2.50"]
     )
     sampler: Annotated[Literal["grid", "adaptive"], affects("plan")] = Field(
-        "grid", description="which machines are sampled", examples=["grid"]
+        "adaptive",
+        description="which machines are sampled: adaptive asks the model for each next one; grid is the paper's",
+        examples=["grid"],
     )
     volume: Annotated[Volume | None, affects("plan")] = Field(
         None,
@@ -361,6 +363,11 @@ class Benchmark(Strict):
     min_success_rate: Annotated[Percent, affects("plan", "results")] = Field(
         0.95, description="smallest share of requests that must succeed", examples=["99%"]
     )
+
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether the model asks for the machines: a list of them comes before any sampler."""
+        return self.sampler == "adaptive" and not self.machines
 
 
 class CatalogAge(Strict):

@@ -39,7 +39,7 @@ spec:
   probe: {request: /a, response: /b}
   hardware: {gpus: [none, T4], spot: true}
   infra: [gcp/us-central1, azure/eastus, slurm/lab, kubernetes]
-  benchmark: {budget: $50}
+  benchmark: {sampler: grid, budget: $50}
   secrets: [API_KEY]
 """
 # Partitions are in tests/slurm: SkyPilot asks the cluster for them while it reads a task.

@@ -341,3 +341,13 @@ def test_the_wall_time_decides_how_many_are_measured_at_once(project, wall_time,
     else:
         assert max(sizes[1:], default=9) > 1 or sum(sizes) >= 8
         assert ("wall time" in sampling["stop_reason"]) == (len(sizes) == batches)
+
+
+def test_a_spec_that_names_no_sampler_samples_adaptively_as_does_a_new_one(project):
+    text = project.read("specs/demo.yaml")
+    project.write("specs/demo.yaml", text.replace("sampler: adaptive, ", ""))
+    assert project.read("specs/demo.yaml") != text
+    project("compile", "specs/demo.yaml", *AT)
+    assert document(project, "compiled/demo/plan.yaml")["spec"]["sampler"] == "adaptive"
+    project("init", "fresh")
+    assert document(project, "specs/fresh.yaml")["spec"]["benchmark"]["sampler"] == "adaptive"

@@ -35,7 +35,7 @@ def application(
                 "probe": {"callback": "plan"},
                 "hardware": dict(hardware or {}),
                 "infra": list(infra),
-                "benchmark": benchmark,
+                "benchmark": {"sampler": "grid"} | benchmark,
             },
         }
     )

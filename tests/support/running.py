@@ -80,7 +80,7 @@ g.large,T4,1,16,64,1.20,,r1,
 
 
 def spec(name: str = "demo", **parts: str) -> str:
-    """A spec in YAML; `parts` are lines of its body in place of the usual ones."""
+    """A spec in YAML; `parts` are lines of its body in place of the usual ones. Its samples are the grid's unless it says."""
     body = {
         "cloud": "[{cmd: [python3, work.py]}]",
         "probe": "{callback: plan}",
@@ -91,6 +91,8 @@ def spec(name: str = "demo", **parts: str) -> str:
         "benchmark": "{budget: $5, stop: {requests: 20, duration: 1min}, setup_timeout: 1min}",
         **parts,
     }
+    if "sampler" not in body["benchmark"]:
+        body["benchmark"] = body["benchmark"].removesuffix("}") + ", sampler: grid}"
     head = f"apiVersion: fogspec.dev/v1alpha1\nkind: Application\nmetadata: {{name: {name}}}\nspec:\n"
     return head + "".join(f"  {key}: {value}\n" for key, value in body.items())
 

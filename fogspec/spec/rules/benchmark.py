@@ -342,7 +342,7 @@ def wall_time(application: Application) -> Iterator[Finding]:
 
 def _for_adaptive(application: Application, name: str, why: str) -> Iterator[Finding]:
     benchmark = application.spec.benchmark
-    if benchmark.sampler == "adaptive" and not benchmark.machines:
+    if benchmark.is_adaptive:
         return
     other = "machines" if benchmark.machines else "sampler"
     what = "a list of machines" if benchmark.machines else "the grid"
