@@ -217,9 +217,7 @@ def _of_one_platform(group: Catalog) -> tuple[Catalog, list[str]]:
     parts = {name: group.take(np.asarray(kinds == name, dtype=np.bool_)) for name in names}
     best = min(parts, key=lambda name: (-_span(parts[name]), _grid_price(parts[name]), name))
     families = ", ".join(sorted(set(parts[best].family.tolist())))
-    return parts[best], [
-        f"sizes of one kind of CPU, {families}; sampler: adaptive compares it with {len(names) - 1} others"
-    ]
+    return parts[best], [f"sizes of one kind of CPU, {families}; sampler: adaptive compares all {len(names)} kinds"]
 
 
 def _span(group: Catalog) -> float:

@@ -29,7 +29,7 @@ def test_the_cheapest_machine_of_each_cell_is_taken_and_every_gap_is_said() -> N
     assert found.samples[1].reason == "smallest vCPUs (2), median memory (8 GiB)"
     assert found.samples[3].reason == "smallest vCPUs (4), smallest memory (16 GiB) with T4"
     said = "\n".join(found.notes)
-    assert "GPU none: sizes of one kind of CPU, c6i, m6i, r6i; sampler: adaptive compares it with 1 others" in said
+    assert "GPU none: sizes of one kind of CPU, c6i, m6i, r6i; sampler: adaptive compares all 2 kinds" in said
     assert "GPU none: the median vCPU count is also the smallest or largest: its cells are skipped" in said
     assert "GPU T4: 4 vCPUs with median memory: g4dn.xlarge again, sampled once" in said
     assert "GPU A100: no admissible machine, nothing is sampled" in said
