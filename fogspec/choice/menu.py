@@ -122,7 +122,9 @@ def entry_of(choice: Choice, row: int) -> Entry:
         **dict(machine),
         latency=rounded(float(choice.latency.value[row])),
         interval=None if interval is None else (rounded(interval[0]), rounded(interval[1])),
-        metrics={name: rounded(float(p.value[row])) for name, p in choice.metrics.items()},
+        metrics={
+            name: rounded(float(p.value[row])) for name, p in choice.metrics.items() if math.isfinite(p.value[row])
+        },
         cost=rounded(float(choice.cost_usd_per_request[row])),
         month=f"${machine.price * units.HOURS_PER_MONTH:.2f}/month",
         objective=rounded(float(choice.objective[row])),
@@ -139,7 +141,9 @@ def why_not(choice: Choice, row: int) -> str | None:
     if choice.feasible[row]:
         return None
     broken = [
-        f"{name} {limit_text(name, float(choice.values[name][row]))} over the limit of {limit_text(name, bound)}"
+        f"{name} {limit_text(name, float(value))} over the limit of {limit_text(name, bound)}"
+        if math.isfinite(value := choice.values[name][row])
+        else f"{name} is not known: no sample has a value of it that can be modelled"
         for name, bound in choice.bounds.items()
         if not choice.values[name][row] <= bound
     ]

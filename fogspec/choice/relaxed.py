@@ -59,7 +59,9 @@ def _groups(choice: Choice) -> dict[str | None, NDArray[np.intp]]:
 
 def _group(models: Models, choice: Choice, gpu: str | None, rows: NDArray[np.intp], refine: bool) -> Relaxed | None:
     fitted = {model.target: model for model in models.spec.models if model.gpu == gpu}
-    if "latency" not in fitted:
+    # A metric of which no sample sent a value has no curve.
+    needed = {"latency", *choice.rule.max_metrics, *([choice.rule.metric] if choice.rule.metric else [])}
+    if not needed <= fitted.keys():
         return None
     offers = choice.offers
     surfaces = {target: partial(_value, model) for target, model in fitted.items()}

@@ -15,13 +15,13 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from fogspec.base import digest
-from fogspec.base.files import write_yaml
 from fogspec.catalog.machine import Machine
 from fogspec.cli import main
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load, read_document
+from tests.support.files import write_yaml
 from tests.support.running import CATALOG, spec
 
 NAN = re.compile(r"(?<![\w.$/-])[-+]?(nan|inf|infinity)\b(?! in )", re.IGNORECASE)
