@@ -86,6 +86,7 @@ generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled spec
 	$(FOGSPEC) compile specs/grasp-planning.yaml specs/vslam.yaml specs/motion-planning.yaml --catalog snapshot --check
 	$(BIN)/python -m tests.tools.paper_figures --check
 	$(BIN)/python -m tests.tools.public_suite --check
+	$(BIN)/python -m tests.tools.quality --check
 
 # The language server that editors run; without npm its tests skip.
 tests/editor/node_modules/.stamp: tests/editor/package-lock.json
@@ -108,12 +109,12 @@ figures: .venv/dev.stamp  ## print every figure that README and docs quote
 figures-svg: .venv/dev.stamp  ## regenerate the charts in docs/figures
 	$(BIN)/python -m tests.tools.paper_figures
 
-# The public suite is its own library: a problem's own suite is left out of it. The development data are not in this repository.
-SUITE := $(if $(FOGSPEC_SHARED),$(FOGSPEC_SHARED)/data/dev,tests/data/suite)
-PRIORS := $(if $(FOGSPEC_SHARED),$(FOGSPEC_SHARED)/data/priors,tests/data/suite)
-evaluation: .venv/dev.stamp  ## every sampler and method, with priors and without (minutes; with FOGSPEC_SHARED set, half an hour)
-	$(FOGSPEC) evaluate --all --suite $(SUITE) --priors $(PRIORS)
+# The development data, with a library of other programs, are not in this repository.
+SUITE := $(if $(FOGSPEC_SHARED),$(FOGSPEC_SHARED)/data/dev,tests/data/sparecores)
+evaluation: .venv/dev.stamp  ## every sampler and method, and volumes of requests (many minutes; with FOGSPEC_SHARED set, also with priors, an hour)
 	$(FOGSPEC) evaluate --all --suite $(SUITE)
+	$(if $(FOGSPEC_SHARED),$(FOGSPEC) evaluate --all --suite $(SUITE) --priors $(FOGSPEC_SHARED)/data/priors)
+	$(FOGSPEC) evaluate --volumes --suite $(SUITE) --kind family
 
 docs: .venv/dev.stamp  ## the documentation site, in build/site; a broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
