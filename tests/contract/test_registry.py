@@ -1,6 +1,7 @@
 """Digests come from registries by their own protocol: Debian's docker-registry on loopback, open and with a password."""
 
 import base64
+import contextlib
 import hashlib
 import http.server
 import json
@@ -12,11 +13,12 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from http.client import HTTPMessage
 from pathlib import Path
 
 import pytest
 
-from fogspec.backends.images.registry import Registry
+from fogspec.backends.images.registry import Registry, _NoCredentialsElsewhere
 from fogspec.base.errors import CloudError, InvalidInput
 from tests.support.running import CATALOG, Shell, shell, spec  # noqa: F401
 
@@ -205,3 +207,133 @@ def test_a_token_server_is_asked_first_and_a_digest_is_checked(lies: bool, shell
     finally:
         server.shutdown()
         server.server_close()
+
+
+def answering(handler: type[http.server.BaseHTTPRequestHandler]) -> Iterator[str]:
+    """Serve on loopback; yield host and port."""
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"127.0.0.1:{server.server_address[1]}"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+class Elsewhere(http.server.BaseHTTPRequestHandler):
+    """Another server, which keeps the headers that it is sent."""
+
+    seen: list[dict[str, str]]
+
+    def do_GET(self) -> None:
+        self.seen.append(dict(self.headers))
+        self.send_response(200)
+        self.send_header("Content-Length", "2")
+        self.end_headers()
+        self.wfile.write(b"{}")
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+class Redirecting(Elsewhere):
+    """A registry with a password that sends everybody who knows it to `target`."""
+
+    target: str
+
+    def do_GET(self) -> None:
+        self.seen.append(dict(self.headers))
+        known = self.headers.get("Authorization", "")
+        self.send_response(307 if known else 401)
+        self.send_header("Location" if known else "WWW-Authenticate", self.target if known else 'Basic realm="here"')
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ("{here}", None),
+        ("http://registry.invalid/v2", "not https"),
+        ("ftp://{elsewhere}/v2", "not https"),
+        ("file:///etc/passwd", "refuses"),
+    ],
+)
+def test_credentials_follow_no_redirection(target: str, words: str | None, shell: Shell) -> None:
+    other = type("Other", (Elsewhere,), {"seen": []})
+    for elsewhere in answering(other):
+        where = target.format(here=f"http://{elsewhere}/v2", elsewhere=elsewhere)
+        for registry in answering(type("First", (Redirecting,), {"seen": [], "target": where})):
+            packed = base64.b64encode(f"{USER}:{PASSWORD}".encode()).decode()
+            shell.write("../docker/config.json", json.dumps({"auths": {registry: {"auth": packed}}}))
+            if words is None:
+                assert Registry().digest(f"{registry}/a/b:v1") == f"sha256:{hashlib.sha256(b'{}').hexdigest()}"
+            else:
+                with pytest.raises(CloudError, match=words):
+                    Registry().digest(f"{registry}/a/b:v1")
+    assert not any("Authorization" in headers for headers in other.seen)
+
+
+def test_a_downgrade_to_http_is_refused_before_anything_is_sent() -> None:
+    asked = urllib.request.Request("https://registry.invalid/v2", headers={"Authorization": "Basic abc"})
+    with pytest.raises(ValueError, match="not https"):
+        _NoCredentialsElsewhere().redirect_request(asked, None, 307, "", HTTPMessage(), "http://registry.invalid/v2")
+    asked = urllib.request.Request("https://registry.invalid/v2", headers={"Authorization": "Basic abc"})
+    for other in ("https://registry.invalid:444/v2", "https://other.invalid/v2"):
+        again = _NoCredentialsElsewhere().redirect_request(asked, None, 307, "", HTTPMessage(), other)
+        assert again is not None
+        assert not again.has_header("Authorization")
+    same = _NoCredentialsElsewhere().redirect_request(
+        asked, None, 307, "", HTTPMessage(), "https://registry.invalid/v3"
+    )
+    assert same is not None
+    assert same.has_header("Authorization")
+
+
+def test_a_refresh_token_is_not_sent_on() -> None:
+    asked = urllib.request.Request("https://token.invalid", data=b"refresh_token=abc")
+    with pytest.raises(ValueError, match="redirects what holds a secret"):
+        _NoCredentialsElsewhere().redirect_request(asked, None, 302, "", HTTPMessage(), "https://token.invalid/2")
+
+
+class Dripping(Elsewhere):
+    """Never stops answering, and never says anything."""
+
+    ended: threading.Event
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", "1000000")
+        self.end_headers()
+        while not self.ended.wait(0.02):
+            self.wfile.write(b"x")
+
+
+def test_a_registry_that_answers_a_byte_at_a_time(monkeypatch: pytest.MonkeyPatch, shell: Shell) -> None:
+    monkeypatch.setattr("fogspec.backends.images.registry.DEADLINE_S", 0.5)
+    ended = threading.Event()
+    try:
+        for registry in answering(type("Drips", (Dripping,), {"seen": [], "ended": ended})):
+            project(shell, f"{registry}/a/b:v1")
+            said = shell("lock", code=6).err
+            assert "it took longer than 0.5 s to answer" in said
+            ended.set()
+    finally:
+        ended.set()
+
+
+class Endless(Elsewhere):
+    """Sends more than a manifest may have."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.end_headers()
+        with contextlib.suppress(OSError):
+            for _ in range(64):
+                self.wfile.write(bytes(1 << 20))
+
+
+def test_a_registry_that_sends_too_much() -> None:
+    for registry in answering(type("Endless", (Endless,), {"seen": []})):
+        with pytest.raises(CloudError, match="longer than a manifest may be"):
+            Registry().digest(f"{registry}/a/b:v1")

@@ -1,19 +1,23 @@
 """Resolves an image's tag to its digest by the registry's own protocol: one request for the manifest, none for layers.
 
 Sources: OCI Distribution Specification 1.1, "Pulling manifests"; distribution.github.io/distribution, "Token
-authentication". A registry on this host's loopback is queried by plain HTTP, as docker does; all others by HTTPS.
+authentication". A registry on this host's loopback is queried by plain HTTP, as docker does; all others by HTTPS. Credentials
+go to the registry and to the token server that it names, never along a redirection to another host, port or protocol.
 """
 
 import base64
 import hashlib
 import ipaddress
 import json
+import queue
 import re
+import threading
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from email.message import Message
+from functools import partial
 from http.client import HTTPException, HTTPMessage
 
 from fogspec.backends.images.credentials import Credentials, credentials
@@ -24,9 +28,13 @@ ACCEPT = ", ".join((
     "application/vnd.oci.image.index.v1+json", "application/vnd.docker.distribution.manifest.list.v2+json",
     "application/vnd.oci.image.manifest.v1+json", "application/vnd.docker.distribution.manifest.v2+json",
 ))  # fmt: skip
-TIMEOUT_S = 20.0
+TIMEOUT_S = 20.0  # without a byte
+DEADLINE_S = 60.0  # for a whole answer: one byte now and then is no answer
 MAX_BYTES = 4 << 20  # of a manifest: the specification's limit
+LONGEST_CHALLENGE = 4096
 PARAMETER = re.compile(r'(\w+)="([^"]*)"')
+
+Answer = tuple[HTTPMessage, bytes]
 
 
 class Registry:
@@ -43,12 +51,32 @@ class Registry:
         except ValueError as wrong:
             raise InvalidInput(str(wrong)) from None
         try:
-            return _digest(name, image)
+            return _in_time(partial(_digest, name, image))
         except urllib.error.HTTPError as refused:
             raise _refused(name, image, refused) from None
         except (OSError, HTTPException, ValueError) as problem:
             reason = getattr(problem, "reason", None) or problem
             raise CloudError(f"{name}: the registry {image.registry} cannot be asked: {reason}") from None
+
+
+def _in_time(work: Callable[[], str]) -> str:
+    """Return the result of `work`; raise TimeoutError after `DEADLINE_S`, and leave it to its thread, which ends with us."""
+    ended: queue.SimpleQueue[str | Exception] = queue.SimpleQueue()
+
+    def run() -> None:
+        try:
+            ended.put(work())
+        except Exception as problem:
+            ended.put(problem)
+
+    threading.Thread(target=run, daemon=True).start()
+    try:
+        result = ended.get(timeout=DEADLINE_S)
+    except queue.Empty:
+        raise TimeoutError(f"it took longer than {DEADLINE_S:g} s to answer") from None
+    if isinstance(result, Exception):
+        raise result
+    return result
 
 
 def _digest(name: str, image: Image) -> str:
@@ -83,7 +111,7 @@ def _is_loopback(registry: str) -> bool:
 
 def _authorization(image: Image, said: Message) -> dict[str, str]:
     """Return the header that answers the registry's challenge."""
-    challenge = said.get("WWW-Authenticate", "")
+    challenge = said.get("WWW-Authenticate", "")[:LONGEST_CHALLENGE]
     kind, known = challenge.partition(" ")[0].lower(), credentials(image.registry)
     if kind == "basic" and known is not None and known.name is not None:
         return _basic(known)
@@ -101,7 +129,10 @@ def _authorization(image: Image, said: Message) -> dict[str, str]:
     else:
         _, body = _get(f"{realm}?{urllib.parse.urlencode(asked)}", _basic(known) if known else {})
     answer = json.loads(body)
-    return {"Authorization": f"Bearer {answer.get('token') or answer['access_token']}"}
+    token = (answer.get("token") or answer.get("access_token")) if isinstance(answer, dict) else None
+    if not isinstance(token, str):
+        raise ValueError("its token server sent no token")
+    return {"Authorization": f"Bearer {token}"}
 
 
 def _basic(known: Credentials) -> dict[str, str]:
@@ -110,18 +141,24 @@ def _basic(known: Credentials) -> dict[str, str]:
 
 
 class _NoCredentialsElsewhere(urllib.request.HTTPRedirectHandler):
-    """Follows redirections, but does not send credentials to another host."""
+    """Follows redirections by the same protocol or to HTTPS, and sends credentials to the same host and port only."""
 
     def redirect_request(
         self, req: urllib.request.Request, fp: object, code: int, msg: str, headers: HTTPMessage, newurl: str
     ) -> urllib.request.Request | None:
+        before, after = urllib.parse.urlsplit(req.full_url), urllib.parse.urlsplit(newurl)
+        local = before.scheme == after.scheme == "http" and _is_loopback(before.netloc) and _is_loopback(after.netloc)
+        if after.scheme != "https" and not local:
+            raise ValueError(f"it redirects to {newurl[:200]}, which is not https")
+        if req.data is not None:
+            raise ValueError("its token server redirects what holds a secret")
         again = super().redirect_request(req, fp, code, msg, headers, newurl)  # type: ignore[arg-type]
-        if again is not None and urllib.parse.urlsplit(newurl).netloc != urllib.parse.urlsplit(req.full_url).netloc:
+        if again is not None and (before.scheme, before.netloc) != (after.scheme, after.netloc):
             again.headers.pop("Authorization", None)
         return again
 
 
-def _get(url: str, headers: Mapping[str, str], form: bytes | None = None) -> tuple[HTTPMessage, bytes]:
+def _get(url: str, headers: Mapping[str, str], form: bytes | None = None) -> Answer:
     request = urllib.request.Request(url, data=form, headers={"User-Agent": "fogspec", **headers})  # noqa: S310
     with urllib.request.build_opener(_NoCredentialsElsewhere).open(request, timeout=TIMEOUT_S) as answer:
         body: bytes = answer.read(MAX_BYTES + 1)
