@@ -1,8 +1,10 @@
 """What GitHub reads is what GitHub takes: against the schemas that are published for it, and the shell's own critic."""
 
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -64,3 +66,50 @@ def test_publishing_needs_no_token_and_nothing_else_may_write() -> None:
 
 def test_every_place_names_the_same_version() -> None:
     assert read(ROOT / "CITATION.cff")["version"] == __version__
+
+
+PINNED = re.compile(r"[\w.-]+/[\w./-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+")
+INSTALLS = re.compile(r"pip['\"]? install|\bpip --|npm (ci|install)|uv pip install|uv build|curl |wget ")
+
+
+def test_every_action_is_pinned_by_the_digest_of_a_commit_with_its_version_in_a_comment() -> None:
+    files = [ROOT / "action.yml", *CHECKED["vendor.github-workflows"]]
+    uses = [
+        line.strip().removeprefix("- ")
+        for file in files
+        for line in file.read_text("utf-8").splitlines()
+        if "uses:" in line
+    ]
+    wrong = [one for one in uses if not PINNED.fullmatch(one.removeprefix("uses:").strip())]
+    assert len(uses) >= 7
+    assert not wrong, "write OWNER/NAME@COMMIT # vX.Y.Z"
+
+
+def test_every_workflow_says_what_it_may_do() -> None:
+    for file in CHECKED["vendor.github-workflows"]:
+        workflow = read(file)
+        assert workflow["permissions"] == {"contents": "read"}, file
+        for name, job in workflow["jobs"].items():
+            assert job.get("permissions", {}) in ({}, {"id-token": "write"}), f"{file}: {name}"
+            for step in job["steps"]:
+                if step.get("uses", "").startswith("actions/checkout@"):
+                    assert step["with"]["persist-credentials"] is False, f"{file}: the token stays on the disk"
+
+
+def test_what_ci_and_the_action_install_is_what_the_lock_files_hash() -> None:
+    action = [step["run"] for step in read(ROOT / "action.yml")["runs"]["steps"] if "run" in step]
+    places = [*action, *((ROOT / name).read_text("utf-8").replace("\\\n", "") for name in (".ci/run", "Makefile"))]
+    lines = [
+        line.strip() for text in places for line in text.splitlines() if INSTALLS.search(line) and "pip()" not in line
+    ]
+    assert lines
+    for line in lines:
+        own = "--no-deps" in line and "--no-build-isolation" in line
+        assert own or "--require-hashes" in line or "npm ci" in line or "pip compile" in line, line
+    assert not [line for line in lines if "--no-build-isolation" in line and "--no-deps" not in line]
+
+
+def test_what_builds_the_wheel_is_pinned_where_it_is_hashed() -> None:
+    requires = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["build-system"]["requires"]
+    hashed = (ROOT / "requirements/build.txt").read_text("utf-8")
+    assert all(f"{one} \\\n    --hash=sha256:" in hashed for one in requires), requires
