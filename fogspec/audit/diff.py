@@ -14,7 +14,7 @@ from fogspec.base import units
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
-from fogspec.base.text import code, line
+from fogspec.base.text import code, line, paragraph
 from fogspec.base.text import markdown as md
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
@@ -227,7 +227,7 @@ def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
     if running is not None:
         lines.append(f"  running: {'as the manifest says' if not running else 'not what the manifest says'}")
         lines += [f"    {change_text(change)}" for change in running]
-    return "\n".join(lines)
+    return paragraph(lines)
 
 
 def headline(one: Difference) -> str:

@@ -5,7 +5,7 @@ from typing import Any
 
 from fogspec.audit.freshness import Status
 from fogspec.base import units
-from fogspec.base.text import shell_command
+from fogspec.base.text import paragraph, shell_command
 from fogspec.base.units import dollars, rounded
 
 
@@ -19,7 +19,7 @@ def as_text(one: Status, running: Sequence[str] = ()) -> str:
         lines.append(f"  cannot be compiled: {one.refused}")
     budget = "" if one.budget_usd is None else f" of a budget of {dollars(one.budget_usd)}"
     lines.append(f"  {'spent':<9} {dollars(one.spent_usd)}{budget}")
-    return "\n".join([*lines, *running, *_next(one)])
+    return paragraph([*lines, *running, *_next(one)])
 
 
 def interval_text(ends_s: tuple[float, float] | None) -> str:

@@ -15,7 +15,7 @@ from fogspec.audit.compare import change_text, changes_in_file
 from fogspec.base import digest
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, InvalidInput
-from fogspec.base.text import shell_command
+from fogspec.base.text import paragraph, shell_command
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.compiler import try_compile
@@ -230,7 +230,7 @@ def as_text(opened: ManifestBundle, links: list[Check]) -> str:
     for link in links:
         lines.append(f"  {link.name:<10} {link.state:<6} {link.what}".rstrip())
         lines += [f"  {'':<10} {'':<6} {text}" for text in (*link.breaks, *link.notes)]
-    return "\n".join(lines)
+    return paragraph(lines)
 
 
 def as_dict(opened: ManifestBundle, links: list[Check]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ as it is, and shows what cannot be seen as an escape: `\\x1b`, `\\u202e`.
 
 import re
 import shlex
+from collections.abc import Iterable
 from typing import Any
 
 # What a terminal obeys or a reader cannot see: controls, zero-width and direction marks, tags, separators, and what is no text.
@@ -39,6 +40,11 @@ def visible(text: str) -> str:
 def line(value: Any) -> str:
     """Return a value as visible text on one line."""
     return NOT_ON_A_LINE.sub(lambda found: escape(found[0]), str(value))
+
+
+def paragraph(lines: Iterable[str]) -> str:
+    """Return lines as text, of which none can become two."""
+    return "\n".join(map(line, lines))
 
 
 def markdown(value: Any) -> str:

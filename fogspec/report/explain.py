@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from fogspec.base import units
+from fogspec.base.text import paragraph
 from fogspec.base.units import dollars, rounded
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import entry_of, limit_text
@@ -84,7 +85,7 @@ def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
     lines += ["", "others", *_others(compiled, decision)]
     if menu.spec.warnings:
         lines += ["", *(f"warning: {text}" for text in menu.spec.warnings)]
-    return "\n".join(lines)
+    return paragraph(lines)
 
 
 def as_dict(compiled: Artifacts) -> dict[str, Any]:
@@ -333,4 +334,4 @@ def _unmeasured(compiled: Artifacts) -> str:
         f"funnel    {compiled.admissible.funnel.line()}",
     ]
     lines += ["samples", *(f"  {s.machine.infra} {s.machine.instance}: {s.reason}" for s in compiled.plan.spec.samples)]
-    return "\n".join([*lines, f"next: {compiled.plan.bench_command(compiled.layout.spec)}"])
+    return paragraph([*lines, f"next: {compiled.plan.bench_command(compiled.layout.spec)}"])

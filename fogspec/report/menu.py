@@ -5,7 +5,7 @@ from typing import Any
 
 from fogspec.base import units
 from fogspec.base.errors import OutOfDate
-from fogspec.base.text import shell_command
+from fogspec.base.text import paragraph, shell_command
 from fogspec.catalog.filters import filter_offers
 from fogspec.charts.menu_svg import menu_chart
 from fogspec.charts.terminal import plot
@@ -83,10 +83,9 @@ def show(menu: Menu, picture: str = "") -> str:
         for role in ("balanced", "cheapest", "fastest"):
             entry: Entry = getattr(body, role)
             lines.append(f"{role:<9} {entry_text(entry)}")
-    lines += ["", picture] if picture else []
-    lines += ["", f"Pareto front, cost of one request against {body.statistic} latency:", *_table(body.front)]
-    lines += ["", f"Pareto front, price of an hour against {body.statistic} latency:", *_table(body.hourly_front)]
-    return "\n".join(lines)
+    fronts = ["", f"Pareto front, cost of one request against {body.statistic} latency:", *_table(body.front)]
+    fronts += ["", f"Pareto front, price of an hour against {body.statistic} latency:", *_table(body.hourly_front)]
+    return "\n".join([paragraph(lines), *(["", picture] if picture else []), paragraph(fronts)])
 
 
 def _table(entries: list[Entry]) -> list[str]:

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base import units
-from fogspec.base.text import shell_command
+from fogspec.base.text import paragraph, shell_command
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
 from fogspec.plan.commitment import unattended
@@ -33,7 +33,7 @@ def summary(compiled: Artifacts) -> str:
     lines.append(_row("tasks", f"{layout.tasks}/", f"{len(body.samples)} SkyPilot tasks, one a machine"))
     decision, results = compiled.decision, compiled.results
     if decision is None or results is None:
-        return "\n".join([*lines, *_unmeasured(compiled)])
+        return paragraph([*lines, *_unmeasured(compiled)])
     usable, all_of = len(decision.models.spec.observations), len(results.spec.samples)
     spent = dollars(results.spec.spent)
     lines.append(_row("results", str(layout.results), f"{usable} of {all_of} samples count; {spent} spent"))
@@ -43,10 +43,10 @@ def summary(compiled: Artifacts) -> str:
     lines += [f"  warning: {text}" for text in decision.menu.spec.warnings]
     entry = decision.menu.spec.balanced
     if decision.manifest is None or entry is None:
-        return "\n".join([*lines, *infeasible_text(decision.menu)])
+        return paragraph([*lines, *infeasible_text(decision.menu)])
     lines.append(_row("manifest", str(layout.manifest), f"with {layout.deploy.name}"))
     lines.append(_row("choice", entry_text(entry), decision.menu.spec.objective))
-    return "\n".join(
+    return paragraph(
         [*lines, f"next: review {layout.manifest}; {shell_command('fogspec', 'explain', layout.spec)} says why"]
     )
 
