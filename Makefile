@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types layers generated docs unit coverage faults figures figures-svg evaluation mutants lock clean
+.PHONY: help demo check test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types layers generated docs unit coverage faults figures figures-svg evaluation damaged-specs mutation lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -124,8 +124,11 @@ dist: .venv/dev.stamp  ## wheel and sdist, in dist/, after both were tried in em
 	rm -rf dist
 	$(BIN)/uv build --quiet --build-constraints requirements/build.txt --require-hashes --out-dir dist
 
-mutants: .venv/dev.stamp  ## 100,000 damaged specs: what the diagnostics say of them (minutes)
-	$(BIN)/python -m tests.mutation.survey
+damaged-specs: .venv/dev.stamp  ## 100,000 damaged specs: what the diagnostics say of them (minutes)
+	$(BIN)/python -m tests.damage.survey
+
+mutation: .venv/dev.stamp  ## 240 changes of the code that guards money, machines and files: the tests must notice each (minutes)
+	$(BIN)/python -m tests.mutation.run
 
 lock: .venv/dev.stamp  ## regenerate the lock files from pyproject.toml
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --all-extras pyproject.toml -o requirements/dev.lock

@@ -1,165 +1,137 @@
-"""Seeded mutations of example specs: what people get wrong, and what disks do."""
+"""Mutants of a module's source: one small change each, such as a deleted call or a dropped flag."""
 
-import random
-import re
-from collections.abc import Callable, Iterator
+import ast
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
-KEY = re.compile(r"^(\s*(?:- )?)([A-Za-z_]+):( |$)")
-QUANTITY = re.compile(
-    r"^(\s*(?:- )?[a-z_]+: )(\$?)([0-9.]+)(ns|us|ms|s|min|h|MiB|GiB|TiB|/request|/\d+ requests|)(\s+#.*)?$"
-)
-RANGE = re.compile(r"([0-9.]+(?:[GM]iB)?)\.\.([0-9.]+(?:[GM]iB)?)")
-SCALAR = re.compile(r"^(\s*(?:- )?[A-Za-z_]+: )([^\[\]{}#|>&*]+?)(\s+#.*)?$")
+COMPARED = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
+}  # fmt: skip
+ARITHMETIC = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.BitAnd: ast.BitOr}
+WITHOUT = ("annotation", "returns", "decorator_list", "bases", "type_comment")  # what runs when a module is imported
+Place = ast.expr | ast.stmt
+DELETED = (ast.Expr, ast.AugAssign, ast.Raise, ast.Delete, ast.Continue, ast.Break)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, order=True)
 class Mutant:
-    """A spec with one mistake: `line` (from 1) is the line that was changed, `right` what a good fix names."""
+    """A change of one piece of a module: `now` in place of `was`, from `start` to `end` of its bytes.
 
-    kind: str
-    content: bytes
-    line: int
-    right: str | None = None
+    Line numbers change with every landing: `where` names the function, and `nth` counts the same pieces in it.
+    """
+
+    module: str
+    where: str
+    was: str
+    now: str
+    nth: int
+    text: str
+    start: int
+    end: int
+
+    @property
+    def key(self) -> tuple[str, str, str, str, int]:
+        """What names the mutant in the list of survivors."""
+        return (self.module, self.where, self.was, self.now, self.nth)
+
+    def source(self, content: bytes) -> bytes:
+        """The module with this change."""
+        return content[: self.start] + self.text.encode() + content[self.end :]
 
 
-Change = Callable[[random.Random, list[str]], tuple[list[str], int, str | None] | None]
-
-
-def mutants(text: str, count: int, seed: int) -> Iterator[Mutant]:
-    """`count` mutants of a spec, the same for the same seed; each kind as often as any other."""
-    rng = random.Random(seed)
-    kinds = list(CHANGES)
-    made = 0
-    while made < count:
-        kind = kinds[made % len(kinds)]
-        changed = CHANGES[kind](rng, text.split("\n"))
-        if changed is None:
-            kinds.remove(kind)
+def mutants(root: Path, module: str) -> list[Mutant]:
+    """Every mutant of a module, in the order of its source."""
+    content = (root / module).read_bytes()
+    starts = [0]
+    for line in content.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    found: dict[tuple[str, str, str], int] = {}
+    every = []
+    for where, node, new in _changes(ast.parse(content), ()):
+        if ast.dump(node) == ast.dump(new):  # `while True`
             continue
-        lines, index, right = changed
-        made += 1
-        yield Mutant(kind, "\n".join(lines).encode(), index + 1, right)
-    rng.random()
+        start = starts[node.lineno - 1] + node.col_offset
+        end = starts[(node.end_lineno or 0) - 1] + (node.end_col_offset or 0)
+        was, now = content[start:end].decode(), ast.unparse(new)
+        nth = found[where, was, now] = found.get((where, was, now), 0) + 1
+        text = f"({now})" if isinstance(node, ast.expr) else now
+        every.append(Mutant(module, where, was, now, nth, text, start, end))
+    return every
 
 
-def _keys(lines: list[str]) -> list[int]:
-    return [i for i, line in enumerate(lines) if (match := KEY.match(line)) and match[2] not in ("model", "scenario")]
+def _changes(node: ast.AST, path: tuple[str, ...]) -> Iterator[tuple[str, Place, ast.AST]]:
+    """Yield each change: the function that it is in, the node that it replaces, and the new one."""
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        path = (*path, node.name)
+    where = ".".join(path) or "module"
+    yield from ((where, old, new) for old, new in _replacements(node))
+    for name, value in ast.iter_fields(node):
+        if name not in WITHOUT:
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST) and not _is_text(child, node):
+                    yield from _changes(child, path)
 
 
-def _swap(rng: random.Random, word: str) -> str:
-    """A typing mistake: a letter left out, doubled, swapped with its neighbour, or another one."""
-    i = rng.randrange(len(word))
-    how = rng.randrange(4)
-    if how == 0 and len(word) > 3:
-        return word[:i] + word[i + 1 :]
-    if how == 1:
-        return word[:i] + word[i] + word[i:]
-    if how == 2 and i + 1 < len(word) and word[i] != word[i + 1]:
-        return word[:i] + word[i + 1] + word[i] + word[i + 2 :]
-    letter = rng.choice("abcdefghijklmnopqrstuvwxyz".replace(word[i].lower(), ""))
-    return word[:i] + letter + word[i + 1 :]
+def _is_text(node: ast.AST, parent: ast.AST) -> bool:
+    """Return whether a node is text for people, or a type: f-strings, docstrings, what is raised, literals of types."""
+    if isinstance(node, ast.JoinedStr) or (isinstance(parent, ast.Raise) and isinstance(node, ast.Call)):
+        return True
+    if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name):
+        return node.value.id in ("Literal", "Annotated")
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
-def rename_key(rng: random.Random, lines: list[str]) -> tuple[list[str], int, str | None] | None:
-    """A key with a typing mistake."""
-    i = rng.choice(_keys(lines))
-    match = KEY.match(lines[i])
-    assert match
-    wrong = _swap(rng, match[2])
-    lines[i] = f"{match[1]}{wrong}:{lines[i][match.end(2) + 1 :]}"
-    return lines, i, match[2] if wrong != match[2] else None
+def _replacements(node: ast.AST) -> Iterator[tuple[Place, ast.AST]]:
+    if isinstance(node, DELETED) and not (
+        isinstance(node, ast.Expr) and isinstance(node.value, ast.Yield | ast.Constant)
+    ):
+        yield node, ast.Pass()
+    if isinstance(node, ast.If | ast.While | ast.IfExp) and ast.unparse(node.test) != "TYPE_CHECKING":
+        yield from ((node.test, ast.Constant(value)) for value in (True, False))
+    if isinstance(node, ast.Return) and node.value is not None and ast.unparse(node.value) != "None":
+        yield node.value, ast.Constant(None)
+    if isinstance(node, ast.expr):
+        yield from ((node, new) for new in _expressions(node))
 
 
-def drop_unit(rng: random.Random, lines: list[str]) -> tuple[list[str], int, str | None] | None:
-    """A quantity without its unit."""
-    found = [i for i, line in enumerate(lines) if (match := QUANTITY.match(line)) and (match[2] or match[4])]
-    if not found:
-        return None
-    i = rng.choice(found)
-    match = QUANTITY.match(lines[i])
-    assert match
-    lines[i] = match[1] + match[3] + (match[5] or "")
-    return lines, i, f"{match[2]}{match[3].rstrip('0').rstrip('.') if '.' in match[3] else match[3]}"
+def _expressions(node: ast.expr) -> Iterator[ast.expr]:
+    if isinstance(node, ast.Compare) and len(node.ops) == 1:
+        yield ast.Compare(node.left, [COMPARED[type(node.ops[0])]()], node.comparators)
+    elif isinstance(node, ast.BinOp):
+        yield from _sums(node)
+    elif isinstance(node, ast.BoolOp):
+        for number in range(len(node.values)):
+            rest = [one for at, one in enumerate(node.values) if at != number]
+            yield rest[0] if len(rest) == 1 else ast.BoolOp(node.op, rest)
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+        yield node.operand
+    elif isinstance(node, ast.Call):
+        for dropped in node.keywords:
+            yield ast.Call(node.func, node.args, [one for one in node.keywords if one is not dropped])
+    elif isinstance(node, ast.ListComp | ast.SetComp | ast.GeneratorExp | ast.DictComp):
+        for one in node.generators:
+            if one.ifs:
+                bare = ast.parse(ast.unparse(node), mode="eval").body
+                bare.generators[node.generators.index(one)].ifs = []  # type: ignore[attr-defined]
+                yield bare
+    elif isinstance(node, ast.Constant):
+        yield from _constants(node.value)
 
 
-def swap_range(rng: random.Random, lines: list[str]) -> tuple[list[str], int, str | None] | None:
-    """A range with its ends exchanged."""
-    found = [i for i, line in enumerate(lines) if RANGE.search(line.partition("#")[0])]
-    if not found:
-        return None
-    i = rng.choice(found)
-    match = RANGE.search(lines[i])
-    assert match
-    lines[i] = lines[i][: match.start()] + f"{match[2]}..{match[1]}" + lines[i][match.end() :]
-    return lines, i, f"{match[1]}..{match[2]}"
+def _sums(node: ast.BinOp) -> Iterator[ast.expr]:
+    if isinstance(node.op, ast.BitOr):
+        yield from (node.left, node.right)
+    elif (other := ARITHMETIC.get(type(node.op))) is not None:
+        yield ast.BinOp(node.left, other(), node.right)
 
 
-def retype(rng: random.Random, lines: list[str]) -> tuple[list[str], int, str | None] | None:
-    """A value of another kind."""
-    found = [i for i, line in enumerate(lines) if SCALAR.match(line)]
-    i = rng.choice(found)
-    match = SCALAR.match(lines[i])
-    assert match
-    value = rng.choice(
-        ["true", "[1, 2]", "{a: 1}", "-3", "''", "null", "hello world", "1e999", "0x1G", "no", ".nan", "010"]
-    )
-    lines[i] = match[1] + value + (match[3] or "")
-    return lines, i, None
-
-
-def drop_line(rng: random.Random, lines: list[str]) -> tuple[list[str], int, str | None] | None:
-    """A line that is missing; the line that is there now, or the one before, is the place."""
-    i = rng.choice(_keys(lines))
-    del lines[i]
-    return lines, i, None
-
-
-def reindent(rng: random.Random, lines: list[str]) -> tuple[list[str], int, str | None] | None:
-    """A line that is nested elsewhere."""
-    i = rng.choice(_keys(lines))
-    step = rng.choice([-2, -1, 1, 2, 4])
-    stripped = lines[i].lstrip(" ")
-    indent = len(lines[i]) - len(stripped) + step
-    if indent < 0:
-        indent += 2 - step
-    lines[i] = " " * indent + stripped
-    return lines, i, None
-
-
-def repeat_line(rng: random.Random, lines: list[str]) -> tuple[list[str], int, str | None] | None:
-    """A line that is there twice; either of the two is the place."""
-    i = rng.choice(_keys(lines))
-    lines.insert(i, lines[i])
-    return lines, i + 1, None
-
-
-def cut(rng: random.Random, lines: list[str]) -> tuple[list[str], int, str | None] | None:
-    """A file that ends too early; its last line is the place."""
-    text = "\n".join(lines)
-    at = rng.randrange(1, len(text))
-    kept = text[:at].split("\n")
-    last = max((i for i, line in enumerate(kept) if line.strip()), default=0)
-    return kept, last, None
-
-
-def damage(rng: random.Random, lines: list[str]) -> tuple[list[str], int, str | None] | None:
-    """One character that became another."""
-    found = [i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
-    i = rng.choice(found)
-    at = rng.randrange(len(lines[i]))
-    lines[i] = lines[i][:at] + rng.choice("\t\x00\x07:{}[]'\"#&*!|>%@`-?,\\~a9é\u202e") + lines[i][at + 1 :]
-    return lines, i, None
-
-
-CHANGES: dict[str, Change] = {
-    "key renamed": rename_key,
-    "unit dropped": drop_unit,
-    "range swapped": swap_range,
-    "value retyped": retype,
-    "line dropped": drop_line,
-    "nesting moved": reindent,
-    "line repeated": repeat_line,
-    "file cut": cut,
-    "character damaged": damage,
-}
+def _constants(value: object) -> Iterator[ast.expr]:
+    """Yield another value; a text with spaces is a sentence."""
+    if isinstance(value, bool):
+        yield ast.Constant(not value)
+    elif isinstance(value, int | float):
+        yield ast.Constant(value + 1)
+    elif isinstance(value, str | bytes) and value and len(value.split()) == 1:
+        yield ast.Constant(value + ("x" if isinstance(value, str) else b"x"))

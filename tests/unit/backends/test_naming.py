@@ -48,3 +48,8 @@ def test_no_job_has_the_name_of_another_owners_machine(tmp_path: Path) -> None:
     for name in (OTHERS[0].deployment_name(DIGEST, "0123ab"), *OLD, "Documents", "."):
         with pytest.raises(ForeignMachine, match="no machine of demo of forge"):
             Job(name=name, owner=OWNER, task={}, root=tmp_path, directory=tmp_path)
+
+
+def test_an_owner_is_named_with_its_environment_where_it_has_one() -> None:
+    assert str(Owner("github.com/a/b", "default", "demo")) == "demo of github.com/a/b"
+    assert str(Owner("github.com/a/b", "staging", "demo")) == "demo (staging) of github.com/a/b"

@@ -240,3 +240,54 @@ def test_an_output_that_the_user_names_goes_where_its_folder_leads(tmp_path: Pat
     with pytest.raises(LinkedPath):
         write_output(tmp_path / "report.html", b"report")
     assert (outside / "file").read_bytes() == b"precious"
+
+
+def test_what_each_method_says_and_leaves(tmp_path: Path) -> None:
+    files = ProjectFiles(tmp_path / "not" / "yet")
+    with files.create(files.root / "a/b/one") as file:
+        file.write(b"a long text")
+    with files.create(files.root / "a/b/one") as file:
+        file.write(b"new")
+    assert (files.root / "a/b/one").read_bytes() == b"new", "nothing of the old is left after it"
+    files.make_folder(files.root / "c/d")
+    with pytest.raises(FileExistsError):
+        files.make_folder(files.root / "c/d")
+    assert files.names(files.root) == ["a", "c"]
+    assert (files.names(files.root / "absent"), files.names(files.root / "a/b/one")) == ([], [])
+    assert list(files.files(files.root)) == [files.root / "a/b/one"]
+    kinds = [(files.exists(path), files.is_file(path), files.is_folder(path)) for path in
+             (files.root / "a/b/one", files.root / "a", files.root / "absent", files.root / "a/b/one/below")]  # fmt: skip
+    assert kinds == [(True, True, False), (True, False, True), (False, False, False), (False, False, False)]
+    assert files.remove_folder(files.root / "a") is False, "it is not empty"
+    assert files.remove_folder(files.root / "c/d") is True
+    assert files.remove_folder(files.root / "absent") is True
+    assert files.remove(files.root / "a/b/one") is True
+    assert files.remove(files.root / "a/b/one") is False
+    assert files.remove_tree(files.root / "a") is True
+    assert files.remove_tree(files.root / "a") is False
+    assert sorted(os.listdir(files.root)) == ["c"]
+    for act in (files.remove_tree, files.remove, files.make_folder):
+        with pytest.raises(InvalidInput, match="the project's folder itself"):
+            act(files.root)
+    with files.append(files.root / "e/log") as log:
+        log.write(b"1")
+    with files.append(files.root / "e/log") as log:
+        log.seek(0)
+        assert log.read() == b"1"
+        log.write(b"2")
+    assert files.read(files.root / "e/log", 1) == b"1"
+    assert files.read(files.root / "e/log") == b"12"
+    files.move(files.root / "e/log", files.root / "f/g/log")
+    assert (files.root / "f/g/log").read_bytes() == b"12"
+
+
+def test_a_write_never_goes_into_a_file_that_is_there_by_the_temporary_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = project(tmp_path)
+    monkeypatch.setattr(os, "urandom", lambda count: b"\0" * count)
+    planted = files.root / f".one.{'00' * 6}"
+    planted.write_bytes(b"another's")
+    with pytest.raises(InvalidInput, match="File exists"):
+        files.write(files.root / "one", b"new")
+    assert planted.read_bytes() == b"another's"

@@ -3,12 +3,15 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fogspec.agent.redaction import Output, Secrets, Stream
+from fogspec.base.errors import UsageError
+from fogspec.base.redaction import check_set, redact_files, redacted
 from tests.support.agent import AGENT
 
 VALUES = st.dictionaries(st.text("abc", min_size=2, max_size=5), st.sampled_from(["$X", "$Y", "$Z"]), max_size=3)
@@ -68,3 +71,82 @@ def test_records_keep_their_figures_and_what_is_too_long_for_one_loses_its_secre
     assert said.split(b"\n") == [
         clean, b"no json $PIN", b"\xff\0$KEY", long.replace(b"hunter2-hunter2", b"$KEY"), clean, b"torn $KEY"
     ]  # fmt: skip
+
+
+def test_a_list_in_a_record_and_a_key_lose_their_secrets_too() -> None:
+    secrets = Secrets({"hunter2": "$KEY"})
+    said = secrets.redact_record(b'{"all": ["hunter2", {"hunter2": [1, "x hunter2"]}], "n": 7}')
+    assert json.loads(said) == {"all": ["$KEY", {"$KEY": [1, "x $KEY"]}], "n": 7}
+    assert secrets.redact_record(b'{"n":  7}') == b'{"n":  7}', "what has none stays as it is, byte for byte"
+    assert bool(secrets) is True
+
+
+def test_values_are_hidden_wherever_they_stand_in_a_document(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("KEY", "hunter2-hunter2")
+    found = redacted({"a": ["x hunter2-hunter2", ("hunter2-hunter2", 3)], "password": "p", "n": None}, ["KEY"])
+    assert found == {"a": ["x $KEY", ["$KEY", 3]], "password": "(redacted)", "n": None}
+    assert redacted("words", (), "api_key") == "(redacted)"
+    assert redacted("", (), "api_key") == ""
+    assert redacted({"psk": "abc", "auth": "abc", "author": "abc"}) == {
+        "psk": "(redacted)",
+        "auth": "(redacted)",
+        "author": "abc",
+    }
+    assert redacted(["p"], (), "token") == ["(redacted)"], "a list under such a key too"
+
+
+def test_secrets_that_are_not_set_are_named_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HERE", "x")
+    check_set(["HERE"])
+    with pytest.raises(UsageError, match="does not have A, B, so nothing was started") as missing:
+        check_set(["B", "HERE", "A"])
+    assert missing.value.hints == ("export A=… B=…",)
+
+
+def test_files_of_a_sample_are_written_again_only_where_they_have_a_secret(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below/log").write_bytes(b"\xffhunter2\n")
+    (tmp_path / "clean").write_bytes(b"nothing")
+    (tmp_path / "link").symlink_to("below/log")
+    before = (tmp_path / "clean").stat()
+    redact_files(Secrets({}), tmp_path)
+    assert (tmp_path / "below/log").read_bytes() == b"\xffhunter2\n"
+    redact_files(Secrets({"hunter2": "$KEY"}), tmp_path)
+    assert (tmp_path / "below/log").read_bytes() == b"\xff$KEY\n"
+    assert (tmp_path / "clean").stat() == before, "it was not written"
+    assert (tmp_path / "link").is_symlink()
+
+
+def test_standard_output_is_redacted_where_no_file_is_given(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("KEY", "hunter2-hunter2")
+    words = [
+        sys.executable,
+        "-c",
+        "import os, sys; print(os.environ['KEY']); print(os.environ['KEY'], file=sys.stderr)",
+    ]
+    for names, said in ((["KEY"], "$KEY\n"), ([], "hunter2-hunter2\n")):
+        output = Output(names)
+        process = output.start(words)
+        assert process.wait() == 0
+        output.settle()
+        assert output.copying == {}
+        found = capfd.readouterr()
+        assert sorted([found.out, found.err]) == sorted([said, said] if not names else [said * 2, ""])
+
+
+def test_both_outputs_are_in_one_file(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", "import sys; print('out', flush=True); print('err', file=sys.stderr)"]
+    with open(tmp_path / "log", "wb") as log:
+        assert Output([]).start(words, log).wait() == 0
+    assert (tmp_path / "log").read_bytes() == b"out\nerr\n"
+
+
+def test_a_line_after_a_torn_one_is_no_record() -> None:
+    # The first piece ends in the middle of a secret: what follows on the same line is plain text, not JSON.
+    line = b"x" * (2**20 - 4) + b"hunt" + b'er2 {"a": 1}\n'
+    said = subprocess.run(
+        [sys.executable, AGENT, "redaction", "KEY"], env={"KEY": "hunter2"}, capture_output=True, input=line
+    ).stdout
+    assert said == b"x" * (2**20 - 4) + b'$KEY {"a": 1}\n'

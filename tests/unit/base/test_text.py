@@ -116,3 +116,19 @@ def test_a_shell_reads_the_same_words_from_one_line() -> None:
 @given(some.lists(WORDS, min_size=1, max_size=3))
 def test_a_shell_line_has_nothing_unseen(words: list[str]) -> None:
     assert not text.NOT_ON_A_LINE.search(text.shell_command(*words))
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("", ""),
+        ("plain", "`plain`"),
+        ("a|b", "a\\|b"),
+        ("a`b", "``a`b``"),
+        ("`a", "`` `a ``"),
+        (" a ", "`a`"),
+        (7, "`7`"),
+    ],
+)
+def test_code_spans_by_hand(value: object, said: str) -> None:
+    assert text.code(value) == said

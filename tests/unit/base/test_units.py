@@ -110,3 +110,95 @@ def test_what_is_written_is_read_back_to_the_last_bit(
 )
 def test_durations_are_written_as_people_do(seconds: float, text: str) -> None:
     assert units.format_duration(seconds) == text
+
+
+BY_HAND = {
+    "duration": {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1, "min": 60, "h": 3600, "d": 86400},
+    "memory": {"MiB": 1 / 1024, "GiB": 1, "TiB": 1024, "MB": 1e6 / 2**30, "GB": 1e9 / 2**30, "TB": 1e12 / 2**30},
+}
+MEANT = {
+    "duration": {
+        "s": ["S", "sec", "secs", "second", "seconds", "Secnds"], "ms": ["msec", "millis", "milliseconds", "MS"],
+        "min": ["m", "mins", "minute", "minutes", "Min"], "h": ["hour", "hours", "hr", "H"], "d": ["day", "days", "D"],
+        "us": ["µs", "US"], "ns": ["NS"],
+    },
+    "memory": {
+        "GiB": ["g", "gi", "gig", "gib", "G"], "GB": ["gigabytes", "gb", "gigabyte"], "MiB": ["m", "mi", "mib"],
+        "MB": ["megabytes", "mb"], "TiB": ["t", "ti", "tib"], "TB": ["terabytes", "tb"],
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", BY_HAND)
+def test_every_unit_and_every_other_spelling_of_it(kind: str) -> None:
+    for unit, scale in BY_HAND[kind].items():
+        assert PARSERS[kind](f"3{unit}") == pytest.approx(3 * scale, rel=1e-15)
+    for unit, spellings in MEANT[kind].items():
+        for spelling in spellings:
+            with pytest.raises(UnitError) as wrong:
+                PARSERS[kind](f"3 {spelling}")
+            assert (wrong.value.fix, wrong.value.code) == (f"3{unit}", "FS203"), spelling
+            assert str(wrong.value) == wrong.value.message
+
+
+@pytest.mark.parametrize(
+    ("usd", "people", "short"),
+    [(0.0, "$0.00", "$0"), (0.00123, "$0.0012", "$0.00123"), (0.0000005, "$0.0000", "$0.0000005"), (0.999, "$0.9990", "$0.999"),
+     (1.0, "$1.00", "$1"), (1.005, "$1.00", "$1"), (12.345, "$12.35", "$12.3"), (99.96, "$99.96", "$100"),
+     (1234.5, "$1234.50", "$1234"), (0.1, "$0.1000", "$0.1")],
+)  # fmt: skip
+def test_money_for_people(usd: float, people: str, short: str) -> None:
+    assert units.dollars(usd) == people
+    assert units.short_dollars(usd) == short
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "holds"),
+    [(2, 2, 3, True), (3, 2, 3, True), (1.9, 2, 3, False), (3.1, 2, 3, False), (0, None, 3, True), (9, 2, None, True),
+     (4, None, 3, False), (1, 2, None, False), (7, None, None, True)],
+)  # fmt: skip
+def test_ranges_hold_their_ends(value: float, low: float | None, high: float | None, holds: bool) -> None:
+    assert Range(low, high).holds(value) is holds
+
+
+@pytest.mark.parametrize(
+    ("value", "write", "text"),
+    [
+        (10.0, units.format_rate, "10/s"), (1 / 3600, units.format_rate, "1/h"), (0.5, units.format_rate, "0.5/s"),
+        (512 / 1024, units.format_memory, "0.5GiB"), (64.0, units.format_memory, "64GiB"), (0.0, units.format_memory, "0GiB"),
+        (1e-6, units.format_duration, "1us"), (1e-9, units.format_duration, "0.001us"), (86400.0, units.format_duration, "1d"),
+        (5400.0, units.format_duration, "1.5h"), (0.05, units.format_percent, "5%"), (1.0, units.format_percent, "100%"),
+        (0.001, units.format_cost, "$0.001/request"), (0.526, units.format_price, "$0.526/h"),
+        (0.09, units.format_transfer, "$0.09/GiB"), (2.5, units.format_money, "$2.5"),
+        (1e15, units.format_number, "1000000000000000.0"),
+        (1e-7, units.format_number, "0.0000001"), (999999999999999.0, units.format_number, "999999999999999"),
+    ],
+)  # fmt: skip
+def test_what_is_written_by_hand(value: float, write: Callable[[float], str], text: str) -> None:
+    assert write(value) == text
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"), [(2, 64, "2..64"), (None, 64, "..64"), (2, None, "2.."), (4, 4, "4"), (None, None, "..")]
+)
+def test_ranges_are_written(low: float | None, high: float | None, text: str) -> None:
+    assert units.format_range(Range(low, high), units.format_number) == text
+    assert units.rounded(123456.0) == 123500.0
+    assert units.rounded(0.00123456, 2) == 0.0012
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "message"),
+    [
+        ("money", "many", "must be an amount such as $2.50 or 40 cent"), ("rate", "fast", "must be a rate such as 10/s"),
+        ("percent", "much", "must be a share such as 5%"), ("count", "few", "must be a number without a unit"),
+        ("cost", "$1/meter", "must say per what, such as $0.001/request"), ("price", "$1/m", "must say per hour, such as"),
+        ("transfer", "$1/m3", "must say per what amount of data, such as"), ("money", "$1e999", "must be finite"),
+        ("count", float("inf"), "must be finite"), ("duration", "fast", "must be a duration with its unit, such as 2s"),
+        ("memory", "3 xy", "must be a memory size in one of MiB, GiB"), ("cost", "$1/0.5 requests", "at least one request"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said(kind: str, text: Any, message: str) -> None:
+    with pytest.raises(UnitError) as wrong:
+        PARSERS[kind](text)
+    assert str(wrong.value).startswith(message) or message in str(wrong.value)

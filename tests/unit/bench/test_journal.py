@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from fogspec.backends.naming import ForeignMachine, Owner
 from fogspec.base.errors import OutOfDate
-from fogspec.bench.journal import Journal, LaunchRecord
+from fogspec.bench.journal import Journal, JournalState, LaunchRecord
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
@@ -142,3 +143,52 @@ def test_money_of_machines_without_a_record_is_not_forgotten(tmp_path):
     journal.begin("local", "sha256:app", "sha256:plan", 1.5)
     assert journal.state.spent_usd == 1.5
     journal.close()
+
+
+def test_a_write_that_is_cut_short_is_no_entry(tmp_path, monkeypatch):
+    path = tmp_path / "journal.jsonl"
+    whole(path).close()
+    before = path.read_bytes()
+    journal = Journal(path)
+    file, state = journal._file, list(journal.state.open)
+
+    class Short:
+        def __getattr__(self, name):
+            return getattr(file, name)
+
+        def write(self, content):
+            return file.write(content[: len(content) // 2])
+
+    journal._file = Short()
+    with pytest.raises(OSError, match=r"\S"):
+        journal.start(started("d"))
+    assert (path.read_bytes(), list(journal.state.open)) == (before, state)
+    journal._file = file
+    journal.start(started("d"))
+    journal.close()
+    assert "d" in Journal(path).state.open
+
+
+def test_a_foreign_name_in_the_journal_is_named(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    owner = Owner("a repository", "default", "a")
+    journal = whole(path)
+    with pytest.raises(ForeignMachine, match="names c, which is no machine of"):
+        journal.check_owned(owner)
+    journal.end("c", 0.0, None)
+    journal.check_owned(owner)
+    journal.start(replace(started(f"{owner.prefix}one")))
+    journal.check_owned(owner)
+
+
+def test_the_sum_of_a_journal_is_read_as_far_as_it_goes(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    whole(path).close()
+    content = path.read_bytes()
+    state = JournalState.read(content)
+    assert (list(state.open), state.attempts, state.campaigns, state.runner) == (["c"], 3, 1, "local")
+    assert state.spent_usd == pytest.approx(1.3)
+    assert JournalState.read(content + b"torn").open == state.open
+    assert JournalState.read(b"").open == {}
+    lines = content.splitlines(keepends=True)
+    assert JournalState.read(b"".join([*lines[:2], b"nonsense\n", *lines[2:]])).attempts == 1

@@ -64,3 +64,12 @@ def test_who_cannot_be_asked_stops_the_bench_before_it_spends(campaign, monkeypa
     campaign.journal.begin("simulated", "a", "p", 0.0)
     with pytest.raises(CloudError, match="no route to host"):
         adopt_orphans(campaign, samples(3), resume=True)
+
+
+def test_a_bench_that_is_to_resume_looks_also_where_nothing_is_left_to_start(campaign, monkeypatch):
+    name = named(campaign, "s1")
+    monkeypatch.setattr(FaultyBackend, "list", lambda *_: [name])
+    for _ in range(2):
+        campaign.journal.begin("simulated", "a", "p", 0.0)
+    adopt_orphans(campaign, samples(3), resume=True, starts=False)
+    assert list(campaign.journal.state.open) == [name]

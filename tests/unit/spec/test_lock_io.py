@@ -1,21 +1,31 @@
 """Names of images, digests of trees, and what a lock pins of a measurement."""
 
+import hashlib
 from pathlib import Path
 
 import pytest
 
 from fogspec.base.errors import InvalidInput, OutOfDate
 from fogspec.base.layout import Layout
-from fogspec.spec.lock_io import check_files, files_sent, snapshot
+from fogspec.spec.lock_io import check_files, files_sent, lock_drift, lock_text, read_lock, read_pins, snapshot
 from fogspec.spec.lockfile import (
+    IGNORED,
     CatalogPin,
     ImagePin,
+    Lock,
+    LockBody,
     Pins,
     changed_pins,
+    ignored_patterns,
+    image_named,
     image_of,
+    is_pinned,
     listed,
+    measurement_sends_files,
     pinned,
     pins_of_measurement,
+    sends_files,
+    sent_files,
     some,
 )
 from tests.unit.compile.test_tasks import application
@@ -128,3 +138,93 @@ def test_a_long_list_says_how_long_it_is() -> None:
     assert some(names, 8).endswith("7.py and 1 more")
     assert listed(names, "{} changed", 2) == ["0.py changed", "1.py changed", "and 7 more files"]
     assert listed(names[:2], "{}", 2) == names[:2]
+
+
+def test_the_list_of_what_is_never_sent() -> None:
+    """By hand: what is taken from it is sent from then on, and what is added is not."""
+    assert set(IGNORED) == {
+        ".git", ".hg", ".svn", ".fogspec", ".skyignore", ".env", ".env.*", ".venv", ".venv-*", "__pycache__", "*.pyc",
+        ".pytest_cache", ".mypy_cache", ".ruff_cache", ".DS_Store",
+    }  # fmt: skip
+    app = application(cloud=[{"cmd": ["./a"]}], ros={"workspace": "ws/"}, ignore=["*.bag"])
+    assert ignored_patterns(app, True)[len(IGNORED) :] == (
+        "/compiled", "/results", "/fogspec.lock", "/ws/build", "/ws/install", "/ws/log", "*.bag"
+    )  # fmt: skip
+    assert ignored_patterns(app, False)[len(IGNORED) :] == ("/ws/build", "/ws/install", "/ws/log", "*.bag")
+
+
+def test_what_a_manifest_says_of_the_files() -> None:
+    app = application(cloud=[{"cmd": ["./a"]}])
+    pins = Pins(catalog=CATALOG, files={"b": "sha256:2", "a": "sha256:1"})
+    found = sent_files(app, "../../specs", pins, False)
+    assert found is not None
+    listed_by_hand = b'{"a":"sha256:1","b":"sha256:2"}'
+    assert (found.folder, found.files, found.ignored) == ("../../specs", 2, list(IGNORED))
+    assert found.digest == f"sha256:{hashlib.sha256(listed_by_hand).hexdigest()}"
+    bare = sent_files(app, "x", None, False)
+    assert bare is not None
+    assert (bare.files, bare.digest) == (None, None)
+    assert sent_files(application(cloud=[{"package": "p", "executable": "e"}]), "x", pins, False) is None
+
+
+NODE = {"package": "p", "executable": "e"}
+
+
+@pytest.mark.parametrize(
+    ("parts", "measured", "sent"),
+    [
+        ({"cloud": [NODE]}, False, False),
+        ({"cloud": [NODE], "deployment": {"ready": ["./ready"]}}, False, True),
+        ({"cloud": [NODE], "ros": {"distro": "jazzy"}}, False, False),
+        ({"cloud": [NODE], "ros": {"workspace": "ws"}}, True, True),
+        ({"cloud": [{**NODE, "parameter_files": ["p.yaml"]}]}, True, True),
+        ({"cloud": [NODE, {"cmd": ["./a"]}]}, True, True),
+        ({"cloud": [NODE], "benchmark": {"workload": {"bag": "run.bag"}}}, True, True),
+        ({"cloud": [NODE], "benchmark": {"workload": {"node": {"cmd": ["./client"]}}}}, True, True),
+    ],
+)
+def test_who_needs_files_on_a_machine(parts: dict[str, object], measured: bool, sent: bool) -> None:
+    app = application(**parts)
+    pins = Pins(catalog=CATALOG, files={"a": "sha256:1"})
+    assert (measurement_sends_files(app.spec), sends_files(app)) == (measured, sent)
+    assert pins_of_measurement(app, pins) == ({"a": "sha256:1"} if measured else {})
+    assert pins_of_measurement(app, None) == {}
+
+
+def test_images_without_pins_stay_as_they_are_named() -> None:
+    app = application(ros={"image": "ros:jazzy"})
+    assert pinned(app, Pins(catalog=CATALOG)) == app
+    assert image_named(application(cloud=[NODE])) is None
+    assert pinned(application(cloud=[NODE]), Pins(catalog=CATALOG)) == application(cloud=[NODE])
+    assert (is_pinned(f"ros@{DIGEST}"), is_pinned("ros:jazzy"), is_pinned(DIGEST)) == (True, False, False)
+    imageless = application(ros={"distro": "jazzy"})
+    assert pinned(imageless, Pins(catalog=CATALOG, image=ImagePin(image="ros:jazzy", digest=DIGEST))) == imageless
+
+
+def test_a_lock_is_written_in_one_order_and_read_back(tmp_path: Path) -> None:
+    layout = Layout.of(tmp_path / "specs/b.yaml", "b")
+    applications = {name: Pins(catalog=CATALOG, files={"x": name}) for name in ("c", "a", "b")}
+    text = lock_text(Lock(spec=LockBody(applications=applications)))
+    assert [line for line in text.splitlines() if line in ("    a:", "    b:", "    c:")] == [
+        "    a:",
+        "    b:",
+        "    c:",
+    ]
+    assert "apiVersion: fogspec.dev/v1alpha1\n" in text
+    assert read_pins(layout) is None
+    layout.lock.write_text(text)
+    lock = read_lock(layout.lock)
+    assert lock is not None
+    assert lock.spec.applications == applications
+    found = read_pins(layout)
+    assert found is not None
+    assert found.files == {"x": "b"}
+    assert read_pins(Layout.of(tmp_path / "specs/z.yaml", "z")) is None
+
+
+def test_drift_is_what_differs_from_the_lock_and_nothing_without_one() -> None:
+    pins = Pins(catalog=CATALOG, files={"a": "1", "b": "2", "gone": "3"})
+    assert lock_drift(pins, {"a": "1", "b": "9", "new": "4"}) == ["b", "gone", "new"]
+    assert lock_drift(pins, dict(pins.files)) == []
+    assert lock_drift(None, {"a": "1"}) == []
+    assert some(["a", "b"]) == "a, b"

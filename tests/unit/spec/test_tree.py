@@ -202,3 +202,9 @@ def test_a_file_that_cannot_be_read(folder: Path) -> None:
         (folder / "work.py").chmod(0)
         with pytest.raises(InvalidInput, match=r"work\.py: cannot be sent"):
             Tree(folder, ()).digests()
+
+
+def test_a_whole_path_is_another_one_on_a_machine(folder: Path) -> None:
+    (folder / "whole").symlink_to(folder / "work.py")
+    with pytest.raises(InvalidInput, match="leads outside"):
+        Tree(folder, ()).digests()

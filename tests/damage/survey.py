@@ -1,4 +1,4 @@
-"""What validate makes of many mutants: `python -m tests.mutation.survey [COUNT] [SEED]` prints the figures."""
+"""What validate makes of many mutants: `python -m tests.damage.survey [COUNT] [SEED]` prints the figures."""
 
 import sys
 import time
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from fogspec.base.diagnostics import Diagnostic
 from fogspec.spec.loader import check_text
-from tests.mutation.mutants import Mutant, mutants
+from tests.damage.specs import Mutant, mutants
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECS = ("grasp-planning", "vslam", "motion-planning")

@@ -1,9 +1,9 @@
-"""A mutated spec is still valid or has located mistakes; `python -m tests.mutation.survey` does 100,000 of them."""
+"""A mutated spec is still valid or has located mistakes; `python -m tests.damage.survey` does 100,000 of them."""
 
 import pytest
 
-from tests.mutation.mutants import mutants
-from tests.mutation.survey import report, survey
+from tests.damage.specs import mutants
+from tests.damage.survey import report, survey
 
 
 @pytest.mark.slow
