@@ -147,9 +147,9 @@ def log(name: str, job: int, root: str, path: str, limit: int, follow: bool = Fa
 
     `limit` is the most bytes to write; `tail` limits the log to so many last lines.
     """
-    written = 0
+    written, name = 0, _ours(name)
     with ProjectFiles(Path(root)).create(Path(path)) as file:
-        for chunk in sky.tail_logs(_ours(name), job, follow=follow, tail=tail, preload_content=False):
+        for chunk in sky.tail_logs(name, job, follow=follow, tail=tail, preload_content=False):
             if written >= limit:
                 break
             if chunk is None:  # a heartbeat
