@@ -1,5 +1,6 @@
 """The one way to the terminal: everything that is printed passes here, and no text from a file can steer a terminal."""
 
+import errno
 import json
 import os
 import re
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 # A style is written as a mark that differs in every run, so that no file can know it; `say_text` makes codes of it.
+GONE = (errno.EIO, errno.EPIPE)  # what a write to a closed terminal or pipe fails with
 MARK = f"\0{os.urandom(8).hex()}"
 STYLE = re.compile(f"{MARK}([0-9;]*)m")
 
@@ -33,6 +35,15 @@ def say_text(text: str, *, err: bool = False, end: str = "\n", color: bool | Non
     parts[::2] = map(visible, parts[::2])
     parts[1::2] = [f"\x1b[{codes}m" if color else "" for codes in parts[1::2]]
     click.echo("".join(parts) + end, nl=False, err=err, color=color)
+
+
+def say_on(*lines: str) -> None:
+    """Print lines on standard error; if nobody can read them any more, because the terminal is gone, work goes on without."""
+    try:
+        say(*lines, err=True)
+    except OSError as lost:
+        if lost.errno not in GONE:
+            raise
 
 
 def say_json(data: Any, *, indent: int | None = 2, err: bool = False) -> None:

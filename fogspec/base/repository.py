@@ -1,7 +1,7 @@
 """The repository that a directory belongs to: the same for every clone of it, and not to be forged by a committed file.
 
 Git's own configuration is read as text, so that the identity is the same where git is absent. Only the content of committed
-files is asked of git, by a command that runs no hook, filter or monitor of the checkout.
+files is asked of git.
 """
 
 import os

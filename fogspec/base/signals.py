@@ -2,10 +2,12 @@
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
+
+ENDS = (signal.SIGTERM, signal.SIGHUP)
 
 
 @dataclass(slots=True)
@@ -59,9 +61,24 @@ def processor_time(seconds: float) -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[Interrupt]:
-    """Stop gracefully at the first Ctrl-C or TERM, at once at the second."""
+    """Stop gracefully at the first Ctrl-C, TERM or closed terminal (HUP), at once at the second."""
+    with _handling((signal.SIGINT, *ENDS)) as interrupt:
+        yield interrupt
+
+
+@contextmanager
+def finishing() -> Iterator[Interrupt]:
+    """Go on at the first TERM or closed terminal (HUP): work that must not stop in the middle. Ctrl-C stops as ever."""
+    with _handling(ENDS) as interrupt:
+        yield interrupt
+
+
+@contextmanager
+def _handling(numbers: Iterable[signal.Signals]) -> Iterator[Interrupt]:
     interrupt = Interrupt()
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    # What nohup and the like ignore stays ignored.
+    heeded = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, interrupt) for number in heeded}
     try:
         yield interrupt
     finally:

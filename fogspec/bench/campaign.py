@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleBackend, SampleStatus, Unreachable
 from fogspec.base.clock import Clock
 from fogspec.base.errors import Refused
-from fogspec.bench.attempt import Attempt, outlived
+from fogspec.bench.attempt import STOP_PATIENCE_S, Attempt, outlived
 from fogspec.bench.journal import Journal, LaunchRecord
 from fogspec.bench.record import make_record, within_attempt
 from fogspec.bench.retry import RetryPolicy, overdrawn
@@ -310,12 +310,24 @@ class Campaign:
         self._report(entry.sample, EventKind.DONE, record=record)
 
     def _stop_all(self) -> None:
-        for name, attempt in list(self.running.items()):
-            try:
-                self.backend.stop(attempt.job)
-            except Exception as problem:
-                self.left.append(name)
-                self._report(attempt.started.sample, EventKind.NOT_ENDED, attempt, detail=str(problem))
+        """Stop every machine, again and again until each is verified gone; `left` gets those that are not in time."""
+        waiting, until_s = dict(self.running), self.clock.now_s() + STOP_PATIENCE_S
+        while waiting:
+            late = self.clock.now_s() >= until_s
+            for name, attempt in list(waiting.items()):
+                try:
+                    self.backend.stop(attempt.job)
+                except Exception as problem:
+                    if late:
+                        self.left.append(name)
+                        with contextlib.suppress(Exception):
+                            self._report(attempt.started.sample, EventKind.NOT_ENDED, attempt, detail=str(problem))
+                else:
+                    del waiting[name]
+            if late:
+                return
+            if waiting:
+                self.clock.sleep(max(self.backend.poll_s, IDLE_S))
 
     def _report(
         self,

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,8 @@ from fogspec.backends.protocol import Costs, SampleBackend
 from fogspec.backends.registry import owner_of
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
-from fogspec.base.errors import CloudError, Interrupted, InvalidInput, Refused
+from fogspec.base.console import GONE, say_on
+from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
 from fogspec.base.signals import Interrupt, interruptible
 from fogspec.base.text import shell_command
@@ -27,7 +28,7 @@ from fogspec.bench.progress import ProgressReporter, RedactingProgress
 from fogspec.bench.quote import check_prices
 from fogspec.bench.results_file import ResultsFile, set_aside
 from fogspec.bench.retry import overdrawn
-from fogspec.bench.types import CampaignConfig
+from fogspec.bench.types import CampaignConfig, Event
 from fogspec.catalog.table import Catalog
 from fogspec.numerics.priors import PriorData
 from fogspec.plan.budget import ceil_cents
@@ -93,18 +94,31 @@ def bench(prepared: Prepared, backend: SampleBackend, watch: Watch, options: Ben
             result = _measure(_Bench(prepared, backend, options or BenchOptions(), interrupt, left), watch)
     except KeyboardInterrupt:
         now = "interrupted at once" if left else "interrupted at once: nothing runs any more"
-        raise Interrupted(now, *map("may still run: {}".format, left), again) from None
+        raise Interrupted(now, *_may_run(left, backend), again) from None
     except BrokenPipeError:
         raise
     except OSError as problem:
         message = f"{problem.filename or layout.state}: {problem.strerror or problem}"
-        raise InvalidInput(message, *map("may still run: {}".format, left), again) from None
+        raise InvalidInput(message, *_may_run(left, backend), again) from None
+    except FogspecError as failed:
+        failed.hints = (*failed.hints, *_may_run(left, backend), *([again] if left else []))
+        raise
+    except Exception:
+        if left:
+            say_on(*_may_run(left, backend), again)
+        raise
     if left:
-        raise CloudError("these machines could not be verified gone", *left, again)
+        raise CloudError("these machines could not be verified gone", *_may_run(left, backend), again)
     if interrupt.asked:
         kept = f"{len(completed(result.results))} samples are done and kept in {layout.results}"
         raise Interrupted("interrupted: nothing runs any more", kept, again)
     return result
+
+
+def _may_run(left: Sequence[str], backend: SampleBackend) -> list[str]:
+    """Return a line for each machine that may still run, with the command that ends it without fogspec."""
+    by_hand = ", by hand: sky down {}" if backend.name == "skypilot" else ""
+    return [f"may still run: {name}{by_hand.format(name)}" for name in left]
 
 
 def _measure(one: _Bench, watch: Watch) -> BenchResult:
@@ -116,7 +130,7 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
         campaign, sink, tasks = _campaign(one, journal, redacting)
         with watch(campaign) as reporter:
             redacted = RedactingProgress(reporter, redacting)
-            campaign.report = redacted
+            campaign.report = _heard(redacted, one.interrupt)
             starts = bool(one.prepared.todo) or one.prepared.plan.spec.sampler == "adaptive"
             adopt_orphans(campaign, one.prepared.plan.spec.samples, one.options.resume, starts)
             running = campaign.recover()
@@ -138,6 +152,20 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
         if not journal.state.open:
             with contextlib.suppress(OSError):
                 layout.files.remove_tree(layout.sent)
+
+
+def _heard(report: Callable[[Event], None], interrupt: Interrupt) -> Callable[[Event], None]:
+    """Return the report, which asks for a clean stop once nobody can read it: its terminal or pipe was closed."""
+
+    def tell(event: Event) -> None:
+        try:
+            report(event)
+        except OSError as lost:
+            if lost.errno not in GONE:
+                raise
+            interrupt.asked = True
+
+    return tell
 
 
 def _check_affordable(campaign: Campaign, prepared: Prepared) -> None:

@@ -1,12 +1,11 @@
 """Implement `fogspec apply`: deploy a manifest."""
 
 import sys
-from functools import partial
 from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.console import ask, say, say_json
+from fogspec.base.console import ask, say, say_json, say_on
 from fogspec.base.errors import Refused, UsageError
 from fogspec.base.text import shell_command
 from fogspec.base.units import UnitError, format_price, parse_price_usd_per_hour
@@ -58,7 +57,7 @@ def command(
     say(*as_text(ordered), err=True)
     if dry_run:
         return
-    applied = apply(ordered, deployment_backend, SystemWallClock(), partial(say, err=True), lambda: _ask(yes))
+    applied = apply(ordered, deployment_backend, SystemWallClock(), say_on, lambda: _ask(yes))
     machine = applied.machine
     if output == "json":
         found = {"changed": applied.changed, "waited_s": applied.waited_s, **machine.model_dump(mode="json")}

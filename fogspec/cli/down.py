@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.console import say, say_json
+from fogspec.base.console import say, say_json, say_on
 from fogspec.cli.options import OUTPUT
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def command(spec_or_name: str, output: str) -> None:
     from fogspec.deploy.state import SystemWallClock
 
     layout = layout_of(spec_or_name)
-    count, spent_usd = down(layout, _backends(layout), SystemWallClock(), partial(say, err=True))
+    count, spent_usd = down(layout, _backends(layout), SystemWallClock(), say_on)
     leave_link(layout)
     if output == "json":
         say_json({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}, indent=None)
@@ -41,6 +41,9 @@ def command(spec_or_name: str, output: str) -> None:
 
 def _backends(layout: "Layout") -> "list[Callable[[], DeploymentBackend]]":
     from fogspec.backends.registry import deployment_backend
-    from fogspec.deploy.down import places_of
+    from fogspec.deploy.engines import engines_of
 
-    return [partial(deployment_backend, infra) for infra in places_of(layout)]
+    engines = engines_of(layout)
+    if engines.doubts:
+        say_on(*engines.doubts, "so SkyPilot is asked too, besides this host: a record may name a cloud")
+    return [partial(deployment_backend, infra) for infra in engines.infra]

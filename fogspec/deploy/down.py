@@ -6,14 +6,15 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from fogspec.backends.protocol import DeploymentBackend, Job, Unreachable
-from fogspec.base.clouds import LOCAL
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput
 from fogspec.base.layout import Layout
 from fogspec.base.locks import application_lock
-from fogspec.compile.manifest import Manifest
+from fogspec.base.repository import committed
+from fogspec.base.signals import finishing
+from fogspec.bench.journal import JournalState
 from fogspec.deploy.apply import stop_machine
-from fogspec.deploy.state import DeploymentState, SystemWallClock, WallClock
+from fogspec.deploy.state import DeploymentState, WallClock
 
 
 def layout_of(spec_or_name: str) -> Layout:
@@ -39,7 +40,9 @@ def layout_of(spec_or_name: str) -> Layout:
     layout = Layout(Path(), Path("specs") / f"{spec_or_name}.yaml", spec_or_name)
     if os.path.basename(spec_or_name) != spec_or_name or spec_or_name in (".", "..", ""):
         raise InvalidInput(f"{spec_or_name!r} is no application's name", "name one, or its spec")
-    if not layout.files.is_folder(layout.state) and not layout.files.is_folder(layout.compiled):
+    known = layout.files.is_folder(layout.state) or layout.files.is_folder(layout.compiled)
+    known = known or layout.files.exists(layout.spec)
+    if not known and not any(committed(layout.root, path) for path in (layout.plan, layout.spec)):
         raise InvalidInput(f"there is no application named {spec_or_name} here", f"looked for {layout.state}")
     return layout
 
@@ -65,7 +68,7 @@ def down(
     Raise Refused while a bench or an apply runs, CloudError for machines that could not be verified gone.
     """
     try:
-        with application_lock(layout, f"down of {layout.name}", remove=True):
+        with finishing(), application_lock(layout, f"down of {layout.name}", remove=True):
             done = _down(_live(layout, times, report), backends, report)
         if layout.files.remove_folder(layout.state):
             layout.files.remove_folder(layout.state.parent)
@@ -81,12 +84,12 @@ def down(
 
 
 def _live(layout: Layout, times: WallClock, report: Callable[[str], None]) -> DeploymentState:
-    """Return the live state; a damaged file hides no machine, since all are found by name too."""
+    """Return the live state; a damaged file hides no machine, since all are found by name too, and is kept."""
     try:
         return DeploymentState.read(layout, times)
     except DiagnosticError as problems:
         report(f"{layout.live}: {problems.diagnostics[0].message}: machines are found by their names")
-        return DeploymentState(layout, times, [])
+        return DeploymentState(layout, times, [], unreadable=True)
 
 
 def _down(
@@ -114,6 +117,8 @@ def _down(
     if unwritten:
         raise unwritten[0]
     live.check_owned()
+    if (kept := live.set_aside()) is not None:
+        report(f"{kept} is the live state that cannot be read: nothing of this application runs any more, remove it")
     for path in live.clear():
         report(f"{path}: removed")
     return ended, spent
@@ -123,13 +128,22 @@ def _orphans(live: DeploymentState, backend: DeploymentBackend, report: Callable
     """Stop machines with the application's name that are not in the live state; return their number."""
     layout = live.layout
     names = list(backend.list(live.owner, layout.state))
-    for name in names:
+    for name in [*names, *(name for name in _journaled(live, backend.name) if name not in names)]:
         directory = live.folder(name) if live.owner.has_deployment(name) else layout.state / "attempts" / name
         backend.stop(Job(name=name, owner=live.owner, task={}, root=layout.root, directory=directory))
-        report(f"{name}: gone")
+        if name in names:
+            report(f"{name}: gone")
     if rest := backend.list(live.owner, layout.state):
         raise Unreachable(f"still there: {', '.join(rest)}")
     return len(names)
+
+
+def _journaled(live: DeploymentState, runner: str) -> list[str]:
+    """Return the machines that benches started with this runner and have not verified gone: a list may lack them."""
+    with contextlib.suppress(OSError, FogspecError):
+        opened = JournalState.read(live.layout.files.read(live.layout.journal)).open
+        return [name for name, one in opened.items() if one.runner == runner and live.owner.has(name)]
+    return []
 
 
 @contextlib.contextmanager
@@ -143,20 +157,3 @@ def _collecting(left: list[str], unwritten: list[InvalidInput | OSError]) -> Ite
         left.append(str(lost))
     except (InvalidInput, OSError) as problem:
         unwritten.append(problem)
-
-
-def places_of(layout: Layout) -> list[str]:
-    """Return one infra per backend that may have machines of the application: this host, and a cloud if it has any."""
-    from fogspec.plan.schema import Plan
-    from fogspec.spec.loader import read_document
-
-    clouds: set[str] = set()
-    with contextlib.suppress(DiagnosticError, InvalidInput):
-        clouds |= {machine.machine.cloud_name for machine in DeploymentState.read(layout, SystemWallClock()).machines}
-    with contextlib.suppress(DiagnosticError, InvalidInput):
-        plan = read_document(layout.plan, Plan, layout.files)
-        clouds |= {sample.machine.cloud_name for sample in plan.spec.samples}
-    with contextlib.suppress(DiagnosticError, InvalidInput):
-        clouds |= {read_document(layout.manifest, Manifest, layout.files).spec.cloud_name}
-    away = sorted(clouds - {LOCAL})
-    return [LOCAL, *away[:1]]

@@ -56,6 +56,7 @@ class DeploymentState:
     """The machines of one application, as on disk: every change is written before it takes effect.
 
     `foreign` are records of machines that are not this application's: they are kept as they are, and nothing acts on them.
+    `unreadable` tells that there is a file that cannot be read.
     """
 
     layout: Layout
@@ -63,6 +64,7 @@ class DeploymentState:
     machines: list[DeployedMachine]
     spent_usd: float = 0.0
     foreign: list[DeployedMachine] = field(default_factory=list)
+    unreadable: bool = False
     _owner: Owner | None = None
 
     def __post_init__(self) -> None:
@@ -112,6 +114,16 @@ class DeploymentState:
         self._write([one for one in self.machines if one.name != name], self.spent_usd + spent)
         with contextlib.suppress(OSError):
             self.layout.files.remove_tree(self.folder(name))
+
+    def set_aside(self) -> Path | None:
+        """Rename a file that cannot be read, and return its new path; None if there is no such."""
+        if not self.unreadable:
+            return None
+        files, number = self.layout.files, 1
+        while files.exists(path := self.layout.state / f"{self.layout.live.name}.unreadable-{number}"):
+            number += 1
+        files.move(self.layout.live, path)
+        return path
 
     def clear(self) -> Iterator[Path]:
         """Remove the file and what is left next to it, once no machine is left, and yield each; raise OSError if that fails.

@@ -2,8 +2,12 @@
 
 import random
 
+import pytest
+
+from fogspec.backends import registry
 from tests.faults import deployments as faulty
 from tests.support.deployed import MANIFEST, Deployed, app, tiny  # noqa: F401
+from tests.support.fake_sky import Cloud, beside
 
 # Killed before a step is killed after the one before it: write (begun, half done), keep (the same), start, look, write.
 STEPS = range(1, 10)
@@ -78,10 +82,17 @@ def test_nodes_without_their_supervisor_are_ended_too(tiny: Deployed) -> None:
     assert faulty.left(tiny).nothing
 
 
-def test_a_damaged_live_state_hides_nothing(tiny: Deployed) -> None:
+def test_a_damaged_live_state_hides_nothing(tiny: Deployed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        registry, "deployment_backend", beside(registry.deployment_backend, Cloud(tiny.folder / "cloud"))
+    )
     assert faulty.run(tiny, "apply", MANIFEST, "--yes") == 0
     (tiny.state / "deployment.yaml").write_text("machines: [")
     assert "machines are found by their names" in tiny("down", "tiny").stderr
+    kept = tiny.state / "deployment.yaml.unreadable-1"
+    assert kept.read_text() == "machines: [", "no record is deleted that could not be read"
+    kept.unlink()
+    tiny.state.rmdir()
     assert faulty.left(tiny).nothing
 
 

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from fogspec.backends import registry
 from fogspec.base.layout import Layout
 from fogspec.catalog.machine import Machine
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, SystemWallClock
 from tests.support.deployed import Deployed, app, tiny  # noqa: F401
+from tests.support.fake_sky import Cloud, beside
 from tests.support.running import Shell, measure, project, shell  # noqa: F401
 
 AT = ("--catalog", "offers.csv")
@@ -95,16 +97,20 @@ def test_garbage_in_the_place_of_a_file(whole: Shell, name: str) -> None:
         path.write_bytes(content)
 
 
-def test_down_ends_what_runs_whatever_its_live_state_is(tiny: Deployed) -> None:
+def test_down_ends_what_runs_whatever_its_live_state_is(tiny: Deployed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        registry, "deployment_backend", beside(registry.deployment_backend, Cloud(tiny.folder / "cloud"))
+    )
     path = tiny.state / "deployment.yaml"
-    for kind in ("zeros", "a list", "a pipe"):
+    for number, kind in enumerate(("zeros", "a list", "a pipe"), 1):
         tiny.apply()
         place(kind, path)
         assert tiny.alive()
         said = tiny("down", "tiny")
         assert "1 ended" in said.stdout
         assert "found by their names" in said.stderr
-        assert (tiny.alive(), tiny.left()) == ([], []), kind
+        assert tiny.alive() == [], kind
+        assert tiny.left() == [str(tiny.state / f"deployment.yaml.unreadable-{n}") for n in range(1, number + 1)], kind
 
 
 def test_nothing_is_written_over_what_is_no_file(whole: Shell) -> None:

@@ -124,6 +124,13 @@ def _kill(process: "subprocess.Popen[bytes]", home: Path) -> None:
         time.sleep(0.02)
 
 
+def beside(local: Callable[[str], Any], cloud: Cloud) -> Callable[[str], Any]:
+    """`registry.deployment_backend` with this cloud for every infra but this host."""
+    from fogspec.backends.skypilot.backend import SkyPilotDeployments
+
+    return lambda infra: local(infra) if infra == "local" else SkyPilotDeployments(SimulatedClient(cloud))
+
+
 class Followed(Future[Any]):
     """A log that is followed to its end."""
 
