@@ -42,11 +42,8 @@ def without_compiled(folder: Path) -> None:
 
 def only_committed(folder: Path) -> None:
     """Nothing is checked out any more: the last commit alone names the cloud."""
-    for words in (
-        ["init", "-q"],
-        ["add", "specs", "compiled"],
-        ["-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "a"],
-    ):
+    who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    for words in (["init", "-q"], ["add", "specs", "compiled"], [*who, "commit", "-qm", "a"]):
         subprocess.run(["git", *words], cwd=folder, check=True)
     without_compiled(folder)
     (folder / "specs/demo.yaml").unlink()

@@ -25,7 +25,7 @@ from pathlib import Path
 
 from fogspec.backends.local.backend import LocalDeployments
 from fogspec.backends.protocol import Job, Unreachable
-from fogspec.base import files
+from fogspec.base import files, project_files
 from fogspec.deploy import state
 from tests.support.deployed import MANIFEST, Deployed
 from tests.support.forking import forked
@@ -99,14 +99,14 @@ def full(after: int) -> Fault:
     """The disk is full from the `after`-th file on."""
 
     def put() -> None:
-        count, make = itertools.count(1), tempfile.mkstemp
+        count, replace = itertools.count(1), project_files._replace
 
-        def mkstemp(*words: object, **named: object) -> object:
+        def full_replace(folder: int, name: str, content: bytes) -> None:
             if next(count) >= after:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            return make(*words, **named)  # type: ignore[call-overload]
+            replace(folder, name, content)
 
-        tempfile.mkstemp = mkstemp  # type: ignore[assignment]
+        project_files._replace = full_replace
 
     return put
 
