@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from fogspec.backends.local.backend import LocalSamples
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, LaunchRefused
 from fogspec.backends.skypilot.backend import SkyPilotDeployments, SkyPilotSamples
+from fogspec.backends.task_check import check_sources, check_task
 from fogspec.catalog.machine import Gpu, Machine
 from tests.support.fake_sky import Cloud, SimulatedClient
 from tests.support.jobs import config, resources
@@ -198,3 +200,25 @@ def test_a_deployment_may_cost_what_its_user_allows(root: Path) -> None:
         SkyPilotDeployments(SimulatedClient(Cloud(root.parent / "cloud"))).start(
             job(root, MACHINES["plain"], False, task)
         )
+
+
+@pytest.mark.parametrize(("cap", "fits"), [(None, True), (0.01, False), (99.0, False), (0, False)])
+def test_a_machine_without_a_price_has_no_cap(root: Path, cap: float | None, fits: bool) -> None:
+    free = Machine(infra="slurm/lab/small", instance="s", cpus=2, memory="4GiB", price="$0/h")
+    whole = job(root, free, sample=True)
+    task = edited(whole.task, "resources.max_hourly_cost", cap)
+    if fits:
+        check_task(replace(whole, task=task))
+    else:
+        with pytest.raises(LaunchRefused, match="max_hourly_cost"):
+            check_task(replace(whole, task=task))
+
+
+def test_the_mounts_of_compiled_tasks_are_these(root: Path) -> None:
+    mounts = {
+        "~/.fogspec/agent.pyz": "agent.pyz",
+        "~/.fogspec/link": "link",
+        "~/.fogspec/launch/cloud.launch.py": "agent.pyz",
+    }
+    whole = job(root, MACHINES["plain"], sample=False)
+    check_sources(replace(whole, task={**whole.task, "file_mounts": mounts}))

@@ -150,3 +150,13 @@ def test_a_line_after_a_torn_one_is_no_record() -> None:
         [sys.executable, AGENT, "redaction", "KEY"], env={"KEY": "hunter2"}, capture_output=True, input=line
     ).stdout
     assert said == b"x" * (2**20 - 4) + b'$KEY {"a": 1}\n'
+
+
+def test_a_secret_that_begins_another_one_waits_for_it() -> None:
+    for pieces, said in (
+        ((b"x abc", b"d y"), b"x $LONG y"),
+        ((b"x abc", b" y"), b"x $SHORT y"),
+        ((b"abc",), b"$SHORT"),
+    ):
+        stream = Stream(Secrets({"abc": "$SHORT", "abcd": "$LONG"}))
+        assert b"".join([*map(stream.feed, pieces), stream.rest()]) == said

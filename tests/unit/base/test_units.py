@@ -202,3 +202,10 @@ def test_what_is_wrong_is_said(kind: str, text: Any, message: str) -> None:
     with pytest.raises(UnitError) as wrong:
         PARSERS[kind](text)
     assert str(wrong.value).startswith(message) or message in str(wrong.value)
+
+
+def test_an_amount_without_a_denominator_is_mended_in_both() -> None:
+    for text, fix in (("2.50 USD", "$2.50/request"), ("USD 2.50/", "$2.50/request"), ("many/request s", None)):
+        with pytest.raises(UnitError) as wrong:
+            units.parse_cost_usd_per_request(text)
+        assert wrong.value.fix == fix

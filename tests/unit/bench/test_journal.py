@@ -192,3 +192,45 @@ def test_the_sum_of_a_journal_is_read_as_far_as_it_goes(tmp_path):
     assert JournalState.read(b"").open == {}
     lines = content.splitlines(keepends=True)
     assert JournalState.read(b"".join([*lines[:2], b"nonsense\n", *lines[2:]])).attempts == 1
+
+
+class Clocks:
+    """A host's clocks: seconds of this boot, and of the date."""
+
+    def __init__(self, boot: str, now_s: float, unix_s: float) -> None:
+        self.boot, self.now_s, self.unix_s = (lambda: boot), (lambda: now_s), (lambda: unix_s)
+
+
+@pytest.mark.parametrize(
+    ("clocks", "at_unix_s", "age_s", "passed_s"),
+    [
+        (Clocks("boot", 112.5, 0.0), 1.7e9, 100.0, 100.0),
+        (Clocks("boot", 9012.5, 1.7e9), 1.7e9, 9000.0, 9000.0),
+        (Clocks("other", 5.0, 1.7e9 + 7200), 1.7e9, 7200.0, 7200.0),
+        (Clocks("other", 5.0, 1.7e9 + 60), 1.7e9, 60.0, 1200.0),
+        (Clocks("other", 5.0, 1.7e9 - 60), 1.7e9, 0.0, 1200.0),
+        (Clocks("other", 5.0, 1.7e9), None, 0.0, 1200.0),
+    ],
+)
+def test_how_long_a_machine_ran_by_the_clock_that_can_tell(clocks, at_unix_s, age_s, passed_s):
+    one = replace(started("a"), at_unix_s=at_unix_s)
+    assert one.age_s(clocks) == pytest.approx(age_s)
+    assert one.passed_s(clocks) == pytest.approx(passed_s)
+    assert one.commitment_usd == pytest.approx(3.6 * 1200 / 3600)
+
+
+def test_a_machine_that_ended_is_nobodys_sample_should_it_come_back(tmp_path):
+    lines = [json.loads(line) for line in _content(tmp_path)]
+    end = next(one for one in lines if one["do"] == "end")
+    end |= {"at_s": 99.0, "at_unix_s": 1.8e9, "boot": "later"}
+    state = JournalState.read(b"".join(json.dumps(one).encode() + b"\n" for one in lines))
+    back = state.ended["a"]
+    assert (back.at_s, back.at_unix_s, back.boot, back.outlived) == (99.0, 1.8e9, "later", False)
+    assert back.application not in ("sha256:app", ""), "no bench measures it on"
+    assert (back.name, back.sample, back.price_usd_per_hour) == ("a", SAMPLE, 3.6)
+
+
+def _content(folder):
+    path = folder / "journal.jsonl"
+    whole(path).close()
+    return path.read_bytes().splitlines()

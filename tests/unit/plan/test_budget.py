@@ -210,3 +210,19 @@ def test_a_list_of_machines_is_not_narrowed_by_hardware() -> None:
     plan = make_plan(app, "specs/demo.yaml", CATALOG)
     offers = filter_offers(CATALOG, app.spec.hardware, app.spec.infra)
     assert not [one for one in cheapest_options(app, plan, estimate_cost(plan), offers) if "hardware" in one.change]
+
+
+@pytest.mark.parametrize("seconds", [1, 9, 10, 11, 59, 60, 61, 66, 67, 119, 120, 239, 240, 299, 600, 1234.5, 3601])
+def test_a_round_figure_takes_off_a_tenth_at_most(seconds: float) -> None:
+    assert module._round_down(seconds) == round_down(seconds)
+    assert module._round_down(-seconds) < 0, "there is no time at all"
+
+
+def test_an_accelerator_that_all_machines_left_would_have_to_have_is_no_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "OPTIONS", 99)
+    app = application(HARDWARE, ["aws/r1"], budget="$0.2")
+    plain = table(*(row for row in ROWS if ",T4," not in row))
+    offers = filter_offers(plain, app.spec.hardware, app.spec.infra)
+    plan = make_plan(app, "specs/demo.yaml", plain)
+    found = cheapest_options(app, plan, estimate_cost(plan), offers)
+    assert not [one.change for one in found if one.change == "take none out of spec.hardware.gpus"]

@@ -1,0 +1,28 @@
+"""Digests of what a measurement reads, by hand: a later version that reads more must not change those of older results."""
+
+import hashlib
+import json
+
+from fogspec.spec import fingerprints
+from tests.unit.compile.test_tasks import application
+
+APPLICATION = application(cloud=[{"cmd": ["./node"]}])
+
+
+def test_empty_fields_count_and_fields_that_came_later_do_not_while_they_are_not_set() -> None:
+    found = fingerprints.measured_part(APPLICATION)
+    assert {"cloud", "ros", "probe", "metrics", "secrets", "workload"} <= set(found)
+    assert (found["secrets"], found["metrics"], found["ros"]) == ([], {}, None)
+    assert "scenarios" not in found
+    assert None not in found["probe"].values()
+    assert not set(found) & {"constraints", "objective", "hardware", "infra", "deployment", "ignore", "budget"}
+    text = json.dumps(found, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    assert fingerprints.measured_digest(APPLICATION) == f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def test_parts_are_named_by_short_digests_of_their_own() -> None:
+    found = fingerprints.measured_fields(APPLICATION)
+    assert found["secrets"] == hashlib.sha256(b"[]").hexdigest()[:12]
+    assert fingerprints.chosen_fields(APPLICATION)["ignore"] == hashlib.sha256(b"[]").hexdigest()[:12]
+    assert fingerprints.field_of_measured("workload") == "spec.benchmark.workload"
+    assert fingerprints.field_of_measured("cloud") == "spec.cloud"
