@@ -1,0 +1,82 @@
+"""What a campaign says and keeps of machines that it cannot reach or end."""
+
+import pytest
+
+from fogspec.backends.protocol import Unreachable
+from fogspec.bench.types import Event, EventKind
+from tests.faults.controllers import COMMITMENT, campaign_of, samples
+from tests.faults.simulation import FaultyBackend, World
+
+
+@pytest.fixture
+def told(tmp_path):
+    """A campaign in a world without faults, and all that it reports."""
+    world, events = World(0, tmp_path, faults=False), list[Event]()
+    campaign = campaign_of(world, 0, 10.0, lambda _: None)
+    campaign.report = events.append
+    campaign.journal.begin("simulated", "a", "p", 0.0)
+    yield campaign, events, world
+    campaign.journal.close()
+
+
+def test_a_machine_that_never_goes_is_given_up_and_stays_in_the_books(told, monkeypatch):
+    campaign, events, world = told
+    asked = []
+
+    def stop(self, job):
+        asked.append(job.name)
+        assert len(asked) < 1000, "it is asked for ever"
+        raise Unreachable("the cloud does not answer")
+
+    monkeypatch.setattr(FaultyBackend, "stop", stop)
+    campaign.run(samples(2))
+    names = sorted(set(asked))
+    assert len(names) == 2
+    assert sorted(campaign.left) == names, "each is named, once"
+    assert campaign.running == {}
+    assert sorted(campaign.journal.state.open) == names
+    most = sum(one.machine.price for one in samples(2)) * COMMITMENT.paid_s / 3600
+    assert campaign.journal.state.committed_usd == pytest.approx(most), "its bill stays committed"
+    ends = [one for one in events if one.kind is EventKind.ENDS]
+    assert ends[0].detail is None, "clouds take a while"
+    assert ends[-1].detail == "the cloud does not answer"
+    assert world.now > COMMITMENT.paid_s, "not before it must have ended itself"
+
+
+def test_what_is_reported_of_a_sample(told, monkeypatch):
+    campaign, events, _ = told
+    poll, lost = FaultyBackend.poll, []
+
+    def once_lost(self, job):
+        if not lost:
+            lost.append(job.name)
+            raise Unreachable("no route to host")
+        return poll(self, job)
+
+    monkeypatch.setattr(FaultyBackend, "poll", once_lost)
+    campaign.run(samples(1))
+    assert events[0].kind is EventKind.STARTS
+    (silence,) = [one for one in events if one.kind is EventKind.LOST_CONTACT]
+    assert silence.detail == "no route to host"
+    seen = [one for one in events if one.kind in (EventKind.MEASURES, EventKind.SETS_UP)]
+    assert seen
+    assert all(one.status is not None and one.status.running for one in seen)
+    assert {one.status.ready for one in seen if one.kind is EventKind.MEASURES} <= {True}
+    assert events[-1].kind is EventKind.DONE
+    assert events[-1].record is not None
+    assert events[-1].spent_usd > 0
+    assert all(one.sample.id == "s0" and one.folder is not None for one in events)
+    assert all(one.committed_usd > 0 for one in events[:-1])
+    assert events[-1].committed_usd == 0
+
+
+def test_samples_that_do_not_fit_are_recorded_with_what_they_would_cost(told):
+    campaign, _, world = told
+    each = [one.machine.price * COMMITMENT.paid_s / 3600 for one in samples(3)]
+    object.__setattr__(campaign.config, "budget_usd", each[0] * 1.01)
+    campaign.run(samples(3))
+    kept = world.disk["samples"]
+    assert [kept[name].reason for name in ("s0", "s1", "s2")] == [None, "budget", "budget"]
+    assert f"would commit ${each[1]:.4f}" in kept["s1"].detail
+    assert world.disk["spent"] <= each[0]
+    assert len(world.machines) == 1
