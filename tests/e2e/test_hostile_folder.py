@@ -34,13 +34,19 @@ PROGRAMS = (
 )  # fmt: skip
 CLOUD = {
     "apiVersion": "fogspec.dev/v1alpha1", "kind": "LiveState", "metadata": {"name": "tiny"},
-    "spec": {"spent": 0.0, "machines": [{
+    "spec": {"spent": "$0.0", "machines": [{
         "name": "fogspec-tiny-01234567-abcdef", "deployer": "skypilot", "state": "serving", "manifest": "sha256:" + "0" * 64,
         "machine": {"infra": "aws/us-east-1", "instance": "m5.large", "cpus": 2, "memory": "8GiB", "price": "$0.1/h"},
         "runs": "sha256:" + "0" * 64, "files": {}, "fallback": 0, "at": "1s", "boot": "none",
         "since": "2026-01-01T00:00:00+00:00",
     }]},
 }  # fmt: skip
+
+
+REACHED = (
+    "Could not connect to SkyPilot API server",
+    "OutOfSync, Unknown",
+)  # so its process was started, and imported it
 
 
 class Hostile:
@@ -74,8 +80,8 @@ class Hostile:
             (folder / name / "__main__.py").write_text(self.leaves(f"package-{name.replace('/', '.')}"))
         for name in PROGRAMS:
             self.program(folder / name)
-        (folder / ".sky.yaml").write_text("admin_policy: hostile_policy.Policy\n")
-        (folder / "hostile_policy.py").write_text(self.leaves("admin-policy"))
+        # It may name code and another API server. This one would end SkyPilot's process with another sentence.
+        (folder / ".sky.yaml").write_text("api_server: 7\n")
 
     def leaves(self, name: str) -> str:
         return f"open({str(self.marks / name)!r}, 'a').close()\n"
@@ -191,7 +197,8 @@ def test_skypilots_process_runs_nothing_of_it(hostile: Hostile, verb: str) -> No
         "down": ["tiny"],
         "bench": ["specs/tiny.yaml", "--runner", "skypilot", "--yes"],
     }
-    hostile(verb, *words[verb])
+    ended = hostile(verb, *words[verb])
+    assert any(word in ended.stdout + ended.stderr for word in REACHED), ended
     state.unlink(missing_ok=True)
 
 
