@@ -1,0 +1,293 @@
+"""Where registry credentials go, seen from the other end of real connections: two servers on loopback that write down all."""
+
+import base64
+import hashlib
+import http.server
+import json
+import stat
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fogspec.backends.images.registry import Registry
+from fogspec.base.errors import CloudError, FogspecError, InvalidInput
+
+BODY = b'{"schemaVersion": 2}'
+DIGEST = f"sha256:{hashlib.sha256(BODY).hexdigest()}"
+BASIC = f"Basic {base64.b64encode(b'reader:hunter2').decode()}"
+Answer = tuple[int, dict[str, str], bytes]
+
+
+@dataclass
+class Server:
+    """An HTTP server on loopback that answers by a function, and keeps every request."""
+
+    answer: Callable[[Any], Answer] = lambda _request: (200, {}, BODY)
+    seen: list[tuple[str, str, str | None, bytes]] = field(default_factory=list)
+    address: str = ""
+
+    @property
+    def given(self) -> list[str]:
+        """The credentials that it was given."""
+        return [given for *_, given, _ in self.seen if given is not None]
+
+
+@pytest.fixture
+def servers() -> Iterator[Callable[[], Server]]:
+    running = []
+
+    def start() -> Server:
+        server = Server()
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do(self) -> None:
+                body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+                server.seen.append((self.command, self.path, self.headers.get("Authorization"), body))
+                code, headers, content = server.answer(self)
+                self.send_response(code)
+                for name, value in {"Content-Length": str(len(content)), **headers}.items():
+                    self.send_header(name, value)
+                self.end_headers()
+                self.wfile.write(content)
+
+            do_GET = do_POST = do
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        listening = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        threading.Thread(target=listening.serve_forever, args=(0.01,), daemon=True).start()
+        running.append(listening)
+        server.address = f"127.0.0.1:{listening.server_port}"
+        return server
+
+    yield start
+    for one in running:
+        one.shutdown()
+        one.server_close()
+
+
+@pytest.fixture
+def docker(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[dict[str, Any]], None]:
+    """Write docker's configuration."""
+    monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path))
+    return lambda config: (tmp_path / "config.json").write_text(json.dumps(config)) and None
+
+
+def login(address: str) -> dict[str, Any]:
+    return {"auths": {address: {"auth": base64.b64encode(b"reader:hunter2").decode()}}}
+
+
+def asked_first(then: Callable[[Any], Answer], challenge: str = "Basic realm=x") -> Callable[[Any], Answer]:
+    """Answer without credentials with a challenge, with them as `then` does."""
+    return lambda request: (
+        then(request) if request.headers.get("Authorization") else (401, {"WWW-Authenticate": challenge}, b"")
+    )
+
+
+def test_credentials_are_sent_only_when_they_are_asked_for(servers: Any, docker: Any) -> None:
+    one = servers()
+    docker(login(one.address))
+    assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
+    assert one.given == []
+    one.answer = asked_first(lambda _: (200, {"Docker-Content-Digest": DIGEST}, BODY))
+    assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
+    assert one.given == [BASIC]
+    assert [path for _, path, *_ in one.seen] == ["/v2/robot/manifests/v1"] * 3
+
+
+@pytest.mark.parametrize("code", [301, 302, 303, 307, 308])
+def test_no_redirect_takes_credentials_to_another_host(servers: Any, docker: Any, code: int) -> None:
+    one, other = servers(), servers()
+    docker(login(one.address))
+    one.answer = asked_first(lambda _: (code, {"Location": f"http://{other.address}/elsewhere"}, b""))
+    try:
+        assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
+    except FogspecError:
+        assert other.seen == [], "refused altogether"
+    assert one.given == [BASIC]
+    assert other.given == []
+
+
+@pytest.mark.parametrize("location", ["file:///etc/passwd", "ftp://127.0.0.1/x", "gopher://x/", "//"])
+def test_a_redirect_leads_to_no_other_kind_of_place(servers: Any, docker: Any, location: str) -> None:
+    one = servers()
+    docker({})
+    one.answer = lambda _: (302, {"Location": location}, b"")
+    with pytest.raises(FogspecError):
+        Registry().digest(f"{one.address}/robot:v1")
+
+
+@pytest.mark.parametrize(
+    "realm", ["http://registry.example/token", "ftp://127.0.0.1/token", "", "http://127.0.0.1.example/t"]
+)
+def test_no_token_server_without_https_is_asked(servers: Any, docker: Any, realm: str) -> None:
+    one = servers()
+    docker(login(one.address))
+    one.answer = lambda _: (401, {"WWW-Authenticate": f'Bearer realm="{realm}",service="s"'}, b"")
+    with pytest.raises(FogspecError, match="not https"):
+        Registry().digest(f"{one.address}/robot:v1")
+    assert one.given == []
+
+
+def test_a_token_server_on_loopback_is_asked_with_the_name_and_the_registry_with_its_token(
+    servers: Any, docker: Any
+) -> None:
+    one, tokens = servers(), servers()
+    docker(login(one.address))
+    challenge = f'Bearer realm="http://{tokens.address}/token",service="the service",scope="more:than:that"'
+    one.answer = asked_first(lambda _: (200, {}, BODY), challenge)
+    tokens.answer = lambda _: (200, {}, b'{"token": "t-1"}')
+    assert Registry().digest(f"{one.address}/team/robot:v1") == DIGEST
+    ((method, path, given, _),) = tokens.seen
+    assert (method, given) == ("GET", BASIC)
+    assert path == "/token?service=the+service&scope=repository%3Ateam%2Frobot%3Apull", "its own repository, to read"
+    assert one.given == ["Bearer t-1"]
+
+
+def test_an_identity_token_is_exchanged_by_a_form(servers: Any, docker: Any) -> None:
+    one, tokens = servers(), servers()
+    docker({"auths": {one.address: {"identitytoken": "hunter2"}}})
+    one.answer = asked_first(lambda _: (200, {}, BODY), f'Bearer realm="http://{tokens.address}/token",service="s"')
+    tokens.answer = lambda _: (200, {}, b'{"access_token": "t-2"}')
+    assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
+    ((method, path, given, form),) = tokens.seen
+    assert (method, path, given) == ("POST", "/token", None)
+    assert b"refresh_token=hunter2" in form
+    assert b"grant_type=refresh_token" in form
+    assert one.given == ["Bearer t-2"]
+
+
+@pytest.mark.parametrize("code", [301, 302, 303, 307, 308])
+def test_no_redirect_takes_an_identity_token_elsewhere(servers: Any, docker: Any, code: int) -> None:
+    one, tokens, other = servers(), servers(), servers()
+    docker({"auths": {one.address: {"identitytoken": "hunter2"}}})
+    one.answer = asked_first(lambda _: (200, {}, BODY), f'Bearer realm="http://{tokens.address}/token"')
+    tokens.answer = lambda _: (code, {"Location": f"http://{other.address}/token"}, b"")
+    with pytest.raises(FogspecError):
+        Registry().digest(f"{one.address}/robot:v1")
+    assert not [body for *_, body in other.seen if b"hunter2" in body]
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "said"),
+    [
+        ((404, {}, b""), InvalidInput, "has no such image"),
+        ((403, {}, b""), InvalidInput, "does not show it"),
+        ((401, {}, b""), InvalidInput, "does not show it"),
+        ((429, {}, b""), CloudError, "too many requests"),
+        ((500, {}, b""), CloudError, "HTTP 500"),
+        ((200, {"Docker-Content-Digest": f"sha256:{'0' * 64}"}, BODY), CloudError, "and what it sent has"),
+        ((200, {"Docker-Content-Digest": "md5:1"}, BODY), CloudError, "and what it sent has"),
+    ],
+)
+def test_what_a_registry_refuses_is_said(
+    servers: Any, docker: Any, answer: Answer, error: type[FogspecError], said: str
+) -> None:
+    one = servers()
+    docker({})
+    one.answer = lambda _: answer
+    with pytest.raises(error, match=said):
+        Registry().digest(f"{one.address}/robot:v1")
+
+
+def test_an_answer_longer_than_a_manifest_is_cut_off(servers: Any, docker: Any) -> None:
+    one = servers()
+    docker({})
+    one.answer = lambda _: (200, {}, b" " * (4 << 20))
+    assert Registry().digest(f"{one.address}/robot:v1").startswith("sha256:")
+    one.answer = lambda _: (200, {}, b" " * ((4 << 20) + 1))
+    with pytest.raises(CloudError):
+        Registry().digest(f"{one.address}/robot:v1")
+
+
+# What docker keeps
+
+
+def helper(folder: Path, name: str, script: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = folder / f"docker-credential-{name}"
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("PATH", f"{folder}:/usr/bin:/bin")
+
+
+@pytest.mark.parametrize("where", ["credHelpers", "credsStore"])
+@pytest.mark.parametrize(
+    ("script", "given"),
+    [
+        ('read key; printf \'{"Username": "reader", "Secret": "%s"}\' "$key"', "reader:{key}"),
+        ("exit 1", None),
+        ("echo no json", None),
+        ('echo \'{"Username": "reader"}\'', None),
+    ],
+)
+def test_a_helper_is_asked_for_the_registry(
+    servers: Any,
+    docker: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    where: str,
+    script: str,
+    given: str | None,
+) -> None:
+    one = servers()
+    helper(tmp_path, "pass", script, monkeypatch)
+    docker({where: {one.address: "pass"} if where == "credHelpers" else "pass"})
+    one.answer = asked_first(lambda _: (200, {}, BODY))
+    if given is None:
+        with pytest.raises(InvalidInput, match="does not show it"):
+            Registry().digest(f"{one.address}/robot:v1")
+        assert one.given == []
+    else:
+        assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
+        packed = base64.b64encode(given.format(key=one.address).encode()).decode()
+        assert one.given == [f"Basic {packed}"]
+
+
+def test_a_helpers_token_is_an_identity_token(
+    servers: Any, docker: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, tokens = servers(), servers()
+    helper(tmp_path, "pass", 'echo \'{"Username": "<token>", "Secret": "hunter2"}\'', monkeypatch)
+    docker({"credsStore": "pass"})
+    one.answer = asked_first(lambda _: (200, {}, BODY), f'Bearer realm="http://{tokens.address}/token"')
+    tokens.answer = lambda _: (200, {}, b'{"token": "t"}')
+    Registry().digest(f"{one.address}/robot:v1")
+    assert [(method, b"hunter2" in body) for method, *_, body in tokens.seen] == [("POST", True)]
+
+
+@pytest.mark.parametrize("name", ["../evil", "/tmp/evil", "a/b"])
+def test_a_helper_is_a_name_and_no_path(servers: Any, docker: Any, tmp_path: Path, name: str) -> None:
+    one = servers()
+    docker({"credsStore": name})
+    one.answer = asked_first(lambda _: (200, {}, BODY))
+    with pytest.raises(InvalidInput, match="does not show it"):
+        Registry().digest(f"{one.address}/robot:v1")
+
+
+@pytest.mark.parametrize("key", ["{}", "https://{}", "http://{}"])
+def test_a_login_is_found_as_docker_writes_it_and_not_for_another_registry(servers: Any, docker: Any, key: str) -> None:
+    one = servers()
+    one.answer = asked_first(lambda _: (200, {}, BODY))
+    docker(login(key.format(one.address)))
+    assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
+    docker(login("registry.example"))
+    with pytest.raises(InvalidInput):
+        Registry().digest(f"{one.address}/robot:v1")
+    assert one.given == [BASIC]
+
+
+@pytest.mark.parametrize("config", ["{", "[]", '{"auths": {"ADDRESS": []}}', "\udcff"])
+def test_a_damaged_configuration_is_named_and_shows_nothing(
+    servers: Any, docker: Any, tmp_path: Path, config: str
+) -> None:
+    one = servers()
+    one.answer = asked_first(lambda _: (200, {}, BODY))
+    docker({})
+    (tmp_path / "config.json").write_bytes(config.replace("ADDRESS", one.address).encode("utf-8", "surrogateescape"))
+    with pytest.raises(InvalidInput, match=r"config\.json: docker's configuration cannot be read: \w+$"):
+        Registry().digest(f"{one.address}/robot:v1")
