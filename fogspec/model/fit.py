@@ -27,6 +27,7 @@ from fogspec.spec.schema import Application, Statistic
 SERVER_ERROR = 0.015
 UNKNOWN_ERROR = 0.02
 MOST_ERROR = 10.0
+MOST_MISSED = 1000.0
 # The standard error of a quantile over that of the mean, of a normal variable: sqrt(p (1 - p)) / density.
 ERROR_OF = {"mean": 1.0, "p50": 1.25, "p95": 2.11, "p99": 3.74}
 
@@ -261,5 +262,10 @@ def _warnings(best: Fit, levels: int) -> list[str]:
     if best.p == 1 and levels > 1:
         found.append("no curve predicts a left-out sample better than the mean: the model is a constant")
     if math.isfinite(best.loo_max) and best.loo_max > families.WEAK_ERROR:
-        found.append(f"a left-out sample is missed by up to {best.loo_max:.0%}, whatever R² says")
+        missed = (
+            f"up to {best.loo_max:.0%}"
+            if best.loo_max < MOST_MISSED
+            else f"more than {MOST_MISSED:.0f} times its value"
+        )
+        found.append(f"a left-out sample is missed by {missed}, whatever R² says")
     return found
