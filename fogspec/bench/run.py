@@ -21,6 +21,7 @@ from fogspec.base.text import shell_command
 from fogspec.base.units import dollars, format_money
 from fogspec.bench.adaptive import AdaptiveSampling, Tasks
 from fogspec.bench.campaign import Campaign
+from fogspec.bench.claim import ClaimingBackend
 from fogspec.bench.journal import Journal
 from fogspec.bench.orphans import adopt_orphans, adopt_returned
 from fogspec.bench.prepare import Prepared
@@ -272,12 +273,20 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
         substitutes=lambda name: _substitutes(tasks.substitutes(name), sink, one.options.prices),
         tree=tree,
     )
+    clock = SystemClock()
     campaign = Campaign(
         config=config,
-        backend=backend,
+        backend=ClaimingBackend(
+            backend,
+            owner=owner,
+            directory=layout.attempts,
+            token=token,
+            ours=lambda: journal.state.open,
+            now_s=clock.now_s,
+        ),
         journal=journal,
         sink=sink,
-        clock=SystemClock(),
+        clock=clock,
         stopping=lambda: one.interrupt.asked,
         left=one.left,
     )

@@ -181,6 +181,7 @@ class FaultyBackend:
     at_once: int = 4
     poll_s: float = 10.0
     costs: str = "real"
+    notes: tuple[str, ...] = ()
     watched: set[str] = field(default_factory=set)
     seen_ready: set[str] = field(default_factory=set)
 
