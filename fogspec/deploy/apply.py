@@ -144,7 +144,8 @@ class Rollout:
         """Start the machine, or the next one if it is unavailable; wait until it answers; stop the old one.
 
         Raise CloudError if all are unavailable or the nodes do not answer in time, Refused for a price that rose,
-        InvalidInput if a node ended, Interrupted after Ctrl-C: what served before still does.
+        InvalidInput if a node ended, Interrupted after Ctrl-C: what served before still does. Raise Refused too if another
+        apply, from another clone, started a machine meanwhile.
         """
         begun = self.unfinished()
         for one in self.candidates:
@@ -152,10 +153,36 @@ class Rollout:
                 continue
             served, begun = self._attempt(one, begun), None
             if served is not None:
+                self._check_alone(served)
                 self.live.put(served, ends=True)
                 self.stop_others([served.name])
                 return served
         raise CloudError("the manifest names no machine that may be started")
+
+    def _check_alone(self, machine: DeployedMachine) -> None:
+        """Stop the machine and raise Refused if lists show one that another apply started.
+
+        Both may see each other, and both then stop their own. By now every list shows this machine: who started later sees it.
+        """
+        while (others := self._listed(machine)) is None:
+            self.live.times.sleep(self._backend(machine).poll_s)
+        if others:
+            self._stop(machine)
+            raise Refused(
+                f"another apply of {self.live.layout.name} started a machine at the same time: this one ended its own",
+                *others,
+                "see whether that one serves; fogspec down ends all of them",
+            )
+
+    def _listed(self, machine: DeployedMachine) -> list[str] | None:
+        """Return `unknown_machines`, None if they cannot be listed just now; stop the machine and raise once its time is up."""
+        try:
+            return self.unknown_machines()
+        except CloudError:
+            if self.live.up_s(machine) <= self.ready_timeout_s:
+                return None
+            self._stop(machine)
+            raise
 
     def _attempt(self, one: Candidate, begun: DeployedMachine | None) -> DeployedMachine | None:
         """Return the machine once it answers, or None if the next is to be tried.

@@ -116,6 +116,37 @@ def test_the_first_machine_that_answers(world: World) -> None:
     assert again.current() == served
 
 
+@dataclass
+class RacedBackend(FakeBackend):
+    """A backend on which another clone starts a machine as well, and whose lists fail at times."""
+
+    other: str = ""
+    lists: int = 0
+
+    def poll(self, job: Job) -> DeploymentStatus:
+        self.up[self.other] = "b"
+        return super().poll(job)
+
+    def list(self, application: str, directory: Path) -> Sequence[str]:
+        self.lists += 1
+        if self.lists % 2:
+            raise Unreachable("no route to host")
+        return super().list(application, directory)
+
+
+def test_a_machine_that_another_clone_started_meanwhile_leaves_one_of_them_at_most(world: World) -> None:
+    world.apply(FIRST, "a").run()
+    rollout = world.apply(SECOND, "b")
+    (served,) = rollout.live.machines
+    other = rollout.live.owner.deployment_name(SECOND, "abcdef")
+    raced = world.backend = RacedBackend(world.backend.says, other=other, up=world.backend.up)
+    with pytest.raises(Refused, match="at the same time") as no:
+        rollout.run()
+    assert other in no.value.hints
+    assert set(raced.up) == {served.name, other}, "what served still does, and the other's is not touched"
+    assert [one.name for one in rollout.live.machines] == [served.name]
+
+
 @pytest.mark.parametrize("reason", ["capacity", "quota"])
 def test_want_of_capacity_known_late_goes_on_to_the_next(world: World, reason: str) -> None:
     world.backend.says["a"] = ["starting", LaunchRefused(reason, "sold out")]  # type: ignore[arg-type]
