@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import multiprocessing
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -54,9 +55,11 @@ def copy_of(root: Path) -> Path:
     return copy
 
 
-def _tests(folder: Path, tests: Sequence[str]) -> None:
+def _tests(folder: Path, tests: Sequence[str], limit_s: float) -> None:
     """Run tests on the copy in `folder`, in a process of their own; its exit code is pytest's."""
     os.setsid()
+    # A mutant may turn in a circle, and must end also when nobody is left to kill it.
+    resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s) + 1, int(limit_s) + 1))
     os.chdir(folder)
     os.environ["PYTHONPATH"] = str(folder)
     for name in [name for name in sys.modules if name.partition(".")[0] in ("tests", "fogspec")]:
@@ -72,7 +75,7 @@ def _tests(folder: Path, tests: Sequence[str]) -> None:
 
 def outcome(folder: Path, tests: Sequence[str], limit_s: float) -> int | None:
     """Return the exit code of the tests; None if they took too long."""
-    process = CONTEXT.Process(target=_tests, args=(folder, tests))
+    process = CONTEXT.Process(target=_tests, args=(folder, tests, limit_s))
     process.start()
     process.join(limit_s)
     code = process.exitcode
@@ -140,7 +143,7 @@ def main() -> int:
     def sound(folder: Path, name: str) -> tuple[str, int | None]:
         start = time.monotonic()
         code = outcome(folder, listed[name], 600)
-        limits_s[name] = 20 + 5 * (time.monotonic() - start)
+        limits_s[name] = 15 + 3 * (time.monotonic() - start)
         return name, code
 
     def tried(folder: Path, mutant: Mutant) -> tuple[Mutant, bool]:

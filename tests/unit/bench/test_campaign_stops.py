@@ -3,7 +3,8 @@
 import pytest
 
 from fogspec.backends.protocol import Unreachable
-from fogspec.bench.types import Event, EventKind
+from fogspec.bench.campaign import Campaign
+from fogspec.bench.types import Event, EventKind, Queued
 from tests.faults.controllers import COMMITMENT, campaign_of, samples
 from tests.faults.simulation import FaultyBackend, World
 
@@ -80,3 +81,42 @@ def test_samples_that_do_not_fit_are_recorded_with_what_they_would_cost(told):
     assert f"would commit ${each[1]:.4f}" in kept["s1"].detail
     assert world.disk["spent"] <= each[0]
     assert len(world.machines) == 1
+
+
+def test_machines_that_outlive_their_bill_leave_less_for_the_others(told, monkeypatch):
+    campaign, _, _ = told
+    campaign.queue += [Queued(one) for one in samples(2)]
+    campaign._start_what_fits()
+    each = [one.machine.price * COMMITMENT.paid_s / 3600 for one in samples(2)]
+    assert campaign.journal.state.committed_usd == pytest.approx(sum(each))
+    monkeypatch.setattr(Campaign, "_outlived_usd", lambda self: 0.2 * each[0])
+    for over, ended in ((0.3, []), (0.2, []), (0.1, ["s1"])):
+        object.__setattr__(campaign.config, "budget_usd", sum(each) + over * each[0])
+        campaign._stop_what_does_not_fit()
+        stopped = [one.started.sample.id for one in campaign.running.values() if one.end is not None]
+        assert stopped == ended, over
+    (end,) = [one.end for one in campaign.running.values() if one.end is not None]
+    assert (end.running, end.reason) == (False, "budget")
+
+
+def test_after_a_fault_every_machine_is_asked_to_end_until_it_is_gone_and_not_without_pause(told, monkeypatch):
+    campaign, events, world = told
+    asked, before = [], FaultyBackend.stop
+
+    def stop(self, job):
+        asked.append(world.now)
+        if len(asked) <= 6:
+            raise Unreachable("not now")
+        before(self, job)
+
+    def fault(self, job):
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(FaultyBackend, "stop", stop)
+    monkeypatch.setattr(FaultyBackend, "poll", fault)
+    with pytest.raises(RuntimeError, match="a fault of ours"):
+        campaign.run(samples(2))
+    assert campaign.left == []
+    assert all(one.ended is not None for one in world.machines.values())
+    assert asked[-1] - asked[0] >= 3 * campaign.backend.poll_s
+    assert not [one for one in events if one.kind is EventKind.NOT_ENDED]
