@@ -125,7 +125,8 @@ class JournalState:
             started = self.open.pop(entry["name"])
             if "at_s" in entry:
                 self.ended[started.name] = replace(started, **_moment(entry), application=ORPHAN, outlived=False)
-            self.totals[self.runner] = self.spent_usd + _amount(entry["spent_usd"])
+            # Sums of decimal amounts: without the noise of binary fractions.
+            self.totals[self.runner] = round(self.spent_usd + _amount(entry["spent_usd"]), 9)
             if entry["record"] is not None:
                 self.unwritten[started.name] = started, Measured.model_validate(entry["record"])
         elif kind == "written":

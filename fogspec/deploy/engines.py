@@ -70,7 +70,8 @@ def _clouds(value: Any) -> Iterator[str]:
             if key == "infra" or (key == "machines" and isinstance(inner, list)):
                 texts = [inner] if isinstance(inner, str) else inner if isinstance(inner, list) else []
                 yield from (cloud_name(text) for text in texts if isinstance(text, str))
-            yield from _clouds(inner)
+            if key != "field_digests":  # it has names of fields as keys, `infra` too
+                yield from _clouds(inner)
     elif isinstance(value, list):
         for inner in value:
             yield from _clouds(inner)

@@ -12,6 +12,8 @@ import pytest
 from fogspec.backends import registry
 from fogspec.backends.skypilot.backend import SkyPilotDeployments
 from fogspec.base.errors import CloudError
+from fogspec.base.layout import Layout
+from fogspec.deploy.engines import engines_of
 from tests.e2e.test_deployment_skypilot import AT, MANIFEST, WORK
 from tests.support.deployed import Deployed, app  # noqa: F401
 from tests.support.fake_sky import Cloud, beside
@@ -140,6 +142,13 @@ def test_a_closed_terminal_ends_what_apply_starts(
     hang_up(applying)
     assert tiny.alive() == []
     assert tiny.names() == []
+
+
+def test_records_of_a_local_deployment_name_this_host_only(app: Callable[..., Deployed]) -> None:
+    tiny = app()
+    tiny.apply()
+    named = engines_of(Layout.of(tiny.folder / "specs" / "tiny.yaml", "tiny"))
+    assert (named.infra, named.doubts) == (["local"], ())
 
 
 def test_down_goes_on_when_its_terminal_is_closed(app: Callable[..., Deployed]) -> None:
