@@ -112,6 +112,14 @@ def until(done: Callable[[], object]) -> None:
         time.sleep(0.05)
 
 
+@pytest.fixture(autouse=True)
+def terminal() -> Iterator[None]:
+    """As in a terminal: under nohup, and in some CI, HUP is ignored from the start, which children inherit."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 def hang_up(process: "subprocess.Popen[str]") -> int:
     """Close its terminal: nobody reads any more, and HUP arrives."""
     for pipe in (process.stdout, process.stderr):
