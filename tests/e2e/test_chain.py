@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.base import digest
+from fogspec.base.text import markdown
 from fogspec.results.schema import Results, Timings, with_checksum
 from fogspec.spec.loader import read_document
 from tests.support.files import write_yaml
@@ -216,9 +217,7 @@ def test_markdown_cannot_be_broken_out_of(done: Shell) -> None:
     edit(done, "offers.csv", lambda text: text.replace("a.large,,,8,16,0.40", "a.large,,,8,16,0.44"))
     said = done("diff", *AT, "-o", "markdown").out
     assert "| machine | $0.4/h | $0.44/h | +10% |" in said
-    from fogspec.audit.diff import escaped
-
-    assert escaped("a|b`<img>\n") == "a\\|b\\`\\<img\\> "
+    assert markdown("a|b`<img>\n") == "a\\|b\\`\\<img\\>"
 
 
 def test_the_statement_is_in_toto_and_the_same_each_time(done: Shell) -> None:
