@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from fogspec.backends.images.credentials import credentials
 from fogspec.backends.images.registry import Registry
 from fogspec.base.errors import CloudError, FogspecError, InvalidInput
 
@@ -221,6 +222,7 @@ def helper(folder: Path, name: str, script: str, monkeypatch: pytest.MonkeyPatch
     [
         ('read key; printf \'{"Username": "reader", "Secret": "%s"}\' "$key"', "reader:{key}"),
         ("exit 1", None),
+        ('read key; printf \'{"Username": "reader", "Secret": "%s"}\' "$key"; exit 1', None),
         ("echo no json", None),
         ('echo \'{"Username": "reader"}\'', None),
     ],
@@ -291,3 +293,54 @@ def test_a_damaged_configuration_is_named_and_shows_nothing(
     (tmp_path / "config.json").write_bytes(config.replace("ADDRESS", one.address).encode("utf-8", "surrogateescape"))
     with pytest.raises(InvalidInput, match=r"config\.json: docker's configuration cannot be read: \w+$"):
         Registry().digest(f"{one.address}/robot:v1")
+
+
+def test_a_redirect_on_loopback_is_followed_without_credentials(servers: Any, docker: Any) -> None:
+    one, other = servers(), servers()
+    docker({})
+    one.answer = lambda _: (302, {"Location": f"http://{other.address}/elsewhere"}, b"")
+    assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
+    assert [path for _, path, *_ in other.seen] == ["/elsewhere"]
+
+
+def test_a_public_image_needs_no_login_for_its_token(servers: Any, docker: Any) -> None:
+    one, tokens = servers(), servers()
+    docker({})
+    one.answer = asked_first(lambda _: (200, {}, BODY), f'Bearer realm="http://{tokens.address}/token",service="s"')
+    tokens.answer = lambda _: (200, {}, b'{"token": "anonymous"}')
+    assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
+    assert (one.given, tokens.given) == (["Bearer anonymous"], [])
+
+
+@pytest.mark.parametrize("key", ["https://index.docker.io/v1/", "index.docker.io", "docker.io", "registry-1.docker.io"])
+def test_docker_hub_has_several_names(docker: Any, key: str) -> None:
+    docker(login(key))
+    assert credentials("docker.io") == ("reader", "hunter2")
+    assert credentials("ghcr.io") is None
+    assert "hunter2" not in repr(credentials("docker.io"))
+
+
+def test_without_a_word_of_where_it_is_the_configuration_is_at_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DOCKER_CONFIG", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert credentials("ghcr.io") is None
+    (tmp_path / ".docker").mkdir()
+    (tmp_path / ".docker/config.json").write_text(json.dumps(login("ghcr.io")))
+    assert credentials("ghcr.io") == ("reader", "hunter2")
+
+
+@pytest.mark.parametrize("name", ["../evil", "a/evil"])
+def test_no_program_of_the_working_folder_is_a_helper(
+    docker: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    ran = tmp_path / "ran"
+    planted = tmp_path / f"docker-credential-{name.partition('/')[0]}" / "evil"
+    planted.parent.mkdir()
+    planted.write_text(f"#!/bin/sh\ntouch {ran}\n")
+    planted.chmod(0o755)
+    monkeypatch.chdir(tmp_path)
+    docker({"credsStore": name})
+    assert credentials("ghcr.io") is None
+    assert not ran.exists()

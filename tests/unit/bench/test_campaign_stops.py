@@ -120,3 +120,11 @@ def test_after_a_fault_every_machine_is_asked_to_end_until_it_is_gone_and_not_wi
     assert all(one.ended is not None for one in world.machines.values())
     assert asked[-1] - asked[0] >= 3 * campaign.backend.poll_s
     assert not [one for one in events if one.kind is EventKind.NOT_ENDED]
+
+
+def test_a_sample_without_a_task_starts_nothing(told):
+    campaign, _, world = told
+    object.__setattr__(campaign.config, "task", lambda _sample: None)
+    with pytest.raises(LookupError, match="s0 has no task"):
+        campaign.run(samples(1))
+    assert (world.machines, campaign.journal.state.open) == ({}, {})
