@@ -57,7 +57,9 @@ def _versions(layout: Layout, path: Path, doubts: list[str]) -> Iterator[bytes]:
     if os.path.lexists(path):
         try:
             yield layout.files.read(path)
-        except (OSError, FogspecError):
+        except FogspecError as problem:
+            doubts.append(problem.message)
+        except OSError:
             doubts.append(f"{path}: cannot be read")
     if path != layout.live and (content := committed(layout.root, path)) is not None:
         yield content
@@ -83,7 +85,10 @@ def _journaled(layout: Layout, doubts: list[str]) -> Iterator[str]:
         return
     try:
         lines = layout.files.read(layout.journal).splitlines(keepends=True)
-    except (OSError, FogspecError):
+    except FogspecError as problem:
+        doubts.append(problem.message)
+        return
+    except OSError:
         doubts.append(f"{layout.journal}: cannot be read")
         return
     for line in lines:
