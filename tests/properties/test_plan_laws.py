@@ -92,7 +92,8 @@ def test_the_estimate_is_the_sum_of_the_samples(application: Any, rows: list[str
         return
     estimate, price = plan.spec.estimate, sum(sample.machine.price for sample in plan.spec.samples)
     assert math.isclose(estimate.measuring, price * plan.spec.duration / 3600, abs_tol=1e-6)
-    assert math.isclose(estimate.total, estimate.measuring + estimate.setup, abs_tol=1e-6)
+    parts = estimate.measuring + estimate.setup + estimate.overhead
+    assert math.isclose(estimate.total, parts, abs_tol=2e-6)
 
 
 @given(applications(), st.lists(offers(), min_size=1, max_size=40))
