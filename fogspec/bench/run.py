@@ -231,6 +231,7 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
     layout, body, spec = prepared.layout, prepared.plan.spec, prepared.application.spec
     owner = owner_of(layout)
     journal.check_owned(owner)
+    layout.files.names(layout.attempts)  # a link there is refused before anything is started
     application = fingerprints.measured_digest(prepared.application)
     token, pins = secrets.token_hex(4), read_pins(layout)
     tree = None
