@@ -1,6 +1,7 @@
 """One cluster for all tests here; one bench that several look at; one machine nobody looks after."""
 
 import os
+import secrets
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from tests.tools.slurm import apart, engine
 from tests.tools.slurm.__main__ import missing
 
 ABANDONED = "fogspec-abandoned"
-SECRET = "hunter2-correct-horse"
+SECRET = f"hunter2-{secrets.token_hex(8)}"  # of this run: what another one left in a shared folder is not found
 # Tells its secret in a log, and in the record of the first request, which is not counted.
 TELLS = """\
 print(os.environ["MAP_PASSWORD"], flush=True)
