@@ -10,7 +10,7 @@ import numpy as np
 from fogspec.base import digest
 from fogspec.base.layout import Layout
 from fogspec.base.units import format_duration
-from fogspec.bench.prepare import read_task
+from fogspec.bench.prepare import against_spec, read_task
 from fogspec.bench.results_file import ResultsFile
 from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.table import Catalog
@@ -62,7 +62,11 @@ class Tasks:
             self.known[sample.id] = read_task(files[self.layout.task(sample.id)])
 
     def _substitutes(self, sample_id: str | None = None) -> list[Sample]:
-        named = [one for one in self.plan.spec.substitutes if sample_id in (None, one.substitute_for)]
+        named = [
+            one
+            for one in self.plan.spec.substitutes
+            if sample_id in (None, one.substitute_for) and against_spec(self.application, one.machine) is None
+        ]
         return [sample_on(one.machine, f"instead of {one.substitute_for}: {one.reason}") for one in named]
 
     def _write(self, sample: Sample) -> None:

@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.base import digest
+from fogspec.base.clouds import LOCAL
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate, UsageError
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
 from fogspec.bench.spending import spending
+from fogspec.catalog.filters import field_against
+from fogspec.catalog.machine import Machine
 from fogspec.compile.agent_archive import agent_archive
 from fogspec.compile.plan_files import task_file
 from fogspec.plan.schema import Plan, Sample, replicate, sample_id
@@ -28,7 +31,8 @@ class Prepared:
     """The samples to measure, `todo`, with their reviewed tasks.
 
     `results` are those that still count; `outdated` tells that the file on disk measured something else; `only`
-    that the user named the samples. `read` are the results as they were on disk. `spent_usd` is the cost of measuring the
+    that the user named the samples. `not_admitted` are sentences on samples of the plan that the spec does not admit,
+    which are not measured. `read` are the results as they were on disk. `spent_usd` is the cost of measuring the
     application so far by runner, also before it changed.
     """
 
@@ -41,6 +45,7 @@ class Prepared:
     outdated: bool
     only: bool
     todo: tuple[Sample, ...]
+    not_admitted: tuple[str, ...] = ()
     read: Results | None = None
     spent_usd: Mapping[str, float] = field(default_factory=dict)
 
@@ -87,6 +92,8 @@ def prepare(
         or bool(changed_pins(results.spec.pins, plan.spec.pins))
     )
     counting = None if outdated else results
+    wanted = _todo(plan, counting, only)
+    against = {one.id: field for one in wanted if (field := against_spec(application, one.machine)) is not None}
     return Prepared(
         application=application,
         layout=layout,
@@ -96,7 +103,10 @@ def prepare(
         results=counting,
         outdated=outdated,
         only=bool(only),
-        todo=tuple(_todo(plan, counting, only)),
+        todo=tuple(one for one in wanted if one.id not in against),
+        not_admitted=tuple(
+            f"{name} is not measured: spec.{field} does not admit it" for name, field in against.items()
+        ),
         read=results,
         spent_usd=spending(layout, results),
     )
@@ -180,6 +190,18 @@ def read_task(content: bytes) -> Mapping[str, Any]:
 
     task: Mapping[str, Any] = YAML(typ="safe", pure=True).load(content)
     return task
+
+
+def against_spec(application: Application, machine: Machine) -> str | None:
+    """Return the field of the spec that does not admit a machine of the plan, whoever wrote the plan; None without one."""
+    spec = application.spec
+    if listed := spec.benchmark.machines:
+        name = f"{LOCAL}/{machine.instance}" if machine.is_local else machine.instance
+        if name not in listed or machine.is_local:
+            return None if name in listed else "benchmark.machines"
+    field = field_against(machine, spec.hardware, spec.infra)
+    # A listed machine may have any shape.
+    return None if listed and field not in ("infra", "hardware.spot") else field
 
 
 def _todo(plan: Plan, results: Results | None, only: Sequence[str]) -> list[Sample]:

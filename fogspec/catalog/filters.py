@@ -11,7 +11,7 @@ from fogspec.base.clouds import CLOUDS, split_infra
 from fogspec.base.units import Range
 from fogspec.catalog import classes
 from fogspec.catalog.machine import Gpu, Machine
-from fogspec.catalog.table import Catalog, Floats, Strings
+from fogspec.catalog.table import Catalog, Floats, Strings, of_machine
 from fogspec.spec.schema import Hardware, MachineClass
 
 Mask = NDArray[np.bool_]
@@ -111,6 +111,16 @@ def matches_gpu(catalog: Catalog, text: str) -> Mask:
         return ~classes.accelerated(catalog)
     spellings = {name for name in set(catalog.gpu.tolist()) if name.lower() == gpu.name.lower()}
     return _within(catalog.gpu, spellings) & np.asarray(catalog.gpu_count == gpu.count, dtype=np.bool_)
+
+
+def field_against(machine: Machine, hardware: Hardware, infra: Sequence[str]) -> str | None:
+    """Return the first field of the spec that does not admit the machine, by what a plan says of it; None if all do.
+
+    A plan does not tell architecture and generation.
+    """
+    one = of_machine(machine)
+    told = (found for found in _filters(hardware, infra) if found[0] not in ("hardware.arch", INCLUDE))
+    return next((name for name, mask in told if not mask(one)[0]), None)
 
 
 def matches_names(catalog: Catalog, patterns: Sequence[str]) -> Mask:

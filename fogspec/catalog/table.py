@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.base.clouds import split_infra
 from fogspec.catalog.machine import Gpu, Machine
 
 Floats = NDArray[np.float64]
@@ -134,6 +135,28 @@ class Catalog:
         """Return the mask of rows with exactly the accelerators of this machine."""
         name, count = machine.accelerators
         return np.asarray((self.gpu == name) & (self.gpu_count == count), dtype=np.bool_)
+
+
+def of_machine(machine: Machine) -> Catalog:
+    """Return the catalog of one machine; what a machine does not tell is unknown."""
+    cloud, region, zone = (*split_infra(machine.infra), "", "")[:3]
+    gpu, count = machine.accelerators
+    texts = {"cloud": cloud, "region": region, "zone": zone, "instance": machine.instance, "gpu": gpu, "arch": ""}
+    numbers = {
+        "vcpus": machine.cpus,
+        "memory_gib": machine.memory,
+        "gpu_count": count,
+        "price_usd_per_hour": machine.price,
+        **dict.fromkeys(("gpu_memory_gib", "physical_cores", "clock_ghz"), np.nan),
+    }
+    return Catalog(
+        about=About("one machine", "", "", ""),
+        family=strings([""]),
+        spot=np.array([machine.spot]),
+        burstable=np.array([False]),
+        **{name: strings([text]) for name, text in texts.items()},
+        **{name: np.array([number], dtype=np.float64) for name, number in numbers.items()},
+    )
 
 
 def strings(values: Iterable[str]) -> Strings:

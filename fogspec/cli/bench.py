@@ -109,6 +109,8 @@ def command(
             say(spent, err=True)
         for note in backend.notes:
             say(note, err=True)
+        for text in prepared.not_admitted:
+            say(f"  {text}", err=True)
         if prepared.outdated:
             kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
             say(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)

@@ -8,8 +8,13 @@ import pytest
 from ruamel.yaml import YAML
 
 from fogspec.base import digest
+from fogspec.base.layout import Layout
 from fogspec.base.yaml.writer import yaml_text
-from tests.e2e.test_bench_money import bench, nothing_happened, paid  # noqa: F401
+from fogspec.catalog.machine import Gpu, Machine
+from fogspec.compile.plan_files import plan_file, with_tasks
+from fogspec.plan.schema import Plan, Substitute, sample_on
+from fogspec.spec.loader import load, read_document
+from tests.e2e.test_bench_money import SWEEP, bench, nothing_happened, paid  # noqa: F401
 from tests.support.running import Shell, shell  # noqa: F401
 
 PLAN = "compiled/demo/plan.yaml"
@@ -19,7 +24,7 @@ ADDED = {
 }  # fmt: skip
 
 
-def load(text: str) -> Any:
+def parsed(text: str) -> Any:
     return YAML(typ="safe", pure=True).load(text)
 
 
@@ -48,11 +53,11 @@ def paths(task: Mapping[str, Any], above: str = "") -> Iterator[str]:
 
 def test_every_key_of_a_task_is_the_compiled_one(paid: Shell) -> None:
     """Also if the plan is given the digest of the edited task."""
-    plan = load(paid.read(PLAN))
+    plan = parsed(paid.read(PLAN))
     sample = plan["spec"]["samples"][-1]
     name = f"compiled/demo/{sample['task']['path']}"
     text, whole = paid.read(name), paid.read(PLAN)
-    task = load(text)
+    task = parsed(text)
     found = [(path, None) for path in paths(task)] + list(ADDED.items())
     found += [(path, {"changed": 1}) for path in paths(task)] + [("resources.instance_type", "p5.48xlarge")]
     assert len(found) >= 40
@@ -87,3 +92,36 @@ def test_a_plan_that_measures_otherwise_than_the_spec_is_refused(paid: Shell, fi
     said = bench(paid, "--yes", code=3)
     assert f"{PLAN} is not what the spec compiles to: {named}" in said.err
     assert nothing_happened(paid)
+
+
+@pytest.mark.parametrize(
+    ("machine", "field"),
+    [
+        (("aws/r1", "a.huge", 128, 64, None, False, 1.6), "hardware.cpus"),
+        (("aws/r1", "g.small", 4, 16, "T4", False, 0.6), "hardware.gpus"),
+        (("aws/r1", "a.small", 2, 4, None, True, 0.03), "hardware.spot"),
+        (("gcp/r1", "a.small", 2, 4, None, False, 0.1), "infra"),
+    ],
+)
+def test_a_machine_that_the_spec_does_not_admit_is_not_measured(paid: Shell, machine: tuple, field: str) -> None:
+    """Also if the plan has it, with the very task that it compiles to: as sample, and as substitute."""
+    infra, instance, cpus, memory, gpu, spot, price = machine
+    odd = Machine(
+        infra=infra, instance=instance, cpus=cpus, memory=memory, gpu=Gpu(name=gpu) if gpu else None, spot=spot, price=price
+    )  # fmt: skip
+    layout, application = Layout.of(paid.folder / "specs/demo.yaml", "demo"), load([paid.folder / "specs/demo.yaml"])[0]
+    plan = read_document(layout.plan, Plan)
+    first = plan.spec.samples[0]
+    samples = [*plan.spec.samples[:-1], sample_on(odd, "a branch wants it")]
+    substitutes = [Substitute(substitute_for=first.id, machine=odd, reason="a branch wants it")]
+    body = plan.spec.model_copy(update={"samples": samples, "substitutes": substitutes})
+    forged, files = with_tasks(application.application, plan.model_copy(update={"spec": body}), layout)
+    for path, content in (files | {layout.plan: plan_file(forged, layout)}).items():
+        path.write_bytes(content)
+    # The first machine is not to be had.
+    sweep = "".join(line for line in SWEEP.splitlines(True) if not line.startswith(first.machine.instance))
+    paid.write("sweep.csv", sweep)
+    said = bench(paid, "--yes")
+    assert f"{samples[-1].id} is not measured: spec.{field} does not admit it" in said.err
+    measured = {one["id"] for one in parsed(paid.read("results/demo.yaml"))["spec"]["samples"]}
+    assert measured == {one.id for one in samples[:-1]}

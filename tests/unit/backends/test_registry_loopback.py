@@ -4,6 +4,7 @@ import base64
 import hashlib
 import http.server
 import json
+import os
 import stat
 import threading
 from collections.abc import Callable, Iterator
@@ -341,6 +342,7 @@ def test_no_program_of_the_working_folder_is_a_helper(
     planted.write_text(f"#!/bin/sh\ntouch {ran}\n")
     planted.chmod(0o755)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     docker({"credsStore": name})
     assert credentials("ghcr.io") is None
     assert not ran.exists()
