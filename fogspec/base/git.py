@@ -2,8 +2,12 @@
 
 import os
 import subprocess
+import tempfile
+import threading
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from typing import IO
 
 from fogspec.base import child
 from fogspec.base.errors import Refused, UsageError
@@ -27,6 +31,8 @@ OVERRIDES = {
 QUIET = {"GIT_NO_LAZY_FETCH": "1", "GIT_ALLOW_PROTOCOL": "none", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
 
 GIT_S = 60.0
+LONGEST_OUTPUT = 64 << 20  # bytes; what a checkout holds is not ours to bound
+LONGEST_REPORT = 1 << 16
 
 
 def git(*words: str, folder: str | os.PathLike[str] = ".") -> bytes:
@@ -35,22 +41,48 @@ def git(*words: str, folder: str | os.PathLike[str] = ".") -> bytes:
     kept = {k: v for k, v in child.environment().items() if not k.startswith("GIT_") or k.startswith("GIT_CONFIG")}
     try:
         command = [child.program("git"), "--no-pager", *settings, "-C", os.path.abspath(folder), *words]
-        return subprocess.run(
-            command,
-            check=True,
-            capture_output=True,
-            stdin=subprocess.DEVNULL,
-            cwd=child.ELSEWHERE,
-            env=kept | QUIET,
-            timeout=GIT_S,
-        ).stdout
-    except subprocess.TimeoutExpired:
-        raise UsageError(f"git {words[0]}: it has not ended within {GIT_S:g} s") from None
+        with tempfile.TemporaryFile() as errors:
+            code, content = _output(command, kept | QUIET, errors)
+            errors.seek(0)
+            report = errors.read(LONGEST_REPORT).decode("utf-8", "replace").strip() or f"exit code {code}"
     except OSError as problem:
         raise UsageError(f"git cannot be started: {problem.strerror}") from None
-    except subprocess.CalledProcessError as failed:
-        report = failed.stderr.decode("utf-8", "replace").strip() or f"exit code {failed.returncode}"
-        raise UsageError(f"git {words[0]}: {report.splitlines()[0]}") from None
+    if content is None:
+        raise UsageError(f"git {words[0]}: it has not ended within {GIT_S:g} s")
+    if len(content) > LONGEST_OUTPUT:
+        raise UsageError(f"git {words[0]}: it prints more than {LONGEST_OUTPUT >> 20} MiB")
+    if code:
+        raise UsageError(f"git {words[0]}: {report.splitlines()[0]}")
+    return content
+
+
+def _output(command: Sequence[str], environment: Mapping[str, str], errors: IO[bytes]) -> tuple[int, bytes | None]:
+    """Return the exit code and the output, one byte more than allowed at most; None if it did not end in time."""
+    late = threading.Event()
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        cwd=child.ELSEWHERE,
+        env=environment,
+    ) as process:
+
+        def end() -> None:
+            late.set()
+            process.kill()
+
+        timer = threading.Timer(GIT_S, end)
+        timer.start()
+        try:
+            content = process.stdout.read(LONGEST_OUTPUT + 1) if process.stdout is not None else b""
+            if len(content) > LONGEST_OUTPUT:
+                process.kill()
+            code = process.wait()
+        finally:
+            timer.cancel()
+            process.kill()
+    return code, None if late.is_set() else content
 
 
 def tracked_state(layout: Layout) -> str | None:

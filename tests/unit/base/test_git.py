@@ -52,6 +52,23 @@ def test_it_reads(checkout: Path) -> None:
         git("rev-parse", "--verify", "nothing", folder=checkout)
 
 
+def test_what_it_prints_has_an_end(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fogspec.base.git.LONGEST_OUTPUT", 8)
+    assert git("cat-file", "blob", "HEAD:file", folder=checkout) == b"content\n"
+    (checkout / "file").write_bytes(b"x" * (1 << 20))
+    plain(checkout, "commit", "-qam", "more")
+    with pytest.raises(UsageError, match="git cat-file: it prints more than"):
+        git("cat-file", "blob", "HEAD:file", folder=checkout)
+
+
+def test_a_git_that_does_not_end_is_ended(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fogspec.base.git.GIT_S", 0.05)
+    # It reads from standard input what is never written.
+    monkeypatch.setattr("fogspec.base.git.subprocess.DEVNULL", subprocess.PIPE)
+    with pytest.raises(UsageError, match="git cat-file: it has not ended within"):
+        git("cat-file", "--batch", folder=checkout)
+
+
 def test_it_runs_no_program_that_the_configuration_names(checkout: Path, tmp_path: Path) -> None:
     evil, mark = program(tmp_path)
     for name in NAMING:

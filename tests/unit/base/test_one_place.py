@@ -13,6 +13,7 @@ WRITES = {
     "backends/local/limits.py": "cgroups, which are the kernel's and named by itself",
     "backends/skypilot/secrets_file.py": "a new file of a machine's launch in the runtime directory, for its owner alone",
     "backends/skypilot/client.py": "what the worker prints, in a file without a name",
+    "base/git.py": "what git complains of, in a file without a name",
     "backends/skypilot/backend.py": "a folder of its own for a log, which goes with the call",
     "catalog/sources/cache.py": "the user's cache, by names that it made itself",
     "spec/tree.py": "a snapshot, in a folder that ProjectFiles has just made: each file in it is new",
