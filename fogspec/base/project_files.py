@@ -8,7 +8,7 @@ reached through links, which are the user's own.
 import contextlib
 import errno
 import os
-import shutil
+import secrets
 import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ from fogspec.base.errors import InvalidInput
 from fogspec.base.files import not_a_file
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+DEEPEST = 64  # folders in folders, as far as files are looked for
 PLAIN = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
@@ -123,7 +124,7 @@ class ProjectFiles:
         try:
             with self._at(path) as (folder, name):
                 _kind(folder, name, path)
-                shutil.rmtree(name, dir_fd=folder)
+                _remove_tree(folder, name)
                 return True
         except FileNotFoundError:
             return False
@@ -137,17 +138,23 @@ class ProjectFiles:
             return []
 
     def files(self, path: Path) -> Iterator[Path]:
-        """Yield the files in a folder and in those below it, without links."""
-        try:
-            with self._folder(path) as folder:
-                for at, _, names, here in os.fwalk(".", dir_fd=folder, follow_symlinks=False):
-                    yield from (
-                        Path(os.path.normpath(path / at / name))
-                        for name in sorted(names)
-                        if stat.S_ISREG(os.stat(name, dir_fd=here, follow_symlinks=False).st_mode)
-                    )
-        except (FileNotFoundError, NotADirectoryError):
-            return
+        """Yield the files in a folder and in those below it, at most `DEEPEST` deep, without links."""
+        waiting = [(path, 0)]
+        while waiting:
+            at, depth = waiting.pop()
+            try:
+                with self._folder(at) as folder:
+                    kinds = {
+                        name: os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode
+                        for name in sorted(os.listdir(folder))
+                    }
+            except (OSError, LinkedPath) as problem:
+                if depth or isinstance(problem, (FileNotFoundError, NotADirectoryError)):
+                    continue  # it cannot be read, or is gone: what stands beside it is still of interest
+                raise
+            yield from (at / name for name, mode in kinds.items() if stat.S_ISREG(mode))
+            if depth < DEEPEST:
+                waiting += [(at / name, depth + 1) for name, mode in kinds.items() if stat.S_ISDIR(mode)]
 
     def stat(self, path: Path) -> os.stat_result | None:
         """Return the status of a file or folder; None if there is none."""
@@ -266,3 +273,46 @@ def _replace(folder: int, name: str, content: bytes) -> None:
         with contextlib.suppress(OSError):
             os.unlink(temporary, dir_fd=folder)
         raise
+
+
+def _remove_tree(folder: int, name: str) -> None:
+    """Remove a folder of any depth, whatever the permissions in it: each folder below is moved up before it is emptied."""
+    top = _made_writable(folder, name)
+    try:
+        waiting, moved = os.listdir(top), 0
+        while waiting:
+            one = waiting.pop()
+            if not _is_folder(top, one):
+                os.unlink(one, dir_fd=top)
+                continue
+            below = _made_writable(top, one)
+            try:
+                for inner in os.listdir(below):
+                    if not _is_folder(below, inner):
+                        os.unlink(inner, dir_fd=below)
+                        continue
+                    os.close(_made_writable(below, inner))
+                    moved += 1
+                    waiting.append(f".{secrets.token_hex(8)}-{moved}")
+                    os.rename(inner, waiting[-1], src_dir_fd=below, dst_dir_fd=top)
+            finally:
+                os.close(below)
+            os.rmdir(one, dir_fd=top)
+    finally:
+        os.close(top)
+    os.rmdir(name, dir_fd=folder)
+
+
+def _is_folder(folder: int, name: str) -> bool:
+    return stat.S_ISDIR(os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode)
+
+
+def _made_writable(folder: int, name: str) -> int:
+    """Return a descriptor of a folder that its owner may list and empty."""
+    there = os.open(name, os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=folder)
+    try:
+        if os.fstat(there).st_mode & stat.S_IRWXU != stat.S_IRWXU:
+            os.chmod(f"/proc/self/fd/{there}", stat.S_IRWXU)
+    finally:
+        os.close(there)
+    return os.open(name, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=folder)

@@ -141,21 +141,24 @@ def of_machine(machine: Machine) -> Catalog:
     """Return the catalog of one machine; what a machine does not tell is unknown."""
     cloud, region, zone = (*split_infra(machine.infra), "", "")[:3]
     gpu, count = machine.accelerators
-    texts = {"cloud": cloud, "region": region, "zone": zone, "instance": machine.instance, "gpu": gpu, "arch": ""}
-    numbers = {
-        "vcpus": machine.cpus,
-        "memory_gib": machine.memory,
-        "gpu_count": count,
-        "price_usd_per_hour": machine.price,
-        **dict.fromkeys(("gpu_memory_gib", "physical_cores", "clock_ghz"), np.nan),
-    }
     return Catalog(
         about=About("one machine", "", "", ""),
-        family=strings([""]),
+        cloud=strings([cloud]),
+        region=strings([region]),
+        zone=strings([zone]),
+        instance=strings([machine.instance]),
+        vcpus=np.array([machine.cpus], dtype=np.float64),
+        memory_gib=np.array([machine.memory], dtype=np.float64),
+        gpu=strings([gpu]),
+        gpu_count=np.array([count], dtype=np.float64),
+        gpu_memory_gib=np.array([np.nan]),
+        price_usd_per_hour=np.array([machine.price], dtype=np.float64),
         spot=np.array([machine.spot]),
+        arch=strings([""]),
+        family=strings([""]),
+        physical_cores=np.array([np.nan]),
+        clock_ghz=np.array([np.nan]),
         burstable=np.array([False]),
-        **{name: strings([text]) for name, text in texts.items()},
-        **{name: np.array([number], dtype=np.float64) for name, number in numbers.items()},
     )
 
 

@@ -291,3 +291,27 @@ def test_a_write_never_goes_into_a_file_that_is_there_by_the_temporary_name(
     with pytest.raises(InvalidInput, match="File exists"):
         files.write(files.root / "one", b"new")
     assert planted.read_bytes() == b"another's"
+
+
+def test_a_tree_of_any_depth_and_with_any_permissions_is_removed(tmp_path: Path) -> None:
+    """A node that makes folders in folders, or forbids to list them, does not keep `down` from removing what it wrote."""
+    files, here = ProjectFiles(tmp_path), os.getcwd()
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "kept").touch()
+    os.chdir(tmp_path)
+    try:
+        for depth in range(3000):
+            os.mkdir("d")
+            if depth in (1000, 2000):
+                os.symlink(outside, "d/link")
+                os.mkdir("d/closed")
+                Path("d/closed/file").touch()
+                os.chmod("d/closed", 0)
+            os.chdir("d")
+    finally:
+        os.chdir(here)
+    assert list(files.files(tmp_path / "d")) == []
+    assert files.remove_tree(tmp_path / "d")
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["outside"]
+    assert (outside / "kept").exists()
