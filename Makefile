@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types layers generated docs unit coverage faults figures figures-svg evaluation damaged-specs mutation lock clean
+.PHONY: help demo check test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types layers generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -84,7 +84,7 @@ generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled spec
 	$(BIN)/python -m tools.json_schemas --check
 	$(BIN)/python -m tests.docs.reference --check
 	$(FOGSPEC) compile specs/grasp-planning.yaml specs/vslam.yaml specs/motion-planning.yaml --catalog snapshot --check
-	$(BIN)/python -m tests.tools.paper_figures --check
+	$(BIN)/python -m tools.paper --check
 	$(BIN)/python -m tests.tools.public_suite --check
 	$(BIN)/python -m tests.tools.quality --check
 
@@ -106,8 +106,8 @@ faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere
 figures: .venv/dev.stamp  ## print every figure that README and docs quote
 	$(BIN)/python -m tests.figures
 
-figures-svg: .venv/dev.stamp  ## regenerate the charts in docs/figures
-	$(BIN)/python -m tests.tools.paper_figures
+paper: .venv/dev.stamp  ## the paper, reproduced: its tables beside ours, its figures, and the page of both (a minute)
+	$(BIN)/python -m tools.paper
 
 # The development data, with a library of other programs, are not in this repository.
 SUITE := $(if $(FOGSPEC_SHARED),$(FOGSPEC_SHARED)/data/dev,tests/data/sparecores)

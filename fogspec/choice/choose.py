@@ -16,8 +16,8 @@ from fogspec.spec.schema import Application
 class Choice(Selection):
     """The rule applied to the offers of a catalog.
 
-    With `by_relaxation` the relaxed method decides, and `relaxed_row` is the offer that it ends at, None if none meets the
-    limits.
+    With `by_relaxation` the relaxed method decides by its own model, and `relaxed_row` is the offer that it ends at, None if it
+    finds none: what `feasible` says of that offer may differ.
     """
 
     offers: Catalog
@@ -32,7 +32,7 @@ class Choice(Selection):
     @cached_property
     def meets_confidence(self) -> bool:
         """True if the chosen offer meets the limits with the required confidence."""
-        return self.chosen is not None and self.level == self.confidence
+        return self.chosen is not None and bool(self.feasible[self.chosen]) and self.level == self.confidence
 
 
 def choose(application: Application, predicted: PredictionSet) -> Choice:

@@ -1,6 +1,8 @@
-"""The paper's way to choose (section 2.E): a continuous optimum, then its admissible neighbours, limits checked again.
+"""The paper's way to choose (sections 2.C to 2.E): its own model, a continuous optimum, and its admissible neighbours.
 
-It is kept to be compared with: over the same offers and the same models it is never better than looking at all of them.
+The model of each GPU type is the curve with the largest R². It alone decides which machines meet the limits, which are
+checked again after rounding. The objective is the formula's: `alpha` weighs the latency. Its scales are those of the spec, else
+the limits, else the best values that the curves predict (ADR 0131).
 """
 
 from collections.abc import Mapping
@@ -12,16 +14,18 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.table import Floats
 from fogspec.choice.choose import Choice
-from fogspec.choice.rule import Rule, Scale
+from fogspec.choice.rule import Rule, Scale, Selection
 from fogspec.model.fit import Model, Models
+from fogspec.model.predict import Predictions
 from fogspec.numerics import families, relaxation
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Relaxed:
     """The continuous optimum of the best GPU type, and the row of the offer that rounding selects.
 
-    `row` is None when no neighbour meets the limits; `rounded` is the plain nearest neighbour, limits or not.
+    `row` is None when no neighbour meets the limits; `rounded` is the plain nearest neighbour, limits or not. `selection` is
+    the rule applied to the predictions of the curves.
     """
 
     gpu: str | None
@@ -29,19 +33,21 @@ class Relaxed:
     memory_gib: float
     rounded: int
     row: int | None
+    selection: Selection
 
 
 def relaxed_optimum(models: Models, choice: Choice, *, refine: bool = True) -> Relaxed | None:
     """Return the paper's choice over the same offers; None if no continuous machine meets the limits.
 
-    One problem for each GPU type and infra, compared at the end by the exact objective of where they end. `refine` as in
+    One problem for each GPU type, compared at the end by the objective of where they end. `refine` as in
     `relaxation.minimise`.
     """
-    groups = [_group(models, choice, gpu, rows, refine) for gpu, rows in _groups(choice).items()]
+    own = _by_curves(models, choice)
+    groups = [_group(models, choice, own, gpu, rows, refine) for gpu, rows in _groups(choice, own).items()]
     found = [one for one in groups if one is not None]
     if not found:
         return None
-    return min(found, key=lambda one: np.inf if one.row is None else float(choice.objective[one.row]))
+    return min(found, key=lambda one: np.inf if one.row is None else float(own.objective[one.row]))
 
 
 def chosen_by_relaxing(choice: Choice, found: Relaxed | None) -> Choice:
@@ -49,30 +55,68 @@ def chosen_by_relaxing(choice: Choice, found: Relaxed | None) -> Choice:
     return replace(choice, by_relaxation=True, relaxed_row=None if found is None else found.row)
 
 
-def _groups(choice: Choice) -> dict[str | None, NDArray[np.intp]]:
-    groups: dict[str | None, list[int]] = {}
-    for row in np.flatnonzero(choice.eligible).tolist():
-        gpu = choice.offers.gpu[row]
-        groups.setdefault(f"{gpu}:{choice.offers.gpu_count[row]:g}" if gpu else None, []).append(row)
-    return {gpu: np.array(rows) for gpu, rows in groups.items()}
+def _by_curves(models: Models, choice: Choice) -> Selection:
+    """Return the choice's rule over the values that the curves of the largest R² predict; NaN where there is none.
+
+    A machine that failed when it was measured is not admissible.
+    """
+    offers = choice.offers
+    gpus = _gpu_keys(choice)
+    values = {name: np.full(len(offers), np.nan) for name in ("latency", *choice.metrics)}
+    for model in models.spec.models:
+        if model.target in values:
+            rows = np.flatnonzero(gpus == (model.gpu or ""))
+            values[model.target][rows] = _surface(model)(offers.vcpus[rows], offers.memory_gib[rows])
+    predicted = {
+        name: replace(Predictions.of_values(np.where(value > 0, value, np.nan)), unfit=choice.latency.unfit)
+        for name, value in values.items()
+    }
+    return Selection(rule=choice.rule, latency=predicted.pop("latency"), metrics=predicted)
 
 
-def _group(models: Models, choice: Choice, gpu: str | None, rows: NDArray[np.intp], refine: bool) -> Relaxed | None:
+def _gpu_keys(choice: Choice) -> NDArray[np.str_]:
+    """Return `T4:1` for each offer, empty without accelerators."""
+    offers = choice.offers
+    return np.array([f"{gpu}:{n:g}" if gpu else "" for gpu, n in zip(offers.gpu, offers.gpu_count, strict=True)])
+
+
+def _groups(choice: Choice, own: Selection) -> dict[str | None, NDArray[np.intp]]:
+    """Return the rows of the offers of each GPU type for which there is a curve."""
+    gpus = _gpu_keys(choice)
+    return {gpu or None: np.flatnonzero(own.eligible & (gpus == gpu)) for gpu in sorted(set(gpus[own.eligible]))}
+
+
+def _group(
+    models: Models, choice: Choice, own: Selection, gpu: str | None, rows: NDArray[np.intp], refine: bool
+) -> Relaxed | None:
     fitted = {model.target: model for model in models.spec.models if model.gpu == gpu}
     # A metric of which no sample sent a value has no curve.
     needed = {"latency", *choice.rule.max_metrics, *([choice.rule.metric] if choice.rule.metric else [])}
     if not needed <= fitted.keys():
         return None
     offers = choice.offers
-    surfaces = {target: partial(_value, model) for target, model in fitted.items()}
+    surfaces = {target: _surface(model) for target, model in fitted.items()}
     rule = choice.rule.take(rows)
-    found = relax(rule, choice.scale, offers.vcpus[rows], offers.memory_gib[rows], surfaces, refine=refine)
+    found = relax(rule, own.scale, offers.vcpus[rows], offers.memory_gib[rows], surfaces, refine=refine)
     if found is None:
         return None
     optimum, near = found[0], rows[found[1]]
-    meet = near[choice.feasible[near]]
-    best = int(meet[np.argmin(choice.objective[meet])]) if len(meet) else None
-    return Relaxed(gpu, optimum.vcpus, optimum.memory_gib, int(near[0]), best)
+    meet = near[own.feasible[near]]
+    best = int(meet[np.argmin(own.objective[meet])]) if len(meet) else None
+    return Relaxed(
+        gpu=gpu,
+        vcpus=optimum.vcpus,
+        memory_gib=optimum.memory_gib,
+        rounded=int(near[0]),
+        row=best,
+        selection=own,
+    )
+
+
+def _surface(model: Model) -> relaxation.Surface:
+    """Return the paper's curve of a model; that of one value where samples do not vary, which have no R²."""
+    curve = model.paper or model
+    return partial(_value, curve.shape, list(curve.coefficients.values()))
 
 
 def relax(
@@ -118,5 +162,5 @@ def relax(
     return None if optimum is None else (optimum, relaxation.neighbours(optimum, vcpus, memory_gib))
 
 
-def _value(model: Model, vcpus: Floats, memory_gib: Floats) -> Floats:
-    return families.predict(model.shape, list(model.coefficients.values()), vcpus, memory_gib)
+def _value(shape: families.Shape, coefficients: list[float], vcpus: Floats, memory_gib: Floats) -> Floats:
+    return families.predict(shape, coefficients, vcpus, memory_gib)

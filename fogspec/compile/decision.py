@@ -189,10 +189,17 @@ def caveats(models: Models, choice: Choice) -> list[str]:
 def _caveats_of_machine(choice: Choice, row: int) -> list[str]:
     """Return the caveats about the machine in this row."""
     found, name = [], choice.offers.instance[row]
-    if choice.best is not None and choice.objective[row] > choice.objective[choice.best]:
+    if choice.by_relaxation and not choice.feasible[row]:
+        met = choice.probability(row)
+        likely = "" if met is None else f": with probability {met:.2f} it does"
+        found.append(
+            f"the relaxed method ends at {name} because its own curve says that it meets the limits; the model of method: "
+            f"exhaustive says that it does not{likely}"
+        )
+    elif choice.best is not None and choice.objective[row] > choice.objective[choice.best]:
         best = choice.offers.instance[choice.best]
         found.append(f"the relaxed method ends at {name}; {best} meets the limits and is better: use exhaustive")
-    if not choice.meets_confidence:
+    elif not choice.meets_confidence:
         found.append(
             f"no machine meets the limits with constraints.confidence {choice.confidence:g}: {name}, the best of those "
             f"more likely to meet them than not, does with probability {choice.probability(row) or 0:.2f}"

@@ -177,14 +177,19 @@ class Builder(Strict):
 
 
 class PaperChoice(Strict):
-    """Where the paper's method would end: a continuous optimum, its nearest machine, and the one that meets the limits."""
+    """Where the paper's method ends: a continuous optimum, its nearest machine, and the one that meets the limits.
+
+    `latency` is what its own curve predicts. `objective` and `meets` say what the exhaustive choice's model predicts.
+    """
 
     cpus: float
     memory: Memory
     rounded: str
     instance: str | None
     infra: str | None
+    latency: Duration | None
     objective: float | None
+    meets: bool | None
 
 
 class BestOfAll(Strict):
@@ -198,7 +203,7 @@ class BestOfAll(Strict):
 class Provenance(Strict):
     """Where every figure came from; `application.field_digests` has a short digest of each field that choosing depends on.
 
-    `relaxed` and `exhaustive` say where these methods end if elsewhere than at the chosen machine.
+    `relaxed` and `exhaustive` say where these methods end if they end at different machines.
     """
 
     application: ApplicationRef
@@ -272,7 +277,7 @@ def make_manifest(
             results=sources.results,
             models=_model_ref(models, entry, sources.models),
             method=application.spec.objective.method,
-            relaxed=None if relaxed is None or relaxed.row == row else _paper_choice(choice, relaxed),
+            relaxed=None if relaxed is None or relaxed.row == choice.best else _paper_choice(choice, relaxed),
             exhaustive=None if choice.best in (None, row) else _best_of_all(choice, choice.best),
             builder=Builder(version=__version__),
         ),
@@ -292,7 +297,9 @@ def _paper_choice(choice: Choice, relaxed: Relaxed) -> PaperChoice:
         rounded=str(choice.offers.instance[relaxed.rounded]),
         instance=end and end.instance,
         infra=end and end.infra,
+        latency=None if relaxed.row is None else rounded(float(relaxed.selection.latency.value[relaxed.row])),
         objective=end and end.objective,
+        meets=end and end.meets,
     )
 
 

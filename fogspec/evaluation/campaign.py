@@ -10,6 +10,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from fogspec.base import child
 from fogspec.evaluation.methods import METHODS, OWN_METHOD
 from fogspec.evaluation.replay import Case, Noise
@@ -102,7 +104,7 @@ def replay_sweep(sweep: Sweep, library: PriorData | None, window_s: float, campa
         "full_sweep_usd": float(price.sum()) * usd,
         **scored.as_dict(),
         "r2": r2(done, problem.latency_s),
-        "frontier_deviation": staircase_deviation(done, problem.latency_s, price),
+        "frontier_deviation": staircase_deviation(np.exp(done.log_latency), problem.latency_s, price),
     }
 
 

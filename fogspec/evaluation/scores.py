@@ -127,10 +127,10 @@ def r2(run: Run, truth_s: Floats) -> float | None:
     return float(1 - ((np.exp(run.log_latency[known]) - truth_s[known]) ** 2).sum() / total)
 
 
-def staircase_deviation(run: Run, truth_s: Floats, price: Floats) -> float | None:
+def staircase_deviation(predicted_s: Floats, truth_s: Floats, price: Floats) -> float | None:
     """Return by how much the machine that is predicted fastest within an hourly budget is slower, over all budgets at most."""
     order = np.lexsort((truth_s, price))
-    predicted = np.where(np.isfinite(run.log_latency), run.log_latency, np.inf)[order]
+    predicted = np.where(np.isfinite(predicted_s), predicted_s, np.inf)[order]
     if not np.isfinite(predicted).any():
         return None
     first = int(np.flatnonzero(np.isfinite(predicted))[0])

@@ -2,7 +2,8 @@
 
 Predictions come from the surrogate (`fogspec.model.predict`, ADR 0020), which is conditioned on `observations` and
 `rejected`. The families of section 2.C are fitted beside it, one for each GPU type and target (the latency, or a metric of the
-application), chosen by leave-one-out error (ADR 0008): for comparison, for the relaxed method, and for shapes of one host.
+application), chosen by leave-one-out error (ADR 0008): for comparison and for shapes of one host; and by the largest R² for the
+relaxed method (ADR 0131).
 """
 
 import math
@@ -33,10 +34,18 @@ ERROR_OF = {"mean": 1.0, "p50": 1.25, "p95": 2.11, "p99": 3.74}
 
 
 class PaperFit(Strict):
-    """What the paper's rule, the largest R², would have taken."""
+    """The curve by the paper's rule, the largest R² (section 2.C): the relaxed method's own model."""
 
+    cpu_family: str
+    memory_family: str
     formula: str
+    coefficients: dict[str, float]
     r2: float
+
+    @property
+    def shape(self) -> families.Shape:
+        """The families of this curve."""
+        return families.Shape(self.cpu_family, self.memory_family)
 
 
 class Model(Strict):
@@ -218,7 +227,6 @@ def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:
     values = np.array([one.values[target] for one in group])
     fits = fit_all(vcpus, memory, values)
     best = families.select(fits)
-    named = zip(best.shape.names, best.coefficients, strict=True)
     r2 = _finite(best.r2) if best.p > 1 else None
     return Model(
         target=target,
@@ -226,7 +234,7 @@ def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:
         cpu_family=best.shape.cpu,
         memory_family=best.shape.memory,
         formula=best.shape.formula(),
-        coefficients={name: _to(7, value) for name, value in named},
+        coefficients=_coefficients(best),
         n=best.n,
         p=best.p,
         r2=r2,
@@ -251,7 +259,19 @@ def _to(digits: int, value: float) -> float:
 
 def _paper(fits: Sequence[Fit]) -> PaperFit | None:
     best = families.select(fits, "r2")
-    return PaperFit(formula=best.shape.formula(), r2=_to(5, best.r2)) if math.isfinite(best.r2) else None
+    if not math.isfinite(best.r2):
+        return None
+    return PaperFit(
+        cpu_family=best.shape.cpu,
+        memory_family=best.shape.memory,
+        formula=best.shape.formula(),
+        coefficients=_coefficients(best),
+        r2=_to(5, best.r2),
+    )
+
+
+def _coefficients(fit: Fit) -> dict[str, float]:
+    return {name: _to(7, value) for name, value in zip(fit.shape.names, fit.coefficients, strict=True)}
 
 
 def _warnings(best: Fit, levels: int) -> list[str]:

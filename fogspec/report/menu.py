@@ -81,8 +81,9 @@ def show(menu: Menu, picture: str = "") -> str:
         lines += infeasible_text(menu)
     else:
         for role in ("balanced", "cheapest", "fastest"):
-            entry: Entry = getattr(body, role)
-            lines.append(f"{role:<9} {entry_text(entry)}")
+            entry: Entry | None = getattr(body, role)
+            if entry is not None:
+                lines.append(f"{role:<9} {entry_text(entry)}")
     fronts = ["", f"Pareto front, cost of one request against {body.statistic} latency:", *_table(body.front)]
     fronts += ["", f"Pareto front, price of an hour against {body.statistic} latency:", *_table(body.hourly_front)]
     return "\n".join([paragraph(lines), *(["", picture] if picture else []), paragraph(fronts)])

@@ -1,96 +1,47 @@
-"""The pictures in docs/figures/: what the paper's Figures 3 to 5 show, from its own samples, and a menu.
+"""The charts in docs/figures/: what the paper's Figures 3 to 5 show, from its own samples, and a menu.
 
-For each of the four applications: the latency models, the cost models, and the Pareto frontiers in latency and price of
-an hour. Written by `make figures-svg`; `--check` compares and ends with 1 where a file would differ.
+For each of the four applications: the latency models, the cost models, and the Pareto frontiers in latency and price per hour.
 """
 
-import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from fogspec.base.layout import Layout
 from fogspec.base.templates import render
 from fogspec.base.units import short_dollars
-from fogspec.catalog.filters import filter_offers
-from fogspec.catalog.sources import load_catalog
-from fogspec.charts import menu_svg, model_svg
+from fogspec.charts import menu_svg
 from fogspec.charts.axes import axis, seconds
 from fogspec.charts.frame import Dot, Frame, frame
-from fogspec.choice.choose import Choice, choose
-from fogspec.model.fit import Models, fit, targets
-from fogspec.model.predict import predict
 from fogspec.numerics import families
 from fogspec.numerics.families import fit_all
 from fogspec.numerics.pareto import pareto
-from fogspec.results.io import read_results
-from fogspec.spec.loader import load
-from fogspec.spec.schema import Application, Constraints
-from tools.generated import write_or_check
+from tools.generated import ROOT
+from tools.paper.cases import TITLES, Case, cases
 
-ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "figures"
-TITLES = {
-    "grasp-planning": "Dex-Net",
-    "vslam": "SLAM",
-    "motion-planning-cubicles": "Cubicles",
-    "motion-planning-apartment": "Apartment",
-}
-SPECS = ("grasp-planning", "vslam", "motion-planning")
 SHOWN = "motion-planning-cubicles"
 WIDTH, HEIGHT, WIDE, HIGH = 760, 654, 286, 196
 SOURCE = "samples: Chen et al., ICRA 2024, arXiv 2311.05600; AWS on-demand, us-east-1; both axes logarithmic"
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """One application with everything that its pictures show; `open` is the choice without limits."""
-
-    application: Application
-    models: Models
-    choice: Choice
-    open: Choice
-
-
-def cases() -> Iterator[Case]:
-    """The paper's applications, measured by its authors."""
-    for spec in SPECS:
-        for one in load([str(ROOT / "specs" / f"{spec}.yaml")]):
-            application = one.application
-            results = read_results(Layout.of(one.path, application.metadata.name))
-            assert results is not None
-            clouds = tuple({entry.split("/")[0] for entry in application.spec.infra})
-            catalog = load_catalog(None, clouds)
-            offers = filter_offers(catalog, application.spec.hardware, application.spec.infra).offers
-            models = fit(application, results)
-            predicted = predict(models, offers, targets(application), catalog)
-            free = application.spec.model_copy(update={"constraints": Constraints()})
-            unlimited = application.model_copy(update={"spec": free})
-            yield Case(application, models, choose(application, predicted), choose(unlimited, predicted))
-
-
-def files() -> dict[Path, str]:
-    """Every picture by path."""
-    found = {one.application.metadata.name: one for one in cases()}
-    four = [found[name] for name in TITLES]
-    shown = found[SHOWN]
+def charts() -> dict[Path, str]:
+    """Return every chart by path."""
+    four = cases()
+    shown = next(one for one in four if one.application.metadata.name == SHOWN)
     return {
         FOLDER / "paper-latency.svg": _page(
             "Latency models", [_by_vcpus(one, *_corner(i), of_cost=False) for i, one in enumerate(four)],
-            [("measured", "measured"), ("front", "measured, with a T4"), ("curve", "largest R² (the paper)")],
+            [("measured", "measured"), ("front", "measured, with a T4"), ("curve", "the paper's curve")],
         ),
         FOLDER / "paper-cost.svg": _page(
             "Cost models", [_by_vcpus(one, *_corner(i), of_cost=True) for i, one in enumerate(four)],
-            [("measured", "measured"), ("front", "measured, with a T4"), ("curve", "largest R² (the paper)")],
+            [("measured", "measured"), ("front", "measured, with a T4"), ("curve", "the paper's curve")],
         ),
         FOLDER / "paper-frontiers.svg": _page(
             "Pareto frontiers", [_frontier(one, *_corner(i)) for i, one in enumerate(four)],
             [("measured", "measured, frontier dotted"), ("in", "predicted"), ("curve", "frontier of all machines")],
         ),
         FOLDER / "menu.svg": menu_svg.draw(menu_svg.menu_chart(shown.application, shown.choice, [])),
-        FOLDER / "latency.svg": model_svg.draw(model_svg.latency_chart(shown.application, shown.choice, shown.models, [])),
     }  # fmt: skip
 
 
@@ -114,7 +65,6 @@ def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
     gpu = np.array([k.machine.gpu is not None for k in known])
     x, y = axis(vcpus.tolist(), left, left + WIDE), axis(values.tolist(), top + HIGH, top)
     label = "USD per million requests" if of_cost else "mean latency"
-    name = TITLES[case.application.metadata.name]
     found = frame(
         x=x,
         y=y,
@@ -122,7 +72,7 @@ def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
         y_label=label,
         x_words=lambda v: f"{v:g}",
         y_words=short_dollars if of_cost else seconds,
-        heading=name,
+        heading=case.title,
     )
     found.x_ticks = [(x.at(2.0**e), str(2**e)) for e in range(1, 7)]
     for mine in (~gpu, gpu):
@@ -143,18 +93,18 @@ def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
 
 
 def _frontier(case: Case, left: float, top: float) -> Frame:
-    """Latency against the price of an hour: the frontier of what was measured, and that of every machine predicted."""
+    """Latency against the price per hour: the frontier of what was measured, and that of every machine predicted."""
     choice = case.open
     price, latency = choice.offers.price_usd_per_hour, choice.latency.value
     x, y = axis(price.tolist(), left, left + WIDE), axis(latency.tolist(), top + HIGH, top)
     found = frame(
         x=x,
         y=y,
-        x_label="price of an hour",
+        x_label="price per hour",
         y_label="mean latency",
         x_words=short_dollars,
         y_words=seconds,
-        heading=TITLES[case.application.metadata.name],
+        heading=case.title,
     )
     measured = np.flatnonzero(choice.latency.measured)
     for kind, rows in (("paper", measured), ("curve", np.arange(len(price)))):
@@ -175,7 +125,3 @@ def _frontier(case: Case, left: float, top: float) -> Frame:
         for row in measured
     ]
     return found
-
-
-if __name__ == "__main__":
-    sys.exit(write_or_check(files(), sys.argv[1:], "make figures-svg"))

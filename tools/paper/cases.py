@@ -1,0 +1,98 @@
+"""The paper's applications from the specs and recorded results of this repository, read and chosen by the code that ships."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from fogspec.base.layout import Layout
+from fogspec.catalog.filters import Filtered, filter_offers
+from fogspec.catalog.sources import load_catalog
+from fogspec.catalog.table import Catalog
+from fogspec.choice.choose import Choice, choose
+from fogspec.choice.relaxed import Relaxed, relaxed_optimum
+from fogspec.model.fit import Models, fit, targets
+from fogspec.model.predict import PredictionSet, predict
+from fogspec.results.io import read_results
+from fogspec.spec.loader import load
+from fogspec.spec.schema import Application, Constraints
+from tools.generated import ROOT
+
+SPECS = ("grasp-planning", "vslam", "motion-planning")
+TITLES = {
+    "grasp-planning": "Dex-Net",
+    "vslam": "SLAM",
+    "motion-planning-cubicles": "Cubicles",
+    "motion-planning-apartment": "Apartment",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One application with all that is said of it; `open` is the choice without limits."""
+
+    application: Application
+    admissible: Filtered
+    models: Models
+    predicted: PredictionSet
+    choice: Choice
+    open: Choice
+
+    @property
+    def title(self) -> str:
+        """The paper's name of the application."""
+        return TITLES[self.application.metadata.name]
+
+    def with_alpha(self, alpha: float) -> tuple[Choice, Relaxed | None]:
+        """Return the choice among all machines and the paper's, without limits, at another alpha."""
+        spec = self.application.spec
+        objective = spec.objective.model_copy(update={"alpha": alpha})
+        free = spec.model_copy(update={"constraints": Constraints(), "objective": objective})
+        choice = choose(self.application.model_copy(update={"spec": free}), self.predicted)
+        return choice, relaxed_optimum(self.models, choice)
+
+
+@lru_cache(maxsize=1)
+def snapshot() -> Catalog:
+    """Return the catalog that comes with fogspec, whatever this machine has besides."""
+    return load_catalog("snapshot", ("aws",))
+
+
+def price_usd_per_hour(instance: str, region: str) -> float:
+    """Return the on-demand price of an instance type; raise LookupError if the snapshot has none."""
+    offers = snapshot()
+    rows = np.flatnonzero((offers.instance == instance) & (offers.region == region) & ~offers.spot)
+    if not len(rows):
+        raise LookupError(f"{instance} in {region} is not in the snapshot")
+    return float(offers.price_usd_per_hour[rows].min())
+
+
+@lru_cache(maxsize=1)
+def cases() -> tuple[Case, ...]:
+    """Return the paper's applications, measured by its authors, in the order of `TITLES`."""
+    found = {one.application.metadata.name: one for one in _cases()}
+    return tuple(found[name] for name in TITLES)
+
+
+def _cases() -> Iterator[Case]:
+    for spec in SPECS:
+        for one in load([str(ROOT / "specs" / f"{spec}.yaml")]):
+            application = one.application
+            results = read_results(Layout.of(one.path, application.metadata.name))
+            if results is None:
+                raise LookupError(f"results/{application.metadata.name}.yaml is missing")
+            catalog = snapshot()
+            admissible = filter_offers(catalog, application.spec.hardware, application.spec.infra)
+            models = fit(application, results)
+            predicted = predict(models, admissible.offers, targets(application), catalog)
+            free = application.spec.model_copy(update={"constraints": Constraints()})
+            unlimited = application.model_copy(update={"spec": free})
+            yield Case(
+                application,
+                admissible,
+                models,
+                predicted,
+                choose(application, predicted),
+                choose(unlimited, predicted),
+            )
