@@ -13,7 +13,7 @@ from fogspec.cli.options import CATALOG, OUTPUT, applications_of
 if TYPE_CHECKING:
     from fogspec.evaluation.campaign import Campaign
 
-SAMPLERS = ("adaptive", "grid", "random", "cherrypick", "full", "best")
+SAMPLERS = ("adaptive", "nested", "grid", "random", "cherrypick", "full", "best")
 METHODS = ("model", "verified", "r2", "paper", "measured")
 ROWS = (
     ("paper: grid, best R², relaxed", "grid", "paper"),
@@ -22,6 +22,7 @@ ROWS = (
     ("random 9, ours", "random", None),
     ("CherryPick-like", "cherrypick", None),
     ("adaptive", "adaptive", None),
+    ("adaptive, nested shapes", "nested", None),
     ("full sweep, ours", "full", "verified"),
     ("full sweep, measured values", "full", None),
     ("the best machine alone", "best", None),

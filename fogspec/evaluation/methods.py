@@ -119,6 +119,7 @@ METHODS: dict[str, Method] = {
 OWN_METHOD = {
     "grid": "model",
     "adaptive": "verified",
+    "nested": "verified",
     "random": "model",
     "cherrypick": "measured",
     "full": "measured",

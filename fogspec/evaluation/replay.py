@@ -1,6 +1,7 @@
 """The replay of a problem: its noise, the meter that every sample is paid to, and the result of a run."""
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,7 +9,16 @@ import numpy as np
 from fogspec.evaluation.suites import Problem
 from fogspec.numerics.acquisition import Policy
 from fogspec.numerics.kernels import Floats, Machines
-from fogspec.numerics.observations import observations
+from fogspec.numerics.nested import (
+    MEDIAN_ALONE,
+    MEDIAN_SHARED,
+    NORMAL_80,
+    P90_ALONE,
+    P90_SHARED,
+    Parts,
+    one_thread_per_core,
+)
+from fogspec.numerics.observations import DEFAULT_NOISE, Observations, observations
 from fogspec.numerics.surrogate import Posterior, Prior, Space, prepare
 
 REPEATS = 8  # noise is drawn for so many samples of each machine; further samples start over
@@ -32,28 +42,63 @@ class Noise:
         return cls(np.exp(sd * random.standard_normal((REPEATS, n))))
 
 
+def nested_factors(problem: Problem, machines: Machines, seed: int) -> Floats:
+    """Return the factor (N, N) by which the latency of each machine is off if it is measured as a part of each other one.
+
+    Its absolute logarithm is drawn from the lognormal distribution with the median and 90th percentile of the source
+    (`fogspec.numerics.nested`), seeded by the problem's id and `seed`.
+    """
+    digest = hashlib.sha256(f"{seed}|{problem.id}|nested".encode()).digest()
+    random = np.random.default_rng(int.from_bytes(digest[:8], "big"))
+    n = len(machines)
+    alone = one_thread_per_core(machines)
+    median, p90 = np.where(alone, MEDIAN_ALONE, MEDIAN_SHARED), np.where(alone, P90_ALONE, P90_SHARED)
+    size = median * np.exp(np.log(p90 / median) / NORMAL_80 * random.standard_normal((n, n)))
+    return np.asarray(np.exp(size * random.choice((-1, 1), (n, n))))
+
+
 @dataclass
 class Meter:
-    """The only access to a machine's latency: a paid sample."""
+    """The only access to a machine's latency: a paid sample, of its parts as well where `nested` factors (N, N) are known."""
 
     truth_s: Floats
     price: Floats
     noise: Noise
+    parts: Parts | None = None
+    nested: Floats | None = None
     sampled: list[int] = field(default_factory=list)
     latency_s: list[float] = field(default_factory=list)
+    told: list[tuple[int, float]] = field(default_factory=list)
+    paid: float = 0.0
 
-    def sample(self, machine: int) -> float:
-        """Pay for one more sample of a machine and return its latency; every repeat has noise of its own."""
+    def sample(self, machine: int, parts: Sequence[int] = ()) -> float:
+        """Pay for one more sample of a machine and return its latency; every repeat has noise of its own.
+
+        The machines that its `parts` stand for are told of, each with the error of a part.
+        """
         again = self.sampled.count(machine) % len(self.noise.factor)
         latency = float(self.truth_s[machine] * self.noise.factor[again, machine])
         self.sampled.append(machine)
         self.latency_s.append(latency)
+        self.paid += float(self.price[machine])
+        if self.parts is not None and self.nested is not None:
+            self.paid += self.parts.share * len(parts) * float(self.price[machine])
+            factor = self.nested[machine] * self.noise.factor[-1 - again]
+            self.told += [(part, float(self.truth_s[part] * factor[part])) for part in parts]
         return latency
 
     @property
-    def paid(self) -> float:
-        """Sum of the prices of all samples."""
-        return float(self.price[self.sampled].sum())
+    def observations(self) -> Observations:
+        """What was measured: samples, then parts."""
+        at = [row for row, _ in self.told]
+        error = [] if self.parts is None else np.hypot(self.parts.error[at], DEFAULT_NOISE).tolist()
+        own = len(self.sampled)
+        return observations(
+            [*self.sampled, *at],
+            [*self.latency_s, *(latency_s for _, latency_s in self.told)],
+            [*([np.nan] * own), *error],
+            nested=[*([False] * own), *([True] * len(at))],
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,25 +122,27 @@ class Case:
     machines: Machines
     noise: Noise
     space: Space
-    _fits: dict[tuple[int, ...], Posterior] = field(default_factory=dict, repr=False, compare=False)
+    _fits: dict[tuple[tuple[int, ...], tuple[int, ...]], Posterior] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     @classmethod
     def of(cls, problem: Problem, machines: Machines, prior: Prior | None, noise: Noise) -> "Case":
         """Prepare the model's space."""
         return cls(problem, machines, noise, prepare(machines, prior))
 
-    def meter(self) -> Meter:
-        """Return a new meter: nothing sampled, nothing paid."""
-        return Meter(self.problem.latency_s, self.machines.price_usd_per_hour, self.noise)
+    def meter(self, parts: Parts | None = None, nested: Floats | None = None) -> Meter:
+        """Return a new meter: nothing sampled, nothing paid; with `parts` and factors also of parts of machines."""
+        return Meter(self.problem.latency_s, self.machines.price_usd_per_hour, self.noise, parts, nested)
 
     def posterior(self, meter: Meter) -> Posterior:
         """Return the model's posterior given the paid samples.
 
         Kept are the fits that settings share, of the first batch and of a sweep, and the latest one.
         """
-        key = tuple(meter.sampled)
+        key = tuple(meter.sampled), tuple(row for row, _ in meter.told)
         if key not in self._fits:
-            for old in [one for one in self._fits if Policy().first < len(one) < len(self.machines)]:
+            for old in [one for one in self._fits if Policy().first < len(one[0]) < len(self.machines)]:
                 del self._fits[old]
-            self._fits[key] = self.space.fit(observations(meter.sampled, meter.latency_s))
+            self._fits[key] = self.space.fit(meter.observations)
         return self._fits[key]

@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from fogspec.numerics.kernels import Floats
+from fogspec.numerics.nested import Parts
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.replicates import after_one_more
 from fogspec.numerics.surrogate import Posterior
@@ -65,11 +66,15 @@ class Policy:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Machines to measure at once and the expected gain of each; none with the reason why sampling ends."""
+    """Machines to measure at once and the expected gain of each; none with the reason why sampling ends.
+
+    `parts` of each are the machines that its parts stand for, to be measured with it.
+    """
 
     machines: tuple[int, ...]
     reason: str
     gains: tuple[float, ...] = ()
+    parts: tuple[tuple[int, ...], ...] = ()
 
 
 def propose_batch(
@@ -80,16 +85,18 @@ def propose_batch(
     left: float = np.inf,
     policy: Policy | None = None,
     excluded: np.ndarray | None = None,
+    nested: Parts | None = None,
 ) -> Batch:
     """Return the next machines to measure; `sample_cost` (N,) is the cost of one sample of each, `left` the budget.
 
-    `excluded` (N,) machines are not proposed. The first batch is an A-optimal design per price; later batches maximise
-    expected improvement under the limits per price (Alipourfard et al., CherryPick, NSDI 2017; Gelbart et al., Bayesian
-    Optimization with Unknown Constraints, UAI 2014), with replicates of measured machines among the candidates.
+    `excluded` (N,) machines are not proposed. With `nested`, parts of machines are measured with them where that pays.
+    The first batch is an A-optimal design per price; later batches maximise expected improvement under the limits per
+    price (Alipourfard et al., CherryPick, NSDI 2017; Gelbart et al., Bayesian Optimization with Unknown Constraints, UAI
+    2014), with replicates of measured machines among the candidates.
     """
     policy = policy or Policy()
-    tried = np.unique(posterior.observations.machine)
-    room = policy.bound - len(posterior.observations.machine)
+    themselves = posterior.observations.machine[~posterior.observations.nested]
+    tried, room = np.unique(themselves), policy.bound - len(themselves)
     if room <= 0:
         return Batch((), f"{policy.bound} samples were taken, the most allowed")
     allowed = np.ones(len(sample_cost), dtype=bool) if excluded is None else ~excluded
@@ -97,7 +104,12 @@ def propose_batch(
     untried[tried] = False
     if not posterior.measured.any() and len(tried) < 2 * policy.first:
         return initial_design(
-            posterior, sample_cost=sample_cost, left=left, count=min(policy.first, room), untried=untried
+            posterior,
+            sample_cost=sample_cost,
+            left=left,
+            count=min(policy.first, room),
+            untried=untried,
+            nested=nested,
         )
     usable = untried | (allowed & posterior.measured & (posterior.samples < policy.each))
     if not usable.any():
@@ -112,6 +124,7 @@ def propose_batch(
         usable=usable,
         policy=policy,
         count=min(policy.batch, room),
+        nested=nested,
     )
 
 
@@ -122,42 +135,64 @@ def initial_design(
     left: float = np.inf,
     count: int | None = None,
     untried: np.ndarray | None = None,
+    nested: Parts | None = None,
 ) -> Batch:
     """Return the first machines to measure: those that take most variance off all machines for their price.
 
-    Only `untried` (N,) machines are measured, all of them if None.
+    Only `untried` (N,) machines are measured, all of them if None; with `nested` what their parts tell counts.
     """
     untried = np.ones(len(sample_cost), dtype=bool) if untried is None else untried.copy()
     if not untried.any():
         return Batch((), "every machine was measured")
     if sample_cost[untried].min() > left:
         return _too_expensive(sample_cost, untried, left)
-    return _a_optimal(posterior, sample_cost, left, untried, count or Policy().first)
+    return _a_optimal(posterior, sample_cost, left, untried, count or Policy().first, nested)
 
 
 def _too_expensive(cost: Floats, usable: np.ndarray, left: float) -> Batch:
     return Batch((), f"the cheapest further sample costs {cost[usable].min():.4g}, {left:.4g} is left")
 
 
-def _a_optimal(posterior: Posterior, cost: Floats, left: float, untried: np.ndarray, count: int) -> Batch:
+def _a_optimal(
+    posterior: Posterior, cost: Floats, left: float, untried: np.ndarray, count: int, nested: Parts | None
+) -> Batch:
     """Return a greedy A-optimal design: each machine removes the most variance of all machines for its price."""
     draws = (posterior.draws - posterior.draws.mean(0)) / np.sqrt(len(posterior.draws))
     chosen: list[int] = []
+    parts: list[tuple[int, ...]] = []
     for _ in range(count):
         usable = untried & (cost <= left)
         if not usable.any():
             break
         # The covariance is draws.T @ draws; the sum of a column's squares does not need the full matrix.
         variance = (draws**2).sum(0)
-        removed = ((draws @ draws.T @ draws) * draws).sum(0) / (variance + DEFAULT_NOISE**2)
-        best = _highest(np.where(usable, removed / cost, -1.0), cost)
+        covered = draws @ draws.T @ draws
+        removed = (covered * draws).sum(0) / (variance + DEFAULT_NOISE**2)
+        total = cost.copy()
+        groups: dict[int, tuple[int, ...]] = {}
+        for row in np.flatnonzero(usable).tolist() if nested is not None else ():
+            if nested is not None and (some := nested.worth(row, cost, variance, untried)):
+                groups[row] = some
+                total[row] *= 1 + nested.share * len(some)
+                removed[row] = _removed(draws, covered, (row, *some), nested)
+        best = _highest(np.where(usable, removed / total, -1.0), total)
         chosen.append(best)
+        parts.append(groups.get(best, ()))
         left -= float(cost[best])
         untried[best] = False
-        known = draws[:, best] / np.sqrt(variance[best])
-        kept = np.sqrt(DEFAULT_NOISE**2 / (variance[best] + DEFAULT_NOISE**2))
-        draws = draws - (1 - kept) * np.outer(known, known @ draws)
-    return Batch(tuple(chosen), "spread over what is uncertain")
+        for row in (best, *parts[-1]):
+            noise = DEFAULT_NOISE**2 + (0.0 if nested is None or row == best else float(nested.error[row]) ** 2)
+            own = float((draws[:, row] ** 2).sum())
+            known = draws[:, row] / np.sqrt(own)
+            draws = draws - (1 - np.sqrt(noise / (own + noise))) * np.outer(known, known @ draws)
+    return Batch(tuple(chosen), "spread over what is uncertain", parts=tuple(parts))
+
+
+def _removed(draws: Floats, covered: Floats, group: tuple[int, ...], nested: Parts) -> float:
+    """Return the variance of all machines that a sample of the first of a group removes, with the others as its parts."""
+    some = draws[:, group]
+    noise = DEFAULT_NOISE**2 + np.array([0.0, *(nested.error[row] ** 2 for row in group[1:])])
+    return float(np.trace(np.linalg.solve(some.T @ some + np.diag(noise), some.T @ covered[:, group])))
 
 
 def _by_expected_gain(
@@ -169,6 +204,7 @@ def _by_expected_gain(
     usable: np.ndarray,
     policy: Policy,
     count: int,
+    nested: Parts | None,
 ) -> Batch:
     """Return the samples of largest expected gain over the measured machines and those already in this batch."""
     value, known = question.loss(posterior), posterior.measured
@@ -198,7 +234,11 @@ def _by_expected_gain(
         return Batch(
             (), f"no further sample is expected to improve the choice by {policy.min_gain:.1%} per mean price of one"
         )
-    return Batch(tuple(chosen), "expected improvement per price", tuple(gains))
+    # A part is of use where the machine that it stands for would be asked for itself.
+    told = posterior.nested | posterior.measured
+    wanted = ~told & (gained >= threshold)
+    parts = () if nested is None else tuple(nested.worth(one, cost, posterior.sd**2, wanted) for one in chosen)
+    return Batch(tuple(chosen), "expected improvement per price", tuple(gains), parts)
 
 
 def expected_gains(posterior: Posterior, question: Question) -> Floats:

@@ -18,18 +18,20 @@ class Observations:
     """n samples: index of the machine, latency, and its error.
 
     `relative_error` is the standard error of the latency over the latency, NaN if unknown. A `lower_bound` is a run that
-    was aborted or failed after that time: the latency is at least this. Raise ValueError for latencies that are not
-    positive and finite, for negative errors, and for unequal lengths.
+    was aborted or failed after that time: the latency is at least this. A `nested` one was measured on a part of a larger
+    machine (`fogspec.numerics.nested`): it informs, and its machine does not count as measured. Raise ValueError for
+    latencies that are not positive and finite, for negative errors, and for unequal lengths.
     """
 
     machine: np.ndarray
     latency_s: Floats
     relative_error: Floats
     lower_bound: np.ndarray
+    nested: np.ndarray
 
     def __post_init__(self) -> None:
-        if not len(self.machine) == len(self.latency_s) == len(self.relative_error) == len(self.lower_bound):
-            raise ValueError("machine, latency_s, relative_error and lower_bound must have one length")
+        if len({len(getattr(self, name)) for name in self.__slots__}) > 1:
+            raise ValueError(f"{', '.join(self.__slots__)} must have one length")
         bad = ~(np.isfinite(self.latency_s) & (self.latency_s > 0))
         if bad.any():
             where = int(np.flatnonzero(bad)[0])
@@ -39,10 +41,13 @@ class Observations:
 
     def in_order(self) -> "Observations":
         """Return the samples in an order of their own values, so that sums over them do not depend on the given order."""
-        order = np.lexsort((self.lower_bound, self.relative_error, self.latency_s, self.machine))
-        return Observations(
-            self.machine[order], self.latency_s[order], self.relative_error[order], self.lower_bound[order]
-        )
+        order = np.lexsort((self.nested, self.lower_bound, self.relative_error, self.latency_s, self.machine))
+        return Observations(*(getattr(self, name)[order] for name in self.__slots__))
+
+    @property
+    def own(self) -> np.ndarray:
+        """The complete samples of the machines themselves, (n,)."""
+        return np.asarray(~self.lower_bound & ~self.nested)
 
 
 def observations(
@@ -50,14 +55,16 @@ def observations(
     latency_s: np.ndarray | list[float],
     relative_error: np.ndarray | list[float] | None = None,
     lower_bound: np.ndarray | list[bool] | None = None,
+    nested: np.ndarray | list[bool] | None = None,
 ) -> Observations:
-    """Return `Observations` from sequences; by default errors are unknown and no run was aborted."""
+    """Return `Observations` from sequences; by default errors are unknown, no run was aborted and none is nested."""
     n = len(machine)
     return Observations(
         np.asarray(machine, dtype=np.intp).reshape(n),
         np.asarray(latency_s, dtype=float).reshape(n),
         np.full(n, np.nan) if relative_error is None else np.asarray(relative_error, dtype=float),
         np.zeros(n, dtype=bool) if lower_bound is None else np.asarray(lower_bound, dtype=bool),
+        np.zeros(n, dtype=bool) if nested is None else np.asarray(nested, dtype=bool),
     )
 
 

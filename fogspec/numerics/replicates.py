@@ -37,6 +37,8 @@ def after_one_more(posterior: Posterior) -> Estimates:
     Optim. 47 (2008) 2410).
     """
     at, value, variance = pooled(posterior.observations)
+    themselves = posterior.measured[at]
+    at, value, variance = at[themselves], value[themselves], variance[themselves]
     count = len(posterior.draws)
     which = np.arange(count) * len(SCALES) // count
     each = np.bincount(which)
@@ -44,7 +46,7 @@ def after_one_more(posterior: Posterior) -> Estimates:
     table, probability = np.empty((2, count, len(at)))
     for i, machine in enumerate(at):
         samples = posterior.observations
-        own = np.log(samples.latency_s[~samples.lower_bound & (samples.machine == machine)])
+        own = np.log(samples.latency_s[samples.own & (samples.machine == machine)])
         others = _without(posterior, int(machine), float(value[i]), float(variance[i]))
         weight, centre, moves = _by_noise(own, float(value[i]), *others)
         table[:, i] = centre[which] + moves[which] * normal

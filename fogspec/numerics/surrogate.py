@@ -118,19 +118,24 @@ class Posterior:
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """Number of complete samples of each machine, (N,)."""
-        complete = self.observations.machine[~self.observations.lower_bound]
-        return np.bincount(complete, minlength=len(self.machines))
+        """Number of complete samples of each machine itself, (N,)."""
+        return np.bincount(self.observations.machine[self.observations.own], minlength=len(self.machines))
 
     @cached_property
     def measured(self) -> np.ndarray:
-        """Machines with at least one complete sample (N,)."""
+        """Machines with at least one complete sample of their own (N,)."""
         return np.asarray(self.samples > 0)
+
+    @cached_property
+    def nested(self) -> np.ndarray:
+        """Machines that were not measured themselves, but on a part of a larger one, (N,)."""
+        seen = np.isin(np.arange(len(self.machines)), self.observations.machine[self.observations.nested])
+        return np.asarray(seen & ~self.measured)
 
     @cached_property
     def extrapolated(self) -> np.ndarray:
         """Machines outside the sampled range of vCPUs or memory, or of a GPU type or architecture without a sample, (N,)."""
-        m, known = self.machines, self.measured
+        m, known = self.machines, self.measured | self.nested
         if not known.any():
             return np.ones(len(m), dtype=bool)
         outside = np.zeros(len(m), dtype=bool)
