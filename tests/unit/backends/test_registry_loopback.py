@@ -346,3 +346,14 @@ def test_no_program_of_the_working_folder_is_a_helper(
     docker({"credsStore": name})
     assert credentials("ghcr.io") is None
     assert not ran.exists()
+
+
+@pytest.mark.parametrize("answer", [b"{}", b'{"token": 7}', b'{"token": {"a": 1}}', b"[]", b'"token"'])
+def test_a_token_is_a_text(servers: Any, docker: Any, answer: bytes) -> None:
+    one, tokens = servers(), servers()
+    docker({})
+    one.answer = asked_first(lambda _: (200, {}, BODY), f'Bearer realm="http://{tokens.address}/token",service="s"')
+    tokens.answer = lambda _: (200, {}, answer)
+    with pytest.raises((InvalidInput, CloudError), match="its token server sent no token"):
+        Registry().digest(f"{one.address}/robot:v1")
+    assert one.given == []

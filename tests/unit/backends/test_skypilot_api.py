@@ -342,7 +342,8 @@ def test_a_log_is_written_up_to_its_limit(api: Any, monkeypatch: pytest.MonkeyPa
 
     def tail(name: str, job: int, **words: Any) -> Iterator[str | None]:
         asked.update(words, name=name, job=job)
-        yield from ("12345", None, "é6", "never read")
+        yield from ("12345", None, "é6", "over")
+        raise AssertionError("a log without an end is read on")
 
     monkeypatch.setattr(api.sky, "tail_logs", tail)
     path = tmp_path / "log"

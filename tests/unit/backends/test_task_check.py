@@ -222,3 +222,11 @@ def test_the_mounts_of_compiled_tasks_are_these(root: Path) -> None:
     }
     whole = job(root, MACHINES["plain"], sample=False)
     check_sources(replace(whole, task={**whole.task, "file_mounts": mounts}))
+
+
+@pytest.mark.parametrize(("lifetime_s", "most"), [(3600.0, 60), (7200.0, 120), (7201.0, 121)])
+def test_the_end_of_a_sample_is_its_lifetime_in_whole_minutes(tmp_path: Path, lifetime_s: float, most: int) -> None:
+    one = replace(job(tmp_path, MACHINES["plain"], sample=True), lifetime_s=lifetime_s)
+    one.task["resources"]["autostop"]["idle_minutes"] = most + 1  # type: ignore[index]
+    with pytest.raises(LaunchRefused, match=f"idle_minutes is {most + 1}, of the job at most {most}$"):
+        check_task(one)

@@ -315,3 +315,24 @@ def test_a_tree_of_any_depth_and_with_any_permissions_is_removed(tmp_path: Path)
     assert files.remove_tree(tmp_path / "d")
     assert sorted(one.name for one in tmp_path.iterdir()) == ["outside"]
     assert (outside / "kept").exists()
+
+
+def test_no_handle_is_left_open(tmp_path: Path) -> None:
+    files, before = ProjectFiles(tmp_path), len(os.listdir("/proc/self/fd"))
+    files.write(tmp_path / "a/b/c/file", b"")
+    (tmp_path / "a/b/link").symlink_to(tmp_path)
+    for _ in range(5):
+        files.read(tmp_path / "a/b/c/file")
+        with pytest.raises(LinkedPath):
+            files.read(tmp_path / "a/b/link/file")
+        with pytest.raises(FileNotFoundError):
+            files.read(tmp_path / "a/b/missing/file")
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_the_component_that_is_a_link_is_the_one_that_is_named(tmp_path: Path) -> None:
+    files = ProjectFiles(tmp_path)
+    files.write(tmp_path / "a/b/file", b"")
+    (tmp_path / "a/link").symlink_to(tmp_path / "a/b")
+    with pytest.raises(LinkedPath, match=rf"^{tmp_path}/a/link: it is a link"):
+        files.read(tmp_path / "a/link/c/file")

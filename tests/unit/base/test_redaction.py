@@ -1,6 +1,7 @@
 """Secrets out of what is printed: whole, in pieces, in JSON, and by a process that is ended."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from fogspec.agent.redaction import Output, Secrets, Stream
 from fogspec.base.errors import UsageError
+from fogspec.base.project_files import ProjectFiles
 from fogspec.base.redaction import check_set, redact_files, redacted
 from tests.support.agent import AGENT
 
@@ -160,3 +162,34 @@ def test_a_secret_that_begins_another_one_waits_for_it() -> None:
     ):
         stream = Stream(Secrets({"abc": "$SHORT", "abcd": "$LONG"}))
         assert b"".join([*map(stream.feed, pieces), stream.rest()]) == said
+
+
+def test_a_file_that_cannot_be_read_keeps_no_other_from_its_redaction(tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        (tmp_path / name).write_bytes(b"hunter2\n")
+    real = ProjectFiles.read
+
+    def read(self: ProjectFiles, path: Path, *rest: int) -> bytes:
+        if path.name == "b":
+            raise OSError(5, "I/O error")
+        return real(self, path, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ProjectFiles, "read", read)
+        redact_files(Secrets({"hunter2": "$KEY"}), tmp_path)
+    assert [(tmp_path / name).read_bytes() for name in "abc"] == [b"$KEY\n", b"hunter2\n", b"$KEY\n"]
+
+
+@pytest.mark.parametrize("names", [[], ["KEY"]])
+def test_a_process_starts_where_it_should_and_leaves_no_handle(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, names: list[str]
+) -> None:
+    monkeypatch.setenv("KEY", "hunter2-hunter2")
+    before = len(os.listdir("/proc/self/fd"))
+    with open(tmp_path / "out", "wb") as file:
+        output = Output(names)
+        process = output.start([sys.executable, "-c", "import os; print(os.getcwd())"], file, cwd=tmp_path)
+        process.wait()
+        output.settle(process)
+    assert (tmp_path / "out").read_text() == f"{tmp_path}\n"
+    assert len(os.listdir("/proc/self/fd")) == before

@@ -132,3 +132,8 @@ def test_a_shell_line_has_nothing_unseen(words: list[str]) -> None:
 )
 def test_code_spans_by_hand(value: object, said: str) -> None:
     assert text.code(value) == said
+
+
+def test_a_paragraph_has_as_many_lines_as_it_was_given() -> None:
+    assert text.paragraph(["one\ntwo", "three"]).count("\n") == 1
+    assert text.paragraph(["one", "two"]) == "one\ntwo"

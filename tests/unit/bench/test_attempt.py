@@ -64,9 +64,11 @@ def made() -> Attempt:
 def test_what_is_said_of_a_sample_that_takes_too_long():
     attempt = made()
     assert attempt.overdue(399.9, DEADLINE_S) is None
-    assert attempt.overdue(400.0, DEADLINE_S).reason == "no_response"
+    silent = attempt.overdue(400.0, DEADLINE_S)
+    assert (silent.reason, silent.detail) == ("no_response", "nothing was heard of the machine for 300 s")
     attempt.reached(SampleStatus(running=True, ready=False))
-    assert attempt.overdue(400.0, DEADLINE_S).reason == "setup"
+    late = attempt.overdue(400.0, DEADLINE_S)
+    assert (late.reason, late.detail) == ("setup", "not ready after 300 s")
     attempt.reached(SampleStatus(running=True, timings=Path("kept")))
     end = attempt.overdue(400.0, DEADLINE_S)
     assert (end.running, end.reason, end.timings) == (False, None, Path("kept"))

@@ -128,3 +128,115 @@ def test_a_sample_without_a_task_starts_nothing(told):
     with pytest.raises(LookupError, match="s0 has no task"):
         campaign.run(samples(1))
     assert (world.machines, campaign.journal.state.open) == ({}, {})
+
+
+def test_who_wants_to_stop_starts_no_machine(told):
+    campaign, _, world = told
+    campaign.stopping = lambda: True
+    campaign.run(samples(2))
+    assert world.machines == {}
+
+
+def test_ctrl_c_twice_leaves_at_once_and_asks_nothing_more(told, monkeypatch):
+    campaign, _, _ = told
+
+    def interrupted(self, job):
+        raise KeyboardInterrupt
+
+    def never(self, job):
+        raise AssertionError("the journal has what runs; down ends it")
+
+    monkeypatch.setattr(FaultyBackend, "poll", interrupted)
+    monkeypatch.setattr(FaultyBackend, "stop", never)
+    with pytest.raises(KeyboardInterrupt):
+        campaign.run(samples(2))
+    assert len(campaign.journal.state.open) == 2
+
+
+def test_machines_that_no_fault_of_ours_ends_are_named(told, monkeypatch):
+    campaign, events, world = told
+
+    def stop(self, job):
+        raise Unreachable("the cloud does not answer")
+
+    def fault(self, job):
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(FaultyBackend, "stop", stop)
+    monkeypatch.setattr(FaultyBackend, "poll", fault)
+    with pytest.raises(RuntimeError, match="a fault of ours"):
+        campaign.run(samples(2))
+    assert sorted(campaign.left) == sorted(world.machines)
+    assert {one.detail for one in events if one.kind is EventKind.NOT_ENDED} == {"the cloud does not answer"}
+
+
+def test_a_launch_whose_answer_is_lost_is_reported_and_watched(told, monkeypatch):
+    campaign, events, _ = told
+    start = FaultyBackend.start
+
+    def started(self, job):
+        start(self, job)
+        raise Unreachable("no answer to the launch")
+
+    monkeypatch.setattr(FaultyBackend, "start", started)
+    campaign.run(samples(1))
+    (lost,) = [one for one in events if one.kind is EventKind.LOST_CONTACT]
+    assert lost.detail == "no answer to the launch"
+    assert events[-1].record.state == "ok"
+
+
+def test_the_longer_bill_of_a_machine_that_outlived_it_is_by_the_hour(told):
+    campaign, _, world = told
+    campaign.queue += [Queued(samples(1)[0])]
+    campaign._start_what_fits()
+    (attempt,) = campaign.running.values()
+    world.now += attempt.started.paid_s + 1800
+    assert campaign._outlived_usd() == pytest.approx(samples(1)[0].machine.price / 2, rel=1e-9)
+
+
+def test_what_was_just_found_is_fetched_before_a_lower_budget_ends_it(told):
+    campaign, _, world = told
+    campaign.queue += [Queued(samples(1)[0])]
+    campaign._start_what_fits()
+    (attempt,) = campaign.running.values()
+    object.__setattr__(campaign.config, "budget_usd", 0.0)
+    world.now += 60
+    attempt.found_s = world.now
+    campaign._stop_what_does_not_fit()
+    assert attempt.end is None
+    world.now += 3600
+    campaign._stop_what_does_not_fit()
+    assert attempt.end is not None
+
+
+def test_only_after_an_absence_is_a_machine_as_if_just_found(told):
+    campaign, _, world = told
+    campaign.queue += [Queued(samples(1)[0])]
+    campaign._start_what_fits()
+    (attempt,) = campaign.running.values()
+    campaign._notice_absence()
+    for pause_s in (10.0, 20.0):
+        world.now += pause_s
+        campaign._notice_absence()
+        assert attempt.found_s == attempt.since_s, "it was watched all the time"
+    world.now += 7200
+    campaign._notice_absence()
+    assert attempt.found_s == world.now
+
+
+def test_a_machine_of_another_spec_is_ended_and_paid_and_is_no_sample(told):
+    campaign, events, world = told
+    campaign.queue += [Queued(samples(1)[0])]
+    campaign._start_what_fits()
+    (name,) = campaign.running
+    campaign.running.clear()
+    object.__setattr__(campaign.config, "measured", "another")
+    attempt = campaign._adopted(campaign.journal.state.open[name])
+    assert (attempt.end.running, attempt.end.lost) == (False, True)
+    campaign.running[name] = attempt
+    world.now += 100
+    campaign.run([])
+    assert campaign.journal.state.open == {}
+    assert campaign.journal.state.spent_usd > 0
+    assert world.disk.get("samples", {}) == {}
+    assert events[-1].kind is EventKind.UNWANTED

@@ -234,3 +234,13 @@ def _content(folder):
     path = folder / "journal.jsonl"
     whole(path).close()
     return path.read_bytes().splitlines()
+
+
+@pytest.mark.parametrize("name", ["../evil", "a/b", "..", ".", "a\nb", "\x1b[2J", 7, None])
+def test_no_name_of_a_journal_is_a_path(tmp_path, name):
+    path = tmp_path / "journal.jsonl"
+    path.write_text(
+        json.dumps({"do": "campaign", "application": "a", "plan": "p", "base_usd": 0.0, "runner": name}) + "\n"
+    )
+    with pytest.raises(OutOfDate):
+        Journal(path)

@@ -137,15 +137,6 @@ def test_a_price_that_rose_is_refused_and_named(now: float, refused: bool) -> No
     assert said.value.hints[-1].endswith("fogspec compile x")
 
 
-def test_many_prices_that_rose_are_counted() -> None:
-    names = [f"m{number}" for number in range(12)]
-    prices = table(*(ROW.format(name=name, price=2.0) for name in names))
-    with pytest.raises(Refused) as said:
-        check_prices([sample(name, 1.0) for name in names], prices, "again")
-    assert "and 3 more" in said.value.hints
-    assert len(said.value.hints) == 11
-
-
 @pytest.mark.parametrize(
     ("budget", "spent", "costs", "said"),
     [
@@ -166,3 +157,22 @@ def test_what_becomes_of_machines_that_nobody_ends_is_said_where_they_cost_money
     assert line.endswith("until fogspec down demo")
     assert list(quote(ONE, costs=Costs.RECORDED).unattended()) == []
     assert list(quote(FREE).unattended()) == []
+
+
+def test_what_is_spent_is_said_of_this_runners_real_money_only() -> None:
+    assert (
+        quote(ONE).spent_line(prepared(5.0, 1.0))
+        == "$1.00 of the budget of $5.00 is spent; spec.benchmark.budget allows more"
+    )
+    assert quote(ONE).spent_line(prepared(5.0, 3.0, runner="replay")) is None
+    assert quote(ONE, costs=Costs.NOTHING).spent_line(prepared(5.0, 1.0)) is None
+    assert quote(ONE).spent_line(prepared(None, 1.0)) is None
+
+
+@pytest.mark.parametrize(("count", "more"), [(9, None), (10, "and 1 more")])
+def test_many_rises_are_counted(count: int, more: str | None) -> None:
+    todo = [sample(f"m{n}", 1.0) for n in range(count)]
+    with pytest.raises(Refused) as refused:
+        check_prices(todo, table(*(ROW.format(name=f"m{n}", price=2) for n in range(count))), "again")
+    said = [one for one in refused.value.hints if one.startswith("and ")]
+    assert said == ([more] if more else [])
