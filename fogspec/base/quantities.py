@@ -100,7 +100,7 @@ _D = rf"{_N}\s*(ns|us|ms|s|min|h|d)"
 _M = rf"{_N}\s*(MiB|GiB|TiB|MB|GB|TB)"
 _USD = rf"(\$\s*{_N}|{_N}\s*(cents?|¢))"
 _COST = rf"{_USD}\s*/\s*({_N})?\s*requests?"
-_RATE = rf"{_N}\s*(Hz|(requests?)?\s*/\s*(s|min|h))"
+_RATE = rf"{_N}\s*(Hz|(requests?)?\s*/\s*(s|min|h|day|week|month))"
 
 Count = Annotated[float, Field(allow_inf_nan=False), PlainSerializer(_whole, return_type=int | float)]
 Duration = Annotated[float, *_quantity(units.parse_duration_s, units.format_duration, _D, "1.5s")]

@@ -38,6 +38,7 @@ class Range:
 
 HOURS_PER_DAY = 24
 HOURS_PER_MONTH = 730
+SECONDS_PER_MONTH = 3600 * HOURS_PER_MONTH
 
 NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 DURATION_S = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
@@ -45,6 +46,13 @@ MEMORY_GIB = {
     "MiB": 2.0**-10, "GiB": 1.0, "TiB": 1024.0,
     "MB": 1e6 / 2**30, "GB": 1e9 / 2**30, "TB": 1e12 / 2**30,
 }  # fmt: skip
+
+RATE_S = {
+    **{unit: DURATION_S[unit] for unit in ("s", "min", "h")},
+    "day": 86400.0,
+    "week": 604800.0,
+    "month": 2628000.0,
+}
 
 # Other spellings of units, in lower case; a word that two quantities share has an entry in each.
 SPELLINGS = {
@@ -128,12 +136,12 @@ def parse_transfer_usd_per_gib(text: Any) -> float:
 
 
 def parse_rate_per_s(text: Any) -> float:
-    """Return requests per second from `10/s`, `6/min`, `1000/h`, or `2Hz`."""
+    """Return a rate per second from `10/s`, `6/min`, `1000/h`, `2Hz`, `5/week`; a month has 730 hours."""
     body = _body(text)
     if match := re.fullmatch(rf"({NUMBER})\s*Hz", body):
         return _finite(match[1])
-    if match := re.fullmatch(rf"({NUMBER})\s*(?:requests?)?\s*/\s*(s|min|h)", body):
-        return _finite(match[1]) / DURATION_S[match[2]]
+    if match := re.fullmatch(rf"({NUMBER})\s*(?:requests?)?\s*/\s*({'|'.join(RATE_S)})", body):
+        return _finite(match[1]) / RATE_S[match[2]]
     if re.fullmatch(NUMBER, body):
         raise UnitError("must say per what time", f"{body}/s", "FS201")
     raise UnitError("must be a rate such as 10/s, 6/min or 2Hz")
@@ -262,8 +270,8 @@ def format_price(usd_per_hour: float) -> str:
 
 
 def format_rate(per_s: float) -> str:
-    """Return `10/s`, or per hour if that is shorter: `0.05/h`."""
-    texts = [f"{format_number(per_s * scale)}/{unit}" for unit, scale in (("s", 1.0), ("h", 3600.0))]
+    """Return `10/s`, or per a longer time if that is shorter: `0.05/h`, `1/week`."""
+    texts = [f"{format_number(per_s * scale)}/{unit}" for unit, scale in RATE_S.items() if unit != "min"]
     return min((text for text in texts if parse_rate_per_s(text) == per_s), key=len, default=texts[0])
 
 

@@ -1,11 +1,11 @@
 """The cost of one request on a machine, and the latency that a limit on the cost allows.
 
 Busy billing pays the seconds of a request at the exact price (FogROS2-Config, section 2.D); provisioned billing shares
-the whole hour among its requests. Data transfer is added to both. On a spot machine interruptions come at random
-(Poisson) and a request that is interrupted starts over on another machine after a restart, so that a request of L
-seconds takes (1/rate + restart) * (exp(rate * L) - 1) paid seconds on average (Daly, A higher order estimate of the
-optimum checkpoint interval for restart dumps, FGCS 22 (2006), without checkpoints); a provisioned machine is paid
-while it restarts and serves nothing.
+the time that the machine is up among its requests: always, or in sessions with a start-up each. Data transfer is added to
+both. On a spot machine interruptions come at random (Poisson) and a request that is interrupted starts over on another
+machine after a restart, so that a request of L seconds takes (1/rate + restart) * (exp(rate * L) - 1) paid seconds on average
+(Daly, A higher order estimate of the optimum checkpoint interval for restart dumps, FGCS 22 (2006), without checkpoints); a
+provisioned machine is paid while it restarts and serves nothing.
 """
 
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.base.units import HOURS_PER_MONTH
 from fogspec.spec.schema import Spec
 
 Floats = NDArray[np.float64]
@@ -22,7 +23,8 @@ Floats = NDArray[np.float64]
 class Costs:
     """The cost model of n machines: price in USD per hour (n,), and the mask of spot machines (n,).
 
-    `requests_per_s` is None for busy billing.
+    `requests_per_s` is None for busy billing. A provisioned machine is paid for `up` of all time, and serves requests for
+    `used` of it.
     """
 
     price_usd_per_hour: Floats
@@ -31,11 +33,14 @@ class Costs:
     restart_s: float
     transfer_usd: float
     requests_per_s: float | None
+    up: float = 1.0
+    used: float = 1.0
 
     @classmethod
     def of(cls, spec: Spec, price_usd_per_hour: Floats, spot: NDArray[np.bool_]) -> "Costs":
         """Return the cost model of a spec for machines with these prices."""
         objective, data = spec.objective, spec.objective.transfer
+        usage = objective.usage if objective.billing == "provisioned" else None
         return cls(
             price_usd_per_hour=price_usd_per_hour,
             spot=spot,
@@ -43,6 +48,8 @@ class Costs:
             restart_s=objective.interruption.recovery_time,
             transfer_usd=data.per_request * data.price,
             requests_per_s=objective.rate if objective.billing == "provisioned" else None,
+            up=usage.up if usage else 1.0,
+            used=usage.used if usage else 1.0,
         )
 
     @classmethod
@@ -60,9 +67,14 @@ class Costs:
 
     @property
     def usd_per_s(self) -> Floats:
-        """Return the cost of a second (n,), restarts included: exact for provisioned billing and for short requests."""
+        """Return the cost of a second of use (n,), restarts and start-ups included: exact but for long requests on spot."""
         extra = np.where(self.spot, self.interruptions_per_s * self.restart_s, 0.0)
-        return np.asarray(self.price_usd_per_hour / 3600 * (1 + extra))
+        return np.asarray(self.price_usd_per_hour / 3600 * (1 + extra) * (self.up / self.used))
+
+    @property
+    def usd_per_month(self) -> Floats:
+        """Return the cost of a month of 730 hours (n,), in which the machine is up as the usage says, else always."""
+        return np.asarray(self.price_usd_per_hour * HOURS_PER_MONTH * self.up)
 
     def per_request(self, latency_s: Floats) -> Floats:
         """Return USD per request (n,); NaN where the latency is NaN."""

@@ -56,7 +56,8 @@ class Crowd:
 class Chart:
     """A menu chart; limits are drawn as forbidden regions.
 
-    `requests_per_hour` is set for provisioned billing, under which the cost does not depend on the latency.
+    `requests_per_hour` is set for provisioned billing, under which the cost does not depend on the latency: those that share
+    the price of a paid hour.
     """
 
     title: str

@@ -28,7 +28,7 @@ from fogspec.charts.chart import (
 )
 from fogspec.charts.frame import Dot, Frame, frame, place_labels
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LEVEL, floored, limit_text, thinned, weights
+from fogspec.choice.menu import LEVEL, floored, limit_text, thinned, usage_text, weights
 from fogspec.choice.rule import latency_limit_s
 from fogspec.choice.shortlist import shortlist
 from fogspec.spec.schema import Application
@@ -46,7 +46,7 @@ def menu_chart(application: Application, choice: Choice, doubts: Sequence[str]) 
     spec = application.spec
     metric = spec.objective.metric
     rows = np.flatnonzero(choice.eligible & (choice.metric_value > 0) & (choice.cost_usd_per_request > 0))
-    rate = spec.objective.rate if spec.objective.billing == "provisioned" else None
+    costs = choice.rule.costs
     limit = spec.constraints.metrics.get(metric) if metric else _latency_limit(application)
     return Chart(
         title=application.metadata.name,
@@ -65,7 +65,7 @@ def menu_chart(application: Application, choice: Choice, doubts: Sequence[str]) 
         y_limit=limit,
         cost_limit_usd_per_request=spec.constraints.cost,
         price_limit_usd_per_hour=spec.constraints.price,
-        requests_per_hour=None if rate is None else rate * 3600,
+        requests_per_hour=costs.requests_per_s and costs.requests_per_s * 3600 * costs.used / costs.up,
         level=LEVEL,
         notes=[*_none(choice), *doubts[:1]],
     )
@@ -101,7 +101,8 @@ def _latency_limit(application: Application) -> float | None:
 
 def _subtitle(application: Application, choice: Choice) -> str:
     limits = ", ".join(f"{name} at most {limit_text(name, bound)}" for name, bound in choice.bounds.items())
-    billing = "" if application.spec.objective.billing == "busy" else ", whole hours are paid"
+    objective = application.spec.objective
+    billing = "" if objective.billing == "busy" else f", {usage_text(objective.usage) or 'whole hours are paid'}"
     surely = f"; met with probability {choice.level:g}" if choice.bounds and choice.level is not None else ""
     return f"{weights(application)}{billing}; limits: {limits or 'none'}{surely}"
 

@@ -13,7 +13,7 @@ from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
 from fogspec.choice.rule import Violation
 from fogspec.plan.schema import PlanMetadata
-from fogspec.spec.schema import Application, Billing, Statistic
+from fogspec.spec.schema import Application, Billing, Statistic, Usage
 
 LEVEL = 0.9
 SHOWN = 40
@@ -52,6 +52,7 @@ class MenuBody(Strict):
 
     statistic: Statistic
     billing: Billing
+    usage: str | None
     objective: str
     scale: dict[str, str]
     limits: dict[str, str]
@@ -88,6 +89,7 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
     body = MenuBody(
         statistic=spec.constraints.statistic,
         billing=spec.objective.billing,
+        usage=usage_text(spec.objective.usage),
         objective=weights(application),
         scale=scale_texts(application, choice),
         level=LEVEL,
@@ -126,7 +128,7 @@ def entry_of(choice: Choice, row: int) -> Entry:
             name: rounded(float(p.value[row])) for name, p in choice.metrics.items() if math.isfinite(p.value[row])
         },
         cost=rounded(float(choice.cost_usd_per_request[row])),
-        month=f"${machine.price * units.HOURS_PER_MONTH:.2f}/month",
+        month=f"${choice.rule.costs.usd_per_month[row]:.2f}/month",
         objective=rounded(float(choice.objective[row])),
         measured=bool(choice.latency.measured[row]),
         extrapolated=bool(choice.latency.extrapolated[row]),
@@ -176,6 +178,16 @@ def _missed(choice: Choice, one: Violation) -> Limit:
         instance=machine.instance,
         alone=one.alone,
     )
+
+
+def usage_text(usage: Usage | None) -> str | None:
+    """Return when the machine is up, with the hours that a month has of it; None if always."""
+    if usage is None:
+        return None
+    startup = f" after {units.format_duration(usage.startup)} of start-up" if usage.startup else ""
+    hours = rounded(usage.up * units.HOURS_PER_MONTH, 3)
+    each = f"{units.format_duration(usage.session)}{startup}, {units.format_rate(usage.sessions)}"
+    return f"up for {each}: {units.format_number(hours)} h a month"
 
 
 def weights(application: Application) -> str:

@@ -25,7 +25,7 @@ from fogspec.choice.shortlist import shortlist
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision
 from fogspec.model.fit import Model, targets
-from fogspec.report.summary import entry_text, infeasible_text
+from fogspec.report.summary import billing_text, entry_text, infeasible_text
 
 MOST_SAMPLES = 3
 
@@ -63,7 +63,7 @@ def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
     menu, choice = decision.menu, decision.choice
     found = Analysis.of(compiled, decision, refits or refits_of(compiled, decision))
     local = decision.models.spec.measured_on_local
-    lines = [f"{compiled.layout.name}: {menu.spec.objective}, {menu.spec.billing} billing"]
+    lines = [f"{compiled.layout.name}: {menu.spec.objective}, {billing_text(menu)}"]
     if menu.spec.balanced is None:
         lines += [*infeasible_text(menu), *_infeasible(choice)]
     else:

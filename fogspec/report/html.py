@@ -150,7 +150,7 @@ def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
     if compiled.decision is not None and (entry := compiled.decision.menu.spec.balanced) is not None:
         rows += [
             ("the chosen machine, an hour", units.format_money(entry.price)),
-            ("the chosen machine, a month", units.format_money(round(entry.price * units.HOURS_PER_MONTH, 2))),
+            ("the chosen machine, a month", entry.month.removesuffix("/month")),
             ("1,000 requests on it", units.format_money(rounded(entry.cost * 1000))),
         ]
     return rows

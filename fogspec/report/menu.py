@@ -14,7 +14,7 @@ from fogspec.choice.menu import Entry, Menu, make_menu
 from fogspec.compile.compiler import usable_results
 from fogspec.compile.decision import select, warnings_for
 from fogspec.compile.inputs import Inputs
-from fogspec.report.summary import entry_text, infeasible_text
+from fogspec.report.summary import billing_text, entry_text, infeasible_text
 from fogspec.spec.lockfile import pinned
 from fogspec.spec.schema import Application
 
@@ -73,7 +73,7 @@ def show(menu: Menu, picture: str = "") -> str:
     body = menu.spec
     limits = ", ".join(f"{name} at most {bound}" for name, bound in body.limits.items()) or "none"
     lines = [
-        f"{menu.metadata.name}: {body.objective}, {body.billing} billing, {body.statistic} latency",
+        f"{menu.metadata.name}: {body.objective}, {billing_text(menu)}, {body.statistic} latency",
         f"limits: {limits}; {body.meet} of {body.predicted} machines meet them",
         *(f"warning: {text}" for text in body.warnings),
     ]

@@ -115,6 +115,12 @@ def entry_text(entry: "Entry") -> str:
     )
 
 
+def billing_text(menu: "Menu") -> str:
+    """Return the billing, and when the machine is up if it is not always."""
+    body = menu.spec
+    return f"{body.billing} billing" + (f", {body.usage}" if body.usage else "")
+
+
 def infeasible_text(menu: "Menu") -> list[str]:
     """Return the lines that explain why no machine meets the limits."""
     body = menu.spec

@@ -16,7 +16,7 @@ QUANTITIES = (
     (Money, "an amount of money", "$ or cent"),
     (Cost, "a cost per request", "$ or cent, per request or per a number of requests"),
     (Price, "a price per hour", "$ or cent, per hour"),
-    (Rate, "a rate", "per s, min or h, or Hz"),
+    (Rate, "a rate", "per s, min, h, day, week or month, or Hz"),
     (Percent, "a share", "%"),
     (CountRange, "a range, or one number", "none"),
     (MemoryRange, "a range of memory, or one size", "MiB, GiB, TiB, MB, GB or TB"),

@@ -196,6 +196,26 @@ class Interruption(Strict):
     )
 
 
+class Usage(Strict):
+    """When a provisioned machine is up: in sessions, each after a start-up that is paid too."""
+
+    session: Duration = Field(gt=0, description="how long the machine is used each time", examples=["20min"])
+    sessions: Rate = Field(gt=0, description="how often it is used", examples=["1/week"])
+    startup: Duration = Field(
+        300.0, ge=0, description="paid time of each session until the machine is ready", examples=["3min"]
+    )
+
+    @property
+    def up(self) -> float:
+        """The fraction of all time for which the machine is paid."""
+        return self.sessions * (self.session + self.startup)
+
+    @property
+    def used(self) -> float:
+        """The fraction of all time in which it serves requests."""
+        return self.sessions * self.session
+
+
 class DataTransfer(Strict):
     """What the cloud charges for data, added to the cost of each request."""
 
@@ -222,10 +242,15 @@ class Objective(Strict):
     )
     billing: Billing = Field(
         "busy",
-        description="busy: only the seconds of a request are paid; provisioned: the whole hour",
+        description="busy: only the seconds of a request are paid; provisioned: all the time that the machine is up",
         examples=["provisioned"],
     )
     rate: Rate | None = Field(None, gt=0, description="requests per second, for provisioned billing", examples=["10/s"])
+    usage: Usage | None = Field(
+        None,
+        description="when a provisioned machine is up; always if absent",
+        examples=[{"session": "20min", "sessions": "1/week"}],
+    )
     interruption: Interruption = Field(
         Interruption(),
         description="what spot machines' interruptions add to their cost",

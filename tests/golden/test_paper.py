@@ -213,6 +213,21 @@ def test_the_machines_of_each_cell_of_table_2_give_its_cents(cell):
     assert 100 * usd * published.WINDOW_S / 3600 == pytest.approx(cell.cents, abs=0.0051)
 
 
+def test_a_machine_that_is_up_in_sessions_costs_them_and_their_start_up(checkout):
+    spec = checkout / "specs" / "vslam.yaml"
+    text = spec.read_text().replace("latency: 40ms", "latency: 1s").replace("    cost: $0.01/1000 requests\n", "")
+    always = text.replace("alpha: 0.5", "alpha: 0\n    billing: provisioned\n    rate: 1/s")
+    spec.write_text(always)
+    [before] = json.loads(fogspec(checkout, "menu", "vslam", "-o", "json"))
+    spec.write_text(always.replace("rate: 1/s", "rate: 1/s\n    usage: { session: 20min, sessions: 1/week }"))
+    [after] = json.loads(fogspec(checkout, "menu", "vslam", "-o", "json"))
+    one, other = before["spec"]["balanced"], after["spec"]["balanced"]
+    assert one["instance"] == other["instance"] == "c6i.large"
+    assert (one["month"], other["month"]) == ("$62.05/month", "$0.15/month")
+    assert (one["cost"], other["cost"]) == ("$0.00002361/request", "$0.00002951/request")
+    assert "up for 20min after 5min of start-up, 1/week: 1.81 h a month" in fogspec(checkout, "menu", "vslam")
+
+
 def test_the_savings_of_the_paper_are_ratios_of_prices_per_hour():
     for instance, factor in published.SAVINGS:
         ratio = published.DEAREST_USD_PER_HOUR / price_usd_per_hour(instance, published.REGION)

@@ -70,5 +70,10 @@ DEAREST_USD_PER_HOUR = 4.99
 DEAREST = "i3.16xlarge"
 SAVINGS = (("r6i.4xlarge", 4.95), ("r6i.xlarge", 20.0))
 
-# Section I: a vacuum robot on t2.medium.
-VACUUM = {"machine": "t2.medium", "minutes_a_week": 20.0, "years": 6.0, "usd": 6.00}
+# Section I: a vacuum robot.
+VACUUM_MACHINE = "t2.medium"
+VACUUM_SESSION = 20 * 60.0
+VACUUM_SESSIONS = 1 / (7 * 86400.0)
+VACUUM_YEARS = 6
+VACUUM_USD = 6.00
+VACUUM_RATE = 10.0  # requests per second, ours: the paper names none

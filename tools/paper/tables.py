@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fogspec.base.units import dollars, format_duration, rounded
+from fogspec.base.units import HOURS_PER_MONTH, dollars, format_duration, rounded
+from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Floats
 from fogspec.choice.choose import Choice, choose
 from fogspec.choice.relaxed import Relaxed
@@ -16,7 +17,7 @@ from fogspec.numerics import families, relaxation
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.plan.design import design
 from fogspec.plan.schema import Sample
-from fogspec.spec.schema import Constraints
+from fogspec.spec.schema import Constraints, Objective, Usage
 from tools.paper import published
 from tools.paper.cases import Case, cases, price_usd_per_hour, snapshot
 
@@ -39,7 +40,18 @@ class Section:
 
 def sections() -> list[Section]:
     """Return every section of the page."""
-    return [_table_1(), _table_2(), _reductions(), _r2(), _prices(), _frontiers(), _choices(), _savings(), _listing_1()]
+    return [
+        _table_1(),
+        _table_2(),
+        _reductions(),
+        _r2(),
+        _prices(),
+        _frontiers(),
+        _choices(),
+        _savings(),
+        _listing_1(),
+        _vacuum(),
+    ]
 
 
 def _samples(case: Case) -> tuple[Sample, ...]:
@@ -371,5 +383,38 @@ def _listing_1() -> Section:
         "--latency 0.01s --cost '0.01 cent/request'` ends with code 4. The listing says 0.01 cent in a comment, its caption "
         "$0.01; at $0.01 only the latency is out of reach.",
         head=("limit", "paper", "ours", "why they differ"),
+        rows=rows,
+    )
+
+
+def _vacuum() -> Section:
+    price = price_usd_per_hour(published.VACUUM_MACHINE, published.REGION)
+    months = published.VACUUM_YEARS * 12
+    rows = []
+    for startup_s in (0.0, 300.0):
+        usage = Usage(session=published.VACUUM_SESSION, sessions=published.VACUUM_SESSIONS, startup=startup_s)
+        objective = Objective(billing="provisioned", rate=published.VACUUM_RATE, usage=usage)
+        spec = cases()[0].application.spec.model_copy(update={"objective": objective})
+        costs = Costs.of(spec, np.array([price]), np.array([False]))
+        month, request = float(costs.usd_per_month[0]), float(costs.per_request(np.array([0.01]))[0])
+        started = f"with {format_duration(startup_s)} of start-up" if startup_s else "without start-up"
+        rows.append(
+            (
+                f"20 minutes a week, {started}",
+                dollars(published.VACUUM_USD) if startup_s else "-",
+                f"{dollars(month * months)}; ${month:.3f} a month, ${1000 * request:.2g} for 1,000 requests",
+                "the paper does not say how it counts; five minutes of start-up a session give its figure"
+                if startup_s
+                else "only the minutes in use",
+            )
+        )
+    always = price * HOURS_PER_MONTH * months
+    rows.append(("never turned off", "-", dollars(always), "what `billing: provisioned` costs without `usage`"))
+    return Section(
+        title="The vacuum robot of the introduction",
+        before=f"A robot that cleans 20 minutes a week for six years, on {published.VACUUM_MACHINE} at ${price:g}/h "
+        f"({published.REGION}). `objective: {{billing: provisioned, rate: 10/s, usage: {{session: 20min, sessions: 1/week, "
+        "startup: 5min}}`.",
+        head=("the machine is up", "paper", "ours", "why they differ"),
         rows=rows,
     )

@@ -2,15 +2,15 @@
 
 from collections.abc import Iterator
 
-from fogspec.base.units import HOURS_PER_MONTH, format_duration, format_rate
+from fogspec.base.units import SECONDS_PER_MONTH, format_duration, format_rate, rounded
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.probe import kind_of
 from fogspec.spec.rules.finding import Finding
 from fogspec.spec.schema import Application, Interruption
 from fogspec.spec.suggest import closest
 
+SECONDS_PER_DAY = 86400
 PLACEHOLDER_TOPICS = ("/request", "/response")
-SECONDS_PER_MONTH = HOURS_PER_MONTH * 3600
 PROBES = ("request and response", "service", "action", "callback")
 
 
@@ -211,6 +211,26 @@ def billing(application: Application) -> Iterator[Finding]:
             both,
             at_key=True,
         )
+    if objective.billing == "busy" and objective.usage is not None:
+        yield Finding(
+            "FS518",
+            (*at, "usage"),
+            "spec.objective.usage counts only for billing: provisioned",
+            "remove it, or add 'billing: provisioned' and 'rate: 10/s'",
+            ((*at, "usage"), (*at, "billing")),
+            at_key=True,
+        )
+    if objective.usage is not None and objective.usage.up > 1:
+        usage = objective.usage
+        each = f"{format_duration(usage.session)} and {format_duration(usage.startup)} of start-up"
+        most = rounded(SECONDS_PER_DAY / (usage.session + usage.startup), 3)
+        yield Finding(
+            "FS530",
+            (*at, "usage", "sessions"),
+            f"spec.objective.usage has sessions that overlap: {format_rate(usage.sessions)}, each of {each}",
+            f"write fewer than {most:g}/day, or leave usage out: always up",
+            ((*at, "usage", "session"), (*at, "usage", "startup")),
+        )
 
 
 def extra_costs(application: Application) -> Iterator[Finding]:
@@ -312,8 +332,10 @@ def volume(application: Application) -> Iterator[Finding]:
             (("spec", "objective", "alpha"),),
             at_key=True,
         )
-    if rate is not None and found.requests_per_month > rate * SECONDS_PER_MONTH:
-        most = f"{rate * SECONDS_PER_MONTH:,.0f}"
+    usage = spec.objective.usage
+    served_s = SECONDS_PER_MONTH * (usage.used if usage else 1.0)
+    if rate is not None and found.requests_per_month > rate * served_s:
+        most = f"{rate * served_s:,.0f}"
         yield Finding(
             "FS528",
             (*at, "requests_per_month"),

@@ -1,6 +1,7 @@
 """What a request costs: busy and provisioned, spot machines that are interrupted, and data that is transferred."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,6 +33,20 @@ def test_busy_seconds_at_the_price():
 
 def test_an_hour_is_shared_by_its_requests():
     assert costs(requests=2.0).per_request(np.array([0.1, np.nan])) == pytest.approx([0.0005, np.nan], nan_ok=True)
+
+
+def test_a_session_pays_its_start_up_and_a_month_has_only_its_sessions():
+    always = costs(requests=2.0)
+    # Twenty minutes a week after five of start-up.
+    week = 7 * 24 * 3600
+    some = replace(always, used=1200 / week, up=1500 / week)
+    latency = np.array([0.1, 0.1])
+    assert some.per_request(latency) == pytest.approx(always.per_request(latency) * 1.25)
+    assert always.usd_per_month == pytest.approx(PRICE * 730)
+    assert some.usd_per_month == pytest.approx(PRICE * 730 * 1500 / week)
+    limit = float(some.per_request(latency)[0])
+    assert some.latency_within(limit * 1.001)[0] == np.inf
+    assert some.latency_within(limit * 0.999)[0] == 0
 
 
 def test_data_is_added_to_every_request():
