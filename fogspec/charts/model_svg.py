@@ -18,6 +18,7 @@ from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL
 from fogspec.model.fit import Models, Observation
 from fogspec.numerics import families
+from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.spec.schema import Application
 
 WIDTH, LEFT, RIGHT = 760, 84, 18
@@ -150,12 +151,13 @@ def _each_once(choice: Choice, rows: np.ndarray) -> list[int]:
 
 def _sample(one: Observation) -> Sample:
     latency, t = one.values["latency"], NormalDist().inv_cdf((1 + LEVEL) / 2)
+    error = DEFAULT_NOISE if one.error is None else one.error
     return Sample(
         one.machine.instance,
         one.machine.cpus,
         latency,
-        latency * math.exp(-t * one.error),
-        latency * math.exp(t * one.error),
+        latency * math.exp(-t * error),
+        latency * math.exp(t * error),
     )
 
 

@@ -37,7 +37,8 @@ class Influence:
     """The effect of leaving one sample out on the choice and the predictions.
 
     `moves` is the median relative change over all machines, `missed_by` the relative error of the prediction of this
-    machine from the others, `covered` whether the measurement lies in that prediction's interval at `LEVEL`.
+    machine from the others, `covered` whether the measurement lies in that prediction's interval at `LEVEL`, as wide as it is
+    shown.
     """
 
     id: str
@@ -167,11 +168,11 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
     name = None if without.chosen is None else str(without.offers.instance[without.chosen])
     now = None if choice.chosen is None else str(choice.offers.instance[choice.chosen])
     missed, covered = float("nan"), False
-    ranges = without.latency.ranges
-    if ranges is not None and predicted.space is not None:
+    posterior, shown = without.latency.posterior, choice.latency.posterior
+    if posterior is not None and shown is not None and predicted.space is not None:
         at, value = predicted.space.place[left_out.machine.type_key], left_out.values["latency"]
-        missed = abs(float(np.exp(ranges.mean[at])) / value - 1)
-        own = ranges.take(np.array([at]))
+        missed = abs(float(np.exp(posterior.mean[at])) / value - 1)
+        own = posterior.widened(shown.calibration.factor).take(np.array([at]))
         low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
         covered = low <= value <= high
     return Influence(

@@ -1,5 +1,6 @@
 """Choose a machine from results and make the files of the choice: models, menu, charts, and the pinned manifest."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered
 from fogspec.charts import menu_svg, model_svg
 from fogspec.choice.choose import Choice, choose
-from fogspec.choice.menu import Menu, make_menu
+from fogspec.choice.menu import LEVEL, Menu, floored, make_menu
 from fogspec.choice.relaxed import Relaxed, chosen_by_relaxing, relaxed_optimum
 from fogspec.compile.deploy_files import Deployable, deployable
 from fogspec.compile.inputs import Inputs
@@ -19,6 +20,7 @@ from fogspec.compile.links import link_of
 from fogspec.compile.manifest import FileRef, Manifest, Sources, make_manifest
 from fogspec.model.fit import Models, fit, targets
 from fogspec.model.predict import PredictionSet, predict
+from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.plan.schema import ApplicationRef, CatalogRef
 from fogspec.results.schema import Results, other_servers
 from fogspec.spec import fingerprints
@@ -153,7 +155,7 @@ def _sources(
 
 def warnings_for(application: Application, models: Models, choice: Choice, results: Results) -> list[str]:
     """Return the warnings for reviewers about the predictions, most important first."""
-    found, row = caveats(models, choice), choice.chosen
+    found, row = [*caveats(models, choice), *_calibration(models, choice)], choice.chosen
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
         found += [f"curve of {model.target}{beside}: {text}" for text in model.warnings]
@@ -167,6 +169,32 @@ def warnings_for(application: Application, models: Models, choice: Choice, resul
     unpredicted = len(choice.offers) - int(choice.eligible.sum())
     if unpredicted:
         found.append(f"{unpredicted} admissible machines cannot be predicted, or failed when they were measured")
+    return found
+
+
+def _calibration(models: Models, choice: Choice) -> list[str]:
+    """Return what the samples say against the ranges, and what stands for spreads that were not measured."""
+    posterior, body, found = choice.latency.posterior, models.spec, []
+    if posterior is None:
+        return []
+    calibration, level = posterior.calibration, f"{LEVEL:.0%} range"
+    if calibration.factor > 1:
+        found.append(
+            f"{calibration.covered} of {calibration.machines} measured machines lie in the {level} that the others give them: "
+            f"ranges of predictions are widened by a factor of {calibration.factor:.3g}, with which "
+            f"{calibration.covered_widened} do; probabilities are not"
+        )
+    times = Counter(one.machine.type_key for one in body.observations)
+    unknown = sum(one.error is None and times[one.machine.type_key] == 1 for one in body.observations)
+    if unknown:
+        probability = None if choice.chosen is None or not choice.bounds else choice.probability(choice.chosen)
+        rests = (
+            "" if probability is None else f", on which the probability {floored(probability):g} of the choice rests"
+        )
+        found.append(
+            f"how far requests are apart is not known of {unknown} of {len(body.observations)} samples: "
+            f"each is taken to err by {DEFAULT_NOISE:.1%}{rests}"
+        )
     return found
 
 

@@ -24,9 +24,8 @@ from fogspec.results.schema import Measured, Results
 from fogspec.spec.schema import Application, Statistic
 
 # Two servers of one type differ, whatever is measured on each: median coefficient of variation of repeated
-# measurements over Spare Cores' public benchmarks (SpareCores/sc-inspector-data), and that of a single sample.
+# measurements over Spare Cores' public benchmarks (SpareCores/sc-inspector-data).
 SERVER_ERROR = 0.015
-UNKNOWN_ERROR = 0.02
 MOST_ERROR = 10.0
 MOST_MISSED = 1000.0
 # The standard error of a quantile over that of the mean, of a normal variable: sqrt(p (1 - p)) / density.
@@ -78,12 +77,12 @@ class Model(Strict):
 
 
 class Observation(Strict):
-    """A machine that was measured: its values by target, and the relative standard error of the latency."""
+    """A machine that was measured: its values by target, and the latency's relative standard error, null if it is unknown."""
 
     id: str
     machine: Machine
     values: dict[str, float]
-    error: float
+    error: float | None
 
 
 class RejectedSample(Strict):
@@ -207,12 +206,12 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
     return Observation(id=record.id, machine=record.machine, values=values, error=_error(record, statistic))
 
 
-def _error(record: Measured, statistic: Statistic) -> float:
-    """Relative standard error of the statistic as a figure for all machines of the type."""
+def _error(record: Measured, statistic: Statistic) -> float | None:
+    """Return the relative standard error of the statistic as a figure for all machines of the type; None if it is unknown."""
     latency = record.latency
-    own = UNKNOWN_ERROR
-    if latency is not None and latency.sd is not None:
-        own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(max(record.requests, 1))
+    if latency is None or latency.sd is None:
+        return None
+    own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(max(record.requests, 1))
     # Beyond this the sample says nothing, whatever more it could.
     return _to(5, min(math.hypot(own, SERVER_ERROR), MOST_ERROR))
 

@@ -214,10 +214,14 @@ def _conditioned(
         observations(
             [place[one.type_key] for one in (*(v.machine for v in values), *(b.machine for b in bounds))],
             [*(one.values[target] for one in values), *(one.latency_lower_bound or 0.0 for one in bounds)],
-            [*(one.error if target == "latency" else math.nan for one in values), *(math.nan for _ in bounds)],
+            [*(_error(one, target) for one in values), *(math.nan for _ in bounds)],
             [*(False for _ in values), *(True for _ in bounds)],
         )
     )
+
+
+def _error(one: Observation, target: str) -> float:
+    return math.nan if target != "latency" or one.error is None else one.error
 
 
 def _predictions(target: str, posterior: Posterior | None, unfit: Mask, type_index: NDArray[np.intp]) -> Predictions:

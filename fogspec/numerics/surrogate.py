@@ -24,6 +24,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.numerics.calibration import Calibration, deviations
 from fogspec.numerics.ensemble import Ensemble, ensemble_with_prior, ensemble_without_prior
 from fogspec.numerics.kernels import Floats, Machines
 from fogspec.numerics.normal import normal_cdf_and_density, normal_quantile, truncated_above_moments
@@ -58,7 +59,8 @@ class Prior:
 class Posterior:
     """Posterior of every machine's log-latency: a mixture of Gaussian processes, weights summing to 1.
 
-    With `shifts` its quantiles and probabilities are those of another server of each type (`elsewhere`).
+    With `shifts` its quantiles and probabilities are those of another server of each type (`elsewhere`), and with `stretch`
+    (N,) they are that much farther from the mean. `left_out` returns the deviations of `Calibration.of`.
     """
 
     machines: Machines
@@ -67,12 +69,26 @@ class Posterior:
     means: Floats
     variances: Floats
     draw: Callable[[], Floats] = field(repr=False, compare=False)
+    left_out: Callable[[], Floats] | None = field(default=None, repr=False, compare=False)
     shifts: Shifts | None = None
+    stretch: Floats | None = None
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """How many of the measured machines lie in the range that the others give them."""
+        return Calibration.of(np.empty(0) if self.left_out is None else self.left_out())
 
     @cached_property
     def elsewhere(self) -> "Posterior":
         """The posterior with the quantiles and probabilities of another server of each type; means and draws stay."""
-        return replace(self, shifts=shifts_of(self.machines.cloud))
+        return self.widened(self.calibration.factor)
+
+    def widened(self, factor: float) -> "Posterior":
+        """Return `elsewhere` with the ranges of predictions, and of samples of unknown spread, widened by this factor."""
+        known = np.zeros(len(self.machines), dtype=bool)
+        known[self.observations.machine[~np.isnan(self.observations.relative_error)]] = True
+        stretch = np.where(self.measured & (known | (self.samples > 1)), 1.0, factor)
+        return replace(self, shifts=shifts_of(self.machines.cloud), stretch=stretch)
 
     def take(self, rows: NDArray[np.intp]) -> "Posterior":
         """Return the posterior of the machines at these indices, without draws."""
@@ -82,10 +98,17 @@ class Posterior:
             means=self.means[:, rows],
             variances=self.variances[:, rows],
             shifts=None if self.shifts is None else self.shifts.take(rows),
+            stretch=None if self.stretch is None else self.stretch[rows],
         )
 
     def _below(self, log_latency: Floats) -> tuple[Floats, Floats]:
         """Return the probability (N,) that each machine's log-latency is at most `log_latency` (N,), and the density."""
+        if self.stretch is None:
+            return self._below_unstretched(log_latency)
+        below, density = self._below_unstretched(self.mean + (log_latency - self.mean) / self.stretch)
+        return below, density / self.stretch
+
+    def _below_unstretched(self, log_latency: Floats) -> tuple[Floats, Floats]:
         root = self._roots
         core, density = normal_cdf_and_density((log_latency - self.means) / root)
         below, density = self.weights @ core, self.weights @ (density / root)
@@ -176,6 +199,7 @@ class Posterior:
     def _root(self, p: Floats) -> Floats:
         """Return the log-latency (N,) not exceeded with probability p (N,): Newton's method, kept within a bracket."""
         sd = self.sd if self.shifts is None else np.sqrt(self.sd**2 + self.shifts.core + self.shifts.spread)
+        sd = sd if self.stretch is None else sd * self.stretch
         low, high, found = self.mean - 12 * sd, self.mean + 12 * sd, self.mean + sd * normal_quantile(p)
         active, part = np.arange(len(found)), self
         for _ in range(MOST_STEPS):
@@ -242,7 +266,32 @@ class Space:
             if site is not None:
                 at, value, variance = np.append(at, machine), np.append(value, site[0]), np.append(variance, site[1])
                 posterior = self._conditioned(samples, at, value, variance)
-        return self._as_measured(posterior, *known) if len(outlier) else posterior
+        posterior = self._as_measured(posterior, *known) if len(outlier) else posterior
+        return replace(posterior, left_out=partial(self._left_out, samples, at, value, variance))
+
+    def _left_out(self, samples: Observations, at: np.ndarray, value: Floats, noise: Floats) -> Floats:
+        """Return the deviation of each measured machine from what the others say, over their 90 % range: see `deviations`.
+
+        Every model is conditioned on the other machines in closed form (Rasmussen and Williams, section 5.4.2).
+        """
+        few = _few(len(at))
+        at, residual, noise = at[few], value[few] - mean_level(samples), noise[few]
+        models, covariance = self._distinct(np.arange(len(self.ensemble.theta)))
+        cross = np.array([f[at] @ f[at].T for f in self.ensemble.features])
+        precision = np.linalg.inv(self._inner(models, cross, at, noise))
+        residual = residual - self.ensemble.curves[:, at][self.ensemble.curve]
+        variance = (1 / np.einsum("hii->hi", precision))[covariance]
+        off = np.einsum("hij,hj->hi", precision[covariance], residual) * variance
+        evidence = self._evidence(cross, at, value[few] - mean_level(samples), noise)
+        log = evidence[:, None] + 0.5 * off**2 / variance + 0.5 * np.log(variance)
+        weights = np.exp(log - log.max(0))
+        real = np.isin(at, samples.machine[samples.own])
+        return deviations(
+            (weights / weights.sum(0))[:, real],
+            off[:, real],
+            (np.maximum(variance - noise, 1e-8) * self.ensemble.inflation)[:, real],
+            shifts_of(self.machines.cloud).take(at[real]),
+        )
 
     def _as_measured(self, posterior: Posterior, at: np.ndarray, value: Floats, variance: Floats) -> Posterior:
         """Return the posterior with the machines `at` (M,) at their measured values."""
@@ -271,11 +320,7 @@ class Space:
                 draw=partial(self._draws, keep=keep, weights=weights, means=means, at=at, noise=noise, terms=None),
             )
         cross = np.array([f @ f[at].T for f in ensemble.features])
-        few = (
-            np.unique(np.linspace(0, len(at) - 1, MAX_EVIDENCE).round().astype(int))
-            if len(at) > MAX_EVIDENCE
-            else slice(None)
-        )
+        few = _few(len(at))
         keep, weights = _resampled(
             self._evidence(cross[:, at][:, few][:, :, few], at[few], value[few] - level, noise[few])
         )
@@ -364,6 +409,11 @@ class Space:
                 error = prior[:, at] + np.sqrt(noise) * errors[rows][:, : len(at)]
                 out[rows] -= error @ inverse @ link.T
         return out
+
+
+def _few(count: int) -> np.ndarray:
+    """Return the samples, of so many, that the evidence of the models is computed from."""
+    return np.unique(np.linspace(0, count - 1, min(count, MAX_EVIDENCE)).round().astype(int))
 
 
 def _site(posterior: Posterior, machine: int, bound: float) -> tuple[float, float] | None:

@@ -234,7 +234,9 @@ def _model(decision: Decision, found: Analysis) -> list[str]:
     lines = []
     if not body.measured_on_local:
         beside = f" and machine library {body.predictor.priors}" if body.predictor.priors else ""
-        lines.append(f"  surrogate on {len(body.observations)} samples{beside}{_leave_one_out_text(found.influences)}")
+        lines.append(
+            f"  surrogate on {len(body.observations)} samples{beside}{_leave_one_out_text(choice, found.influences)}"
+        )
     for one in widest_intervals(choice):
         interval = choice.latency.interval(one.row, LEVEL) or (0.0, 0.0)
         low, high = (units.format_duration(rounded(end)) for end in interval)
@@ -253,14 +255,16 @@ def _servers(compiled: Artifacts) -> list[str]:
     return [f"{one.machine.instance}: {one.server.line()}" for one in samples if one.server is not None]
 
 
-def _leave_one_out_text(found: list[Influence]) -> str:
+def _leave_one_out_text(choice: Choice, found: list[Influence]) -> str:
     known = sorted(one.missed_by for one in found if one.missed_by == one.missed_by)
     if not known:
         return ""
-    covered = sum(one.covered for one in found)
+    covered, posterior = sum(one.covered for one in found), choice.latency.posterior
+    factor = 1.0 if posterior is None else posterior.calibration.factor
+    widened = f", which is widened by a factor of {factor:.3g} for them" if factor > 1 else ""
     return (
         f": each left out in turn is foretold within {known[len(known) // 2]:.1%} (median), {known[-1]:.1%} at most; "
-        f"{covered} of {len(found)} lie in their {LEVEL:.0%} interval"
+        f"{covered} of {len(found)} lie in their {LEVEL:.0%} interval{widened}"
     )
 
 

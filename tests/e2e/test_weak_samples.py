@@ -246,3 +246,30 @@ def test_explain_says_what_the_confidence_costs(shell: Shell) -> None:
     [lower] = explained(shell)["confidences"]
     assert (lower["confidence"], lower["instance"]) == (0.8, "a.small")
     assert lower["cost_ratio"] == pytest.approx(0.975 * 0.1 / 0.61 / 0.4, rel=0.05)
+
+
+def test_samples_against_the_ranges_widen_them_and_what_was_assumed_is_said(shell: Shell) -> None:
+    odd = (3.0, 1.1, 0.24, 5.2, 0.5, 0.41)
+    names = ("a.small", "a.large", "a.huge", "b.small", "b.large", "b.huge")
+    means = [replaced(sample(name, seconds)) for name, seconds in zip(names, odd, strict=True)]
+    found = compiled(shell, means)
+    [widened] = [text for text in found["menu"]["warnings"] if "widened" in text]
+    [assumed] = [text for text in found["menu"]["warnings"] if "is taken to err by 2.5%" in text]
+    assert "of 6 measured machines lie in the 90% range that the others give them" in widened
+    assert assumed.startswith("how far requests are apart is not known of 6 of 6 samples")
+    manifest = (shell.folder / "compiled/demo/manifest.yaml").read_text()
+    text = shell("explain", "specs/demo.yaml", "--catalog", "offers.csv").out
+    assert widened in text
+    assert "which is widened by a factor of" in text
+    assert widened in manifest
+    assert assumed in manifest
+    shell("report", "specs/demo.yaml", "--catalog", "offers.csv", "--to", "page.html")
+    assert "ranges of predictions are widened" in (shell.folder / "page.html").read_text()
+    spread = compiled(shell, [sample(name, 4 / SHAPES[name][0]) for name in names])["menu"]["warnings"]
+    assert not [text for text in spread if "widened" in text or "is taken to err" in text]
+
+
+def replaced(one: Measured) -> Measured:
+    """The sample with its mean alone."""
+    assert one.latency is not None
+    return one.model_copy(update={"latency": LatencySummary(mean=one.latency.mean)})
