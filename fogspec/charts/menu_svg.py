@@ -100,7 +100,9 @@ def _latency_limit(application: Application) -> float | None:
 
 
 def _subtitle(application: Application, choice: Choice) -> str:
-    limits = ", ".join(f"{name} at most {limit_text(name, bound)}" for name, bound in choice.bounds.items())
+    limits = ", ".join(
+        f"{name} at most {limit_text(name, bound, choice.rule.unit_of(name))}" for name, bound in choice.bounds.items()
+    )
     objective = application.spec.objective
     billing = "" if objective.billing == "busy" else f", {usage_text(objective.usage) or 'whole hours are paid'}"
     surely = f"; met with probability {choice.level:g}" if choice.bounds and choice.level is not None else ""
@@ -160,7 +162,8 @@ def _described(choice: Choice, row: int, name: str, metric: str | None, factor: 
     gpu = f" {machine.gpu.label}" if machine.gpu else ""
     shape = f", {machine.cpus:g} vCPU {units.format_number(machine.memory)} GiB{gpu}"
     metric_value = float(choice.metric_value[row])
-    value = f"{metric} {number(metric_value)}" if metric else seconds(metric_value)
+    unit_of_metric = choice.rule.units.get(metric, "") if metric else ""
+    value = f"{metric} {number(metric_value)} {unit_of_metric}".rstrip() if metric else seconds(metric_value)
     per = "request" if factor == 1 else unit.removeprefix("a ")
     cost = short_dollars(float(choice.cost_usd_per_request[row]) * factor)
     rest = f"{value}, {cost} per {per}, {short_dollars(machine.price)}/h"

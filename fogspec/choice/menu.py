@@ -19,12 +19,21 @@ LEVEL = 0.9
 SHOWN = 40
 
 
+class MetricValue(Strict):
+    """A metric of the application on one machine: predicted, with its interval at the menu's level, and its limit."""
+
+    value: float
+    interval: tuple[float, float] | None
+    limit: float | None
+    unit: str | None
+
+
 class Entry(ListedMachine):
     """A machine on the menu: what it is, what is expected of it, and whether it meets every limit."""
 
     latency: Duration
     interval: tuple[Duration, Duration] | None
-    metrics: dict[str, float]
+    metrics: dict[str, MetricValue]
     cost: Cost
     month: str
     objective: float
@@ -48,12 +57,16 @@ class Limit(Strict):
 
 
 class MenuBody(Strict):
-    """The choices: `balanced` minimises the objective; entries of `front` and `hourly_front` rise in cost or price."""
+    """The choices: `balanced` minimises the objective, `least` its metric if that is not the latency.
+
+    Entries of `front` and `hourly_front` rise in cost or price.
+    """
 
     statistic: Statistic
     billing: Billing
     usage: str | None
     objective: str
+    metric: str | None
     scale: dict[str, str]
     limits: dict[str, str]
     level: float
@@ -63,6 +76,7 @@ class MenuBody(Strict):
     balanced: Entry | None
     cheapest: Entry | None
     fastest: Entry | None
+    least: Entry | None
     nearest: Entry | None
     missed: list[Limit]
     front: list[Entry]
@@ -91,15 +105,17 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
         billing=spec.objective.billing,
         usage=usage_text(spec.objective.usage),
         objective=weights(application),
+        metric=spec.objective.metric,
         scale=scale_texts(application, choice),
         level=LEVEL,
-        limits={name: limit_text(name, bound) for name, bound in choice.bounds.items()},
+        limits={name: limit_text(name, bound, choice.rule.unit_of(name)) for name, bound in choice.bounds.items()},
         admissible=len(choice.offers),
         predicted=int(choice.eligible.sum()),
         meet=int(choice.feasible.sum()),
         balanced=entry(choice.chosen),
         cheapest=entry(choice.cheapest),
         fastest=entry(choice.fastest),
+        least=entry(choice.least),
         nearest=entry(choice.least_infeasible),
         missed=[_missed(choice, one) for one in choice.violations],
         front=[entry_of(choice, row) for row in thinned(choice.front)],
@@ -124,9 +140,7 @@ def entry_of(choice: Choice, row: int) -> Entry:
         **dict(machine),
         latency=rounded(float(choice.latency.value[row])),
         interval=None if interval is None else (rounded(interval[0]), rounded(interval[1])),
-        metrics={
-            name: rounded(float(p.value[row])) for name, p in choice.metrics.items() if math.isfinite(p.value[row])
-        },
+        metrics=_metrics_of(choice, row),
         cost=rounded(float(choice.cost_usd_per_request[row])),
         month=f"${choice.rule.costs.usd_per_month[row]:.2f}/month",
         objective=rounded(float(choice.objective[row])),
@@ -138,12 +152,34 @@ def entry_of(choice: Choice, row: int) -> Entry:
     )
 
 
+def _metrics_of(choice: Choice, row: int) -> dict[str, MetricValue]:
+    found = {}
+    for name, predictions in choice.metrics.items():
+        value, ends = float(predictions.value[row]), predictions.interval(row, LEVEL)
+        if math.isfinite(value):
+            found[name] = MetricValue(
+                value=rounded(value),
+                interval=None if ends is None else (rounded(ends[0]), rounded(ends[1])),
+                limit=choice.rule.max_metrics.get(name),
+                unit=choice.rule.units.get(name),
+            )
+    return found
+
+
+def metric_text(name: str, found: MetricValue) -> str:
+    """Return `path_length 33.3 m [31, 36]`."""
+    ends = ", ".join(units.format_number(end) for end in found.interval) if found.interval else ""
+    unit = f" {found.unit}" if found.unit else ""
+    return f"{name} {units.format_number(found.value)}{unit}" + (f" [{ends}]" if ends else "")
+
+
 def why_not(choice: Choice, row: int) -> str | None:
     """Return the limits that an offer violates as text; None if it is feasible."""
     if choice.feasible[row]:
         return None
     broken = [
-        f"{name} {limit_text(name, float(value))} over the limit of {limit_text(name, bound)}"
+        f"{name} {limit_text(name, float(value), choice.rule.unit_of(name))} over the limit of "
+        f"{limit_text(name, bound, choice.rule.unit_of(name))}"
         if math.isfinite(value := choice.values[name][row])
         else f"{name} is not known: no sample has a value of it that can be modelled"
         for name, bound in choice.bounds.items()
@@ -171,8 +207,8 @@ def _missed(choice: Choice, one: Violation) -> Limit:
     machine = choice.offers.machine(one.row)
     return Limit(
         limit=one.limit,
-        bound=limit_text(one.limit, one.bound),
-        nearest_value=limit_text(one.limit, one.value),
+        bound=limit_text(one.limit, one.bound, choice.rule.unit_of(one.limit)),
+        nearest_value=limit_text(one.limit, one.value, choice.rule.unit_of(one.limit)),
         factor=rounded(one.factor),
         infra=machine.infra,
         instance=machine.instance,
@@ -200,12 +236,13 @@ def scale_texts(application: Application, choice: Choice) -> dict[str, str]:
     """Return the divisors of the metric and the cost as text."""
     metric = application.spec.objective.metric
     divisor = rounded(choice.scale.metric)
-    of_metric = units.format_number(divisor) if metric else units.format_duration(divisor)
+    unit = choice.rule.units.get(metric, "") if metric else ""
+    of_metric = f"{units.format_number(divisor)} {unit}".strip() if metric else units.format_duration(divisor)
     return {metric or "latency": of_metric, "cost": units.format_cost(rounded(choice.scale.cost))}
 
 
-def limit_text(name: str, value: float) -> str:
-    """Return a bound or a value of a limit with its unit."""
+def limit_text(name: str, value: float, unit: str = "") -> str:
+    """Return a bound or a value of a limit with its unit, which only metrics need."""
     value = rounded(value)
     match name:
         case "latency" | "rate":
@@ -215,4 +252,4 @@ def limit_text(name: str, value: float) -> str:
         case "price":
             return units.format_price(value)
         case _:
-            return units.format_number(value)
+            return f"{units.format_number(value)} {unit}".strip()

@@ -44,8 +44,9 @@ class Rule:
 
     `costs` and `names` (n,) describe the machines; `metric` is the name of the objective's metric, None for the latency. A
     scale that is None is the limit on the same quantity, else its best attainable value (ADR 0004). `max_latency_s` is the
-    limit without the network's allowance. With `measured_first`, a machine that was not measured is chosen only if no
-    measured one qualifies. Raise ValueError for an alpha outside of 0 to 1 and scales that are not positive.
+    limit without the network's allowance, `units` are those of metrics, for people. With `measured_first`, a machine that was
+    not measured is chosen only if no measured one qualifies. Raise ValueError for an alpha outside of 0 to 1 and scales that
+    are not positive.
     """
 
     costs: Costs
@@ -60,6 +61,7 @@ class Rule:
     max_price_usd_per_hour: float | None = None
     max_metrics: Mapping[str, float] = field(default_factory=dict)
     measured_first: bool = False
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 0 <= self.alpha <= 1:
@@ -85,6 +87,7 @@ class Rule:
             max_price_usd_per_hour=constraints.price,
             max_metrics=constraints.metrics,
             measured_first=spec.benchmark.is_adaptive and spec.benchmark.volume is None,
+            units={name: one.unit for name, one in spec.metrics.items() if one.unit},
         )
 
     def take(self, rows: Rows) -> "Rule":
@@ -108,6 +111,10 @@ class Rule:
             **{f"metrics.{name}": bound for name, bound in sorted(self.max_metrics.items())},
         }
         return {name: bound for name, bound in limits.items() if bound is not None}
+
+    def unit_of(self, limit: str) -> str:
+        """Return the unit of a limit on a metric; empty for other limits, whose values are written with theirs."""
+        return self.units.get(limit.removeprefix("metrics."), "") if limit.startswith("metrics.") else ""
 
     def limited(self, latency_s: Floats, metrics: Mapping[str, Floats]) -> dict[str, Floats]:
         """Return the quantity that each limit bounds, by name of the limit."""
@@ -306,6 +313,11 @@ class Selection:
     def fastest(self) -> int | None:
         """The candidate with the lowest latency."""
         return self._first_by(self.latency.value)
+
+    @cached_property
+    def least(self) -> int | None:
+        """The candidate with the smallest value of the objective's metric; None if that is the latency."""
+        return self._first_by(self.metric_value) if self.rule.metric else None
 
     def _first_by(self, column: Floats) -> int | None:
         """Return the candidate with the smallest value; ties go by cost, then latency, then name, then row."""

@@ -24,6 +24,7 @@ class Slack:
     """
 
     limit: str
+    unit: str
     bound: float
     value: float
     required: float
@@ -88,6 +89,7 @@ def slacks(choice: Choice) -> list[Slack]:
         found.append(
             Slack(
                 limit=name,
+                unit=choice.rule.unit_of(name),
                 bound=bound,
                 value=float(choice.values[name][row]),
                 required=float(required[name][row]),

@@ -8,6 +8,7 @@ def shortlist(choice: Choice) -> dict[str, int]:
     named = {
         "cheapest": choice.cheapest,
         "fastest": choice.fastest,
+        f"least {choice.rule.metric}": choice.least,
         "runner-up": _second(choice),
         "ruled out": _ruled_out(choice),
     }

@@ -1,5 +1,6 @@
 """Implement `fogspec menu`: show the choices of a measured application, also under other constraints."""
 
+import math
 import shutil
 from pathlib import Path
 
@@ -16,6 +17,16 @@ from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named
 @click.option("--alpha", type=click.FloatRange(0, 1), help="1 = only latency counts, 0 = only cost counts")
 @click.option("--latency", metavar="2s", help="another limit on the latency of one request; none for no limit")
 @click.option("--cost", metavar="'$0.001/request'", help="another limit on the cost of one request; none for no limit")
+@click.option(
+    "--metric", metavar="NAME", help="a metric of spec.metrics in place of the latency in the objective; or latency"
+)
+@click.option(
+    "--limit",
+    "bounds",
+    multiple=True,
+    metavar="NAME=35",
+    help="another limit on a metric; NAME=none for no limit; repeatable",
+)
 @click.option("--name", help="the application, where the file has several")
 @CATALOG
 @PRIORS
@@ -26,6 +37,8 @@ def command(
     alpha: float | None,
     latency: str | None,
     cost: str | None,
+    metric: str | None,
+    bounds: tuple[str, ...],
     name: str | None,
     catalog_path: str | None,
     priors: Path | None,
@@ -36,11 +49,12 @@ def command(
 
     Nothing is measured anew and nothing is written.
     """
-    from fogspec.report.menu import menu_view, show
+    from fogspec.report.menu import Changes, menu_view, show
 
+    changes = Changes(alpha=alpha, latency=latency, cost=cost, metric=metric, limits=dict(map(_bound, bounds)))
     inputs = load_named(spec, name, catalog_path, priors)
     try:
-        views = [menu_view(one, alpha, latency, cost) for one in inputs]
+        views = [menu_view(one, changes) for one in inputs]
     except UnitError as wrong:
         raise UsageError(str(wrong), *([f"write {wrong.fix}"] if wrong.fix else [])) from None
     menus = [one.menu for one in views]
@@ -53,3 +67,15 @@ def command(
         say_text("\n\n".join(show(one.menu, one.plot(width, color)) for one in views), color=color)
     if infeasible := [menu.metadata.name for menu in menus if menu.spec.balanced is None]:
         raise Infeasible(f"{', '.join(infeasible)}: no machine meets the limits")
+
+
+def _bound(text: str) -> tuple[str, float | None]:
+    """Return the metric and the bound of `NAME=35`; raise UsageError."""
+    name, equals, value = text.partition("=")
+    try:
+        bound = None if value.strip() == "none" else float(value)
+    except ValueError:
+        bound = math.nan
+    if not equals or not name.strip() or (bound is not None and not bound > 0):
+        raise UsageError(f"--limit is a metric and its bound, got {text!r}", "--limit path_length=35")
+    return name.strip(), bound

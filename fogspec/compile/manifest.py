@@ -12,7 +12,7 @@ from fogspec.base.quantities import Cost, Duration, Memory, Price, Strict
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LEVEL, Entry, entry_of, scale_texts, weights
+from fogspec.choice.menu import LEVEL, Entry, MetricValue, entry_of, scale_texts, weights
 from fogspec.choice.relaxed import Relaxed
 from fogspec.choice.rule import latency_limit_s
 from fogspec.choice.shortlist import shortlist
@@ -93,12 +93,15 @@ class ExpectedCost(Strict):
 
 
 class ExpectedMetric(Strict):
-    """A measure of the application, predicted."""
+    """A measure of the application, predicted, with its interval."""
 
     name: str
     predicted: float
+    interval: tuple[float, float] | None
+    level: float
     limit: float | None
     unit: str | None
+    probability_met: float | None
 
 
 class ExpectedObjective(Strict):
@@ -118,7 +121,7 @@ class Expected(Strict):
     limits: ExpectedLimits
     latency: ExpectedLatency
     cost: ExpectedCost
-    metric: ExpectedMetric | None
+    metrics: list[ExpectedMetric]
     objective: ExpectedObjective
 
 
@@ -130,6 +133,7 @@ class Alternative(Strict):
     instance: str
     latency: Duration
     cost: Cost
+    metrics: dict[str, MetricValue]
     price: Price
     why_not: str
 
@@ -332,14 +336,6 @@ def _expected(application: Application, choice: Choice, row: int, entry: Entry) 
     spec = application.spec
     limit, objective = latency_limit_s(application), spec.objective
     probability = None if limit is None else choice.latency.probability_below(row, limit)
-    metric = None
-    if objective.metric:
-        metric = ExpectedMetric(
-            name=objective.metric,
-            predicted=entry.metrics[objective.metric],
-            limit=spec.constraints.metrics.get(objective.metric),
-            unit=spec.metrics[objective.metric].unit,
-        )
     return Expected(
         limits=_limits(choice, row),
         latency=ExpectedLatency(
@@ -360,7 +356,7 @@ def _expected(application: Application, choice: Choice, row: int, entry: Entry) 
             hour=entry.price,
             month=entry.month,
         ),
-        metric=metric,
+        metrics=_expected_metrics(choice, row, entry),
         objective=ExpectedObjective(
             alpha=objective.alpha,
             words=weights(application),
@@ -370,6 +366,24 @@ def _expected(application: Application, choice: Choice, row: int, entry: Entry) 
             value=entry.objective,
         ),
     )
+
+
+def _expected_metrics(choice: Choice, row: int, entry: Entry) -> list[ExpectedMetric]:
+    found = []
+    for name, one in entry.metrics.items():
+        met = None if one.limit is None else choice.metrics[name].probability_below(row, one.limit)
+        found.append(
+            ExpectedMetric(
+                name=name,
+                predicted=one.value,
+                interval=one.interval,
+                level=LEVEL,
+                limit=one.limit,
+                unit=one.unit,
+                probability_met=None if met is None else round(met, 3),
+            )
+        )
+    return found
 
 
 def _limits(choice: Choice, row: int) -> ExpectedLimits:
@@ -394,6 +408,7 @@ def alternatives(choice: Choice, chosen: int) -> list[Alternative]:
                 instance=entry.instance,
                 latency=entry.latency,
                 cost=entry.cost,
+                metrics=entry.metrics,
                 price=entry.price,
                 why_not=entry.why_not or _lost_on(choice, row, chosen),
             )

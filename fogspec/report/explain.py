@@ -25,7 +25,7 @@ from fogspec.choice.shortlist import shortlist
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision
 from fogspec.model.fit import Model, targets
-from fogspec.report.summary import billing_text, entry_text, infeasible_text
+from fogspec.report.summary import billing_text, entry_text, infeasible_text, metrics_text
 
 MOST_SAMPLES = 3
 
@@ -98,7 +98,10 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
     choice, menu = decision.choice, decision.menu.spec.model_dump(mode="json")
     return {
         **found,
-        **{key: menu[key] for key in ("objective", "balanced", "cheapest", "fastest", "nearest", "missed", "warnings")},
+        **{
+            key: menu[key]
+            for key in ("objective", "balanced", "cheapest", "fastest", "least", "nearest", "missed", "warnings")
+        },
         "confidence": choice.confidence,
         "probability_met": None if choice.chosen is None else choice.probability(choice.chosen),
         "sure": choice.meets_confidence,
@@ -142,12 +145,12 @@ def _next_sample_dict(choice: Choice, sample: NextSample) -> dict[str, Any]:
 def _slack_dict(b: Slack) -> dict[str, Any]:
     return {
         "limit": b.limit,
-        "bound": limit_text(b.limit, b.bound),
-        "value": limit_text(b.limit, b.value),
-        "needs": limit_text(b.limit, b.required),
+        "bound": limit_text(b.limit, b.bound, b.unit),
+        "value": limit_text(b.limit, b.value, b.unit),
+        "needs": limit_text(b.limit, b.required, b.unit),
         "rules_out_alone": b.rules_out_alone,
         "changes_to": b.changes_to,
-        "changes_at": None if b.changes_at is None else limit_text(b.limit, b.changes_at),
+        "changes_at": None if b.changes_at is None else limit_text(b.limit, b.changes_at, b.unit),
     }
 
 
@@ -198,11 +201,13 @@ def _funnel_dict(compiled: Artifacts) -> list[dict[str, Any]]:
 def _slack_text(binding: Slack) -> str:
     name = binding.limit
     room = (1 - binding.value / binding.bound) if binding.bound else 0.0
-    words = f"{name}: {limit_text(name, binding.value)} of at most {limit_text(name, binding.bound)}, {room:.0%} room"
-    words += f"; the choice holds down to {limit_text(name, binding.required)}"
+    value, bound = (limit_text(name, one, binding.unit) for one in (binding.value, binding.bound))
+    words = f"{name}: {value} of at most {bound}, {room:.0%} room"
+    words += f"; the choice holds down to {limit_text(name, binding.required, binding.unit)}"
     words += f"; alone it rules out {binding.rules_out_alone} machines"
     if binding.changes_at is not None:
-        words += f"; at {limit_text(name, binding.changes_at)} it would let in {binding.changes_to}, which is better"
+        at = limit_text(name, binding.changes_at, binding.unit)
+        words += f"; at {at} it would let in {binding.changes_to}, which is better"
     elif binding.rules_out_alone:
         words += ", none of them better"
     return words
@@ -313,7 +318,7 @@ def _others(compiled: Artifacts, decision: Decision) -> list[str]:
     rows = shortlist(decision.choice)
     return [
         f"  {a.role:<9} {a.instance} in {a.infra}, {units.format_price(a.price)}: {units.format_duration(a.latency)}, "
-        f"{units.format_cost(a.cost)}; {a.why_not}{_difference_text(compiled, decision, rows[a.role])}"
+        f"{metrics_text(a.metrics)}{units.format_cost(a.cost)}; {a.why_not}{_difference_text(compiled, decision, rows[a.role])}"
         for a in decision.manifest.alternatives
     ]
 

@@ -1,16 +1,17 @@
 """Recompute the menu for other limits or another alpha, and render it as text."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from fogspec.base import units
-from fogspec.base.errors import OutOfDate
+from fogspec.base.errors import OutOfDate, UsageError
 from fogspec.base.text import paragraph, shell_command
 from fogspec.catalog.filters import filter_offers
 from fogspec.charts.menu_svg import menu_chart
 from fogspec.charts.terminal import plot
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import Entry, Menu, make_menu
+from fogspec.choice.menu import LEVEL, Entry, Menu, MenuBody, make_menu, metric_text
 from fogspec.compile.compiler import usable_results
 from fogspec.compile.decision import select, warnings_for
 from fogspec.compile.inputs import Inputs
@@ -36,35 +37,65 @@ class MenuView:
         return "\n".join(plot(menu_chart(self.application, self.choice, []), width, color))
 
 
-def menu_view(inputs: Inputs, alpha: float | None, latency: str | None, cost: str | None) -> MenuView:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Changes:
+    """Another alpha, metric and limits, as the command line has them; None leaves what the spec says.
+
+    `latency` and `cost` are quantities or `none`; `metric` is the name of a metric, or `latency`; `limits` are bounds of
+    metrics by name, None for no bound.
+    """
+
+    alpha: float | None = None
+    latency: str | None = None
+    cost: str | None = None
+    metric: str | None = None
+    limits: Mapping[str, float | None] = field(default_factory=dict)
+
+
+def menu_view(inputs: Inputs, changes: Changes) -> MenuView:
     """Return the menu of a measured application under other limits.
 
-    Raise OutOfDate if it has no current results, DiagnosticError for damaged results, UnitError for a wrong quantity.
+    Raise OutOfDate if it has no current results, DiagnosticError for damaged results, UnitError for a wrong quantity,
+    UsageError for a metric that the spec does not have.
     """
     layout = inputs.layout
     results, stale = usable_results(inputs)
     if results is None:
         what = "was not measured yet" if stale is None else "has changed since it was measured"
         raise OutOfDate(f"{layout.name} {what}: there is no menu", shell_command("fogspec", "bench", layout.spec))
-    application = pinned(changed(inputs.application, alpha, latency, cost), inputs.pins)
+    application = pinned(changed(inputs.application, changes), inputs.pins)
     admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
     found = select(inputs, application, admissible, results)
     menu = make_menu(application, found.choice, warnings_for(application, found.models, found.choice, results))
     return MenuView(application, found.choice, menu)
 
 
-def changed(application: Application, alpha: float | None, latency: str | None, cost: str | None) -> Application:
-    """Return the application with other limits or another alpha; `none` removes a limit."""
+def changed(application: Application, changes: Changes) -> Application:
+    """Return the application with these changes; errors as of `menu_view`."""
     spec = application.spec
+    named = [*changes.limits, *([changes.metric] if changes.metric not in (None, "latency") else [])]
+    if unknown := sorted(set(named) - spec.metrics.keys()):
+        has = ", ".join(sorted(spec.metrics)) or "none"
+        raise UsageError(f"{application.metadata.name} has no metric named {unknown[0]}; spec.metrics: {has}")
     limits: dict[str, Any] = {}
-    if latency is not None:
-        limits["latency"] = None if latency == NO_LIMIT else units.parse_duration_s(latency)
-    if cost is not None:
-        limits["cost"] = None if cost == NO_LIMIT else units.parse_cost_usd_per_request(cost)
-    objective = spec.objective if alpha is None else spec.objective.model_copy(update={"alpha": alpha})
-    constraints = spec.constraints.model_copy(update=limits)
+    if changes.latency is not None:
+        limits["latency"] = None if changes.latency == NO_LIMIT else units.parse_duration_s(changes.latency)
+    if changes.cost is not None:
+        limits["cost"] = None if changes.cost == NO_LIMIT else units.parse_cost_usd_per_request(changes.cost)
+    bounds = {**spec.constraints.metrics, **changes.limits}
+    limits["metrics"] = {name: bound for name, bound in bounds.items() if bound is not None}
+    objective: dict[str, Any] = {} if changes.alpha is None else {"alpha": changes.alpha}
+    if changes.metric is not None:
+        objective["metric"] = None if changes.metric == "latency" else changes.metric
     return application.model_copy(
-        update={"spec": spec.model_copy(update={"constraints": constraints, "objective": objective})}
+        update={
+            "spec": spec.model_copy(
+                update={
+                    "constraints": spec.constraints.model_copy(update=limits),
+                    "objective": spec.objective.model_copy(update=objective),
+                }
+            )
+        }
     )
 
 
@@ -72,6 +103,7 @@ def show(menu: Menu, picture: str = "") -> str:
     """Return the menu as text: the named choices, the chart, then the Pareto fronts."""
     body = menu.spec
     limits = ", ".join(f"{name} at most {bound}" for name, bound in body.limits.items()) or "none"
+    against = _against(body)
     lines = [
         f"{menu.metadata.name}: {body.objective}, {billing_text(menu)}, {body.statistic} latency",
         f"limits: {limits}; {body.meet} of {body.predicted} machines meet them",
@@ -80,17 +112,33 @@ def show(menu: Menu, picture: str = "") -> str:
     if body.balanced is None:
         lines += infeasible_text(menu)
     else:
-        for role in ("balanced", "cheapest", "fastest"):
-            entry: Entry | None = getattr(body, role)
+        for role, entry in (
+            ("balanced", body.balanced),
+            ("cheapest", body.cheapest),
+            ("fastest", body.fastest),
+            (f"least {body.metric}", body.least),
+        ):
             if entry is not None:
                 lines.append(f"{role:<9} {entry_text(entry)}")
-    fronts = ["", f"Pareto front, cost of one request against {body.statistic} latency:", *_table(body.front)]
-    fronts += ["", f"Pareto front, price of an hour against {body.statistic} latency:", *_table(body.hourly_front)]
+    fronts = ["", f"Pareto front, cost per request against {against}:", *_table(body.front)]
+    fronts += ["", f"Pareto front, price per hour against {against}:", *_table(body.hourly_front)]
     return "\n".join([paragraph(lines), *(["", picture] if picture else []), paragraph(fronts)])
 
 
+def _against(body: MenuBody) -> str:
+    """Return what the fronts weigh against money: the latency, or the objective's metric with its unit."""
+    if body.metric is None:
+        return f"{body.statistic} latency"
+    unit = next(
+        (e.metrics[body.metric].unit for e in (*body.front, *body.hourly_front) if body.metric in e.metrics), None
+    )
+    return f"{body.metric} in {unit}" if unit else body.metric
+
+
 def _table(entries: list[Entry]) -> list[str]:
-    rows = [("instance type", "infra", "vCPU", "memory", "price", "latency", "cost", "")]
+    metrics = list(dict.fromkeys(name for e in entries for name in e.metrics))
+    heads = [f"{name} [{LEVEL:.0%}]" + _limit_of(entries, name) for name in metrics]
+    rows = [("instance type", "infra", "vCPU", "memory", "price", "latency", *heads, "cost", "")]
     for e in entries:
         gpu = f" {e.gpu.count:g}x{e.gpu.name}" if e.gpu else ""
         remark = "measured" if e.measured else "extrapolated" if e.extrapolated else ""
@@ -102,6 +150,7 @@ def _table(entries: list[Entry]) -> list[str]:
                 units.format_memory(e.memory),
                 units.format_price(e.price),
                 units.format_duration(e.latency),
+                *(metric_text("", e.metrics[name]).strip() if name in e.metrics else "-" for name in metrics),
                 units.format_cost(e.cost),
                 remark,
             )
@@ -110,3 +159,8 @@ def _table(entries: list[Entry]) -> list[str]:
     return [
         "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
     ]
+
+
+def _limit_of(entries: list[Entry], name: str) -> str:
+    limit = next((e.metrics[name].limit for e in entries if name in e.metrics), None)
+    return "" if limit is None else f" <= {units.format_number(limit)}"

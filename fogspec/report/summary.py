@@ -10,7 +10,9 @@ from fogspec.plan.commitment import unattended
 from fogspec.plan.design import max_cost_usd
 
 if TYPE_CHECKING:
-    from fogspec.choice.menu import Entry, Menu
+    from collections.abc import Mapping
+
+    from fogspec.choice.menu import Entry, Menu, MetricValue
     from fogspec.choice.payoff import Payoff
 
 NOTES = 3
@@ -111,8 +113,15 @@ def entry_text(entry: "Entry") -> str:
     spot = " spot" if entry.spot else ""
     return (
         f"{entry.instance}{spot}{gpu} in {entry.infra}, {units.format_price(entry.price)} ({entry.month}): "
-        f"{units.format_duration(entry.latency)}{interval} {how}, {units.format_cost(entry.cost)}"
+        f"{units.format_duration(entry.latency)}{interval} {how}, {metrics_text(entry.metrics)}{units.format_cost(entry.cost)}"
     )
+
+
+def metrics_text(metrics: "Mapping[str, MetricValue]") -> str:
+    """Format the metrics of a machine with a comma behind each; empty without one."""
+    from fogspec.choice.menu import metric_text
+
+    return "".join(f"{metric_text(name, one)}, " for name, one in metrics.items())
 
 
 def billing_text(menu: "Menu") -> str:

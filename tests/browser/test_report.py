@@ -20,7 +20,7 @@ from fogspec.compile.inputs import Inputs
 from fogspec.plan.schema import PlanMetadata
 from fogspec.report import page_data
 from fogspec.report.html import page
-from fogspec.report.menu import changed
+from fogspec.report.menu import Changes, changed
 from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import LoadedSpec, load
@@ -98,7 +98,7 @@ def same_as_menu(browser, one: LoadedSpec, made: Artifacts, to: Path, limits, al
     for latency, cost, alpha in itertools.product(*limits, alphas):
         texts = "none" if latency is None else f"{latency}s", "none" if cost is None else f"${cost}/request"
         answer, verdict = move(view, alpha, latency, cost)
-        application = changed(one.application, float(alpha), *texts)
+        application = changed(one.application, Changes(alpha=float(alpha), latency=texts[0], cost=texts[1]))
         choice = select_from(application, made.decision.models, made.decision.predicted).choice
         if choice.chosen is None:
             assert answer == {}, (alpha, latency, cost)

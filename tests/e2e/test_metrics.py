@@ -1,0 +1,98 @@
+"""The third objective as a user meets it: a metric of the application in every output, with its interval, limit and unit."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from fogspec.base.layout import Layout
+from fogspec.plan.schema import PlanMetadata
+from fogspec.results.io import read_results
+from fogspec.results.schema import with_checksum
+from fogspec.spec import fingerprints
+from fogspec.spec.loader import load
+from tests.support.files import write_yaml
+from tests.support.running import Shell, shell  # noqa: F401
+
+ROOT = Path(__file__).resolve().parents[2]
+SPEC = "specs/vslam.yaml"
+
+
+@pytest.fixture
+def there(shell: Shell) -> Shell:
+    """SLAM's samples, with a path length that falls with the vCPUs, weighed in place of the latency."""
+    text = (ROOT / SPEC).read_text("utf-8")
+    text = text.replace(
+        "  constraints:\n", "  metrics: { path_length: { topic: /length, field: data, unit: m } }\n  constraints:\n"
+    )
+    text = text.replace("    latency: 40ms", "    metrics: { path_length: 40 }\n    latency: 1s")
+    spec = shell.write(SPEC, text.replace("alpha: 0.5", "alpha: 0.9\n    metric: path_length"))
+    recorded = read_results(Layout.of(str(ROOT / SPEC), "vslam"))
+    assert recorded is not None
+    samples = [
+        one.model_copy(update={"metrics": {"path_length": 30 + 40 / one.machine.cpus}}) for one in recorded.spec.samples
+    ]
+    digest = fingerprints.measured_digest(load([str(spec)])[0].application)
+    body = recorded.spec.model_copy(update={"samples": samples, "application": digest})
+    sealed = with_checksum(PlanMetadata(name="vslam"), body).model_dump(mode="json", exclude_none=True)
+    write_yaml(shell.folder / "results" / "vslam.yaml", sealed, "a test")
+    return shell
+
+
+def test_the_menu_names_the_metric_in_headings_and_columns(there: Shell) -> None:
+    out = there("menu", "vslam").out
+    assert "Pareto front, cost per request against path_length in m:" in out
+    assert "Pareto front, price per hour against path_length in m:" in out
+    assert "path_length [90%] <= 40" in out
+    assert "metrics.path_length at most 40 m" in out
+    assert "least path_length " in out
+    assert "against mean latency" not in out
+
+
+def test_every_file_carries_value_interval_limit_and_unit(there: Shell) -> None:
+    there("compile", SPEC)
+    folder = there.folder / "compiled" / "vslam"
+    menu = yaml.safe_load((folder / "menu.yaml").read_text("utf-8"))["spec"]
+    for entry in (menu["balanced"], menu["least"], *menu["front"], *menu["hourly_front"]):
+        found = entry["metrics"]["path_length"]
+        low, high = found["interval"]
+        assert low <= found["value"] <= high
+        assert (found["limit"], found["unit"]) == (40, "m")
+    assert menu["metric"] == "path_length"
+    assert menu["scale"]["path_length"] == "40 m"
+    manifest = yaml.safe_load((folder / "manifest.yaml").read_text("utf-8"))
+    [expected] = manifest["expected"]["metrics"]
+    assert (expected["name"], expected["limit"], expected["unit"], expected["level"]) == ("path_length", 40, "m", 0.9)
+    assert expected["interval"][0] <= expected["predicted"] <= expected["interval"][1]
+    assert expected["probability_met"] > 0.9
+    assert all("path_length" in one["metrics"] for one in manifest["alternatives"])
+    assert "path_length in m" in (folder / "menu.svg").read_text("utf-8")
+    out = there("explain", "vslam").out
+    assert " m [" in out
+    assert "metrics.path_length: " in out
+
+
+def test_the_metric_and_its_limit_can_be_others_for_once(there: Shell) -> None:
+    of_latency = there("menu", "vslam", "--metric", "latency", "--limit", "path_length=none").out
+    assert "against mean latency" in of_latency
+    assert "metrics.path_length" not in of_latency.split("\n")[1]
+    [menu] = json.loads(there("menu", "vslam", "--limit", "path_length=32", "--cost", "none", "-o", "json").out)
+    assert menu["spec"]["limits"]["metrics.path_length"] == "32 m"
+    assert menu["spec"]["balanced"]["cpus"] > 16
+    missed = there("menu", "vslam", "--limit", "path_length=5", code=4).out
+    assert "metrics.path_length would have to be 6." in missed
+    assert "limit 5 m" in missed
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--metric", "length"), "vslam has no metric named length; spec.metrics: path_length"),
+        (("--limit", "width=3"), "vslam has no metric named width"),
+        (("--limit", "path_length"), "--limit is a metric and its bound"),
+        (("--limit", "path_length=-1"), "--limit is a metric and its bound"),
+    ],
+)
+def test_a_metric_that_does_not_exist_is_named(there: Shell, words: tuple[str, ...], says: str) -> None:
+    assert says in there("menu", "vslam", *words, code=2).err
