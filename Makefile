@@ -119,10 +119,11 @@ evaluation: .venv/dev.stamp  ## every sampler and method, and volumes of request
 docs: .venv/dev.stamp  ## the documentation site, in build/site; a broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-dist: .venv/dev.stamp  ## wheel and sdist, in dist/, after both were tried in empty environments
+dist: .venv/dev.stamp  ## wheel and sdist, and the probe's wheel, in dist/, after both were tried in empty environments
 	$(BIN)/python -m pytest -q tests/contract/test_wheel.py
 	rm -rf dist
 	$(BIN)/uv build --quiet --build-constraints requirements/build.txt --require-hashes --out-dir dist
+	$(BIN)/uv build --quiet --wheel --build-constraints requirements/build.txt --require-hashes --out-dir dist probe
 
 damaged-specs: .venv/dev.stamp  ## 100,000 damaged specs: what the diagnostics say of them (minutes)
 	$(BIN)/python -m tests.damage.survey

@@ -20,6 +20,8 @@
 #include <cstdlib>
 #include <exception>
 #include <map>
+#include <mutex>
+#include <set>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -63,11 +65,32 @@ inline std::string number(double value) {
   return text;
 }
 
+inline void append(const char* path, const std::string& line) {
+  const int file = ::open(path, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0644);
+  const bool written = file >= 0 && ::write(file, line.data(), line.size()) == static_cast<ssize_t>(line.size());
+  if (file >= 0) ::close(file);
+  if (!written) throw std::runtime_error("fogspec_probe: a timing cannot be written");
+}
+
+// Whether this process starts a request of this name for the first time.
+inline bool first(const std::string& name) {
+  static std::mutex mutex;
+  static std::set<std::string> noted;
+  const std::lock_guard<std::mutex> guard(mutex);
+  return noted.insert(name).second;
+}
+
 }  // namespace detail
 
-// Start a request on this thread.
+// Start a request on this thread. Throws std::runtime_error if the note of a name's first start cannot be written.
 inline void start(const std::string& name) {
-  if (std::getenv("FOGSPEC_TIMINGS")) detail::started()[name] = detail::now_s();
+  const char* path = std::getenv("FOGSPEC_TIMINGS");
+  if (!path) return;
+  if (detail::first(name)) {
+    const std::string note = detail::quoted("'" + name + "' was started and has not ended");
+    detail::append(path, "{\"note\":" + note + ",\"started\":" + detail::quoted(name) + "}\n");
+  }
+  detail::started()[name] = detail::now_s();
 }
 
 // End the request that this thread started; do nothing if there is none. `scenario` is its kind, if the spec weighs several.
@@ -89,10 +112,7 @@ inline void stop(const std::string& name, bool ok = true, const std::string& rea
     line += (line.back() == '{' ? "" : ",") + detail::quoted(key) + ":" + detail::number(value);
   }
   line += "}" + (scenario.empty() ? "" : ",\"scenario\":" + detail::quoted(scenario)) + "}\n";
-  const int file = ::open(path, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0644);
-  const bool written = file >= 0 && ::write(file, line.data(), line.size()) == static_cast<ssize_t>(line.size());
-  if (file >= 0) ::close(file);
-  if (!written) throw std::runtime_error("fogspec_probe: a timing cannot be written");
+  detail::append(path, line);
 }
 
 // Time a block: the request ends with the block, and has failed if an exception leaves it.

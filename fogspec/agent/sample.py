@@ -32,6 +32,7 @@ from .stopping import TIMINGS_LIMIT, Timings
 ARCHIVE = Path(__file__).parents[1]
 POLL_S = 0.1
 PROGRESS_EVERY_S = 2.0
+MISNAMED = 0.1  # of the time for the first request, while only requests of other names finish
 LOG_LIMIT = 16 * 2**20
 AFTERWARDS_S = 300.0
 OUTCOME_BYTES = 16384
@@ -89,6 +90,7 @@ class SampleRun:
         self.shared_memory = SharedMemory()
         self.timings = Timings(out / "timings.jsonl", options.warmup, options.callback)
         self.setup_s: float | None = None
+        self.misnamed_s: float | None = None
         self.last_request_s: float | None = None
         self.next_progress_s = started_s
 
@@ -246,6 +248,8 @@ class SampleRun:
         if self.options.afterwards:
             return ("ok", None, None, "time") if now_s - self.started_s >= self.options.after else None
         if self.setup_s is None:
+            if wrong := self._misnamed(now_s):
+                return "failed", "no_response", wrong, "startup"
             if now_s - self.started_s < self.options.startup:
                 return None
             detail = f"no timed request within {self.options.startup:g} s of the start{self._notes()}"
@@ -253,6 +257,19 @@ class SampleRun:
         if now_s - self.started_s - self.setup_s < self.options.after:
             return None
         return "ok" if self.timings.valid else "timeout", None, None, "time"
+
+    def _misnamed(self, now_s: float) -> str | None:
+        """Return why to wait no longer for the first request: the node times other names.
+
+        At once for a slip of the keyboard. Otherwise the node may time other work first.
+        """
+        found = self.timings.misnamed()
+        if found is None:
+            return None
+        self.misnamed_s = now_s if self.misnamed_s is None else self.misnamed_s
+        what, slip = found
+        patient = not slip and now_s - self.misnamed_s < MISNAMED * self.options.startup
+        return None if patient else f"{what}: compare spec.probe with what the workload times"
 
     def _notes(self) -> str:
         count, note = self.timings.unreadable, self.timings.note

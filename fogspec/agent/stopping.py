@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import json
 import math
+import re
 import statistics
 from pathlib import Path
 
@@ -13,6 +14,7 @@ TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
 LINE_LIMIT = 2**16
 NOT_REQUESTS = {"unmatched", "metric", "note", "warning"}
+OTHER_NAMES = 5
 FIRST_CHECK = 10  # valid requests before the precision is checked
 QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
 Z95 = 1.959964  # two-sided 95 % quantile of the standard normal distribution
@@ -27,6 +29,8 @@ class Timings:
         self.valid: list[float] = []
         self.rest = b""
         self.note: str | None = None
+        self.others: dict[str, None] = {}
+        self.awaited = callback is not None  # no request of its name has started
 
     def read(self) -> bool:
         """Read new records; return True if there was at least one complete request."""
@@ -52,6 +56,7 @@ class Timings:
             record = json.loads(line)
             if NOT_REQUESTS & record.keys():
                 self.note = str(record["note"])[:200] if "note" in record else self.note
+                self.awaited = self.awaited and record.get("started") != self.callback
                 return
             latency_s, ok = float(record["latency_s"]), record["ok"] is True
             if not 0 <= latency_s < math.inf:
@@ -60,10 +65,21 @@ class Timings:
             self.unreadable += 1
             return
         if self.callback is not None and record.get("name") != self.callback:
+            if self.awaited and len(self.others) < OTHER_NAMES:
+                self.others[str(record.get("name"))[:100]] = None
             return
+        self.awaited = False
         self.requests += 1
         if ok and self.requests > self.warmup:
             self.valid.append(latency_s)
+
+    def misnamed(self) -> tuple[str, bool] | None:
+        """Return why no request counts if others are timed and the spec's was not even started, and whether by a slip."""
+        if not self.awaited or not self.others:
+            return None
+        timed = ", ".join(map(repr, self.others))
+        slip = any(mistyped(str(self.callback), name) for name in self.others)
+        return f"no request named {self.callback!r} was timed, only {timed}", slip
 
     def summary(self) -> str:
         """Return the number of requests and the mean latency of the valid ones, as text."""
@@ -80,6 +96,20 @@ class Timings:
         self.next_check = math.ceil(len(self.valid) * 1.05) + 1
         value, half = interval(self.valid, statistic)
         return half <= precision * value
+
+
+def mistyped(one: str, other: str) -> bool:
+    """Return whether two names differ only in case and separators, or in one letter left out, added, changed or swapped.
+
+    Names that differ in a digit, such as `plan_1` and `plan_2`, are two names.
+    """
+    a, b = (re.sub(r"[^a-z0-9]", "", name.lower()) for name in (one, other))
+    while a and b and a[0] == b[0]:
+        a, b = a[1:], b[1:]
+    while a and b and a[-1] == b[-1]:
+        a, b = a[:-1], b[:-1]
+    swapped = len(a) == 2 and a == b[::-1]
+    return not re.search(r"\d", a + b) and (swapped or max(len(a), len(b)) <= 1)
 
 
 def interval(values: list[float], statistic: str) -> tuple[float, float]:

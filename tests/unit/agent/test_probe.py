@@ -14,11 +14,14 @@ from fogspec.agent import fogspec_probe as probe
 def timings(tmp_path, monkeypatch) -> Path:
     path = tmp_path / "timings.jsonl"
     monkeypatch.setenv("FOGSPEC_TIMINGS", str(path))
+    monkeypatch.setattr(probe, "_noted", set())
     return path
 
 
 def records(path: Path) -> list[dict]:
-    return [json.loads(line) for line in path.read_text().splitlines()]
+    """The records without the notes of a name's first start."""
+    found = [json.loads(line) for line in path.read_text().splitlines()]
+    return [one for one in found if "note" not in one]
 
 
 def test_one_request_is_one_line(timings):
@@ -28,6 +31,14 @@ def test_one_request_is_one_line(timings):
     assert record.pop("start_s") > 0
     assert 0 <= record.pop("latency_s") < 1
     assert record == {"name": "plan", "ok": False, "reason": 'no "path"\n', "metrics": {"length_m": 3.0}}
+
+
+def test_the_first_start_of_a_name_is_noted_once(timings):
+    for _ in range(2):
+        probe.start("plan")
+    (note,) = [json.loads(line) for line in timings.read_text().splitlines()]
+    assert note == {"note": "'plan' was started and has not ended", "started": "plan"}
+    probe.stop("plan")
 
 
 def test_nothing_happens_unless_measured(tmp_path, monkeypatch):
@@ -46,7 +57,7 @@ def test_a_stop_without_a_start_of_that_name_on_that_thread_says_nothing(timings
     other.start()
     other.join()
     probe.stop("track")
-    assert not timings.exists()
+    assert records(timings) == []
     probe.stop("plan")
     probe.stop("plan")
     assert len(records(timings)) == 1

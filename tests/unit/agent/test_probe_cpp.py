@@ -56,7 +56,10 @@ def program(tmp_path_factory) -> Path:
 def test_the_records_are_those_of_the_python_probe(program, tmp_path):
     timings = tmp_path / "timings.jsonl"
     subprocess.run([program], env={"FOGSPEC_TIMINGS": str(timings)}, check=True, timeout=60)
-    records = [json.loads(line) for line in timings.read_text().splitlines()]
+    lines = [json.loads(line) for line in timings.read_text().splitlines()]
+    assert lines[0] == {"note": "'plan' was started and has not ended", "started": "plan"}
+    assert sum("note" in one for one in lines) == 6
+    records = [one for one in lines if "note" not in one]
     plan, thrown, block = records[:3]
     assert 0 < plan.pop("start_s") < math.inf
     assert 0 <= plan.pop("latency_s") < 1

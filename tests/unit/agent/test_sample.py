@@ -264,6 +264,37 @@ while True: [other() for _ in range(5)]; say(0.01); time.sleep(0.02)
     assert sum('"plan"' in line for line in lines) >= 5
 
 
+@pytest.mark.parametrize("name", ["plann", "Plan", "paln", "p_lan"])
+def test_a_slip_in_the_callback_s_name_ends_the_sample_with_the_first_request(tmp_path, name):
+    outcome = run(tmp_path, "say(0.01); time.sleep(600)", startup=600.0, extra=["--callback", name])
+    assert (outcome["state"], outcome["reason"], outcome["stopped_by"]) == ("failed", "no_response", "startup")
+    wanted = f"no request named {name!r} was timed, only 'plan': compare spec.probe with what the workload times"
+    assert outcome["detail"] == wanted
+
+
+def test_another_name_ends_the_sample_after_a_tenth_of_the_time(tmp_path):
+    outcome = run(tmp_path, FOREVER, startup=3.0, extra=["--callback", "localise"])
+    assert outcome["detail"].startswith("no request named 'localise' was timed, only 'plan'")
+    assert outcome["duration_s"] >= 0.3
+
+
+def test_a_request_that_has_started_is_waited_for_whatever_else_ends_before_it(tmp_path):
+    script = """
+import fogspec_probe
+with fogspec_probe.request("plann"):
+    for _ in range(10): say(0.01); time.sleep(0.05)
+[say(0.01) for _ in range(3)]
+"""
+    outcome = run(tmp_path, script, steps=1, warmup=0, startup=2.0, extra=["--callback", "plann"])
+    assert (outcome["state"], outcome["requests"]) == ("ok", 1)
+
+
+def test_names_that_a_slip_does_not_explain():
+    assert stopping.mistyped("plan_path", "PlanPath")
+    for one, other in (("plan", "replan"), ("plan_1", "plan_2"), ("left", "right"), ("plan", "plans1")):
+        assert not stopping.mistyped(one, other)
+
+
 def afterwards(script: str) -> tuple[str, str]:
     return "--afterwards", json.dumps([sys.executable, "-c", TIMED + script])
 
