@@ -32,7 +32,12 @@ ALIASES = {"ours": None}
 
 @click.command()
 @click.argument("spec", required=False, type=click.Path(path_type=str))
-@click.option("--sweep", type=click.Path(path_type=Path), metavar="FILE", help="full measurements of SPEC: a CSV file")
+@click.option(
+    "--sweep",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="full measurements of SPEC: a CSV file, or results of bench (.yaml)",
+)
 @click.option("--suite", type=click.Path(path_type=Path), metavar="DIR", help="machines, latencies and problems")
 @click.option("--priors", type=click.Path(path_type=Path), metavar="DIR|FILE", help="a machine library")
 @click.option("--kind", "kinds", multiple=True, metavar="KIND", help="only problems of this kind; may be repeated")
@@ -43,6 +48,7 @@ ALIASES = {"ours": None}
 @click.option("--noise", type=click.Choice(["realistic", "none"]), default="realistic", show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--choices", type=click.Path(path_type=Path), metavar="FILE", help="write a line for every choice")
+@click.option("--chart", type=click.Path(path_type=Path), metavar="FILE", help="write a chart of a --sweep as SVG")
 @click.option("--all", "every", is_flag=True, help="a table of every sampler and method")
 @click.option("--volumes", is_flag=True, help="total cost of benchmark and regret, for volumes of requests")
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="processes")
@@ -59,6 +65,7 @@ def command(
     noise: str,
     seed: int,
     choices: Path | None,
+    chart: Path | None,
     every: bool,
     volumes: bool,
     workers: int,
@@ -72,17 +79,25 @@ def command(
     from fogspec.evaluation.campaign import Campaign
 
     campaign = Campaign(sampler, ALIASES.get(method, method) if method else None, noise, seed)
-    if spec and sweep and not suite:
-        _of_sweep(spec=spec, sweep=sweep, catalog_path=catalog_path, priors=priors, campaign=campaign, output=output)
-    elif suite and volumes and not (spec or sweep or every):
+    campaigns = [(name, Campaign(s, m, noise, seed)) for name, s, m in ROWS] if every else [("", campaign)]
+    if spec and sweep and not (suite or volumes or kinds or choices):
+        _of_sweep(
+            spec=spec,
+            sweep=sweep,
+            catalog_path=catalog_path,
+            priors=priors,
+            campaigns=campaigns,
+            chart=chart,
+            output=output,
+        )
+    elif suite and volumes and not (spec or sweep or every or chart):
         _of_volumes(suite=suite, priors=priors, kinds=kinds, campaign=campaign, workers=workers, output=output)
-    elif suite and not (spec or sweep or volumes):
-        campaigns = [Campaign(s, m, noise, seed) for _, s, m in ROWS] if every else [campaign]
+    elif suite and not (spec or sweep or volumes or chart):
         _of_suite(
             suite=suite,
             priors=priors,
             kinds=kinds,
-            campaigns=campaigns,
+            campaigns=[one for _, one in campaigns],
             choices=choices,
             workers=workers,
             output=output,
@@ -152,10 +167,17 @@ def _check_kinds(kinds: tuple[str, ...]) -> None:
 
 
 def _of_sweep(
-    spec: str, sweep: Path, catalog_path: str | None, priors: Path | None, campaign: "Campaign", output: str
+    spec: str,
+    sweep: Path,
+    catalog_path: str | None,
+    priors: Path | None,
+    campaigns: "list[tuple[str, Campaign]]",
+    chart: Path | None,
+    output: str,
 ) -> None:
+    from fogspec.base.project_files import write_output
     from fogspec.compile.inputs import catalogs_for
-    from fogspec.evaluation.campaign import replay_sweep
+    from fogspec.evaluation.campaign import replay_sweep, replays
     from fogspec.evaluation.sweeps import read_sweep
     from fogspec.model.priors import read_priors
 
@@ -165,12 +187,30 @@ def _of_sweep(
     application = loaded[0].application
     read = read_sweep(sweep, application, catalogs_for(loaded, catalog_path)[0])
     library = read_priors(priors) if priors else None
-    found = replay_sweep(read, library, application.spec.benchmark.stop.duration, campaign)
-    report = {"application": application.metadata.name, **_about(campaign, ""), **found}
+    window_s, many = application.spec.benchmark.stop.duration, len(campaigns) > 1
+    if many:
+        campaigns = [one for one in campaigns if replays(read, one[1].sampler)]
+    done = [(title, replay_sweep(read, library, window_s, campaign)) for title, campaign in campaigns]
+    if chart:
+        from fogspec.report.sweep_svg import draw
+
+        shown = next((one for _, one in done if one.campaign.sampler == "adaptive"), done[0][1])
+        named = [(title or one.campaign.sampler, one) for title, one in done]
+        write_output(chart, draw(read, shown, named).encode())
+    reports = []
+    for title, one in done:
+        about = {**_about(one.campaign, ""), "noise": "none" if one.campaign.noise == "none" else read.noise}
+        reports.append({"application": application.metadata.name, "title": title or None, **about, **one.report})
     if output == "json":
-        say_json(report)
+        say_json(reports if many else reports[0])
+    elif many:
+        say(f"{application.metadata.name}: {len(read.names)} machines, noise {reports[0]['noise']}")
+        say(HEAD, *(line(title, one.row) for title, one in done))
     else:
+        report = {name: value for name, value in reports[0].items() if name not in ("metrics", "title")}
         say(*(f"{name:18} {_shown(value)}" for name, value in report.items()))
+        for metric, scores in reports[0]["metrics"].items():
+            say(*(f"{metric} {name:18} {_shown(value)}" for name, value in scores.items()))
 
 
 def _about(campaign: "Campaign", digest: str) -> dict[str, Any]:

@@ -13,15 +13,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 from fogspec.base import child
+from fogspec.base.errors import UsageError
 from fogspec.evaluation.methods import METHODS, OWN_METHOD
 from fogspec.evaluation.replay import Case, Noise
 from fogspec.evaluation.samplers import SAMPLERS
-from fogspec.evaluation.scores import Score, calibration, r2, score, staircase_deviation, summary
+from fogspec.evaluation.scores import Score, calibration, median_error, r2, score, staircase_deviation, summary
 from fogspec.evaluation.suites import KINDS, Problem, Suite, read_suite
-from fogspec.evaluation.sweeps import Sweep
+from fogspec.evaluation.sweeps import USD_PER_FREE_VCPU_HOUR, Sweep
 from fogspec.evaluation.volumes import Totals, total_rows, totals
 from fogspec.model.priors import read_priors
 from fogspec.model.tables import Table
+from fogspec.numerics.kernels import Floats
 from fogspec.numerics.priors import PriorData, prior_for
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -78,23 +80,62 @@ def _case(problem: Problem, table: Table, library: PriorData | None, campaign: C
     return Case.of(problem, machines, prior, Noise.of(problem, campaign.noise, campaign.seed))
 
 
-def replay_sweep(sweep: Sweep, library: PriorData | None, window_s: float, campaign: Campaign) -> dict[str, Any]:
-    """Return the scores of one campaign on a sweep (the paper, section 4); a sample is paid for `window_s` seconds.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Replayed:
+    """One campaign on a sweep: its scores, and what it predicted (N,) of the objective's metric.
 
-    `priors` is the library's digest if it says anything of the machines.
+    `fraction` is the price of the samples over that of the whole sweep; `regret` is None for a choice that breaks a limit, or
+    for none.
+    """
+
+    campaign: Campaign
+    report: dict[str, Any]
+    row: dict[str, Any]
+    predicted: Floats
+    sampled: tuple[int, ...]
+    fraction: float
+    regret: float | None
+
+
+def replays(sweep: Sweep, sampler: str) -> bool:
+    """Return whether a sampler can be replayed on a sweep: CherryPick weighs no metrics, and a sweep has no nested shapes."""
+    return sampler != "nested" and not (sampler == "cherrypick" and sweep.problem.metrics)
+
+
+def replay_sweep(sweep: Sweep, library: PriorData | None, window_s: float, campaign: Campaign) -> Replayed:
+    """Return one campaign on a sweep (the paper, section 4); a sample is paid for `window_s` seconds.
+
+    `priors` is the library's digest if it says anything of the machines. Raise UsageError for
+    a sampler that this sweep cannot replay.
     """
     problem, names = sweep.problem, sweep.names
     prior = prior_for(library, names, sweep.machines) if library else None
     noise = Noise.of(problem, "none", 0) if campaign.noise == "none" else sweep.repeats
     case = Case.of(problem, sweep.machines, prior, noise)
     rule = problem.settings[0].rule
+    if not replays(sweep, campaign.sampler):
+        why = "needs measurements of parts of machines" if campaign.sampler == "nested" else "weighs the latency only"
+        raise UsageError(
+            f"sampler {campaign.sampler} {why}, which a sweep of this spec does not have", "--sampler adaptive"
+        )
     done = METHODS[campaign.reads_with](case, rule, SAMPLERS[campaign.sampler](case, rule, campaign.seed))
-    price = sweep.machines.price_usd_per_hour
+    price, usd = sweep.machines.price_usd_per_hour, window_s / 3600
     scored, best = score(problem, rule, price, done), problem.truth(rule).best
-    usd = window_s / 3600
-    return {
+    predicted = {"latency": np.exp(done.log_latency), **done.metrics}
+    known = {"latency": problem.latency_s, **problem.metrics}
+    of_metrics = {
+        name: {
+            "mdape": median_error(predicted[name], truth, done.sampled),
+            "r2": r2(predicted[name], truth),
+            "frontier_deviation": staircase_deviation(predicted[name], truth, price),
+        }
+        for name, truth in known.items()
+    }
+    report = {
         "priors": library.digest if prior and library else None,
         "not_admitted": list(sweep.left_out),
+        "not_measured": list(sweep.unmeasured),
+        "prices": f"free machines count as ${USD_PER_FREE_VCPU_HOUR:g} per vCPU and hour" if sweep.free else None,
         "machines": len(names),
         "chosen": None if done.chosen is None else names[done.chosen],
         "best": None if best is None else names[best],
@@ -103,9 +144,18 @@ def replay_sweep(sweep: Sweep, library: PriorData | None, window_s: float, campa
         "cost_usd": done.paid * usd,
         "full_sweep_usd": float(price.sum()) * usd,
         **scored.as_dict(),
-        "r2": r2(done, problem.latency_s),
-        "frontier_deviation": staircase_deviation(np.exp(done.log_latency), problem.latency_s, price),
+        **{name: value for name, value in of_metrics.pop("latency").items() if name != "mdape"},
+        "metrics": of_metrics,
     }
+    return Replayed(
+        campaign=campaign,
+        report=report,
+        row=summary(problem.kind, 1, [scored]),
+        predicted=predicted[rule.metric or "latency"],
+        sampled=done.sampled,
+        fraction=scored.bench,
+        regret=float(scored.regret) if np.isfinite(scored.regret) else None,
+    )
 
 
 def by_kind(results: Iterable[Result]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:

@@ -1,12 +1,14 @@
 """The replay of a problem: its noise, the meter that every sample is paid to, and the result of a run."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from fogspec.choice.rule import Rule, Selection
 from fogspec.evaluation.suites import Problem
+from fogspec.model.predict import Predictions
 from fogspec.numerics.acquisition import Policy
 from fogspec.numerics.kernels import Floats, Machines
 from fogspec.numerics.nested import (
@@ -26,9 +28,13 @@ REPEATS = 8  # noise is drawn for so many samples of each machine; further sampl
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Factors (repeats, N) on the true latency: exp(e), e ~ N(0, s), s per machine lognormal (median 0.015, sigma 0.95)."""
+    """Factors (repeats, N) on the true latency, and on the metrics by name, which have none unless they are given.
+
+    Those of `of` are exp(e), e ~ N(0, s), s per machine lognormal (median 0.015, sigma 0.95).
+    """
 
     factor: Floats
+    metrics: Mapping[str, Floats] = field(default_factory=dict)
 
     @classmethod
     def of(cls, problem: Problem, kind: str, seed: int) -> "Noise":
@@ -61,7 +67,7 @@ def nested_factors(problem: Problem, machines: Machines, seed: int) -> Floats:
 class Meter:
     """The only access to a machine's latency: a paid sample, of its parts as well where `nested` factors (N, N) are known."""
 
-    truth_s: Floats
+    problem: Problem
     price: Floats
     noise: Noise
     parts: Parts | None = None
@@ -70,6 +76,7 @@ class Meter:
     latency_s: list[float] = field(default_factory=list)
     told: list[tuple[int, float]] = field(default_factory=list)
     paid: float = 0.0
+    metrics: dict[str, list[float]] = field(default_factory=dict)
 
     def sample(self, machine: int, parts: Sequence[int] = ()) -> float:
         """Pay for one more sample of a machine and return its latency; every repeat has noise of its own.
@@ -77,14 +84,17 @@ class Meter:
         The machines that its `parts` stand for are told of, each with the error of a part.
         """
         again = self.sampled.count(machine) % len(self.noise.factor)
-        latency = float(self.truth_s[machine] * self.noise.factor[again, machine])
+        latency = float(self.problem.latency_s[machine] * self.noise.factor[again, machine])
+        for name, truth in self.problem.metrics.items():
+            factor = self.noise.metrics[name][again, machine] if name in self.noise.metrics else 1.0
+            self.metrics.setdefault(name, []).append(float(truth[machine] * factor))
         self.sampled.append(machine)
         self.latency_s.append(latency)
         self.paid += float(self.price[machine])
         if self.parts is not None and self.nested is not None:
             self.paid += self.parts.share * len(parts) * float(self.price[machine])
             factor = self.nested[machine] * self.noise.factor[-1 - again]
-            self.told += [(part, float(self.truth_s[part] * factor[part])) for part in parts]
+            self.told += [(part, float(self.problem.latency_s[part] * factor[part])) for part in parts]
         return latency
 
     @property
@@ -103,7 +113,10 @@ class Meter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """The choice of a method, and its predictions of log-latency with their 90 % intervals (N,), NaN where it has none."""
+    """The choice of a method, and its predictions of log-latency with their 90 % intervals (N,), NaN where it has none.
+
+    `metrics` are the predicted values (N,) of the metrics.
+    """
 
     chosen: int | None
     sampled: tuple[int, ...]
@@ -112,6 +125,7 @@ class Run:
     low: Floats
     high: Floats
     probability_met: Floats
+    metrics: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -133,7 +147,19 @@ class Case:
 
     def meter(self, parts: Parts | None = None, nested: Floats | None = None) -> Meter:
         """Return a new meter: nothing sampled, nothing paid; with `parts` and factors also of parts of machines."""
-        return Meter(self.problem.latency_s, self.machines.price_usd_per_hour, self.noise, parts, nested)
+        return Meter(self.problem, self.machines.price_usd_per_hour, self.noise, parts, nested)
+
+    def selection(self, meter: Meter, rule: Rule) -> Selection:
+        """Return the rule applied to the model's predictions, given the paid samples."""
+        found = {
+            name: self.space.fit(observations(meter.sampled, meter.metrics.get(name, [])))
+            for name in self.problem.metrics
+        }
+        return Selection(
+            rule=rule,
+            latency=Predictions.of_posterior(self.posterior(meter)),
+            metrics={name: Predictions.of_posterior(one, varies_by_server=False) for name, one in found.items()},
+        )
 
     def posterior(self, meter: Meter) -> Posterior:
         """Return the model's posterior given the paid samples.

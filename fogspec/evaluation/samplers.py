@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fogspec.choice.rule import Rule, Selection
+from fogspec.choice.rule import Rule
 from fogspec.evaluation.cherrypick import cherrypick
 from fogspec.evaluation.replay import Case, Meter, nested_factors
 from fogspec.evaluation.suites import Problem
-from fogspec.model.predict import Predictions
 from fogspec.numerics.acquisition import Batch, Policy, propose_batch
 from fogspec.numerics.design import edge_grid
 from fogspec.numerics.nested import Parts
@@ -39,7 +38,7 @@ def _adaptive(rule: Rule, case: Case, meter: Meter) -> Meter:
     policy = Policy(each=min(Policy().each, len(case.noise.factor)))
     while True:
         posterior = case.posterior(meter)
-        selection = Selection(rule=rule, latency=Predictions.of_posterior(posterior))
+        selection = case.selection(meter, rule)
         batch = propose_batch(
             posterior,
             selection.utility(),

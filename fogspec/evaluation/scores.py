@@ -55,7 +55,9 @@ def score(problem: Problem, rule: Rule, price: Floats, run: Run) -> Score:
     if run.chosen is None:
         ok = (not exists,) * 3
     else:
-        violated = bool(truth_s[run.chosen] > truth.latency_budget_s[run.chosen] * (1 + TOLERANCE))
+        violated = bool(truth_s[run.chosen] > truth.latency_budget_s[run.chosen] * (1 + TOLERANCE)) or any(
+            problem.metrics[name][run.chosen] > bound * (1 + TOLERANCE) for name, bound in rule.max_metrics.items()
+        )
         if truth.best is not None and not violated:
             regret = float(truth.objective[run.chosen] / truth.objective[truth.best] - 1)
             ok = (regret <= 0.01, regret <= 0.05, regret <= 0.10)
@@ -118,13 +120,21 @@ def _hypervolume_ratio(run: Run, truth_s: Floats, price: Floats) -> float:
     return _hypervolume(log_truth[predicted], log_price[predicted], corner) / whole
 
 
-def r2(run: Run, truth_s: Floats) -> float | None:
+def r2(predicted: Floats, truth: Floats) -> float | None:
     """Return the coefficient of determination over every machine with a prediction."""
-    known = np.isfinite(run.log_latency)
-    total = ((truth_s[known] - truth_s[known].mean()) ** 2).sum() if known.any() else 0.0
+    known = np.isfinite(predicted)
+    total = ((truth[known] - truth[known].mean()) ** 2).sum() if known.any() else 0.0
     if not total > 0:
         return None
-    return float(1 - ((np.exp(run.log_latency[known]) - truth_s[known]) ** 2).sum() / total)
+    return float(1 - ((predicted[known] - truth[known]) ** 2).sum() / total)
+
+
+def median_error(predicted: Floats, truth: Floats, sampled: Sequence[int]) -> float | None:
+    """Return the median relative error over the machines that were not sampled; None without a prediction of one."""
+    unseen = np.ones(len(truth), dtype=bool)
+    unseen[list(sampled)] = False
+    error = np.abs(predicted[unseen] / truth[unseen] - 1)
+    return float(np.nanmedian(error)) if np.isfinite(error).any() else None
 
 
 def staircase_deviation(predicted_s: Floats, truth_s: Floats, price: Floats) -> float | None:

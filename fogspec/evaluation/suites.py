@@ -1,8 +1,8 @@
 """Suites of selection problems: machines.csv, latencies.csv[.gz] and problems.jsonl[.gz]."""
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,10 @@ class Setting:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """A choice among N machines, rows of the suite's table, whose latencies (N,) under a workload are known."""
+    """A choice among N machines, rows of the suite's table, whose latencies (N,) under a workload are known.
+
+    `metrics` are the metrics (N,) of the application that the settings weigh or limit.
+    """
 
     id: str
     kind: str
@@ -38,10 +41,12 @@ class Problem:
     rows: np.ndarray
     latency_s: Floats
     settings: tuple[Setting, ...]
+    metrics: Mapping[str, Floats] = field(default_factory=dict)
 
     def truth(self, rule: Rule) -> Selection:
-        """Return the rule applied to the true latencies."""
-        return Selection(rule=rule, latency=Predictions.of_values(self.latency_s))
+        """Return the rule applied to the true latencies and metrics."""
+        metrics = {name: Predictions.of_values(values) for name, values in self.metrics.items()}
+        return Selection(rule=rule, latency=Predictions.of_values(self.latency_s), metrics=metrics)
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,14 @@ import sys
 
 import pytest
 
+from fogspec.catalog.machine import Machine
 from fogspec.catalog.sources import load_catalog
 from fogspec.evaluation.sweeps import read_sweep
-from fogspec.spec.loader import load
+from fogspec.results.schema import Results, with_checksum
+from fogspec.spec.loader import load, read_document
 from tests.conftest import ROOT
 from tests.evaluation.making import write_suite
+from tests.support.files import write_yaml
 
 FIELDS = {
     "kind", "problems", "ok1", "ok5", "ok10", "bench", "samples", "violation5", "false_infeasible", "regret", "mdape",
@@ -104,6 +107,84 @@ def test_a_sweep_is_judged_by_the_limits_and_the_confidence_of_its_spec(tmp_path
     rule = read.problem.settings[0].rule
     assert rule.confidence == 0.97
     assert rule.latency_budget_s.tolist() == pytest.approx([0.75, 0.75])
+
+
+def test_results_are_a_sweep_and_every_sampler_is_replayed(tmp_path):
+    chart = tmp_path / "chart.svg"
+    words = ("evaluate", "vslam", "--sweep", "results/vslam.yaml", "--all")
+    told = run(*words, "--chart", chart).stdout
+    assert "noise none: the sweep has one measurement of each machine" in told
+    rows = told.splitlines()[2:]
+    assert rows[0][:30].strip() == "paper: grid, best R², relaxed"
+    assert any(row.startswith("adaptive ") for row in rows)
+    # Parts of machines were not measured.
+    assert not any("nested" in row for row in rows)
+    found = json.loads(run(*words, "-o", "json").stdout)
+    assert len(found) == len(rows)
+    assert {one["best"] for one in found} == {"aws/c6i.4xlarge"}
+    svg = chart.read_text("utf-8")
+    assert "quality against money" in svg
+    assert "price per hour" in svg
+
+
+def test_failed_samples_of_results_are_named_and_repeats_are_the_noise(tmp_path):
+    found = json.loads(
+        run(
+            "evaluate", "motion-planning-cubicles", "--sweep", "results/motion-planning-cubicles.yaml", "-o", "json"
+        ).stdout
+    )
+    [failed] = found["not_measured"]
+    assert failed.startswith("r6i.large (insufficient")
+    (tmp_path / "sweep.csv").write_text("instance_type,latency_s\nc6i.large,0.2\nc6i.large,0.22\nc6i.4xlarge,0.03\n")
+    again = json.loads(run("evaluate", "vslam", "--sweep", tmp_path / "sweep.csv", "-o", "json").stdout)
+    assert again["noise"] == "the sweep's own: up to 2 measurements, 1 of 2 machines repeated"
+
+
+def test_metrics_are_replayed_as_they_are_weighed(tmp_path):
+    text = (ROOT / "specs/vslam.yaml").read_text("utf-8")
+    text = text.replace(
+        "  constraints:\n", "  metrics: { path: { topic: /length, field: data, unit: m } }\n  constraints:\n"
+    )
+    text = text.replace("    latency: 40ms", "    metrics: { path: 36 }").replace(
+        "alpha: 0.5", "alpha: 1\n    metric: path"
+    )
+    (tmp_path / "spec.yaml").write_text(text.replace("    cost: $0.01/1000 requests\n", ""))
+    sizes = (("large", 2), ("xlarge", 4), ("2xlarge", 8), ("4xlarge", 16), ("8xlarge", 32))
+    rows = [f"c6i.{size},{4.0 / n + 0.1},{30 + 40 / n}" for size, n in sizes]
+    (tmp_path / "sweep.csv").write_text("\n".join(["instance_type,latency_s,path", *rows]) + "\n")
+    words = ("evaluate", tmp_path / "spec.yaml", "--sweep", tmp_path / "sweep.csv")
+    found = json.loads(run(*words, "--sampler", "full", "-o", "json").stdout)
+    assert found["chosen"] == found["best"] == "aws/c6i.8xlarge"
+    assert set(found["metrics"]) == {"path"}
+    assert found["metrics"]["path"]["r2"] == pytest.approx(1)
+    told = run(*words, "--all", "--chart", tmp_path / "chart.svg").stdout
+    assert "CherryPick" not in told
+    assert "adaptive" in told
+    assert "path (log scale)" in (tmp_path / "chart.svg").read_text("utf-8")
+    assert "weighs the latency only" in run(*words, "--sampler", "cherrypick", code=2).stderr
+    (tmp_path / "sweep.csv").write_text("instance_type,latency_s\nc6i.large,0.2\n")
+    assert "missing: path" in run(*words, code=1).stderr
+
+
+def test_shapes_of_one_host_are_machines_that_count_by_their_vcpus(tmp_path):
+    body = read_document(ROOT / "results/vslam.yaml", Results)
+    samples = [
+        one.model_copy(
+            update={
+                "machine": Machine(infra="local", instance=f"{n}cpu-{m}gib", cpus=n, memory=m, price=0),
+                "id": f"{n}-{m}",
+            }
+        )
+        for one, (n, m) in zip(body.spec.samples, ((1, 1), (1, 2), (2, 1), (2, 2)), strict=False)
+    ]
+    results = with_checksum(body.metadata, body.spec.model_copy(update={"samples": samples}))
+    write_yaml(tmp_path / "sweep.yaml", results.model_dump(mode="json", exclude_none=True), "a test")
+    found = json.loads(
+        run("evaluate", "vslam", "--sweep", tmp_path / "sweep.yaml", "--sampler", "full", "-o", "json").stdout
+    )
+    assert found["machines"] == 4
+    assert found["prices"] == "free machines count as $1 per vCPU and hour"
+    assert found["bench"] == pytest.approx(1)
 
 
 @pytest.mark.parametrize(
