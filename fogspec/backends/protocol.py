@@ -4,14 +4,16 @@ A job measures a sample or is a deployment. Both are a compiled task on one mach
 way; they differ in the status that a poll returns.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Literal, Protocol, TypeVar
 
 from fogspec.backends.naming import ForeignMachine, Owner
+from fogspec.base.errors import CloudError
 from fogspec.base.project_files import ProjectFiles
+from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
 from fogspec.results.schema import Measured, Reason, ServerFacts
 
@@ -140,6 +142,15 @@ class Unreachable(Exception):
 StatusT = TypeVar("StatusT", covariant=True)
 
 
+def no_access(detail: str, clouds: Collection[str] = ()) -> CloudError:
+    """Return the error of a command that cannot have any machine, and what to do about it."""
+    return CloudError(
+        f"SkyPilot cannot start a machine: {detail}",
+        "nothing was started, recorded or paid for it",
+        shell_command("sky", "check", *clouds) + " says why; log in to the cloud, then run the same command again",
+    )
+
+
 class Backend(Protocol[StatusT]):
     """Runs jobs of one kind. `name` is written into results and live state; `poll_s` is a useful polling interval."""
 
@@ -162,6 +173,10 @@ class Backend(Protocol[StatusT]):
 
         Raise Unreachable if that could not be verified.
         """
+        ...
+
+    def check_access(self, places: Collection[str]) -> None:
+        """Raise CloudError if no machine can be had in one of these places, before any is asked for: each is an `infra`."""
         ...
 
     def list(self, owner: Owner, directory: Path) -> Sequence[str]:
@@ -188,7 +203,11 @@ class SampleBackend(Backend[SampleStatus], Protocol):
     jobs at the same time.
     """
 
-    source: str | None
+    @property
+    def source(self) -> str | None:
+        """What the figures are valid for, in one sentence."""
+        ...
+
     at_once: int
     costs: Costs
     notes: tuple[str, ...]

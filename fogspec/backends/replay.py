@@ -1,7 +1,7 @@
 """Replay of samples that were measured before, with their failures, durations and prices."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -64,6 +64,9 @@ class ReplaySamples:
 
     def stop(self, job: Job) -> None:
         """Do nothing: nothing runs, so nothing is left."""
+
+    def check_access(self, places: Collection[str]) -> None:
+        """Do nothing: nothing is started."""
 
     def list(self, owner: Owner, directory: Path) -> Sequence[str]:
         """Return nothing: recordings have no machines."""

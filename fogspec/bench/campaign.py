@@ -27,7 +27,10 @@ SLOW_STOPS = 4
 
 @dataclass(slots=True, kw_only=True)
 class Campaign:
-    """One run of the loop over one results file; `left` has the names of machines that could not be verified gone."""
+    """One run of the loop over one results file.
+
+    `left` has the names of machines that could not be verified gone; `denied` is why no machine can be had at all.
+    """
 
     config: CampaignConfig
     backend: SampleBackend
@@ -42,6 +45,7 @@ class Campaign:
     left: list[str] = field(default_factory=list)
     unstopped: list[Attempt] = field(default_factory=list)
     looked_s: float | None = None
+    denied: str | None = None
 
     def recover(self) -> set[str]:
         """Finish the work of an earlier controller: unwritten records, and machines that may still run.
@@ -265,13 +269,18 @@ class Campaign:
         recorded = end.recorded
         spent_usd = started.price_usd_per_hour * billed_s / 3600 if recorded is None else recorded.spent
         wanted = started.application == self.config.measured and self.config.task(sample) is not None
+        if end.reason == "access":
+            # No machine can be had until its user has logged in, which says nothing about the sample: it gets no record.
+            self.denied, wanted = end.detail or "no access", False
+            self.queue.clear()
         pause_s = None if self.stopping() or not wanted else self.retry.pause_s(sample.id, end)
         if not wanted or pause_s is not None:
             self.journal.end(started.name, spent_usd, None, self.clock)
             self.sink.paid(self.journal.state.spent_usd)
             if pause_s is not None:
                 self.queue.append(Queued(sample, self.clock.now_s() + pause_s, started.substitute_for))
-            self._report(sample, EventKind.RETRIED if wanted else EventKind.UNWANTED, attempt, detail=end.detail)
+            if self.denied is None:
+                self._report(sample, EventKind.RETRIED if wanted else EventKind.UNWANTED, attempt, detail=end.detail)
         else:
             if end.lost:
                 end = replace(end, reason="interrupted", detail=end.detail or "its results are beyond reach")

@@ -53,6 +53,10 @@ class ClaimingBackend:
     def at_once(self, count: int) -> None:
         self._backend.at_once = count
 
+    def check_access(self, places: Collection[str]) -> None:
+        """Raise CloudError if no machine can be had."""
+        self._backend.check_access(places)
+
     def start(self, job: Job) -> None:
         """Start the job."""
         self._backend.start(job)

@@ -53,7 +53,7 @@ class ResultsFile:
         return record.model_copy(update={"timings": timings_reference(relative, content)})
 
     def put(self, record: Measured, spent_usd: float) -> None:
-        """Write the file with this record, unless an older one is final and this one is not."""
+        """Write the file with this record, unless an older one says more: a measurement, or a final failure."""
         self.samples[record.id] = self._preferred(record)
         self.spent_usd = spent_usd
         self.write()
@@ -70,10 +70,12 @@ class ResultsFile:
         self.write()
 
     def _preferred(self, record: Measured) -> Measured:
-        """Keep a final record over a newer non-final one: it has been paid for."""
+        """Keep a measurement over a newer failure, and a final record over one that is not: it has been paid for."""
         older = self.samples.get(record.id)
-        keeps = older is not None and is_final(older) and not is_final(record)
-        return older if older is not None and keeps else record
+        if older is None or (older.state == "ok") < (record.state == "ok"):
+            return record
+        keeps = (older.state == "ok" and record.state != "ok") or (is_final(older) and not is_final(record))
+        return older if keeps else record
 
     def results(self) -> Results:
         """Return the file's content with its checksum: the plan's samples in the plan's order, then others."""

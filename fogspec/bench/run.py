@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from fogspec.agent.redaction import Secrets
-from fogspec.backends.protocol import Costs, SampleBackend
+from fogspec.backends.protocol import Costs, SampleBackend, no_access
 from fogspec.backends.registry import owner_of
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
@@ -200,6 +200,8 @@ def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, runni
         )
         todo = _unmeasured(sampling.begin(), sink)
     campaign.run([sample for sample in todo if sample.id not in running])
+    if campaign.denied is not None:
+        raise no_access(campaign.denied)
     while sampling is not None and not one.interrupt.asked and not campaign.left:
         batch = sampling.next(_left_usd(campaign))
         if not batch:
@@ -207,6 +209,8 @@ def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, runni
         if options.prices is not None:
             check_prices(batch, options.prices, shell_command("fogspec", "compile", prepared.layout.spec))
         campaign.run(batch)
+        if campaign.denied is not None:
+            raise no_access(campaign.denied)
 
 
 def _unmeasured(samples: list[Sample], sink: ResultsFile) -> list[Sample]:

@@ -121,6 +121,8 @@ def command(
             say(*offering.lines(), *_payoff(prepared, catalog, priors))
             continue
         _check_needed(prepared, backend)
+        if places := {sample.machine.infra for sample in prepared.todo}:
+            backend.check_access(places)
         _confirm(offering, yes)
         library = _library(prepared, priors) if catalog is not None else None
         terms = BenchOptions(max_usd, resume, catalog, prices, library)
@@ -254,6 +256,7 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Progre
 
 def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
     from fogspec.bench import progress
+    from fogspec.results.schema import is_final
 
     layout, results = prepared.layout, benched.results
     if output == "json":
@@ -263,6 +266,9 @@ def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
         say(f"  {record.id}: {progress.outcome(record)}")
         if record.state != "ok" and record.id in benched.folders:
             say(f"    logs: {benched.folders[record.id]}")
+        if record.state != "ok" and is_final(record):
+            words = ("fogspec", "bench", layout.spec, "--runner", results.spec.runner, "--only", record.id)
+            say(f"    again: {shell_command(*words)}")
     if results.spec.sampling is not None and results.spec.sampling.stop_reason is not None:
         say(f"sampling ended: {results.spec.sampling.stop_reason}")
     say(f"results   {layout.results}")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
+from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable, no_access
 from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
 from fogspec.base.redaction import check_set
@@ -251,6 +251,8 @@ class Rollout:
         if no.reason in NO_CAPACITY and one is not self.candidates[-1]:
             self.report(f"{what} cannot be had: {no.detail}; the next is tried")
             return
+        if no.reason == "access":
+            raise no_access(no.detail)
         if no.reason == "budget":
             raise Refused(f"{what}: {no.detail}", "compile again with these prices, or allow it: --max")
         hints: tuple[str, ...] = ()
@@ -398,6 +400,8 @@ def apply(
             for machine in (one for one in live.machines if one.state == "serving"):
                 what = f"{machine.machine.instance} in {machine.machine.infra}"
                 report(f"  replaces  {machine.name}: {what}, which ends when the new one answers")
+            first = plan.candidates[0].machine.infra
+            rollout.backend_of(first).check_access([first])
             with interrupt.question():
                 confirm()
             return RolloutResult(rollout.run(), True, times.now_s() - begun_s)

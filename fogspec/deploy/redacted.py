@@ -1,6 +1,6 @@
 """A deployment backend whose messages contain no secrets: they come from machines and clouds."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +16,10 @@ class RedactingBackend:
     def __init__(self, backend: DeploymentBackend, secrets: Secrets) -> None:
         self.name, self.poll_s = backend.name, backend.poll_s
         self._backend, self._secrets = backend, secrets
+
+    def check_access(self, places: Collection[str]) -> None:
+        """Raise CloudError if no machine can be had."""
+        self._backend.check_access(places)
 
     def start(self, job: Job) -> None:
         """Start the job."""

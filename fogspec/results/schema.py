@@ -13,6 +13,7 @@ from fogspec.results.ranges import Amount, Counted, MetricValue, RequestTime, Te
 
 State = Literal["ok", "insufficient", "timeout", "failed"]
 Reason = Literal[
+    "access",
     "quota",
     "capacity",
     "image",
@@ -27,7 +28,7 @@ Reason = Literal[
 ]
 StoppedBy = Literal["steps", "time", "precision", "exit", "size", "startup", "signal"]
 # Failures worth retrying: transient ones, and samples that never ran.
-RETRYABLE = {"quota", "capacity", "interrupted", "budget"}
+RETRYABLE = {"access", "quota", "capacity", "interrupted", "budget"}
 UNAVAILABLE = {"quota", "capacity"}
 
 

@@ -5,6 +5,7 @@ import json
 
 import sky
 from sky import exceptions
+from sky.client import sdk
 from sky.utils import registry
 
 CALLS = (
@@ -16,6 +17,8 @@ CALLS = (
     (sky.queue, ("c",), {"all_users": True}),
     (sky.tail_logs, ("c", 1), {"follow": True, "preload_content": False}),
     (sky.status, (["c"],), {"refresh": sky.StatusRefreshMode.FORCE, "all_users": True}),
+    (sdk.enabled_clouds, (), {}),
+    (sdk.check, (("aws",),), {"verbose": False}),
     (sky.down, ("c",), {}),
     (sky.autostop, ("c",), {"idle_minutes": 1, "down": True}),
     (sky.Task.from_yaml_config, ({"run": "true"},), {}),

@@ -10,7 +10,7 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,7 +41,11 @@ class Cloud:
     launch_s: float = 0.2
     machines: dict[str, Machine] = field(default_factory=dict)
     refused: dict[str, CloudProblem] = field(default_factory=dict)
+    without_access: tuple[str, ...] = ()
     fails: Callable[[str, Mapping[str, Any]], Exception | None] = lambda _op, _words: None
+
+    def denied(self, clouds: Sequence[str]) -> list[str]:
+        return [one for one in clouds if one in self.without_access]
 
     def launch(self, task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
         machine = self.machines[name] = Machine(self.folder / name, time.monotonic() + self.launch_s)

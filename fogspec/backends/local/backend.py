@@ -12,7 +12,7 @@ import math
 import os
 import shutil
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -61,6 +61,9 @@ class LocalBackend:
         groups = limits.groups(group_of(job))
         if left := processes.end(find, glance, GRACE_S, lambda: [*map(limits.end_group, groups)]):
             raise Unreachable(f"processes {', '.join(map(str, left))} do not end")
+
+    def check_access(self, places: Collection[str]) -> None:
+        """Do nothing: this host is here."""
 
     def list(self, owner: Owner, directory: Path) -> Sequence[str]:
         """Return the names of the owner's jobs that run here and have their directories below `directory`."""

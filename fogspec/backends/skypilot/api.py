@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import sky
 from sky import exceptions
+from sky.client import sdk  # `sky.check` is a module
 
 from fogspec.backends.skypilot import secrets_file
 from fogspec.backends.skypilot.errors import CloudProblem
@@ -29,6 +30,19 @@ def hello() -> dict[str, Any]:
     """Return SkyPilot's version; a local API server is started if none runs."""
     sky.get(sky.status([PREFIX + "none"]))
     return {"version": sky.__version__}
+
+
+def denied(clouds: Sequence[str]) -> list[str]:
+    """Return the clouds, by SkyPilot's names, to which it has no access; those it does not know of are checked first."""
+    left = _not_enabled(clouds)
+    if left:
+        sky.get(sdk.check(tuple(left), verbose=False))
+    return _not_enabled(left)
+
+
+def _not_enabled(clouds: Sequence[str]) -> list[str]:
+    enabled = {str(one).lower() for one in sky.get(sdk.enabled_clouds())} if clouds else set[str]()
+    return [one for one in clouds if one.lower() not in enabled]
 
 
 def launch(task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
@@ -249,5 +263,5 @@ def _word(status: Any) -> str:
 
 
 OPERATIONS: Mapping[str, Callable[..., Any]] = {
-    one.__name__: one for one in (hello, launch, launched, find, jobs, log, clusters, waiting, end, autostop)
+    one.__name__: one for one in (hello, denied, launch, launched, find, jobs, log, clusters, waiting, end, autostop)
 }

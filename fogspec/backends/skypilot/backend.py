@@ -8,7 +8,7 @@ Deployments wait for each call; their state is read from the end of the job's lo
 import contextlib
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent import futures
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
@@ -18,13 +18,14 @@ from typing import Any
 
 from fogspec.backends import agent_state
 from fogspec.backends.naming import Owner
-from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable
+from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable, no_access
 from fogspec.backends.skypilot import job_outcome, logs, secrets_file
 from fogspec.backends.skypilot.client import Client, result
 from fogspec.backends.skypilot.errors import FORGOTTEN, CloudProblem
 from fogspec.backends.skypilot.job_outcome import LOG, load, save
 from fogspec.backends.skypilot.logs import LogTail
 from fogspec.backends.task_check import check_sources, check_task
+from fogspec.base.clouds import cloud_of
 from fogspec.base.errors import CloudError
 
 AT_ONCE = 8
@@ -32,13 +33,14 @@ LAUNCH_POLL_S = 2.0
 JOB_POLL_S = 10.0
 HANGS_S = 300.0
 READS = 3  # of a log that lacks its end: it may have been cut on its way
+ACCESS_S = 300.0  # it may have to start an API server and to ask each cloud
 CALL_S = 240.0  # the first call may have to start an API server
 STOP_S = 900.0
 WAIT_S = 1.0  # for a call that is usually quick
 TAIL_LINES, MANY_LINES = 2000, 200_000
 TAIL_BYTES = 256 * 2**20
 OVER = ("SUCCEEDED", "FAILED", "FAILED_SETUP", "FAILED_DRIVER", "CANCELLED")
-NO_MACHINE = ("quota", "capacity", "budget")  # refusals of a machine: nothing was up, so nothing is paid
+NO_MACHINE = ("access", "quota", "capacity", "budget")  # refusals of a machine: nothing was up, so nothing is paid
 
 
 class Stage(StrEnum):
@@ -67,6 +69,18 @@ class SkyPilotBackend:
             return sorted({*known, *filter(owner.has, self._call("waiting"))})
         except (CloudProblem, CloudError) as problem:
             raise Unreachable(str(problem)) from None
+
+    def check_access(self, places: Collection[str]) -> None:
+        """Raise CloudError if SkyPilot does not answer, or has no access to the cloud of one of these places."""
+        clouds = sorted({cloud_of(place).name for place in places})
+        try:
+            denied = self._client.call("denied", ACCESS_S, clouds=clouds)
+        except (CloudProblem, Unreachable) as problem:
+            raise CloudError(
+                f"SkyPilot does not answer: {problem}", "see what it says itself: sky api status"
+            ) from None
+        if denied:
+            raise no_access(f"it has no access to {', '.join(denied)}", denied)
 
     def _call(self, op: str, **arguments: Any) -> Any:
         return self._client.call(op, CALL_S, **arguments)
@@ -98,10 +112,14 @@ class SkyPilotSamples(SkyPilotBackend):
     costs = Costs.REAL
     notes: tuple[str, ...] = ()
 
+    @property
+    def source(self) -> str:
+        """Which figures they are."""
+        return f"measured with SkyPilot {self._client.version} on the machines that each sample names"
+
     def __init__(self, client: Client | None = None) -> None:
         super().__init__(client)
         self.at_once = AT_ONCE
-        self.source = f"measured with SkyPilot {self._client.version} on the machines that each sample names"
         self._watched: dict[str, Watch] = {}
         self._stopping: dict[str, tuple[Future[Any], float]] = {}
 

@@ -24,18 +24,22 @@ TAIL_BYTES = 2000
 class Client:
     """SkyPilot in a worker process, which is started by the first call and restarted after it ended.
 
-    The worker ends with this process; machines and API server do not. Raise CloudError if SkyPilot is not installed.
+    The worker ends with this process; machines and API server do not.
     """
 
     def __init__(self) -> None:
-        try:
-            self.version = importlib.metadata.version("skypilot")
-        except importlib.metadata.PackageNotFoundError:
-            raise CloudError("SkyPilot is not installed here", "pip install 'fogspec[sky]'") from None
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._calls: dict[int, tuple[subprocess.Popen[str], Future[Any]]] = {}
         self._process: subprocess.Popen[str] | None = None
+
+    @property
+    def version(self) -> str:
+        """SkyPilot's version; raise CloudError if it is not installed."""
+        try:
+            return importlib.metadata.version("skypilot")
+        except importlib.metadata.PackageNotFoundError:
+            raise CloudError("SkyPilot is not installed here", "pip install 'fogspec[sky]'") from None
 
     def __enter__(self) -> "Client":
         return self
@@ -56,6 +60,7 @@ class Client:
         The future raises CloudProblem if the operation failed, Unreachable if its outcome is unknown.
         """
         call, number = Future[Any](), next(self._numbers)
+        _ = self.version
         with self._lock:
             process = self._started()
             self._calls[number] = (process, call)

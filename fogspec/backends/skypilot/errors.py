@@ -28,8 +28,10 @@ WORDS: tuple[tuple[Reason, bool, str], ...] = (
                        r"|SkuNotAvailable|AllocationFailed|out of (stock|capacity)|no capacity|Insufficient (cpu|memory)"
                        r"|ReqNodeNotAvail|nodes? .{0,60}(down|drained)|timed out .{0,60}(allocat|provision|schedul)"),
 )  # fmt: skip
-CREDENTIALS = re.compile(
-    r"credential|not enabled|no cloud access|unauthorized|permission denied|sky check", re.IGNORECASE
+ACCESS = re.compile(
+    r"credential|not enabled|no cloud access|unauthorized|permission denied|sky check"
+    r"|ExpiredToken|AuthFailure|InvalidClientTokenId",
+    re.IGNORECASE,
 )
 CONTACT = {
     "ApiServerConnectionError", "ServerTemporarilyUnavailableError", "NetworkError", "ClusterStatusFetchingError",
@@ -86,8 +88,8 @@ def classify(problem: BaseException) -> CloudProblem:
             return CloudProblem(reason, detail, again=again)
     if kinds & CONTACT:
         return CloudProblem("setup", detail, again=True, contact=True)
-    if "NoCloudAccessError" in kinds or CREDENTIALS.search(text):
-        return CloudProblem("setup", f"{detail}; which clouds SkyPilot may use here: sky check")
+    if "NoCloudAccessError" in kinds or ACCESS.search(text):
+        return CloudProblem("access", detail)
     if "ResourcesUnavailableError" in kinds:
         return CloudProblem("capacity", detail, again=bool(getattr(problem, "failover_history", None)))
     if kinds & SETUP:

@@ -40,6 +40,8 @@ class Sky:
     commands: list[str] | None = None
     override: Any = None
     configured: Any = None
+    enabled: list[str] = field(default_factory=lambda: ["AWS", "Kubernetes"])
+    to_find: list[str] = field(default_factory=list)
     when_asleep: Callable[[], object] = lambda: None
 
     def names(self) -> list[str]:
@@ -70,8 +72,17 @@ class Sky:
         sky.exceptions = SimpleNamespace(ClusterDoesNotExist=ClusterDoesNotExist, ClusterNotUpError=ValueError)
         sky.skypilot_config = SimpleNamespace(get_nested=self.nested, override_skypilot_config=self.overridden)
         sky.global_user_state = SimpleNamespace(get_cluster_yaml_dict=self.config_of)
+        sky.client = SimpleNamespace(sdk=SimpleNamespace(check=self.check, enabled_clouds=self.enabled_clouds))
         sky.provision = SimpleNamespace(query_instances=self.instances)
         return sky
+
+    def enabled_clouds(self) -> list[str]:
+        self.calls.append(("enabled_clouds",))
+        return list(self.enabled)
+
+    def check(self, infra: tuple[str, ...], verbose: bool) -> None:
+        self.calls.append(("check", infra, verbose))
+        self.enabled += self.to_find
 
     def from_config(self, given: Any) -> Any:
         self.task = given
@@ -144,6 +155,7 @@ def sky(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Sky:
 def api(sky: Sky, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """The product's module, imported beside these books."""
     monkeypatch.setitem(sys.modules, "sky", sky.module())
+    monkeypatch.setitem(sys.modules, "sky.client", sys.modules["sky"].client)
     kept = {name: sys.modules.pop(f"fogspec.backends.skypilot.{name}", None) for name in MODULES}
     clock = SimpleNamespace(sleep=sky.sleep, monotonic=lambda: sky.now_s)
     teardown = importlib.import_module("fogspec.backends.skypilot.teardown")
@@ -512,3 +524,18 @@ def test_a_samples_machine_on_aws_turns_itself_off(api: Any, sky: Sky) -> None:
 def test_a_deployment_and_other_clouds_have_no_such_timer(api: Any, sky: Sky, task: dict[str, Any]) -> None:
     api.launch(task, NAME, "/")
     assert sky.configured is None
+
+
+# Access
+
+
+def test_clouds_that_are_enabled_are_not_checked_once_more(api: Any, sky: Sky) -> None:
+    assert api.denied(["aws", "kubernetes"]) == []
+    assert api.denied([]) == []
+    assert sky.names() == ["enabled_clouds"]
+
+
+def test_only_what_is_not_enabled_is_checked(api: Any, sky: Sky) -> None:
+    sky.to_find = ["GCP"]
+    assert api.denied(["aws", "gcp", "azure"]) == ["azure"]
+    assert sky.calls[1] == ("check", ("gcp", "azure"), False)

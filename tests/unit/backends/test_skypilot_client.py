@@ -77,4 +77,4 @@ def test_without_skypilot_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(module.importlib.metadata, "version", absent)
     with pytest.raises(CloudError, match="not installed"):
-        Client()
+        Client().begin("hello")

@@ -114,7 +114,13 @@ def test_what_was_measured_stays_when_measuring_it_again_comes_to_nothing(file, 
     assert gzip.decompress(path.read_bytes()) == b"first\n"
     crashed = broken.model_copy(update={"reason": "crash"})
     file.put(file.keep(crashed, raw), 0.4)
-    assert read_results(file.layout).spec.samples[0].reason == "crash"
+    assert read_results(file.layout).spec.samples == [first], "a failure never replaces a measurement"
+    again = record("a").model_copy(update={"requests": 77})
+    file.put(file.keep(again, raw), 0.5)
+    assert read_results(file.layout).spec.samples[0].requests == 77
+    file.put(file.keep(crashed.model_copy(update={"id": "b"}), raw), 0.6)
+    file.put(file.keep(record("b"), raw), 0.7)
+    assert [one.state for one in read_results(file.layout).spec.samples] == ["ok", "ok"]
 
 
 def test_measurements_of_two_kinds_are_not_mixed(file):

@@ -1,0 +1,145 @@
+"""A login that is missing or has expired costs nothing: no record, no money, and what was measured stays."""
+
+import importlib.metadata
+import json
+from collections.abc import Iterator
+
+import pytest
+from ruamel.yaml import YAML
+
+from fogspec.backends import registry
+from fogspec.backends.protocol import Unreachable
+from fogspec.backends.skypilot import backend, client
+from fogspec.backends.skypilot.errors import CloudProblem
+from fogspec.catalog import sources
+from tests.e2e.test_bench_money import _Shop
+from tests.support.fake_sky import Cloud, SimulatedClient
+from tests.support.running import Ended, Shell, measure, project, shell  # noqa: F401
+
+AT = ("--catalog", "offers.csv")
+DENIED = CloudProblem("access", "NoCloudAccessError: the security token included in the request is expired")
+WORK = """\
+import time
+import fogspec_probe
+for _ in range(400):
+    fogspec_probe.start("plan")
+    time.sleep(0.002)
+    fogspec_probe.stop("plan")
+"""
+
+
+@pytest.fixture
+def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cloud]:
+    monkeypatch.setattr(sources, "load_catalog", _Shop(lambda *_: (_ for _ in ()).throw(sources_missing())))
+    project(shell)
+    shell.write("specs/work.py", WORK)
+    shell("compile", "specs/demo.yaml", *AT)
+    made = Cloud(shell.folder.parent / "cloud")
+    monkeypatch.setattr(backend.SkyPilotSamples, "poll_s", 0.05)
+    monkeypatch.setattr(backend, "LAUNCH_POLL_S", 0.05)
+    monkeypatch.setattr(registry, "sample_backend", lambda _: lambda: backend.SkyPilotSamples(SimulatedClient(made)))
+    monkeypatch.setattr(registry, "deployment_backend", lambda _: backend.SkyPilotDeployments(SimulatedClient(made)))
+    yield made
+    for name in list(made.machines):
+        made.end(name)
+
+
+def sources_missing() -> Exception:
+    from fogspec.base.errors import InvalidInput
+
+    return InvalidInput("no SkyPilot here")
+
+
+def bench(shell: Shell, *words: str, code: int = 0) -> Ended:
+    return shell("bench", "specs/demo.yaml", "--runner", "skypilot", *AT, "--yes", *words, code=code)
+
+
+def results(shell: Shell) -> dict:
+    return YAML(typ="safe", pure=True).load(shell.read("results/demo.yaml"))["spec"]
+
+
+def test_without_access_nothing_is_started_recorded_or_paid(shell: Shell, cloud: Cloud) -> None:
+    cloud.without_access = ("aws",)
+    said = bench(shell, code=6)
+    assert "SkyPilot cannot start a machine: it has no access to aws" in said.err
+    assert "sky check aws" in said.err
+    assert cloud.machines == {}
+    assert not (shell.folder / "results").exists()
+    cloud.without_access = ()
+    assert "4 of 4 samples to measure" in bench(shell, "--dry-run").out + bench(shell, "--dry-run").err
+
+
+def test_an_api_server_that_does_not_answer_costs_nothing(shell: Shell, cloud: Cloud) -> None:
+    cloud.fails = lambda _op, _words: Unreachable("connection refused")
+    said = bench(shell, code=6)
+    assert "SkyPilot does not answer: connection refused" in said.err
+    assert "sky api status" in said.err
+    assert not (shell.folder / "results").exists()
+
+
+@pytest.mark.parametrize("op", ["launch", "launched"])
+def test_a_launch_that_is_denied_ends_the_bench_without_a_record(shell: Shell, cloud: Cloud, op: str) -> None:
+    """What SkyPilot remembers of the login was true once."""
+    cloud.fails = lambda asked, _words: DENIED if asked == op else None
+    said = bench(shell, code=6)
+    assert "the security token included in the request is expired" in said.err
+    assert not (shell.folder / "results").exists()
+    journal = [json.loads(line) for line in shell.read(".fogspec/demo/journal.jsonl").splitlines()]
+    assert [one["spent_usd"] for one in journal if one["do"] == "end"]
+    assert sum(one["spent_usd"] for one in journal if one["do"] == "end") == 0
+    cloud.fails = lambda *_: None
+    bench(shell)
+    assert {one["state"] for one in results(shell)["samples"]} == {"ok"}
+
+
+def test_credentials_that_expire_in_the_middle_lose_no_sample(shell: Shell, cloud: Cloud) -> None:
+    launched: list[str] = []
+
+    def fails(op: str, words: dict) -> CloudProblem | None:
+        if op == "launch":
+            launched.append(words["name"])
+        return DENIED if op == "launch" and len(launched) > 1 else None
+
+    cloud.fails = fails
+    said = bench(shell, "--at-once", "1", code=6)
+    assert "expired" in said.err
+    assert [one["state"] for one in results(shell)["samples"]] == ["ok"]
+    cloud.fails = lambda *_: None
+    assert "3 of 4 samples to measure" in bench(shell).err
+    assert [one["state"] for one in results(shell)["samples"]] == ["ok"] * 4
+
+
+def test_a_failed_sample_never_replaces_a_measured_one(shell: Shell, cloud: Cloud) -> None:
+    bench(shell)
+    before = results(shell)["samples"]
+    cloud.fails = lambda op, _words: CloudProblem("image", "manifest unknown") if op == "launched" else None
+    bench(shell, "--only", before[0]["id"])
+    assert results(shell)["samples"] == before
+    assert (shell.folder / "results" / before[0]["timings"]["path"]).is_file()
+
+
+def test_a_dry_run_needs_no_skypilot(shell: Shell, cloud: Cloud, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(_: str) -> str:
+        raise importlib.metadata.PackageNotFoundError
+
+    monkeypatch.setattr(client.importlib.metadata, "version", missing)
+    monkeypatch.setattr(registry, "sample_backend", lambda _: backend.SkyPilotSamples)
+    assert "at most $" in bench(shell, "--dry-run").err
+    assert "pip install 'fogspec[sky]'" in bench(shell, code=6).err
+    assert not (shell.folder / "results").exists()
+
+
+@pytest.mark.parametrize("when", ["before", "at the launch"])
+def test_an_apply_without_access_starts_nothing(shell: Shell, cloud: Cloud, when: str) -> None:
+    measure(shell)
+    shell("compile", "specs/demo.yaml", *AT)
+    if when == "before":
+        cloud.without_access = ("aws",)
+    else:
+        cloud.fails = lambda op, _words: DENIED if op == "launch" else None
+    said = shell("apply", "compiled/demo/manifest.yaml", *AT, "--yes", code=6)
+    assert "SkyPilot cannot start a machine" in said.err
+    assert "sky check" in said.err
+    assert cloud.machines == {}
+    live = json.loads(shell("status", *AT, "-o", "json").out)[0]["deployment"]
+    assert live is None or live["machine"] is None
