@@ -21,9 +21,12 @@ class Pinned:
     link: Path | None
 
     def line(self) -> str:
-        """Return where the nodes run, as a line of text."""
+        """Return what is not started here, and what deploys it; a robot does not know whether that was done."""
         nodes = ", ".join(str(node.get("executable") or " ".join(node.get("cmd", []))) for node in self.cloud)
-        return f"{self.name}: {nodes} on {self.machine}, not here"
+        return (
+            f"{self.name}: not started here: {nodes}; {self.path} pins {self.machine} for it. This launch deploys nothing: "
+            f"fogspec apply does, and fogspec status {self.name} says whether it runs"
+        )
 
 
 def pinned_for(nodes: Sequence[Any], path: str | os.PathLike[str] | None, caller: Path) -> Pinned:

@@ -54,7 +54,9 @@ def first_text(data: dict[str, Any], schema: str, notes: list[str]) -> str:
     book = {page.path: page for page in pages(Application)}
     lines = [f"# yaml-language-server: $schema={one_line(schema)}", *(f"# {one_line(note)}" for note in notes)]
     said: set[str] = set()
-    for line, path in block(data):
+    for written, path in block(data):
+        # A field without a value is an error, where null means no limit.
+        line = written.removesuffix(" null") if written.endswith(": null") else written
         page = _page(book, path)
         meaning = page.meaning if page and page.path not in said else ""
         if page:

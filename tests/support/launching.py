@@ -4,6 +4,7 @@ Keyword arguments are checked against those that the real actions take (launch 1
 """
 
 import contextlib
+import logging
 import sys
 import types
 from collections.abc import Iterator
@@ -63,6 +64,7 @@ def recorder() -> Iterator[None]:
     names = {
         "launch": {"LaunchDescription": LaunchDescription, "LaunchDescriptionEntity": Entity},
         "launch.actions": {name: type(name, (Entity,), {}) for name in KEYWORDS if name != "Node"},
+        "launch.logging": {"get_logger": logging.getLogger},
         "launch_ros": {},
         "launch_ros.actions": {"Node": type("Node", (Entity,), {})},
     }

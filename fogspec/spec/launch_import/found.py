@@ -1,13 +1,10 @@
 """What a launch file says, as far as it can be read without running it."""
 
-import re
 import shlex
-import sys
 from dataclasses import dataclass, field
 from typing import Any
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
-from fogspec.base.units import format_duration
 from fogspec.base.yaml.scalars import Refusal, resolve
 
 MOST_BYTES = 256 << 10
@@ -88,42 +85,3 @@ def words(text: str) -> list[str]:
         return shlex.split(text) if len(text) <= LONGEST_COMMAND else text.split()
     except ValueError:
         return text.split()
-
-
-def take_constraint(
-    found: LaunchImport, key: str, value: Any, line: int, column: int = 1, width: int | None = None
-) -> None:
-    """Import one entry of the paper's `constraint={...}`; numbers without units only if they are unambiguous."""
-    name = re.sub(r"[^a-z]", "", key.lower())
-    if not isinstance(value, (int, float, str)) or isinstance(value, bool) or not _finite(value):
-        found.note(line, f"constraint {key} cannot be read", column, width)
-    elif "latency" in name or name in ("maxtime", "time"):
-        found.constraints["latency"] = value if isinstance(value, str) else format_duration(float(value))
-    elif "cost" in name and isinstance(value, str):
-        found.constraints["cost"] = value
-    elif "cost" in name:
-        fix = f"write ${value:g}/request or {value:g} cent/request into spec.constraints.cost"
-        found.note(
-            line, f"constraint {key} has no currency, dollars and cents are 100 times apart: {fix}", column, width
-        )
-    elif name == "alpha":
-        found.objective["alpha"] = value
-    elif "step" in name and isinstance(value, int):
-        found.stop["requests"] = value
-    elif match := re.fullmatch(r"(min|max)(imum)?(num)?v?(cpus?|memory|mem|ram)", name):
-        _bound(found, "cpus" if "cpu" in match[4] else "memory", match[1], value)
-    elif name in ("gpu", "gpus", "accelerators"):
-        found.hardware["gpus"] = [str(value).partition(":")[0]]
-    else:
-        found.note(line, f"constraint {key} is not known to fogspec", column, width)
-
-
-def _finite(value: int | float | str) -> bool:
-    return isinstance(value, str) or abs(value) <= sys.float_info.max
-
-
-def _bound(found: LaunchImport, field_name: str, end: str, value: Any) -> None:
-    unit = "" if field_name == "cpus" or isinstance(value, str) else "GiB"
-    low, _, high = str(found.hardware.get(field_name, "..")).partition("..")
-    written = f"{value}{unit}"
-    found.hardware[field_name] = f"{written}..{high}" if end == "min" else f"{low}..{written}"

@@ -4,8 +4,9 @@ import ast
 from typing import Any
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
+from fogspec.spec.launch_import.constraints import UNREAD, is_constraint, take_constraint
 from fogspec.spec.launch_import.expressions import Expressions, Unknown, keyword_of, name_of, place_of
-from fogspec.spec.launch_import.found import LaunchImport, take_constraint, tidy_node, words
+from fogspec.spec.launch_import.found import LaunchImport, tidy_node, words
 
 NODES = {"Node", "LifecycleNode", "CloudNode"}
 CLOUD = {"SkyLaunchDescription"}
@@ -66,8 +67,8 @@ class _Reader:
                     self._take(item, cloud=True)
             elif name in ("constraint", "constraints"):
                 self._constraints(value)
-            elif name == "accelerators":
-                take_constraint(self.found, "gpus", self._or_note(value, name), *place_of(value, self.found))
+            elif name is not None and (name == "accelerators" or is_constraint(name)):
+                self._constraint(name, value)
             elif name == "additional_setup_commands":
                 self.found.setup += [str(one) for one in self._or_note(value, name) or []]
             elif name in ("containers", "additional_run_commands"):
@@ -96,12 +97,25 @@ class _Reader:
         elif isinstance(value, ast.Call) and name_of(value) == "dict":
             pairs = [(ast.Constant(k.arg), k.value) for k in value.keywords]
         else:
-            self._note(value, "the constraints cannot be read")
+            self._note(
+                value, "the constraints cannot be read: latency and cost are left empty, write them into the spec"
+            )
+            self.found.constraints |= {"latency": None, "cost": None}
         for key, one in pairs:
-            name = key.value if isinstance(key, ast.Constant) and isinstance(key.value, str) else ""
-            taken = self._or_note(one, f"constraint {name}")
-            if taken is not None:
-                take_constraint(self.found, name, taken, *place_of(one, self.found))
+            if isinstance(key, ast.Name):
+                self._constraint(key.id, one)
+            else:
+                text = key.value if isinstance(key, ast.Constant) and isinstance(key.value, str) else ""
+                self._constraint(text, one)
+
+    def _constraint(self, name: str, value: ast.expr) -> None:
+        """Import one constraint, or leave its field empty and report it where it is written."""
+        try:
+            taken = self.told.value(value)
+        except Unknown:
+            taken = UNREAD
+        if report := take_constraint(self.found, name, taken):
+            self._note(value, report)
 
     def _take(self, call: ast.Call, cloud: bool) -> None:
         self.taken.add(call)

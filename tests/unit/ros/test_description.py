@@ -1,5 +1,7 @@
 """The paper's interface in a robot's own launch file, before a real manifest that `fogspec compile` wrote."""
 
+import asyncio
+import os
 import shutil
 from pathlib import Path
 
@@ -86,11 +88,65 @@ def test_files_of_a_link_go_with_the_link(project: Path, tmp_path: Path) -> None
 
 def test_cloud_nodes_are_not_started_and_robot_nodes_are(project: Path) -> None:
     said, environment, link, client = launched(launch_file(project))
-    assert "grasp_planning_node on " in said.keywords["msg"]
+    assert "not started here: grasp_planning_node; " in said.keywords["msg"]
+    assert "This launch deploys nothing: fogspec apply does" in said.keywords["msg"]
     assert environment.arguments == ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")
     script = project / "compiled" / "grasp-planning" / "link" / "link.sh"
     assert link.keywords["cmd"] == ["bash", str(script), "robot", "up"]
     assert (client.kind, client.node_executable) == ("Node", "grasp_planning_client")
+
+
+LISTING_1 = """\
+from launch import LaunchDescription
+from launch_ros.actions import Node
+from fogspec.ros import SkyLaunchDescription
+
+
+def generate_launch_description():
+    planner = Node(package="fogros2_examples", executable="grasp_planning_node")
+    sky = SkyLaunchDescription(nodes=[planner], max_latency=0.01, max_cost=0.01, min_cpu=2, max_cpu=64, alpha=0.7{more})
+    return LaunchDescription([Node(package="fogros2_examples", executable="grasp_planning_client"){returned}])
+"""
+
+
+@pytest.mark.parametrize("returned", ["", ", sky"])
+def test_listing_1_starts_the_link_once_whether_it_is_returned_or_only_built(
+    project: Path, returned: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = project / "launch" / "listing.launch.py"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(LISTING_1.format(more="", returned=returned))
+    monkeypatch.delenv("RMW_IMPLEMENTATION", raising=False)
+    seen: list[tuple[str, ...]] = []
+
+    async def play() -> list[str]:
+        started = launched(path)
+        # Before any process of the launch can start: processes start in later steps of its loop.
+        assert os.environ["RMW_IMPLEMENTATION"] == "rmw_zenoh_cpp"
+        await asyncio.sleep(0.2)
+        kinds = [one.kind for one in started]
+        for task in asyncio.all_tasks() - {asyncio.current_task()}:
+            task.cancel()
+        return kinds
+
+    async def executed(*command: str) -> asyncio.subprocess.Process:
+        seen.append(command)
+        return await asyncio.create_subprocess_shell("exec sleep 30")
+
+    monkeypatch.setattr("asyncio.create_subprocess_exec", executed)
+    kinds = asyncio.run(play())
+    monkeypatch.delenv("RMW_IMPLEMENTATION", raising=False)
+    script = str(project / "compiled" / "grasp-planning" / "link" / "link.sh")
+    assert seen == ([] if returned else [("bash", script, "robot", "up")])
+    assert kinds.count("ExecuteProcess") == (1 if returned else 0)
+
+
+def test_a_keyword_that_is_nothing_is_named_with_what_to_do(project: Path) -> None:
+    path = project / "launch" / "listing.launch.py"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(LISTING_1.format(more=", colour=3", returned=""))
+    with pytest.raises(TypeError, match=r"takes no colour; .* fogspec init --from-launch"):
+        launched(path)
 
 
 def test_it_starts_what_the_generated_launch_file_starts(project: Path) -> None:

@@ -29,7 +29,7 @@ def test_the_papers_python_launch_file() -> None:
         }
     ]
     assert type(found.cloud[0]["parameters"]["gain"]) is float
-    assert found.constraints == {"latency": "10ms"}
+    assert found.constraints == {"latency": "10ms", "cost": "0.01 cent/request"}
     assert found.hardware == {"cpus": "2..64"}
     assert (found.objective, found.stop) == ({"alpha": 0.7}, {"requests": 100})
     said = [

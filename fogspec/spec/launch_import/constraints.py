@@ -1,0 +1,116 @@
+"""The constraints of the paper's launch interface (FogROS2-Config, Listing 1), as fields of the spec.
+
+A constraint that is not understood leaves its field empty, which `validate` rejects: never a default in its place.
+"""
+
+import re
+import sys
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from fogspec.base.units import format_duration
+
+
+class Taken(Protocol):
+    """The parts of a spec that constraints are imported into."""
+
+    constraints: dict[str, Any]
+    objective: dict[str, Any]
+    hardware: dict[str, Any]
+    stop: dict[str, Any]
+
+
+class Unread:
+    """A value that only a launch would determine."""
+
+
+UNREAD = Unread()
+BOUND = re.compile(r"(min|max)(imum)?(num)?v?(cpus?|memory|mem|ram)(gib|gb)?")
+RATIO = re.compile(r"(min|max)(imum)?(memory|mem|ram)(per|to)?v?cpu(ratio)?")
+GPUS = ("gpu", "gpus", "gputype", "gputypes", "accelerators")
+MACHINES = ("machine", "machines", "machinetype", "machinetypes", "instancetype", "instancetypes")
+
+
+def is_constraint(key: str) -> bool:
+    """Return whether a keyword of SkyLaunchDescription is a constraint: Listing 1 writes them bare."""
+    return _field_of(_plain(key)) is not None
+
+
+def take_constraint(found: Taken, key: str, value: Any) -> str | None:
+    """Import one constraint; return what to report of it, None if it was read without loss.
+
+    Numbers have the paper's units: seconds, GiB, and cents per request.
+    """
+    name = _plain(key)
+    where = _field_of(name)
+    if where is None:
+        return f"constraint {key} is not known to fogspec"
+    part, field = where
+    words = _words(value) if field in ("gpus", "machines") else None
+    if words is None and (field in ("gpus", "machines") or not _is_plain(value)):
+        getattr(found, part)[field] = None
+        return f"constraint {key} cannot be read: its field {field} is left empty, write it into the spec"
+    match field:
+        case "latency":
+            found.constraints[field] = value if isinstance(value, str) else format_duration(float(value))
+        case "cost" if isinstance(value, str):
+            found.constraints[field] = value
+        case "cost":
+            found.constraints[field] = f"{value:g} cent/request"
+            return (
+                f"constraint {key} has no currency: read as {value:g} cent/request, the unit of the paper's listing; "
+                f"its text says ${value:g}, which is 100 times as much: write ${value:g}/request if you mean that"
+            )
+        case "gpus":
+            found.hardware[field] = [word.partition(":")[0] for word in words or ()]
+        case "machines":
+            found.hardware[field] = {"allow": words}
+        case "alpha" | "requests":
+            getattr(found, part)[field] = value
+        case _:
+            _bound(found, field, "min" if name.startswith("min") else "max", value)
+    return None
+
+
+def _plain(key: str) -> str:
+    return re.sub(r"[^a-z]", "", key.lower())
+
+
+def _field_of(name: str) -> tuple[str, str] | None:
+    """Return the part of the spec and its field that a constraint is about; None if it is none."""
+    if name in ("latency", "maxlatency", "latencymax", "maxtime", "time"):
+        return "constraints", "latency"
+    if name in ("cost", "maxcost", "costmax", "maxcostperrequest", "costperrequest"):
+        return "constraints", "cost"
+    if name == "alpha":
+        return "objective", "alpha"
+    if name in ("step", "steps", "numsteps", "benchmarksteps", "numberofsteps"):
+        return "stop", "requests"
+    if RATIO.fullmatch(name):
+        return "hardware", "memory_per_cpu"
+    if bound := BOUND.fullmatch(name):
+        return "hardware", "cpus" if "cpu" in bound[4] else "memory"
+    if name in GPUS:
+        return "hardware", "gpus"
+    return ("hardware", "machines") if name in MACHINES else None
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, str):
+        return True
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def _words(value: Any) -> list[str] | None:
+    if isinstance(value, str):
+        return [value]
+    if isinstance(value, Sequence) and value and all(isinstance(one, str) for one in value):
+        return list(value)
+    return None
+
+
+def _bound(found: Taken, field: str, end: str, value: Any) -> None:
+    unit = "" if field == "cpus" or isinstance(value, str) else "GiB"
+    low, _, high = str(found.hardware.get(field) or "..").partition("..")
+    written = f"{value}{unit}"
+    found.hardware[field] = f"{written}..{high}" if end == "min" else f"{low}..{written}"
