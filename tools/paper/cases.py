@@ -19,6 +19,7 @@ from fogspec.spec.loader import load
 from fogspec.spec.schema import Application, Constraints
 from tools.generated import ROOT
 
+PATH_LENGTH = "path_length"
 SPECS = ("grasp-planning", "vslam", "motion-planning")
 TITLES = {
     "grasp-planning": "Dex-Net",
@@ -96,3 +97,38 @@ def _cases() -> Iterator[Case]:
                 choose(application, predicted),
                 choose(unlimited, predicted),
             )
+
+
+@dataclass(frozen=True, slots=True)
+class OwnRun:
+    """An application of this repository that measured a path length: (machine, vCPUs, seconds, length) of each sample."""
+
+    name: str
+    unit: str
+    where: str
+    samples: tuple[tuple[str, float, float, float], ...]
+
+
+@lru_cache(maxsize=1)
+def own_runs() -> tuple[OwnRun, ...]:
+    """Return the measurements of path lengths in results/, by name of the application."""
+    found = []
+    for path in sorted((ROOT / "specs").glob("*.yaml")):
+        for one in load([str(path)]):
+            application = one.application
+            results = read_results(Layout.of(one.path, application.metadata.name))
+            if results is None or PATH_LENGTH not in application.spec.metrics:
+                continue
+            samples = tuple(
+                (each.machine.instance, each.machine.cpus, each.latency.mean, each.metrics[PATH_LENGTH])
+                for each in results.spec.samples
+                if each.state == "ok" and each.latency is not None and PATH_LENGTH in each.metrics
+            )
+            unit = application.spec.metrics[PATH_LENGTH].unit or ""
+            places = (
+                "shapes of one host" if each.machine.is_local else each.machine.infra for each in results.spec.samples
+            )
+            where = ", ".join(dict.fromkeys(places))
+            if samples:
+                found.append(OwnRun(application.metadata.name, unit, where, samples))
+    return tuple(found)

@@ -10,13 +10,13 @@ import numpy as np
 from fogspec.base.templates import render
 from fogspec.base.units import short_dollars
 from fogspec.charts import menu_svg
-from fogspec.charts.axes import axis, seconds
+from fogspec.charts.axes import axis, number, seconds
 from fogspec.charts.frame import Dot, Frame, frame
 from fogspec.numerics import families
 from fogspec.numerics.families import fit_all
 from fogspec.numerics.pareto import pareto
 from tools.generated import ROOT
-from tools.paper.cases import TITLES, Case, cases
+from tools.paper.cases import TITLES, Case, OwnRun, cases, own_runs
 
 FOLDER = ROOT / "docs" / "figures"
 SHOWN = "motion-planning-cubicles"
@@ -26,7 +26,7 @@ SOURCE = "samples: Chen et al., ICRA 2024, arXiv 2311.05600; AWS on-demand, us-e
 
 def charts() -> dict[Path, str]:
     """Return every chart by path."""
-    four = cases()
+    four, runs = cases(), own_runs()
     shown = next(one for one in four if one.application.metadata.name == SHOWN)
     return {
         FOLDER / "paper-latency.svg": _page(
@@ -41,6 +41,7 @@ def charts() -> dict[Path, str]:
             "Pareto frontiers", [_frontier(one, *_corner(i)) for i, one in enumerate(four)],
             [("measured", "measured, frontier dotted"), ("in", "predicted"), ("curve", "frontier of all machines")],
         ),
+        **({FOLDER / "paper-path-length.svg": _path_lengths(runs)} if runs else {}),
         FOLDER / "menu.svg": menu_svg.draw(menu_svg.menu_chart(shown.application, shown.choice, [])),
     }  # fmt: skip
 
@@ -53,6 +54,39 @@ def _page(title: str, frames: list[Frame], legend: list[tuple[str, str]]) -> str
     return render(
         "picture.svg.j2", title=title, subtitle=[SOURCE], summary=f"{title} of {', '.join(TITLES.values())}",
         width=WIDTH, height=HEIGHT, left=18, rows=[], frames=frames, legend=legend, legend_y=HEIGHT - 18, notes=[],
+    )  # fmt: skip
+
+
+def _path_lengths(runs: tuple[OwnRun, ...]) -> str:
+    """Draw the latency and the path length of every sample by vCPUs, a row for each of our own applications."""
+    frames = []
+    for i, run in enumerate(runs):
+        top = 96 + i * (HIGH + 80)
+        for column, (label, words, at) in enumerate((("mean latency", seconds, 2), ("path length", number, 3))):
+            left = 74 + column * (WIDE + 96)
+            vcpus, values = [one[1] for one in run.samples], [float(one[at]) for one in run.samples]
+            x, y = axis(vcpus, left, left + WIDE), axis(values, top + HIGH, top)
+            unit = f" in {run.unit}" if at == 3 and run.unit else ""
+            found = frame(
+                x=x,
+                y=y,
+                x_label="vCPUs",
+                y_label=label + unit,
+                x_words=lambda v: f"{v:g}",
+                y_words=words,
+                heading=run.name,
+            )
+            found.dots = [
+                Dot(x=x.at(one[1]), y=y.at(float(one[at])), kind="measured", radius=4.2, title=one[0])
+                for one in run.samples
+            ]
+            frames.append(found)
+    bottom = 96 + len(runs) * (HIGH + 80)
+    source = f"our own runs, on {', '.join(dict.fromkeys(run.where for run in runs))}; both axes logarithmic"
+    return render(
+        "picture.svg.j2", title="Latency and path length", subtitle=[source],
+        summary=f"latency and path length of {', '.join(run.name for run in runs)}", width=WIDTH, height=bottom + 12, left=18,
+        rows=[], frames=frames, legend=[("measured", "measured")], legend_y=bottom - 6, notes=[],
     )  # fmt: skip
 
 

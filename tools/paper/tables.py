@@ -19,7 +19,7 @@ from fogspec.plan.design import design
 from fogspec.plan.schema import Sample
 from fogspec.spec.schema import Constraints, Objective, Usage
 from tools.paper import published
-from tools.paper.cases import Case, cases, price_usd_per_hour, snapshot
+from tools.paper.cases import Case, cases, own_runs, price_usd_per_hour, snapshot
 
 ALPHAS = (0.0, 0.5, 1.0)
 HOUR_S = 3600.0
@@ -47,6 +47,7 @@ def sections() -> list[Section]:
         _r2(),
         _prices(),
         _frontiers(),
+        _path_length(),
         _choices(),
         _savings(),
         _listing_1(),
@@ -261,6 +262,35 @@ def _frontiers() -> Section:
         charts=(
             ("paper-frontiers.svg", "Latency against price per hour: measured and predicted frontiers (Figure 5)"),
         ),
+    )
+
+
+def _path_length() -> Section:
+    rows = [
+        (
+            run.name,
+            machine,
+            f"{vcpus:g}",
+            f"{format_duration(rounded(latency_s, 3))}",
+            f"{length:.4g} {run.unit}".strip(),
+        )
+        for run in own_runs()
+        for machine, vcpus, latency_s, length in sorted(run.samples, key=lambda one: one[1:])
+    ]
+    places = ", ".join(dict.fromkeys(run.where for run in own_runs()))
+    return Section(
+        title="Path length, the third objective",
+        before="The paper weighs the length of a motion plan in place of its latency; the lengths that it measured were never "
+        "published. "
+        + (
+            f"These are our own runs, on {places}: not the paper's planner, scenes or machines."
+            if rows
+            else "Our own runs will be here once results of an application with the metric `path_length` are in `results/`: "
+            "`specs/planner-local.yaml` measures it on any computer."
+        ),
+        head=("application", "machine", "vCPUs", "latency", "path length"),
+        rows=rows or [("-", "-", "-", "-", "not measured yet")],
+        charts=(("paper-path-length.svg", "Latency and path length against vCPUs, from our own runs"),) if rows else (),
     )
 
 
