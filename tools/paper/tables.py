@@ -132,8 +132,7 @@ def _reductions() -> Section:
         head=("application", "paper (from its cells)", "ours"),
         rows=rows,
         after="Ours is larger because the full sweep is of every machine that the spec admits, the sampled ones among "
-        "them; the "
-        "paper's is of 16 or 17 machines, and leaves out one that it samples.",
+        "them. The paper's, as far as prices give it away, is of 16 or 17 machines, and leaves out one that is sampled.",
     )
 
 
@@ -305,9 +304,8 @@ def _price(one: Observation) -> float:
 def _choices() -> Section:
     return Section(
         title="The choices, with alpha at 0, 0.5 and 1",
-        before="Without limits, because the paper names none for these. *Paper* is `method: relaxed`: its own curve, "
-        "the continuous "
-        "optimum, the nearest machines. `alpha` weighs the latency, as in the paper's formula; its prose says the opposite.",
+        before="Without limits. *Paper* is `method: relaxed`: its own curve, the continuous optimum, the nearest "
+        "machines. `alpha` weighs the latency, as in the paper's formula; its prose says the opposite.",
         head=("application", "alpha", "paper: optimum", "paper: machine", "ours", "why they differ"),
         rows=list(_choice_rows()),
     )
@@ -378,10 +376,10 @@ def _savings() -> Section:
         )
     return Section(
         title="4.95x and 20x",
-        before="The savings that the paper names are ratios of prices per hour, on the frontier of Cubicles. $4.99 is "
-        "not the price of a "
-        f"machine that was sampled; {published.DEAREST} is at ${dearest:g}/h in {published.REGION} (inferred from the price). "
-        "Latencies are of the paper's curve for these machines.",
+        before="The savings that the paper names are ratios of prices per hour, on the frontier of Cubicles. It names "
+        "r6i.xlarge and $4.99; the other machines are inferred from prices. No machine that was sampled is at $4.99: "
+        f"{published.DEAREST} is at ${dearest:g}/h in {published.REGION}. Latencies are of the paper's curve for "
+        "these machines.",
         head=("paper", "ours: price per hour", "latency of a plan", "cost per plan"),
         rows=rows,
         after="The ratio mixes two things: the price of an hour falls by the factor, and an hour then serves fewer "
@@ -408,9 +406,9 @@ def _listing_1() -> Section:
     ]
     return Section(
         title="Listing 1",
-        before="The constraints of the launch file in the paper, on its own grasp-planning samples: `fogspec menu "
-        "grasp-planning "
-        "--latency 0.01s --cost '0.01 cent/request'` ends with code 4. The listing says 0.01 cent in a comment, its caption "
+        before="The constraints of the launch file in the paper, on its own grasp-planning samples: "
+        f"`fogspec menu {case.application.metadata.name} --latency 0.01s --cost '0.01 cent/request'` ends with code "
+        "4. The listing says 0.01 cent in a comment, its caption "
         "$0.01; at $0.01 only the latency is out of reach.",
         head=("limit", "paper", "ours", "why they differ"),
         rows=rows,
