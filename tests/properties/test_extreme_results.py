@@ -171,7 +171,10 @@ def check(world: dict[str, Any], data: st.DataObject) -> None:
             if path.is_file() and path.suffix in (".yaml", ".svg"):
                 wrong = NAN.search(text := path.read_text())
                 assert wrong is None, f"{path}: …{text[max(0, wrong.start() - 200) : wrong.end() + 50]}"
-        sweep = ["instance_type,infra,latency_s"]
-        sweep += [f"{row.split(',')[0]},aws/r1,{data.draw(latencies_s)!r}" for row in world["catalog"].splitlines()[1:]]
+        sweep = ["instance_type,infra,latency_s,size"]
+        sweep += [
+            f"{row.split(',')[0]},aws/r1,{data.draw(latencies_s)!r},{data.draw(latencies_s)!r}"
+            for row in world["catalog"].splitlines()[1:]
+        ]
         (folder.path / "sweep.csv").write_text("\n".join([*sweep, ""]))
         folder("evaluate", "specs/demo.yaml", "--sweep", "sweep.csv", *at, codes=(0, 2))
