@@ -291,13 +291,26 @@ class Selection:
     def usd_per_request(self) -> float | None:
         """Return what the chosen machine's objective is worth in USD; None where cost has no weight.
 
-        Objectives that differ by cost alone differ by this money. Without a choice it is that of the likeliest machine.
+        Objectives that differ by cost alone differ by this money. Without a choice it is that of one to come.
         """
         if self.rule.alpha == 1:
             return None
-        row = self.best if self.best is not None else self.most_probable
-        value = float(np.min(self.objective)) if row is None else float(self.objective[row])
+        value = self._value_to_come if self.best is None else float(self.objective[self.best])
         return value * self.scale.cost / (1 - self.rule.alpha) if np.isfinite(value) else None
+
+    @property
+    def _value_to_come(self) -> float:
+        """The objective of a choice to come while there is none: of the machine of the most probability over objective.
+
+        A machine that meets the limits has at most the latency that they leave it.
+        """
+        met = self._probability_met
+        if met is None or not met.any():
+            return float(np.min(self.objective))
+        latency_s = np.minimum(self.latency.value, self.latency_budget_s)
+        metric = self.metric_value if self.rule.metric else latency_s
+        value = self.rule.objective(metric, self.rule.costs.per_request(latency_s), self.scale)
+        return float(value[np.argmax(met / np.maximum(value, 1e-300))])
 
     @cached_property
     def best(self) -> int | None:
@@ -420,8 +433,14 @@ class Selection:
     @cached_property
     def most_probable(self) -> int | None:
         """The machine with the highest probability of meeting every limit; None if unknown."""
+        met = self._probability_met
+        return None if met is None or not self.eligible.any() else int(np.argmax(np.where(self.eligible, met, -1.0)))
+
+    @cached_property
+    def _probability_met(self) -> Floats | None:
+        """Probability (n,) of meeting every limit, 0 for machines that are not eligible or whose type has a larger budget."""
         posterior = self.latency.posterior
-        if posterior is None or not self.eligible.any():
+        if posterior is None:
             return None
         types, budget = self.latency.type_index, self.latency_budget_s
         most = np.zeros(len(posterior.machines))
@@ -429,8 +448,7 @@ class Selection:
         met = posterior.probability_below(most)
         if self._metrics_probability is not None:
             met = met * self._metrics_probability
-        rows = np.flatnonzero(self.eligible & (budget >= most[types]))
-        return int(rows[np.argmax(met[types[rows]])])
+        return np.where(self.eligible & (budget >= most[types]), met[types], 0.0)
 
     @cached_property
     def violations(self) -> tuple[Violation, ...]:
@@ -517,18 +535,26 @@ class Utility:
         """Whether a machine that was not measured is chosen only if no measured one qualifies."""
         return self.rule.measured_first
 
-    def loss(self, posterior: Posterior) -> Floats:
-        """Return the value of each type in each draw (S, N)."""
-        rule, bounds = self.rule, self.rule.bounds
-        latency_s = np.exp(posterior.draws)
-        met = (latency_s <= rule.latency_budget_s) & self.available
+    def loss(self, posterior: Posterior, rows: Rows | None = None) -> Floats:
+        """Return the value of each type in each draw (S, N), or only of M types at these indices, (S, M)."""
+        rule, bounds = self.rule if rows is None else self.rule.take(rows), self.rule.bounds
+        some: Rows | slice = slice(None) if rows is None else rows
+        latency_s = np.exp(posterior.draws[:, some])
+        met = latency_s <= rule.latency_budget_s
+        met &= self.available[some]
         metric_value = latency_s
         for name, predictions in self.metrics.items():
             if predictions.posterior is None:
                 continue
             # Both posteriors draw from one seed: the reversed order makes them independent.
-            value = np.exp(predictions.posterior.draws[::-1])
+            value = np.exp(predictions.posterior.draws[::-1, some])
             met &= value <= bounds.get(f"metrics.{name}", np.inf)
             if name == rule.metric:
                 metric_value = value
-        return np.where(met, rule.objective(metric_value, rule.costs.per_request(latency_s), self.scale), np.inf)
+        # In place: tables of draws by machines are large, and new ones take longer than what is computed in them.
+        found = rule.costs.per_request(latency_s)
+        found *= (1 - rule.alpha) / self.scale.cost
+        metric_value *= rule.alpha / self.scale.metric
+        found += metric_value
+        found[~met] = np.inf
+        return found

@@ -1,6 +1,7 @@
 """Which machines to measure next, and when to stop. The rule of the choice is the caller's: `fogspec.choice.rule`."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +12,9 @@ from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.replicates import after_one_more
 from fogspec.numerics.surrogate import Posterior
 
+SURPRISES = 64  # with a volume, one draw in so many is a surprise:
+SURPRISE = 4.0  # so many times farther off,
+MOST_SURPRISE = 0.6  # to a standard deviation of log-latency of at most this
 MORE_LIKELY_THAN_NOT = 0.5  # the probability of meeting the limits below which no machine is chosen
 
 
@@ -25,8 +29,11 @@ class Question(Protocol):
     def measured_first(self) -> bool:
         """Whether a machine that was not measured is chosen only if no measured one qualifies."""
 
-    def loss(self, posterior: Posterior) -> Floats:
-        """Return the loss of each machine in each joint draw, (S, N); infinite where it breaks a limit."""
+    def loss(self, posterior: Posterior, rows: np.ndarray | None = None) -> Floats:
+        """Return the loss of each machine in each joint draw, (S, N); infinite where it breaks a limit.
+
+        With `rows` (M,) only that of the machines at these indices, (S, M).
+        """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,23 +258,35 @@ def _gains(posterior: Posterior, question: Question, value: Floats) -> Floats:
     if question.measured_first:
         best = np.min(value[:, known], axis=1, initial=np.inf)
         return np.where(known, _replicate_gains(posterior, question, value), expected_improvement(value, best))
-    return np.where(known, _replicate_gains(posterior, question, value), _gains_of_knowing(value, question.confidence))
+    odd = question.loss(replace(posterior, draw=partial(_with_surprises, posterior)))
+    known_exactly = _gains_of_knowing(value, odd, question.confidence)
+    return np.where(known, _replicate_gains(posterior, question, value), known_exactly)
 
 
-def _gains_of_knowing(value: Floats, confidence: float) -> Floats:
+def _with_surprises(posterior: Posterior) -> Floats:
+    """Return the draws with some of each machine that was not measured farther off: no model knows its own tails."""
+    draws = posterior.draws
+    odd = (np.arange(len(draws))[:, None] + np.arange(draws.shape[1])) % SURPRISES == 0
+    odd &= ~posterior.measured
+    farther = np.clip(MOST_SURPRISE / posterior.sd, 1.0, SURPRISE)
+    return np.where(odd, posterior.mean + farther * (draws - posterior.mean), draws)
+
+
+def _gains_of_knowing(value: Floats, odd: Floats, confidence: float) -> Floats:
     """Return the expected relative improvement of a choice among all machines if one machine was known exactly, (N,).
 
     A machine gains where it turns out better than the leader; the leader where it turns out worse than the second. While
-    no machine is likely to meet the limits, a machine gains 1 where it does.
+    no machine is likely to meet the limits, a machine gains 1 where it does. The choice goes by the losses `value` (S, N); a
+    machine turns out as in `odd` (S, N).
     """
     leader, mean, second = _leader(_expected(value, confidence))
     if not np.isfinite(mean):
         leader, mean, second = _leader(_expected(value, min(confidence, MORE_LIKELY_THAN_NOT)))
     if not np.isfinite(mean):
-        return np.asarray(np.isfinite(value).mean(0))
+        return np.asarray(np.isfinite(odd).mean(0))
     with np.errstate(invalid="ignore"):
-        lost = np.where(np.isfinite(value[:, leader]), np.maximum(1 - second / value[:, leader], 0.0), 1.0)
-    gained = np.maximum(1 - value / mean, 0.0).mean(0)
+        lost = np.where(np.isfinite(odd[:, leader]), np.maximum(1 - second / odd[:, leader], 0.0), 1.0)
+    gained = np.maximum(1 - odd / mean, 0.0).mean(0)
     gained[leader] = lost.mean()
     return np.asarray(gained)
 
@@ -291,7 +310,7 @@ def _replicate_gains(posterior: Posterior, question: Question, value: Floats) ->
         return found
     updated = posterior.draws.copy()
     updated[:, at] = after.log_latency
-    then = question.loss(replace(posterior, draw=lambda: updated))[:, at]
+    then = question.loss(replace(posterior, draw=lambda: updated), at)
     among = at if question.measured_first else np.arange(value.shape[1])
     leader, least, second = _leader(_expected(value[:, among], question.confidence))
     if not np.isfinite(least):
@@ -327,6 +346,10 @@ def _highest(score: Floats, cost: Floats) -> int:
 
 def expected_improvement(value: Floats, best: Floats) -> Floats:
     """Return the expected relative improvement (N,) over the best loss so far (S,); the first feasible machine gains 1."""
-    with np.errstate(invalid="ignore"):
-        over = np.where(np.isfinite(best)[:, None], 1 - value / best[:, None], 1.0)
-    return np.asarray(np.maximum(np.where(np.isfinite(value), over, 0.0), 0.0).mean(0))
+    known = np.isfinite(best)
+    over = value / np.where(known, best, 1.0)[:, None]
+    np.subtract(1.0, over, out=over)
+    np.maximum(over, 0.0, out=over)
+    if not known.all():
+        over[~known] = np.isfinite(value[~known])
+    return np.asarray(over.mean(0))

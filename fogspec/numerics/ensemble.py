@@ -96,7 +96,7 @@ class Amplitudes:
     kind: tuple[float, ...]
     kind_by_size: float  # relative to `kind`
     nugget: tuple[float, ...]
-    gpu: float
+    gpu: tuple[float, ...]
     prior: tuple[float, ...] = ()
 
 
@@ -104,29 +104,33 @@ PRIOR = (0.5, 1.0, 2.0, 4.0)
 # Without a prior and with one; the more heterogeneous the machines, the wider.
 AMPLITUDES = {
     "one": (
-        Amplitudes(smooth=(0.03, 0.1, 0.25), kind=(0.02,), kind_by_size=0.5, nugget=(0.01, 0.04), gpu=0.0),
-        Amplitudes(smooth=(0.03, 0.1, 0.3), kind=(0.02,), kind_by_size=0.5, nugget=(0.01, 0.04), gpu=0.0, prior=PRIOR),
+        Amplitudes(smooth=(0.03, 0.1, 0.25), kind=(0.02,), kind_by_size=0.5, nugget=(0.01, 0.04), gpu=(0.0,)),
+        Amplitudes(
+            smooth=(0.03, 0.1, 0.3), kind=(0.02,), kind_by_size=0.5, nugget=(0.01, 0.04), gpu=(0.0,), prior=PRIOR
+        ),
     ),
     "few": (
-        Amplitudes(smooth=(0.03, 0.1, 0.25), kind=(0.02, 0.1, 0.4), kind_by_size=0.5, nugget=(0.01, 0.04), gpu=0.0),
+        Amplitudes(smooth=(0.03, 0.1, 0.25), kind=(0.02, 0.1, 0.4), kind_by_size=0.5, nugget=(0.01, 0.04), gpu=(0.0,)),
         Amplitudes(
             smooth=(0.01, 0.05, 0.15),
             kind=(0.01, 0.05, 0.15),
             kind_by_size=0.5,
             nugget=(0.01, 0.04),
-            gpu=0.0,
+            gpu=(0.0,),
             prior=PRIOR,
         ),
     ),
     "many": (
-        Amplitudes(smooth=(0.1, 0.3), kind=(0.1, 0.4), kind_by_size=0.7, nugget=(0.03, 0.12), gpu=0.0),
+        Amplitudes(smooth=(0.1, 0.3), kind=(0.1, 0.4), kind_by_size=0.7, nugget=(0.03, 0.12), gpu=(0.0,)),
         Amplitudes(
-            smooth=(0.1, 0.3, 0.8), kind=(0.1, 0.3), kind_by_size=0.7, nugget=(0.03, 0.12), gpu=0.0, prior=PRIOR
+            smooth=(0.1, 0.3, 0.8), kind=(0.1, 0.3), kind_by_size=0.7, nugget=(0.03, 0.12), gpu=(0.0,), prior=PRIOR
         ),
     ),
     "gpus": (
-        Amplitudes(smooth=(0.1, 0.3, 1.0), kind=(0.3, 1.0), kind_by_size=1.0, nugget=(0.03, 0.15), gpu=2.0),
-        Amplitudes(smooth=(0.1, 0.3, 1.0), kind=(0.2, 0.6), kind_by_size=0.5, nugget=(0.05, 0.2), gpu=2.0, prior=PRIOR),
+        Amplitudes(smooth=(0.1, 0.3, 1.0), kind=(0.3, 1.0), kind_by_size=1.0, nugget=(0.03, 0.15), gpu=(0.7, 2.0)),
+        Amplitudes(
+            smooth=(0.1, 0.3, 1.0), kind=(0.2, 0.6), kind_by_size=0.5, nugget=(0.05, 0.2), gpu=(2.0,), prior=PRIOR
+        ),
     ),
 }
 
@@ -162,11 +166,12 @@ def _ensemble(
 ) -> Ensemble:
     weights: list[tuple[float, ...]] = [(one,) for one in tried.prior] or [()]
     rows = [
-        (curve, (LEVEL_VARIANCE, smooth**2, kind**2, (kind * tried.kind_by_size) ** 2, tried.gpu**2, *amplitude), alone)
+        (curve, (LEVEL_VARIANCE, smooth**2, kind**2, (kind * tried.kind_by_size) ** 2, gpu**2, *amplitude), alone)
         for curve in range(len(curves))
         for amplitude in weights
         for smooth in tried.smooth
         for kind in tried.kind
+        for gpu in tried.gpu
         for alone in tried.nugget
     ]
     alone = np.array([row[2] for row in rows])

@@ -400,9 +400,11 @@ class Space:
         which = np.minimum(np.searchsorted(np.cumsum(weights), (np.arange(count) + 0.5) / count), len(weights) - 1)
         out = np.empty((count, len(self.machines)))
         for model in np.unique(which).tolist():
-            rows = np.flatnonzero(which == model)
-            root = np.sqrt(self.ensemble.theta[keep[model]])
-            prior = np.tensordot(root, base[:, rows], axes=1) + np.sqrt(self.ensemble.nugget[keep[model]]) * own[rows]
+            rows = slice(*np.searchsorted(which, [model, model + 1]))
+            prior = np.sqrt(self.ensemble.nugget[keep[model]]) * own[rows]
+            for amplitude, component in zip(np.sqrt(self.ensemble.theta[keep[model]]), base, strict=True):
+                if amplitude:
+                    prior += amplitude * component[rows]
             out[rows] = means[model] + prior
             if terms is not None:
                 link, inverse = terms(model)

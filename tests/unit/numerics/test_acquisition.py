@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fogspec.choice.rule import Scale
-from fogspec.numerics.acquisition import Policy, propose_batch
+from fogspec.numerics.acquisition import Policy, expected_gains, propose_batch
 from fogspec.numerics.observations import observations
 from fogspec.numerics.surrogate import fit, prepare
 from tests.support.machines import amdahl, family, rule_over, selected
@@ -110,3 +110,24 @@ def test_other_limits_on_a_fitted_model_are_little_work():
     assert selected(posterior, asked(max_latency_s=1.0)).best is not None
     alphas = itertools.cycle(np.linspace(0, 1, 20))
     assert work_of(lambda: selected(posterior, asked(float(next(alphas)), max_latency_s=1.0)).best, 20) < 0.25
+
+
+def test_for_a_volume_machines_count_that_the_model_rules_out(monkeypatch):
+    at = [0, 6, 10, 17]
+    posterior = prepare(MACHINES).fit(observations(at, TRUTH[at]))
+    utility = selected(posterior, asked(0.5, measured_first=False)).utility()
+    gains = expected_gains(posterior, utility)
+    monkeypatch.setattr("fogspec.numerics.acquisition.SURPRISE", 1.0)
+    unsurprised = expected_gains(posterior, utility)
+    assert (gains > 0).sum() > (unsurprised > 0).sum()
+    assert gains.sum() == pytest.approx(unsurprised.sum(), abs=0.05)
+
+
+def test_a_choice_to_come_is_worth_no_more_than_the_limits_leave():
+    rule = asked(0.0, max_latency_s=0.01)
+    chosen = selected(prepare(MACHINES).fit(observations([0, 1], TRUTH[:2])), rule)
+    assert chosen.best is None
+    usd = chosen.usd_per_request()
+    assert usd is not None
+    assert usd <= rule.costs.per_request(np.full(len(MACHINES), 0.01)).max()
+    assert usd < rule.costs.per_request(TRUTH).min()
