@@ -12,6 +12,7 @@ from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.replicates import after_one_more
 from fogspec.numerics.surrogate import Posterior
 
+MOST_SHARE = 10  # one in so many machines of a whole catalog may be measured
 SURPRISES = 64  # with a volume, one draw in so many is a surprise:
 SURPRISE = 4.0  # so many times farther off,
 MOST_SURPRISE = 0.6  # to a standard deviation of log-latency of at most this
@@ -44,7 +45,7 @@ class Policy:
     in proportion for other prices; a measured machine gets another sample, up to `each` in total, while the expected
     improvement is at least `min_repeat_gain` times its fraction of the price of a full sweep. Machines rank by expected
     improvement over this threshold. The initial design has `first` machines, later batches have `batch`; `most` bounds the
-    number of samples.
+    number of samples, or a tenth of the machines if that is more.
 
     With `worth`, the value of an improvement of 1 in the unit of the costs, a sample of any machine must instead improve the
     objective by its cost over this, and the only bound is `most_with_worth` samples.
@@ -59,10 +60,9 @@ class Policy:
     worth: float | None = None
     most_with_worth: int = 300
 
-    @property
-    def bound(self) -> int:
-        """The number of samples after which sampling ends in any case."""
-        return self.most if self.worth is None else self.most_with_worth
+    def bound(self, machines: int) -> int:
+        """Return the number of samples, of so many machines, after which sampling ends in any case."""
+        return max(self.most, machines // MOST_SHARE) if self.worth is None else self.most_with_worth
 
     def threshold(self, cost: Floats, measured: np.ndarray) -> Floats:
         """Return the expected improvement (N,) from which on a sample of each machine is worth its cost."""
@@ -103,9 +103,9 @@ def propose_batch(
     """
     policy = policy or Policy()
     themselves = posterior.observations.machine[~posterior.observations.nested]
-    tried, room = np.unique(themselves), policy.bound - len(themselves)
+    tried, room = np.unique(themselves), policy.bound(len(sample_cost)) - len(themselves)
     if room <= 0:
-        return Batch((), f"{policy.bound} samples were taken, the most allowed")
+        return Batch((), f"{policy.bound(len(sample_cost))} samples were taken, the most allowed")
     allowed = np.ones(len(sample_cost), dtype=bool) if excluded is None else ~excluded
     untried = allowed.copy()
     untried[tried] = False

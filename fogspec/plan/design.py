@@ -164,10 +164,11 @@ def _adaptive(spec: Spec, admissible: Filtered, library: "PriorData | None") -> 
     left = math.inf if budget is None else max(budget, float(usd.min()))
     batch = initial_batch(offers, usd, left, library, spec.benchmark)
     samples = tuple(sample_on(offers.machine(row), why) for row, why in zip(batch.rows, batch.reasons, strict=True))
-    return Design(samples, (_later(spec.benchmark),))
+    return Design(samples, (_later(spec.benchmark, offers),))
 
 
-def _later(benchmark: Benchmark) -> str:
+def _later(benchmark: Benchmark, offers: Catalog) -> str:
+    from fogspec.catalog.instance_types import instance_types
     from fogspec.numerics.acquisition import Policy
 
     at_once = "one by one" if benchmark.batch_size in (None, 1) else f"{benchmark.batch_size} at once"
@@ -177,7 +178,8 @@ def _later(benchmark: Benchmark) -> str:
     if benchmark.volume is not None:
         requests = f"{benchmark.volume.requests:,.0f} requests"
         bounds.append(f"as long as the next is expected to save more than its price on {requests}")
-    most = f"{Policy().most} samples: there is no budget"
+    policy = Policy(worth=None if benchmark.volume is None else 1.0)
+    most = f"{policy.bound(len(instance_types(offers)))} samples: there is no budget"
     if benchmark.budget is not None:
         most = f"the budget of {units.format_money(benchmark.budget)}"
     bounds.append(f"never beyond {most}")

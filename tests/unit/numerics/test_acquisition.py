@@ -112,6 +112,11 @@ def test_other_limits_on_a_fitted_model_are_little_work():
     assert work_of(lambda: selected(posterior, asked(float(next(alphas)), max_latency_s=1.0)).best, 20) < 0.25
 
 
+def test_of_a_whole_catalog_a_tenth_may_be_measured():
+    assert [Policy().bound(machines) for machines in (20, 300, 850)] == [30, 30, 85]
+    assert Policy(worth=1.0).bound(850) == 300
+
+
 def test_for_a_volume_machines_count_that_the_model_rules_out(monkeypatch):
     at = [0, 6, 10, 17]
     posterior = prepare(MACHINES).fit(observations(at, TRUTH[at]))
