@@ -10,6 +10,8 @@ from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Strings, ranks
 from fogspec.numerics.kernels import Machines, codes
 
+MOST_KEYS = 10_000_000  # of types, counted rather than sorted
+
 
 @dataclass(frozen=True, slots=True)
 class InstanceTypes:
@@ -34,18 +36,31 @@ class InstanceTypes:
 
 def instance_types(offers: Catalog) -> InstanceTypes:
     """Return the types of these offers."""
-    key = np.zeros(len(offers), dtype=np.int64)
+    key, many = np.zeros(len(offers), dtype=np.int64), 1
     for column in (offers.cloud, offers.instance, offers.gpu, offers.gpu_count):
         rank = ranks(column)
-        key = key * (int(rank.max(initial=0)) + 1) + rank
-    order = np.lexsort((offers.spot, offers.price_usd_per_hour, key))
-    first = np.diff(key[order], prepend=-1) != 0
-    of = np.empty(len(offers), dtype=np.intp)
-    of[order] = np.cumsum(first) - 1
-    cheapest = order[first]
+        each = int(rank.max(initial=0)) + 1
+        key, many = (key * each + rank, many * each) if each > 1 else (key, many)
+    if many <= MOST_KEYS:
+        there = np.bincount(key, minlength=many) > 0
+        of = (np.cumsum(there) - 1)[key]
+    else:
+        of = np.unique(key, return_inverse=True)[1].ravel()
+    cheapest = _cheapest(of, offers)
     rows = offers.take(cheapest)
     columns = (rows.cloud.tolist(), rows.instance.tolist(), rows.gpu.tolist(), rows.gpu_count.tolist())
     return InstanceTypes(tuple(zip(*columns, strict=True)), machines_of(rows), of, cheapest)
+
+
+def _cheapest(of: NDArray[np.intp], offers: Catalog) -> NDArray[np.intp]:
+    """Return the offer (N,) of the lowest price of each type, on demand before spot, the first of equals."""
+    least = np.full(int(of.max(initial=-1)) + 1, np.inf)
+    np.minimum.at(least, of, offers.price_usd_per_hour)
+    rows = np.flatnonzero(offers.price_usd_per_hour == least[of])
+    rows = np.concatenate([rows[~offers.spot[rows]], rows[offers.spot[rows]]])
+    found = np.empty(len(least), dtype=np.intp)
+    found[of[rows[::-1]]] = rows[::-1]  # of several, the last one written stays
+    return found
 
 
 def machines_of(offers: Catalog) -> Machines:

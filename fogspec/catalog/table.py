@@ -176,6 +176,8 @@ def concatenated(catalogs: Sequence[Catalog], about: About) -> Catalog:
 
 def ranks(column: Strings | Floats) -> NDArray[np.int32]:
     """Return each row's rank among the distinct texts, in code point order, or numbers, none NaN, of the column."""
+    if len(column) and bool((column == column[0]).all()):
+        return np.zeros(len(column), dtype=np.int32)
     values = column.tolist()
     words = set(values)
     if len(words) == 1:

@@ -41,3 +41,18 @@ def test_a_measured_machine_that_is_not_offered_is_described_by_the_catalog():
     ] == gone.instance
     assert with_measured(some, [], catalog) is some
     assert len(concatenated([some], some.about)) == 25
+
+
+def test_of_equal_prices_on_demand_comes_first_then_the_first_offer(monkeypatch):
+    few = offers(12)
+    places = few.take(np.repeat(np.arange(12), 4))
+    places.price_usd_per_hour[:] = np.repeat(few.price_usd_per_hour, 4)
+    places.spot[:] = np.tile([True, False, False, True], 12)
+    found = instance_types(places)
+    assert sorted(found.offer.tolist()) == list(range(1, 48, 4))
+    monkeypatch.setattr("fogspec.catalog.instance_types.MOST_KEYS", 0)
+    many = instance_types(places)
+    assert many.keys == found.keys
+    assert np.array_equal(many.of, found.of)
+    assert np.array_equal(many.offer, found.offer)
+    assert len(instance_types(places.take(np.empty(0, dtype=np.intp)))) == 0
