@@ -34,6 +34,7 @@ def read(proc: Path = PROC, cpus: Path = CPUS) -> dict[str, Any]:
     if times := re.search(r"^cpu +(.*)$", stat, re.MULTILINE):
         ticks = [int(one) for one in times[1].split()[:8] if one.isdigit()]
         found["ticks"], found["stolen"] = sum(ticks), ticks[7] if len(ticks) == 8 else 0
+        found["waited"] = ticks[4] if len(ticks) > 4 else 0
     if running := re.search(r"^procs_running (\d+)$", stat, re.MULTILINE):
         # Without this process, which runs to read it.
         found["run_queue"] = max(0, int(running[1]) - 1)
@@ -41,11 +42,14 @@ def read(proc: Path = PROC, cpus: Path = CPUS) -> dict[str, Any]:
 
 
 def between(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
-    """Return the facts of the machine over a sample: those of its end, the fraction of CPU time stolen, and another CPU."""
-    found = {name: value for name, value in after.items() if name not in ("ticks", "stolen")}
+    """Return the facts of the machine over a sample: those of its end, the fractions of CPU time stolen and spent
+    waiting for disks, and another CPU.
+    """
+    found = {name: value for name, value in after.items() if name not in ("ticks", "stolen", "waited")}
     passed = after.get("ticks", 0) - before.get("ticks", 0)
     if passed > 0:
-        found["steal"] = round(min(1.0, max(0.0, (after["stolen"] - before["stolen"]) / passed)), 4)
+        for name, counter in (("steal", "stolen"), ("io_wait", "waited")):
+            found[name] = round(min(1.0, max(0.0, (after[counter] - before.get(counter, 0)) / passed)), 4)
     if before.get("cpu") != after.get("cpu"):
         found["cpu"], found["changed_to"] = before.get("cpu"), after.get("cpu")
     return {name: value for name, value in found.items() if value is not None}

@@ -2,12 +2,16 @@
 
     python3 agent.pyz sample --out DIR [--steps N] --after SECONDS --warmup N --startup SECONDS
                              [--precision P --statistic S] [--callback NAME] [--afterwards '<json argv>']
-                             [--progress] [--secret NAME ...] --process '<json argv>' [--process ...]
+                             [--progress] [--secret NAME ...] [--part NAME:VCPUS:BYTES ... --part-limit SECONDS
+                             [--only-parts]] --process '<json argv>' [--process ...]
 
 The processes find the probe module on PYTHONPATH and append one line of JSON per request to FOGSPEC_TIMINGS
 (DIR/timings.jsonl). Their output is kept without the values of secret variables. However the sample ends, DIR/outcome.json
 is written unless the agent itself is killed: state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s,
 duration_s, waited_s, requests, unreadable lines, and facts of the server.
+
+After a sample that was measured the same processes run once more for each part of the machine, confined to its vCPUs and
+memory; DIR/NAME has its timings and outcome, with `confined`. A part takes `--part-limit` at most, start included.
 """
 
 import argparse
@@ -21,9 +25,10 @@ import time
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from . import machine_facts, processes, redaction
+from .confinement import Confinement
 from .files import open_plain, read_tail, truncate
 from .shared_memory import SharedMemory
 from .stopping import TIMINGS_LIMIT, Timings
@@ -47,15 +52,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signals = processes.received_signals()
     started_s = time.monotonic()
     out = Path(options.out).absolute()
+    ok = options.only_parts or measure(options, out, signals, started_s)
+    for part in options.part if ok else ():
+        if not signals:
+            measure(options, out / part.name, signals, time.monotonic(), part)
+    return 0 if ok else 1
+
+
+def measure(
+    options: argparse.Namespace, out: Path, signals: list[int], started_s: float, part: "Part | None" = None
+) -> bool:
+    """Measure this machine, or a part of it, and write the outcome to `out`; return whether it was measured."""
     try:
+        if part is not None and out.is_symlink():
+            raise OSError(f"{part.name} is a link, which the processes made")
         out.mkdir(parents=True, exist_ok=True)
         reserve(out)
-        outcome = SampleRun(options, out, started_s, signals).run()
+        if part is None:
+            outcome = SampleRun(options, out, started_s, signals).run()
+        else:
+            startup_s, after_s = options.part_limit / 2, min(options.part_limit / 2, options.after)
+            limited = argparse.Namespace(**{**vars(options), "startup": startup_s, "after": after_s, "progress": False})
+            with Confinement(part.cpus, part.memory_bytes) as confinement:
+                outcome = SampleRun(limited, out, started_s, signals, confinement).run()
     except OSError as problem:
         outcome = {"state": "failed", "reason": "setup", "detail": f"the agent could not work: {problem}"}
     outcome["duration_s"] = time.monotonic() - started_s
     write_outcome(out, outcome)
-    return 0 if outcome["state"] == "ok" else 1
+    return bool(outcome["state"] == "ok")
+
+
+class Part(NamedTuple):
+    """A part of the machine to measure: its name, vCPUs and memory."""
+
+    name: str
+    cpus: int
+    memory_bytes: int
+
+    @classmethod
+    def parse(cls, text: str) -> "Part":
+        """Return the part in `half:2:4294967296`; raise ValueError for anything else."""
+        found = re.fullmatch(r"([a-z]{1,16}):([1-9][0-9]{0,4}):([1-9][0-9]{0,15})", text)
+        if found is None:
+            raise ValueError(text)
+        return cls(found[1], int(found[2]), int(found[3]))
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -71,6 +111,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--callback", help="count requests of this name only; without it, all")
     parser.add_argument("--afterwards", type=json.loads, help="writes the records once the processes have ended")
     parser.add_argument("--secret", action="append", default=[], help="a variable whose value is not to be printed")
+    parser.add_argument("--part", type=Part.parse, action="append", default=[], help="a part to measure afterwards")
+    parser.add_argument("--part-limit", type=float, default=0.0, help="longest time for each part")
+    parser.add_argument("--only-parts", action="store_true", help="the machine itself was measured before")
     parser.add_argument("--progress", action="store_true", help="print the number of requests now and then")
     parser.add_argument("--process", type=json.loads, action="append", required=True)
     options = parser.parse_args(arguments)
@@ -83,8 +126,16 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 class SampleRun:
     """One run of the processes, from their start to their end."""
 
-    def __init__(self, options: argparse.Namespace, out: Path, started_s: float, signals: list[int]) -> None:
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        out: Path,
+        started_s: float,
+        signals: list[int],
+        confinement: Confinement | None = None,
+    ) -> None:
         self.options, self.out, self.started_s, self.signals = options, out, started_s, signals
+        self.confinement = confinement
         self.children: list[subprocess.Popen[bytes]] = []
         self.output = redaction.Output(options.secret)
         self.shared_memory = SharedMemory()
@@ -97,14 +148,14 @@ class SampleRun:
     def run(self) -> dict[str, Any]:
         """Return the outcome, without its duration."""
         processes.adopt_orphans()
-        kills = processes.memory_kills()
+        kills = self._memory_kills()
         before = machine_facts.read()
         try:
             state, reason, detail, stopped_by = self._start() or self._watch()
             waited_s = self._waited_s(stopped_by)
             server = machine_facts.between(before, machine_facts.read())
         finally:
-            killed = processes.memory_kills() > kills
+            killed = self._memory_kills() > kills
             self.shared_memory.look(processes.descendants, again=True)
             processes.finish(self.children)
             self.shared_memory.remove()
@@ -129,7 +180,11 @@ class SampleRun:
             "requests": self.timings.requests,
             "unreadable": self.timings.unreadable,
             "server": server,
+            **({} if self.confinement is None else {"confined": self.confinement.facts()}),
         }
+
+    def _memory_kills(self) -> int:
+        return processes.memory_kills() + (0 if self.confinement is None else self.confinement.kills())
 
     def _waited_s(self, stopped_by: str | None) -> float | None:
         """Return the time since the last finished request.
@@ -150,8 +205,13 @@ class SampleRun:
             # In append mode a log can be truncated while its process writes to it.
             with open(self._log(number), "ab") as log:
                 try:
+                    words = processes.apart(argv)
                     child = self.output.start(
-                        processes.apart(argv), log, stdin=subprocess.DEVNULL, env=environment, start_new_session=True
+                        words if self.confinement is None else self.confinement.command(words),
+                        log,
+                        stdin=subprocess.DEVNULL,
+                        env=environment,
+                        start_new_session=True,
                     )
                 except OSError as problem:
                     return "failed", "setup", f"{argv[0]} cannot be started: {problem.strerror}", None

@@ -11,12 +11,14 @@ from typing import Any, Literal, TypeGuard, get_args
 
 from pydantic import ValidationError
 
-from fogspec.backends.protocol import DeploymentStatus
+from fogspec.backends.protocol import DeploymentStatus, Job, SampleStatus
 from fogspec.backends.skypilot.errors import plain
 from fogspec.base.files import open_untrusted
+from fogspec.base.project_files import LinkedPath
 from fogspec.base.units import UnitError
+from fogspec.plan.schema import PartName
 from fogspec.results.ranges import TIME_S
-from fogspec.results.schema import Reason, ServerFacts
+from fogspec.results.schema import Confined, Reason, ServerFacts
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {
     "starting": "starting",
@@ -44,6 +46,7 @@ class Outcome:
     waited_s: float | None = None
     duration_s: float | None = None
     server: ServerFacts | None = None
+    confined: Confined | None = None
 
     @property
     def measured_s(self) -> float | None:
@@ -76,7 +79,47 @@ def read_outcome(path: Path) -> Outcome | None:
         stopped_by=_short(values.get("stopped_by")),
         **times_s,
         server=server_facts(values.get("server")),
+        confined=_confined(values.get("confined")),
     )
+
+
+def part_statuses(job: Job) -> dict[PartName, SampleStatus]:
+    """Return the statuses of the parts of a job's machine that have an outcome."""
+    found: dict[PartName, SampleStatus] = {}
+    for one in job.parts:
+        folder = job.directory / "out" / one.part
+        outcome, timings = read_outcome(folder / "outcome.json"), folder / "timings.jsonl"
+        if outcome is not None:
+            found[one.part] = SampleStatus(
+                running=False,
+                timings=timings if _is_own(job, timings) else None,
+                measured_on=f"{job.machine_name}, confined to {one.machine.cpus:g} vCPUs and {one.machine.memory:g} GiB",
+                reason=outcome.reason,
+                detail=outcome.detail,
+                setup_s=outcome.setup_s,
+                measured_s=outcome.measured_s,
+                stopped_by=outcome.stopped_by,
+                waited_s=outcome.waited_s,
+                billed_s=outcome.duration_s,
+                server=outcome.server,
+                confined=outcome.confined,
+            )
+    return found
+
+
+def _is_own(job: Job, timings: Path) -> bool:
+    """Return whether the timings of a part are a plain file, and not beyond a link that the workload made."""
+    try:
+        return job.files.is_file(timings)
+    except LinkedPath:
+        return False
+
+
+def _confined(value: object) -> Confined | None:
+    try:
+        return Confined.model_validate(value, strict=True) if isinstance(value, dict) else None
+    except ValidationError:
+        return None
 
 
 def deployment_status(state: bytes, timings: bytes, address: str | None) -> DeploymentStatus:

@@ -5,7 +5,7 @@ way; they differ in the status that a poll returns.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Literal, Protocol, TypeVar
@@ -15,7 +15,8 @@ from fogspec.base.errors import CloudError
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
-from fogspec.results.schema import Measured, Reason, ServerFacts
+from fogspec.plan.schema import Part, PartName
+from fogspec.results.schema import Confined, Measured, Reason, ServerFacts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +32,7 @@ class Job:
 
     A sample's machine shuts itself down after `lifetime_s` seconds, even if its controller has died; a deployment has no
     lifetime. The machine may cost at most `cap_usd_per_hour`, without it its own price. `replicate` counts the samples on
-    the same type of machine.
+    the same type of machine; `parts` of the machine are measured after it.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Job:
     lifetime_s: float | None = None
     cap_usd_per_hour: float | None = None
     replicate: int = 1
+    parts: tuple[Part, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise ForeignMachine for a name that is not one of the owner's."""
@@ -84,7 +86,8 @@ class SampleStatus:
     that file is not here yet. Once `running` is False, everything worth keeping is in the job's directory, and every later
     poll, from any process, returns the same. `again` tells whether a retry can help. `lost` means that the outcome is unknown:
     the job was never started, or its results are out of reach; the sample is measured again. `recorded` is a record made
-    elsewhere that replaces `timings`, and `billed_s` the billed time if that is not the elapsed time.
+    elsewhere that replaces `timings`, and `billed_s` the billed time if that is not the elapsed time. `parts` are the statuses
+    of the parts of the machine that were measured after it, by their names; `confined` of a part is how it was held to it.
     """
 
     running: bool
@@ -103,6 +106,8 @@ class SampleStatus:
     recorded: Measured | None = None
     so_far: Partial | None = None
     server: ServerFacts | None = None
+    confined: Confined | None = None
+    parts: Mapping[PartName, "SampleStatus"] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleStatus
 from fogspec.base.files import read_bounded
+from fogspec.plan.schema import PartName
 from fogspec.results.io import PACKED_LIMIT, Recording, unpacked
 
 
@@ -26,7 +27,8 @@ class ReplaySamples:
         pace: float = 0.0,
         at_once: int = 64,
     ) -> None:
-        self._recordings = list(recordings)
+        self._recordings = [one for one in recordings if one.record.nested_in is None]
+        self._parts = [one for one in recordings if one.record.nested_in is not None]
         self.source = source
         self._now_s, self._pace = now_s, pace
         self.at_once = at_once
@@ -60,7 +62,26 @@ class ReplaySamples:
             measured_on=record.measured_on,
             billed_s=record.duration,
             recorded=None if running else record,
+            parts={} if running else self._recorded_parts(job, record.id),
         )
+
+    def _recorded_parts(self, job: Job, sample: str) -> dict[PartName, SampleStatus]:
+        """Return the parts of a job's machine that were recorded with that sample."""
+        found: dict[PartName, SampleStatus] = {}
+        for part in job.parts:
+            for one in self._parts:
+                where = one.record.nested_in
+                if where is not None and (where.sample, where.part) == (sample, part.part):
+                    timings = _unpacked(one, job, part.part)
+                    found[part.part] = SampleStatus(
+                        running=False,
+                        timings=timings,
+                        measured_on=one.record.measured_on,
+                        billed_s=one.record.duration,
+                        recorded=one.record,
+                        confined=where.confined,
+                    )
+        return found
 
     def stop(self, job: Job) -> None:
         """Do nothing: nothing runs, so nothing is left."""
@@ -85,9 +106,9 @@ class ReplaySamples:
         return next(islice(exact or anywhere, job.replicate - 1, None), None)
 
 
-def _unpacked(recording: Recording, job: Job) -> Path | None:
+def _unpacked(recording: Recording, job: Job, part: str = "") -> Path | None:
     if recording.timings is None:
         return None
-    path = job.directory / "timings.jsonl"
+    path = job.directory / part / "timings.jsonl"
     job.files.write(path, unpacked(read_bounded(recording.timings, PACKED_LIMIT), recording.timings))
     return path

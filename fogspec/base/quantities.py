@@ -3,9 +3,19 @@
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationInfo, WithJsonSchema
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    WithJsonSchema,
+    model_serializer,
+)
 
 from fogspec.base import units
 from fogspec.base.units import Range, UnitError
@@ -24,6 +34,17 @@ class Strict(BaseModel):
 
         # Without this mark pydantic would read documents through __init__ too, and bare numbers would pass.
         __init__.__pydantic_base_init__ = True
+
+
+class Lean(Strict):
+    """A model that leaves out what a later version added while it is not set: digests of older files stay valid."""
+
+    ADDED: ClassVar[frozenset[str]] = frozenset()
+
+    @model_serializer(mode="wrap")
+    def _without_unset(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        found: dict[str, Any] = dump(self)
+        return {name: value for name, value in found.items() if value or name not in self.ADDED}
 
 
 BASE_UNITS = {"base_units": True}

@@ -18,9 +18,10 @@ from fogspec.choice.next_samples import next_samples
 from fogspec.compile.plan_files import plan_file, task_file, with_substitutes, with_tasks
 from fogspec.numerics.priors import PriorData
 from fogspec.plan.initial_batch import NextBatch, batch_size
+from fogspec.plan.parts import with_parts
 from fogspec.plan.reuse import covers, plan_from_campaign
 from fogspec.plan.schema import Batch, Plan, Sample, Sampling, next_on, sample_on
-from fogspec.results.schema import Measured
+from fogspec.results.schema import Measured, own_records
 from fogspec.spec import fingerprints
 from fogspec.spec.lock_io import read_pins
 from fogspec.spec.lockfile import pinned, pins_of_measurement
@@ -111,7 +112,10 @@ class AdaptiveSampling:
         found = self._next_samples(left_usd)
         offers = self.filtered.offers
         taken = {*self.sink.samples, *(sample.id for batch in self._batches() for sample in batch.samples)}
-        samples = [next_on(offers.machine(row), why, taken) for row, why in zip(found.rows, found.reasons, strict=True)]
+        samples = [
+            with_parts(next_on(offers.machine(row), why, taken), offers, found.part_types(offers, number))
+            for number, (row, why) in enumerate(zip(found.rows, found.reasons, strict=True))
+        ]
         batches = [*self._batches(), *([Batch(reason=found.reason, samples=samples)] if samples else [])]
         out_of_budget = not samples and math.isfinite(left_usd) and bool(self._next_samples(math.inf).rows)
         self._record(batches, None if samples else found.reason, out_of_budget)
@@ -122,7 +126,7 @@ class AdaptiveSampling:
         offers, benchmark = self.filtered.offers, self.application.spec.benchmark
         records = list(self.sink.samples.values())
         types = len(np.unique(offers.instance))
-        batch = batch_size(benchmark, types, batches=len(self._batches()), samples=len(records))
+        batch = batch_size(benchmark, types, batches=len(self._batches()), samples=len(own_records(records)))
         if not batch:
             return NextBatch((), (), f"the wall time of {format_duration(benchmark.wall_time or 0.0)} is used up")
         return next_samples(
@@ -143,7 +147,7 @@ class AdaptiveSampling:
 
     def _paid_share(self, records: Sequence[Measured]) -> float:
         """Return the share of its longest time that a sample is expected to be paid for: as those measured so far."""
-        paid_s = [one.duration for one in records if one.state == "ok" and one.duration > 0]
+        paid_s = [one.duration for one in own_records(records) if one.state == "ok" and one.duration > 0]
         return min(math.fsum(paid_s) / len(paid_s) / self._paid_s, 1.0) if paid_s else 1.0
 
     def _batches(self) -> Sequence[Batch]:

@@ -6,7 +6,7 @@ between any two steps, and the next one resumes from the journal.
 """
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleBackend, SampleStatus, Unreachable
@@ -18,7 +18,7 @@ from fogspec.bench.record import make_record, within_attempt
 from fogspec.bench.retry import RetryPolicy, overdrawn
 from fogspec.bench.types import CampaignConfig, Event, EventKind, Queued, ResultsSink
 from fogspec.plan.schema import Sample, replicate
-from fogspec.results.schema import Measured
+from fogspec.results.schema import Measured, NestedIn
 
 IDLE_S = 0.5
 ABSENCE_S = 60.0  # without a look at any machine: this host was asleep
@@ -55,7 +55,7 @@ class Campaign:
         """
         for started, record in list(self.journal.state.unwritten.values()):
             if started.application == self.config.measured:
-                self._write(started, record)
+                self._write(started, record, self.journal.state.unwritten_parts.get(started.name, ()))
             else:
                 self.journal.written(started.name)
         for started in list(self.journal.state.open.values()):
@@ -136,6 +136,7 @@ class Campaign:
             machine=started.sample.machine,
             lifetime_s=started.lifetime_s,
             replicate=replicate(started.sample.id),
+            parts=tuple(started.sample.parts),
         )
 
     def _start_what_fits(self) -> None:
@@ -298,14 +299,26 @@ class Campaign:
         if substitute is not None:
             detail = filter(None, (record.detail, f"{substitute.id} takes its place"))
             record = record.model_copy(update={"detail": "; ".join(detail)})
+        parts = [] if end.parts and record.state != "ok" else list(self._parts(started.sample, end, record))
         record = self.sink.keep(record, end.timings)
-        self.journal.end(started.name, record.spent, record, self.clock)
-        self._write(started, record)
+        self.journal.end(started.name, record.spent, record, self.clock, parts)
+        self._write(started, record, parts)
         if substitute is not None:
             self.queue.append(Queued(substitute, substitute_for=root))
 
-    def _write(self, started: LaunchRecord, record: Measured) -> None:
+    def _parts(self, sample: Sample, end: SampleStatus, record: Measured) -> Iterator[Measured]:
+        """Yield the records of the parts of its machine, with their raw timings kept."""
+        for part in sample.parts:
+            if (status := end.parts.get(part.part)) is None:
+                continue
+            found = make_record(sample.nested(part), status, self.config.rules, status.billed_s or 0.0, 0.0)
+            where = NestedIn(sample=sample.id, machine=sample.machine, part=part.part, confined=status.confined)
+            yield self.sink.keep(found.model_copy(update={"nested_in": where}), status.timings)
+
+    def _write(self, started: LaunchRecord, record: Measured, parts: Sequence[Measured] = ()) -> None:
         self.sink.put(record, self.journal.state.spent_usd)
+        for part in parts:
+            self.sink.put(part, self.journal.state.spent_usd)
         self.journal.written(started.name)
         self._report(started.sample, EventKind.DONE, self.running.get(started.name), record=record)
 

@@ -6,14 +6,14 @@ last line, which describes nothing that had happened yet and is cut off. Entries
     campaign  a bench begins: runner, and what had been spent on the results file until then
     start     about to start a machine: its name, its sample, price, lifetime and the clock's reading
     outlived  that machine is still there though its longest time is over
-    end       that machine is verified gone: what it cost and, unless it is tried again, its record
+    end       that machine is verified gone: what it cost and, unless it is tried again, its record and those of its parts
     written   that record is in the results file
 """
 
 import contextlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -83,6 +83,7 @@ class JournalState:
     open: dict[str, LaunchRecord] = field(default_factory=dict)
     ended: dict[str, LaunchRecord] = field(default_factory=dict)
     unwritten: dict[str, tuple[LaunchRecord, Measured]] = field(default_factory=dict)
+    unwritten_parts: dict[str, list[Measured]] = field(default_factory=dict)
     totals: dict[str, float] = field(default_factory=dict)
     runner: str = ""
     campaign: dict[str, Any] | None = None
@@ -129,8 +130,11 @@ class JournalState:
             self.totals[self.runner] = round(self.spent_usd + _amount(entry["spent_usd"]), 9)
             if entry["record"] is not None:
                 self.unwritten[started.name] = started, Measured.model_validate(entry["record"])
+                if parts := entry.get("parts"):
+                    self.unwritten_parts[started.name] = [Measured.model_validate(one) for one in parts]
         elif kind == "written":
             del self.unwritten[entry["name"]]
+            self.unwritten_parts.pop(entry["name"], None)
         else:
             raise ValueError(kind)
 
@@ -242,11 +246,22 @@ class Journal:
         self.append(do="outlived", name=name)
         return self.state.open[name]
 
-    def end(self, name: str, spent_usd: float, record: Measured | None, clock: Clock | None = None) -> None:
-        """Record that a machine is verified gone, now; without a record its sample is measured again."""
+    def end(
+        self,
+        name: str,
+        spent_usd: float,
+        record: Measured | None,
+        clock: Clock | None = None,
+        parts: Sequence[Measured] = (),
+    ) -> None:
+        """Record that a machine is verified gone, now; without a record its sample is measured again.
+
+        It is paid once: `parts` of it, whose records are kept with its own, cost nothing more.
+        """
         dumped = None if record is None else record.model_dump(mode="json")
         now = {} if clock is None else {"at_s": clock.now_s(), "at_unix_s": clock.unix_s(), "boot": clock.boot()}
-        self.append(do="end", name=name, spent_usd=spent_usd, record=dumped, **now)
+        beside = {"parts": [one.model_dump(mode="json") for one in parts]} if parts else {}
+        self.append(do="end", name=name, spent_usd=spent_usd, record=dumped, **now, **beside)
 
     def written(self, name: str) -> None:
         """Record that the sample is in the results file."""

@@ -1,6 +1,6 @@
 """The results file while a benchmark runs: rewritten with its checksum after every sample."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -82,7 +82,7 @@ class ResultsFile:
         place = {name: number for number, name in enumerate(self.sample_ids)}
         ordered = sorted(
             self.samples.values(),
-            key=lambda r: (place.get(r.substitute_for or r.id, len(place)), r.substitute_for is not None, r.id),
+            key=lambda r: (*_place(r, place, self.samples), r.id),
         )
         body = ResultsBody(
             application=self.application,
@@ -108,6 +108,14 @@ class ResultsFile:
         self.layout.files.write_yaml(
             self.layout.results, self.results().model_dump(mode="json", exclude_none=True), made
         )
+
+
+def _place(record: Measured, place: Mapping[str, int], known: Mapping[str, Measured]) -> tuple[int, bool, bool, float]:
+    """Return the place of a record: a substitute's is after what it replaces, a part's after its machine, largest first."""
+    nested = record.nested_in
+    own = record if nested is None else known.get(nested.sample, record)
+    at = place.get(own.substitute_for or own.id, len(place))
+    return at, own.substitute_for is not None, nested is not None, -record.machine.cpus if nested is not None else 0.0
 
 
 def set_aside(layout: Layout) -> Path:

@@ -26,7 +26,8 @@ def interval_of(predictions: Predictions, row: int) -> tuple[float, float] | Non
 class PlottedMachine:
     """A machine that is drawn individually; `y` is the latency in seconds, or the metric that replaces it.
 
-    `role` labels a highlighted machine, and `words` describes it in the list of highlighted machines.
+    `role` labels a highlighted machine, and `words` describes it in the list of highlighted machines. One that was measured on
+    a part of a larger machine is `nested_in` that.
     """
 
     name: str
@@ -36,6 +37,7 @@ class PlottedMachine:
     low: float | None = None
     high: float | None = None
     measured: bool = False
+    nested_in: str | None = None
     on_front: bool = False
     on_hourly_front: bool = False
     role: str = ""

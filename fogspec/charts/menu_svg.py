@@ -136,6 +136,7 @@ def _machines(choice: Choice, metric: str | None) -> list[PlottedMachine]:
                 low=low,
                 high=high,
                 measured=bool(predictions.measured[row]),
+                nested_in=predictions.where_nested(row),
                 on_front=row in fronts[0],
                 on_hourly_front=row in fronts[1],
                 role=roles.get(row, ""),
@@ -249,7 +250,14 @@ def _dot(found: Frame, machine: PlottedMachine, view: View, words: Callable[[flo
     bar = (found.y.clipped(machine.low), found.y.clipped(machine.high)) if machine.low and machine.high else None
     title = (
         f"{machine.name}: {words(machine.y)}, {short_dollars(machine.cost_usd_per_request)} per request, "
-        f"{short_dollars(machine.price_usd_per_hour)} per hour" + (", measured" if machine.measured else "")
+        f"{short_dollars(machine.price_usd_per_hour)} per hour"
+        + (
+            ", measured"
+            if machine.measured
+            else ""
+            if machine.nested_in is None
+            else f", measured on {machine.nested_in}"
+        )
     )
     return Dot(
         x=found.x.at(getattr(machine, view.x)),

@@ -47,6 +47,7 @@ class Sample:
     latency_s: float
     low_s: float | None = None
     high_s: float | None = None
+    nested_in: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,6 +159,7 @@ def _sample(one: Observation) -> Sample:
         latency,
         latency * math.exp(-t * error),
         latency * math.exp(t * error),
+        one.nested_in,
     )
 
 
@@ -225,8 +227,10 @@ def _frame(panel: Panel, top: float, y_label: str) -> Frame:
     for one in sorted(panel.samples, key=lambda s: (s.vcpus, s.latency_s, s.name)):
         bar = (found.y.clipped(one.low_s), found.y.clipped(one.high_s)) if one.low_s and one.high_s else None
         title = f"{one.name}: {one.vcpus:g} vCPUs, {seconds(one.latency_s)}, measured"
+        title += "" if one.nested_in is None else f" on {one.nested_in}, not itself"
+        kind = "measured" if one.nested_in is None else "predicted"
         found.dots.append(
-            Dot(x=x.at(one.vcpus), y=found.y.at(one.latency_s), kind="measured", radius=4.2, title=title, bar=bar)
+            Dot(x=x.at(one.vcpus), y=found.y.at(one.latency_s), kind=kind, radius=4.2, title=title, bar=bar)
         )
     found.remark = panel.curve_words
     return found

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base import units
-from fogspec.base.quantities import Cost, Duration, Strict
+from fogspec.base.quantities import Cost, Duration, Lean, Strict
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
@@ -28,8 +28,11 @@ class MetricValue(Strict):
     unit: str | None
 
 
-class Entry(ListedMachine):
-    """A machine on the menu: what it is, what is expected of it, and whether it meets every limit."""
+class Entry(ListedMachine, Lean):
+    """A machine on the menu: what it is, what is expected of it, and whether it meets every limit.
+
+    One that is `nested_in` a part of a larger machine was measured there, and not itself.
+    """
 
     latency: Duration
     interval: tuple[Duration, Duration] | None
@@ -38,10 +41,22 @@ class Entry(ListedMachine):
     month: str
     objective: float
     measured: bool
+    nested_in: str | None = None
     extrapolated: bool
     probability: float | None
     meets: bool
     why_not: str | None
+
+    ADDED = frozenset({"nested_in"})
+
+    @property
+    def how(self) -> str:
+        """Return how its latency is known: `measured`, where it was measured instead, `extrapolated`, or nothing."""
+        if self.measured:
+            return "measured"
+        if self.nested_in is not None:
+            return f"measured on {self.nested_in}, not on {self.instance} itself"
+        return "extrapolated" if self.extrapolated else ""
 
 
 class Limit(Strict):
@@ -145,6 +160,7 @@ def entry_of(choice: Choice, row: int) -> Entry:
         month=f"${choice.rule.costs.usd_per_month[row]:.2f}/month",
         objective=rounded(float(choice.objective[row])),
         measured=bool(choice.latency.measured[row]),
+        nested_in=choice.latency.where_nested(row),
         extrapolated=bool(choice.latency.extrapolated[row]),
         probability=_probability(choice, row),
         meets=bool(choice.feasible[row]),

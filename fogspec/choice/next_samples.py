@@ -16,7 +16,7 @@ from fogspec.model.predict import PredictionSet, predict_from
 from fogspec.numerics.acquisition import Policy, expected_gains, propose_batch
 from fogspec.numerics.priors import PriorData
 from fogspec.numerics.surrogate import Posterior
-from fogspec.plan.initial_batch import NextBatch, SampleCosts, initial_batch, next_batch
+from fogspec.plan.initial_batch import NextBatch, SampleCosts, initial_batch, next_batch, parts_of
 from fogspec.results.schema import Measured
 from fogspec.spec.schema import Application
 
@@ -46,7 +46,8 @@ def next_samples(
     predicted = predict_from(
         known=known, unusable=unusable, offers=offers, targets=targets(application), catalog=None, library=library
     )
-    state = _State.of(application, predicted, [one.machine for one in unusable], usd_per_sample, excluded)
+    failed = [one.machine for one in unusable if one.nested_in is None]
+    state = _State.of(application, predicted, failed, usd_per_sample, excluded)
     if not any(one.machine.infra != "local" for one in known):
         return state.again(left_usd, library)
     return state.improving(left_usd, batch, paid_share)
@@ -137,7 +138,8 @@ class _State:
             return NextBatch((), (), "every machine was tried or is ruled out, and none could be measured")
         offers, benchmark = self.predicted.offers.take(rows), self.application.spec.benchmark
         found = initial_batch(offers, self.costs.usd[~self.excluded], left_usd, library, benchmark)
-        return NextBatch(tuple(int(rows[row]) for row in found.rows), found.reasons, found.reason)
+        parts = tuple(tuple(int(rows[row]) for row in some) for some in found.parts)
+        return NextBatch(tuple(int(rows[row]) for row in found.rows), found.reasons, found.reason, parts)
 
     def improving(self, left_usd: float, batch: int, paid_share: float) -> NextBatch:
         """Return the batch of the largest expected improvement, else the choice if it was not measured."""
@@ -153,6 +155,7 @@ class _State:
             left=left_usd,
             policy=Policy(batch=batch, worth=None if worth is None else worth / paid_share),
             excluded=self.excluded,
+            nested=parts_of(self.application.spec.benchmark, self.predicted.types),
         )
         if found.machines:
             of = zip(found.machines, found.gains, strict=True)

@@ -235,7 +235,9 @@ def _caveats_of_machine(choice: Choice, row: int) -> list[str]:
     if choice.latency.extrapolated[row]:
         found.append(f"extrapolated: {name} lies outside the vCPUs, memory and kinds of machine that were sampled")
     if not choice.latency.measured[row]:
-        found.append(f"not verified: {name} was not measured, its latency is predicted")
+        where = choice.latency.where_nested(row)
+        how = "was not measured, its latency is predicted" if where is None else f"was measured on {where}, not itself"
+        found.append(f"not verified: {name} {how}")
     return found
 
 

@@ -8,7 +8,7 @@ from pydantic import field_serializer
 
 from fogspec import __version__
 from fogspec.base import units
-from fogspec.base.quantities import Cost, Duration, Memory, Price, Strict
+from fogspec.base.quantities import Cost, Duration, Lean, Memory, Price, Strict
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
@@ -56,7 +56,7 @@ class Pinned(ListedMachine):
         return [node.model_dump(mode="json", exclude_defaults=True) for node in nodes]
 
 
-class ExpectedLatency(Strict):
+class ExpectedLatency(Lean):
     """Latency of one request: predicted, its interval at `level`, and the probability that the limit is met."""
 
     statistic: Statistic
@@ -67,7 +67,10 @@ class ExpectedLatency(Strict):
     network_allowance: Duration
     probability_met: float | None
     measured: bool
+    nested_in: str | None = None
     extrapolated: bool
+
+    ADDED = frozenset({"nested_in"})
 
 
 class ExpectedLimits(Strict):
@@ -347,6 +350,7 @@ def _expected(application: Application, choice: Choice, row: int, entry: Entry) 
             network_allowance=spec.constraints.network_allowance,
             probability_met=None if probability is None else round(probability, 3),
             measured=entry.measured,
+            nested_in=entry.nested_in,
             extrapolated=entry.extrapolated,
         ),
         cost=ExpectedCost(

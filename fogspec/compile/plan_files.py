@@ -12,7 +12,8 @@ from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered
 from fogspec.compile.tasks import left_out, measured_processes, ros_environment, sample_task
-from fogspec.plan.schema import Plan, Sample, TaskRef
+from fogspec.plan.commitment import PART_S
+from fogspec.plan.schema import Part, Plan, Sample, TaskRef
 from fogspec.plan.substitutes import substitutes
 from fogspec.results.schema import Results
 from fogspec.spec.probe import name_of, probe_parts
@@ -68,7 +69,8 @@ def sample_task_of(application: Application, plan: Plan, sample: Sample, layout:
     run = render(
         "run_sample.sh.j2",
         **ros,
-        limits=[*_limits(application, plan), *secrets],
+        limits=[*_limits(application, plan), *(["--part-limit", f"{PART_S:g}"] if sample.parts else []), *secrets],
+        parts=[_part(one) for one in sample.parts],
         lifetime_s=body.commitment.lifetime_s,
         processes=measured_processes(application.spec),
     )
@@ -81,6 +83,11 @@ def sample_task_of(application: Application, plan: Plan, sample: Sample, layout:
         setup=_setup_script(ros),
         run=run,
     )
+
+
+def _part(one: Part) -> str:
+    """Return a part as the agent takes it: its name, vCPUs and bytes of memory."""
+    return f"{one.part}:{int(one.machine.cpus)}:{int(one.machine.memory * 2**30)}"
 
 
 def _setup_script(ros: Mapping[str, Any]) -> str | None:

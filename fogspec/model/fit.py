@@ -13,10 +13,11 @@ from typing import Literal
 import numpy as np
 
 from fogspec.base.clouds import LOCAL
-from fogspec.base.quantities import Duration, Strict
+from fogspec.base.quantities import Duration, Lean, Strict
 from fogspec.catalog.machine import Machine
 from fogspec.numerics import families
 from fogspec.numerics.families import Fit, fit_all
+from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.surrogate import VERSION
 from fogspec.plan.schema import PlanMetadata
 from fogspec.results.ranges import LATENCY_S
@@ -76,16 +77,22 @@ class Model(Strict):
         return families.Shape(self.cpu_family, self.memory_family)
 
 
-class Observation(Strict):
-    """A machine that was measured: its values by target, and the latency's relative standard error, null if it is unknown."""
+class Observation(Lean):
+    """A machine that was measured: its values by target, and the latency's relative standard error, null if it is unknown.
+
+    One that is `nested_in` a larger machine was measured on a part of it, and not itself (ADR 0025).
+    """
 
     id: str
     machine: Machine
     values: dict[str, float]
     error: float | None
+    nested_in: str | None = None
+
+    ADDED = frozenset({"nested_in"})
 
 
-class RejectedSample(Strict):
+class RejectedSample(Lean):
     """A sample without a value, and why.
 
     `excludes_machine`: the machine itself failed; `out_of_memory`: it ran out of memory, so machines with no more memory are
@@ -98,6 +105,9 @@ class RejectedSample(Strict):
     excludes_machine: bool
     out_of_memory: bool = False
     latency_lower_bound: Duration | None = None
+    nested_in: str | None = None
+
+    ADDED = frozenset({"nested_in"})
 
 
 class Predictor(Strict):
@@ -175,7 +185,10 @@ def targets(application: Application) -> list[str]:
 
 def _observation(record: Measured, statistic: Statistic) -> Observation | RejectedSample:
     # A run that answered nothing waited for its first request: that request takes longer than it waited.
-    waited = record.latency_lower_bound if record.latency is None and record.latency_lower_bound else None
+    nested = record.nested_in
+    waited = (
+        record.latency_lower_bound if record.latency is None and record.latency_lower_bound and not nested else None
+    )
 
     def unusable(why: str, unfit: bool) -> RejectedSample:
         return RejectedSample(
@@ -184,17 +197,23 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
             reason=why,
             excludes_machine=unfit,
             latency_lower_bound=waited,
-            out_of_memory=record.reason == "out_of_memory",
+            out_of_memory=record.reason == "out_of_memory" and nested is None,
+            nested_in=None if nested is None else nested.label,
         )
 
     if record.state != "ok" or record.latency is None:
         reason = (record.reason or record.state).replace("_", " ")
-        unfit = record.state == "timeout" or record.reason in (
-            "crash",
-            "out_of_memory",
-            "no_response",
-            "check",
-            "out_of_range",
+        # What fails in a part of a machine may run on a machine of that size.
+        unfit = record.nested_in is None and (
+            record.state == "timeout"
+            or record.reason
+            in (
+                "crash",
+                "out_of_memory",
+                "no_response",
+                "check",
+                "out_of_range",
+            )
         )
         return unusable(f"{reason}: {record.detail}" if record.detail else reason, unfit)
     value = getattr(record.latency, statistic)
@@ -203,15 +222,27 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
     if not LATENCY_S.holds(value):
         return unusable(f"a latency of {value:g} s is no latency", unfit=False)
     values = {"latency": value, **record.metrics}
-    return Observation(id=record.id, machine=record.machine, values=values, error=_error(record, statistic))
+    return Observation(
+        id=record.id,
+        machine=record.machine,
+        values=values,
+        error=_error(record, statistic),
+        nested_in=None if nested is None else nested.label,
+    )
 
 
 def _error(record: Measured, statistic: Statistic) -> float | None:
     """Return the relative standard error of the statistic as a figure for all machines of the type; None if it is unknown."""
     latency = record.latency
-    if latency is None or latency.sd is None:
+    known = latency is not None and latency.sd is not None
+    if not known and record.nested_in is None:
         return None
-    own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(max(record.requests, 1))
+    own = DEFAULT_NOISE
+    if latency is not None and latency.sd is not None:
+        own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(max(record.requests, 1))
+    if record.nested_in is not None and record.server is not None:
+        # What the machine lost to others and to disks, a machine of that size may not lose.
+        own = math.hypot(own, (record.server.steal or 0.0) + (record.server.io_wait or 0.0))
     # Beyond this the sample says nothing, whatever more it could.
     return _to(5, min(math.hypot(own, SERVER_ERROR), MOST_ERROR))
 

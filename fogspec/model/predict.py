@@ -7,7 +7,7 @@ elsewhere are: from them the families' curves are read, marked as extrapolated a
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.model.fit import Model, Models, Observation, RejectedSample
 from fogspec.numerics import families
-from fogspec.numerics.observations import observations
+from fogspec.numerics.nested import learnt_factor, nested_error
+from fogspec.numerics.observations import DEFAULT_NOISE, observations
 from fogspec.numerics.priors import PriorData, prior_for
 from fogspec.numerics.surrogate import Posterior, Space, prepare
 
@@ -33,6 +34,8 @@ class Predictions:
     Types are `measured` if a machine of the type was measured, `extrapolated` outside of the sampled range, and `unfit` if a
     machine of the type failed, or one with at least as much memory ran out of it. Without a posterior there are only values.
 
+    `nested_in` names, by type, the part of a larger machine that a type was measured on, which was not measured itself.
+
     `ranges` is the posterior of the prediction intervals: for the latency that of another server of each type, because the
     machine that is deployed is not the one that was measured. Probabilities and the choice are about the types.
     """
@@ -43,6 +46,7 @@ class Predictions:
     unfit: Mask
     type_index: NDArray[np.intp]
     posterior: Posterior | None
+    nested_in: Mapping[int, str] = field(default_factory=dict)
     varies_by_server: bool = False
 
     @classmethod
@@ -97,6 +101,10 @@ class Predictions:
         own = self.ranges.take(self.type_index[[row]])
         return float(own.quantile((1 - level) / 2)[0]), float(own.quantile((1 + level) / 2)[0])
 
+    def where_nested(self, row: int) -> str | None:
+        """Return the part of a larger machine that an offer was measured on, and not itself; None for other offers."""
+        return self.nested_in.get(int(self.type_index[row]))
+
     def probability_below(self, row: int, bound: float) -> float | None:
         """Probability that one offer's true value is at most `bound`, None where the model cannot say."""
         if self.posterior is None or not math.isfinite(self.value[row]):
@@ -142,8 +150,17 @@ class PredictionSpace:
         unfit[[self.place[one.machine.type_key] for one in unusable if one.excludes_machine]] = True
         of = self.types.of[: len(self.offers)]
         found = {name: _conditioned(self.space, self.place, known, unusable, name) for name in targets}
+        itself = {one.machine.type_key for one in known if one.nested_in is None}
+        nested = {
+            self.place[one.machine.type_key]: one.nested_in
+            for one in known
+            if one.nested_in is not None and one.machine.type_key not in itself
+        }
         return PredictionSet(
-            self.offers, self.types, {name: _predictions(name, one, unfit, of) for name, one in found.items()}, self
+            self.offers,
+            self.types,
+            {name: replace(_predictions(name, one, unfit, of), nested_in=nested) for name, one in found.items()},
+            self,
         )
 
 
@@ -210,18 +227,39 @@ def _conditioned(
     if not values:
         return None
     bounds = [one for one in unusable if one.latency_lower_bound] if target == "latency" else []
+    at = [place[one.machine.type_key] for one in values]
+    expected = nested_error(space.machines)[at]
+    factor = _learnt(values, expected, target)
+    errors = [_error(one, target, factor * more) for one, more in zip(values, expected.tolist(), strict=True)]
     return space.fit(
         observations(
-            [place[one.type_key] for one in (*(v.machine for v in values), *(b.machine for b in bounds))],
+            [*at, *(place[one.machine.type_key] for one in bounds)],
             [*(one.values[target] for one in values), *(one.latency_lower_bound or 0.0 for one in bounds)],
-            [*(_error(one, target) for one in values), *(math.nan for _ in bounds)],
+            [*errors, *(math.nan for _ in bounds)],
             [*(False for _ in values), *(True for _ in bounds)],
+            [*(one.nested_in is not None for one in values), *(False for _ in bounds)],
         )
     )
 
 
-def _error(one: Observation, target: str) -> float:
-    return math.nan if target != "latency" or one.error is None else one.error
+def _error(one: Observation, target: str, nested: float) -> float:
+    """Return the relative standard error of a target, NaN if it is unknown; `nested` is what being a part of a machine adds."""
+    own = math.nan if target != "latency" or one.error is None else one.error
+    return own if one.nested_in is None else math.hypot(DEFAULT_NOISE if math.isnan(own) else own, nested)
+
+
+def _learnt(values: Sequence[Observation], expected: Floats, target: str) -> float:
+    """Return the factor on the errors of nested measurements, from the types that were measured both ways."""
+    own: dict[TypeKey, list[float]] = {}
+    for one in values:
+        if one.nested_in is None:
+            own.setdefault(one.machine.type_key, []).append(math.log(one.values[target]))
+    pairs = [
+        (math.log(one.values[target]) - math.fsum(both) / len(both), more)
+        for one, more in zip(values, expected.tolist(), strict=True)
+        if one.nested_in is not None and (both := own.get(one.machine.type_key))
+    ]
+    return learnt_factor([deviation for deviation, _ in pairs], [error for _, error in pairs])
 
 
 def _predictions(target: str, posterior: Posterior | None, unfit: Mask, type_index: NDArray[np.intp]) -> Predictions:

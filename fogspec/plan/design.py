@@ -26,6 +26,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import About, Catalog, Floats, ranks
 from fogspec.numerics.design import Cell, Grid, edge_grid
 from fogspec.plan.commitment import Commitment
+from fogspec.plan.parts import nested_notes, with_parts
 from fogspec.plan.schema import (
     NO_PINS,
     ApplicationRef,
@@ -101,6 +102,7 @@ def plan_of(
         hardware=spec.hardware,
         infra=spec.infra,
         sampler=sampler,
+        shapes="nested" if benchmark.shapes == "nested" else None,
         requests=stop.requests,
         duration=stop.duration,
         warmup=benchmark.warmup,
@@ -125,6 +127,9 @@ def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "PriorDa
     """
     if spec.benchmark.machines:
         found = _listed(spec, catalog, admissible)
+        if commitment(spec).nested:
+            samples = tuple(with_parts(one, catalog) for one in found.samples)
+            found = Design(samples, (*found.notes, *nested_notes(samples, commitment(spec))))
     elif spec.benchmark.sampler == "adaptive":
         found = _adaptive(spec, admissible, library)
     else:
@@ -150,7 +155,7 @@ def max_cost_usd(spec: Spec, price_usd_per_hour: Floats) -> Floats:
 
 def commitment(spec: Spec) -> Commitment:
     """Return the times that a sample of this spec is paid for at most."""
-    return Commitment(measuring_s=spec.benchmark.stop.duration, setup_s=spec.benchmark.setup_timeout)
+    return Commitment.of(spec.benchmark)
 
 
 def _adaptive(spec: Spec, admissible: Filtered, library: "PriorData | None") -> Design:
@@ -163,8 +168,12 @@ def _adaptive(spec: Spec, admissible: Filtered, library: "PriorData | None") -> 
     usd = max_cost_usd(spec, offers.price_usd_per_hour)
     left = math.inf if budget is None else max(budget, float(usd.min()))
     batch = initial_batch(offers, usd, left, library, spec.benchmark)
-    samples = tuple(sample_on(offers.machine(row), why) for row, why in zip(batch.rows, batch.reasons, strict=True))
-    return Design(samples, (_later(spec.benchmark, offers),))
+    samples = tuple(
+        with_parts(sample_on(offers.machine(row), why), offers, batch.part_types(offers, i))
+        for i, (row, why) in enumerate(zip(batch.rows, batch.reasons, strict=True))
+    )
+    nested = nested_notes(samples, commitment(spec)) if commitment(spec).nested else ()
+    return Design(samples, (_later(spec.benchmark, offers), *nested))
 
 
 def _later(benchmark: Benchmark, offers: Catalog) -> str:

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from fogspec.catalog.instance_types import InstanceTypes, instance_types
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.numerics.acquisition import Batch, Policy, initial_design
+from fogspec.numerics.nested import Parts
 from fogspec.numerics.observations import observations
 from fogspec.numerics.priors import PriorData, prior_for
 from fogspec.numerics.surrogate import prepare
+from fogspec.plan.commitment import PART_S, Commitment
 from fogspec.spec.schema import Benchmark
 
 MOST_EXPECTED = 20  # samples of a campaign; of few instance types half as many as there are
@@ -20,11 +22,19 @@ MOST_EXPECTED = 20  # samples of a campaign; of few instance types half as many 
 
 @dataclass(frozen=True, slots=True)
 class NextBatch:
-    """Offers to measure together, with a reason for each; none if sampling ends, and `reason` is why."""
+    """Offers to measure together, with a reason for each; none if sampling ends, and `reason` is why.
+
+    `parts` of each are the rows of the offers that parts of its machine stand for, to be measured with it.
+    """
 
     rows: tuple[int, ...]
     reasons: tuple[str, ...]
     reason: str
+    parts: tuple[tuple[int, ...], ...] = ()
+
+    def part_types(self, offers: Catalog, number: int) -> set[str]:
+        """Return the instance types that parts of the machine with this number in the batch stand for."""
+        return {str(offers.instance[row]) for row in self.parts[number]} if self.parts else set()
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +63,7 @@ def batch_size(benchmark: Benchmark, types: int, *, batches: int = 0, samples: i
     usual = (benchmark.batch_size or 1) if batches else first
     if benchmark.wall_time is None:
         return usual
-    room = math.floor(benchmark.wall_time / (benchmark.setup_timeout + benchmark.stop.duration) + 1e-9) - batches
+    room = math.floor(benchmark.wall_time / Commitment.of(benchmark).wall_s + 1e-9) - batches
     if room <= 0:
         return 0
     if batches and benchmark.batch_size is not None:
@@ -74,7 +84,8 @@ def initial_batch(
     prior = None if library is None else prior_for(library, types.names, types.machines)
     posterior = prepare(types.machines, prior).fit(observations([], []))
     count = None if benchmark is None else batch_size(benchmark, len(types))
-    batch = initial_design(posterior, sample_cost=costs.usd, left=left_usd, count=count)
+    nested = None if benchmark is None else parts_of(benchmark, types)
+    batch = initial_design(posterior, sample_cost=costs.usd, left=left_usd, count=count, nested=nested)
     reasons = ["one of the first: together they say most about all machines for their price"] * len(batch.machines)
     return next_batch(batch, costs, reasons, left_usd)
 
@@ -84,4 +95,13 @@ def next_batch(batch: Batch, costs: SampleCosts, reasons: Sequence[str], left_us
     why = batch.reason
     if not batch.machines and left_usd < costs.usd.min(initial=np.inf):
         why = f"the cheapest sample may cost ${costs.usd.min():.4g}, and ${left_usd:.4g} of the budget is left"
-    return NextBatch(tuple(int(costs.row[one]) for one in batch.machines), tuple(reasons), why)
+    parts = tuple(tuple(int(costs.row[one]) for one in some) for some in batch.parts)
+    return NextBatch(tuple(int(costs.row[one]) for one in batch.machines), tuple(reasons), why, parts)
+
+
+def parts_of(benchmark: Benchmark, types: InstanceTypes) -> Parts | None:
+    """Return the parts of these types and what one adds to the price of a sample; None if only machines are measured."""
+    if benchmark.shapes == "own":
+        return None
+    each = Commitment.of(benchmark)
+    return Parts.of(types.machines, PART_S / (each.paid_s - each.parts_s))

@@ -39,6 +39,7 @@ def reuse_plan(
         and body.pins == dict(pins)
         and (body.sampler, body.requests, body.duration, body.warmup, body.setup_timeout)
         == (benchmark.sampler, stop.requests, stop.duration, benchmark.warmup, benchmark.setup_timeout)
+        and (body.shapes or "own") == benchmark.shapes
         and contains(body.hardware, body.infra, spec.hardware, spec.infra)
     )
     if not same:
@@ -58,7 +59,7 @@ def plan_from_campaign(
     Its search space is the one that they were chosen from, as long as that contains the spec's.
     """
     samples = [
-        Sample(id=one.id, machine=_repriced(one.machine, catalog), reason=one.reason)
+        one.model_copy(update={"machine": _repriced(one.machine, catalog), "task": None})
         for batch in sampling.batches
         for one in batch.samples
     ]

@@ -12,13 +12,15 @@ from pydantic import Field
 
 from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
-from fogspec.base.quantities import Duration, Id, Money, Strict
+from fogspec.base.quantities import Duration, Id, Lean, Money, Strict
 from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import Commitment
 from fogspec.spec.schema import Hardware, Name
 
 Sampler = Literal["grid", "adaptive", "list"]
+PartName = Literal["half", "quarter", "eighth"]
+Nested = Literal["nested"]
 
 
 class TaskRef(Strict):
@@ -28,13 +30,42 @@ class TaskRef(Strict):
     digest: str
 
 
-class Sample(Strict):
-    """One machine to measure; `id` is unique in the plan and names its cluster, task and files."""
+def article(part: PartName) -> str:
+    """Return a part's name with its article."""
+    return f"an {part}" if part == "eighth" else f"a {part}"
+
+
+class Part(Strict):
+    """A part of a machine, and the machine that it stands for: of that many vCPUs and that much memory."""
+
+    part: PartName
+    machine: Machine
+
+
+class Sample(Lean):
+    """One machine to measure; `id` is unique in the plan and names its cluster, task and files.
+
+    `parts` of it are measured after it, on the same machine (ADR 0025).
+    """
 
     id: Id
     machine: Machine
     reason: str
     task: TaskRef | None = None
+    parts: list[Part] = Field([], max_length=3)
+
+    ADDED = frozenset({"parts"})
+
+    @property
+    def part_names(self) -> tuple[PartName, ...]:
+        """The names of its parts, in the order in which they are measured."""
+        return tuple(one.part for one in self.parts)
+
+    def nested(self, part: Part) -> "Sample":
+        """Return the sample that a part of the machine is."""
+        return Sample(
+            id=f"{self.id}-{part.part}", machine=part.machine, reason=f"{article(part.part)} of {self.machine.instance}"
+        )
 
 
 class Substitute(Strict):
@@ -101,7 +132,7 @@ class Estimate(Strict):
     wall: Duration
 
 
-class PlanBody(Strict):
+class PlanBody(Lean):
     """The samples of a plan and the settings that they are measured with.
 
     `hardware` and `infra` are the search space that the samples were chosen from, `design_catalog` is the digest of the
@@ -116,6 +147,7 @@ class PlanBody(Strict):
     hardware: Hardware
     infra: list[str]
     sampler: Sampler
+    shapes: Nested | None = None
     requests: int | None
     duration: Duration
     warmup: int
@@ -126,10 +158,12 @@ class PlanBody(Strict):
     substitutes: list[Substitute] = Field([])
     notes: list[str]
 
+    ADDED = frozenset({"shapes"})
+
     @property
     def commitment(self) -> Commitment:
         """The most that each sample's machine is paid for."""
-        return Commitment(measuring_s=self.duration, setup_s=self.setup_timeout)
+        return Commitment(measuring_s=self.duration, setup_s=self.setup_timeout, nested=self.shapes is not None)
 
 
 class PlanMetadata(Strict):
@@ -190,8 +224,7 @@ def estimate(samples: Sequence[Sample], each: Commitment) -> Estimate:
     measuring, setup = (round(usd_per_hour * seconds / 3600, 6) for seconds in (each.measuring_s, each.setup_s))
     total = round(each.usd(usd_per_hour), 6)
     overhead = max(round(total - measuring - setup, 6), 0.0)
-    wall = each.measuring_s + each.setup_s
-    return Estimate(measuring=measuring, setup=setup, overhead=overhead, total=total, wall=wall)
+    return Estimate(measuring=measuring, setup=setup, overhead=overhead, total=total, wall=each.wall_s)
 
 
 def digest_without_budget(plan: Plan) -> str:

@@ -26,6 +26,7 @@ from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision
 from fogspec.model.fit import Model, targets
 from fogspec.report.summary import billing_text, entry_text, infeasible_text, metrics_text
+from fogspec.results.schema import Measured, NestedIn, own_records
 
 MOST_SAMPLES = 3
 
@@ -44,7 +45,7 @@ class Analysis:
         offers = compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
         usd = offers.price_usd_per_hour * body.commitment.paid_s / 3600
-        failed = [one.machine for one in decision.models.spec.rejected]
+        failed = [one.machine for one in decision.models.spec.rejected if one.nested_in is None]
         return cls(
             slacks(decision.choice),
             influences(app, decision.models, refits, decision.choice),
@@ -169,7 +170,9 @@ def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
     ]
     probability = choice.probability(row)
     if probability is not None and choice.bounds:
-        how = "measured" if choice.latency.measured[row] else "not measured: see the sample below"
+        where = choice.latency.where_nested(row)
+        unmeasured = "not measured" if where is None else f"measured on {where}, not itself"
+        how = "measured" if choice.latency.measured[row] else f"{unmeasured}: see the sample below"
         lines.append(
             f"sure      all limits are met with probability {probability:.3f} (asked {choice.confidence:g}); {how}"
         )
@@ -251,13 +254,24 @@ def _model(decision: Decision, found: Analysis) -> list[str]:
 
 def _server_dicts(compiled: Artifacts) -> list[dict[str, Any]]:
     samples = [] if compiled.results is None else compiled.results.spec.samples
-    return [{"id": one.id, **one.server.model_dump(mode="json")} for one in samples if one.server is not None]
+    return [
+        {"id": one.id, **one.server.model_dump(mode="json")} for one in own_records(samples) if one.server is not None
+    ]
 
 
 def _servers(compiled: Artifacts) -> list[str]:
     """Return a line for each server that ran samples, as it described itself."""
     samples = [] if compiled.results is None else compiled.results.spec.samples
-    return [f"{one.machine.instance}: {one.server.line()}" for one in samples if one.server is not None]
+    own = [f"{one.machine.instance}: {one.server.line()}" for one in own_records(samples) if one.server is not None]
+    return own + [_nested_text(one, one.nested_in) for one in samples if one.nested_in is not None]
+
+
+def _nested_text(one: Measured, where: NestedIn) -> str:
+    """Return what a record of a part of a machine says of the type that it stands for."""
+    held = where.confined
+    by = "" if held is None else f", vCPUs held by {held.cpus_by}" + (", memory by cgroup" if held.memory_by else "")
+    value = one.state if one.latency is None else units.format_duration(rounded(one.latency.mean))
+    return f"{one.machine.instance}: {value} on {where.label}, not on {one.machine.instance} itself{by}"
 
 
 def _leave_one_out_text(choice: Choice, found: list[Influence]) -> str:

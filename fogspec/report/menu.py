@@ -141,7 +141,6 @@ def _table(entries: list[Entry]) -> list[str]:
     rows = [("instance type", "infra", "vCPU", "memory", "price", "latency", *heads, "cost", "")]
     for e in entries:
         gpu = f" {e.gpu.count:g}x{e.gpu.name}" if e.gpu else ""
-        remark = "measured" if e.measured else "extrapolated" if e.extrapolated else ""
         rows.append(
             (
                 e.instance + (" spot" if e.spot else "") + gpu,
@@ -152,7 +151,7 @@ def _table(entries: list[Entry]) -> list[str]:
                 units.format_duration(e.latency),
                 *(metric_text("", e.metrics[name]).strip() if name in e.metrics else "-" for name in metrics),
                 units.format_cost(e.cost),
-                remark,
+                e.how,
             )
         )
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]

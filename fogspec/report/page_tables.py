@@ -68,7 +68,8 @@ def _measured(one: Measured) -> tuple[str, ...]:
         one.machine.instance + (" spot" if one.machine.spot else ""),
         one.machine.infra,
         *_shape(one.machine),
-        f"{one.state} ({why})" if why else one.state,
+        (f"{one.state} ({why})" if why else one.state)
+        + ("" if one.nested_in is None else f", on {one.nested_in.label}, not itself"),
         str(one.requests),
         *(_time(value) for value in times),
         metrics,

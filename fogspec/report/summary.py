@@ -8,6 +8,7 @@ from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
 from fogspec.plan.commitment import unattended
 from fogspec.plan.design import max_cost_usd
+from fogspec.results.schema import own_records
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,9 +37,12 @@ def summary(compiled: Artifacts) -> str:
     decision, results = compiled.decision, compiled.results
     if decision is None or results is None:
         return paragraph([*lines, *_unmeasured(compiled)])
-    usable, all_of = len(decision.models.spec.observations), len(results.spec.samples)
+    own = own_records(results.spec.samples)
+    usable, all_of = sum(one.nested_in is None for one in decision.models.spec.observations), len(own)
+    parts = len(results.spec.samples) - len(own)
+    beside = f", beside {parts} measured on parts of these machines" if parts else ""
     spent = dollars(results.spec.spent)
-    lines.append(_row("results", str(layout.results), f"{usable} of {all_of} samples count; {spent} spent"))
+    lines.append(_row("results", str(layout.results), f"{usable} of {all_of} samples count{beside}; {spent} spent"))
     lines.append(_row("models", str(layout.models), f"{len(decision.models.spec.models)} fitted"))
     beside = f" and {layout.picture.name}" if layout.picture in compiled.files else ""
     lines.append(_row("menu", f"{layout.menu}{beside}", _menu_text(decision.menu)))
@@ -109,7 +113,7 @@ def entry_text(entry: "Entry") -> str:
         low, high = (units.format_duration(end) for end in entry.interval)
         interval = f" [{low}, {high}]"
     gpu = f" with {entry.gpu.label}" if entry.gpu else ""
-    how = "measured" if entry.measured else "predicted, extrapolated" if entry.extrapolated else "predicted"
+    how = entry.how if entry.measured or entry.nested_in else ", ".join(filter(None, ("predicted", entry.how)))
     spot = " spot" if entry.spot else ""
     return (
         f"{entry.instance}{spot}{gpu} in {entry.infra}, {units.format_price(entry.price)} ({entry.month}): "

@@ -1,14 +1,14 @@
 """The results of a benchmark: one record per sample, measured or failed."""
 
-from collections.abc import Sequence
-from typing import Annotated, Literal
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from fogspec.base import digest
 from fogspec.base.quantities import Id, Money, Strict
 from fogspec.catalog.machine import Machine, TypeKey
-from fogspec.plan.schema import PlanMetadata, Sampling
+from fogspec.plan.schema import PartName, PlanMetadata, Sampling, article
 from fogspec.results.ranges import Amount, Counted, MetricValue, RequestTime, Text, Time
 
 State = Literal["ok", "insufficient", "timeout", "failed"]
@@ -29,6 +29,7 @@ Reason = Literal[
 StoppedBy = Literal["steps", "time", "precision", "exit", "size", "startup", "signal"]
 # Failures worth retrying: transient ones, and samples that never ran.
 RETRYABLE = {"access", "quota", "capacity", "interrupted", "budget"}
+SHOWN_WAIT = 0.01  # of a machine's time, spent waiting for disks, from which people are told
 UNAVAILABLE = {"quota", "capacity"}
 
 
@@ -53,7 +54,8 @@ class ServerFacts(Strict):
     """The server that ran a sample, as it described itself; facts that it did not give are None.
 
     `features` are instruction sets that matter to numerical code. `clock_ghz` and `run_queue`, the tasks that could have run,
-    are those at the end; `steal` is the fraction of the CPU time that its host gave to others. `changed_to` is another CPU
+    are those at the end; `steal` is the fraction of the CPU time that its host gave to others, `io_wait` that in which
+    it was idle and waited for disks. `changed_to` is another CPU
     that it had at the end.
     """
 
@@ -65,6 +67,7 @@ class ServerFacts(Strict):
     threads: int | None = Field(None, ge=1, le=8192)
     clock_ghz: float | None = Field(None, gt=0, le=10)
     steal: float | None = Field(None, ge=0, le=1)
+    io_wait: float | None = Field(None, ge=0, le=1)
     run_queue: int | None = Field(None, ge=0, le=100_000)
     changed_to: str | None = Field(None, max_length=120)
 
@@ -78,9 +81,33 @@ class ServerFacts(Strict):
         sockets = None if self.sockets in (None, 1) else f"{self.sockets} sockets"
         clock = None if self.clock_ghz is None else f"{self.clock_ghz:.2g} GHz"
         steal = None if not self.steal else f"{self.steal:.1%} of its time stolen"
+        waited = (
+            None if not self.io_wait or self.io_wait < SHOWN_WAIT else f"{self.io_wait:.1%} of its time idle for disks"
+        )
         busy = self.run_queue is not None and self.threads is not None and self.run_queue > self.threads
         queue = f"{self.run_queue} tasks waiting to run" if busy else None
-        return ", ".join(filter(None, (self.cpu, sockets, cores, clock, steal, queue)))
+        return ", ".join(filter(None, (self.cpu, sockets, cores, clock, steal, waited, queue)))
+
+
+class Confined(Strict):
+    """By what a part of a machine was held to its vCPUs and to its memory, None for memory that was not limited."""
+
+    cpus_by: Literal["cpuset", "affinity"]
+    memory_by: Literal["cgroup"] | None = None
+
+
+class NestedIn(Strict):
+    """The sample whose machine was confined, that machine, the part of it, and how it was held to that."""
+
+    sample: Id
+    machine: Machine
+    part: PartName
+    confined: Confined | None = None
+
+    @property
+    def label(self) -> str:
+        """Return where it was measured, for people."""
+        return f"{article(self.part)} of {self.machine.instance}"
 
 
 class Measured(Strict):
@@ -96,6 +123,9 @@ class Measured(Strict):
     bound on the latency of a sample that was aborted in the middle of a request. A figure that its machine sent out of
     range (`fogspec.results.ranges`) is none: it makes the sample `failed`, `out_of_range`. `server` is the server
     that ran it.
+
+    A record that is `nested_in` another was measured on a part of that one's machine: it stands for `machine`, which it is not,
+    and its cost is in that record.
     """
 
     id: Id
@@ -120,6 +150,19 @@ class Measured(Strict):
     spent: Amount
     timings: Timings | None = None
     server: ServerFacts | None = None
+    nested_in: NestedIn | None = None
+
+    @model_validator(mode="after")
+    def _is_part(self) -> Self:
+        """Require of a nested record that it is smaller than its machine, free of charge, and no substitute."""
+        parent = self.nested_in
+        if parent is None:
+            return self
+        if self.machine.cpus >= parent.machine.cpus or self.machine.memory > parent.machine.memory:
+            raise ValueError(f"{self.id} is nested in {parent.machine.instance}, which is no larger")
+        if self.spent or self.substitute_for is not None:
+            raise ValueError(f"{self.id} is nested: its machine is paid for by {parent.sample}")
+        return self
 
 
 class ResultsBody(Strict):
@@ -140,6 +183,18 @@ class ResultsBody(Strict):
     spent: Amount
     sampling: Sampling | None = None
     samples: list[Measured]
+
+    @model_validator(mode="after")
+    def _have_parents(self) -> Self:
+        """Require of each nested record the record of the sample whose machine it was measured on."""
+        known = {one.id: one.machine.type_key for one in own_records(self.samples)}
+        for one in self.samples:
+            parent = one.nested_in
+            if parent is not None and known.get(parent.sample) != parent.machine.type_key:
+                raise ValueError(
+                    f"{one.id} is nested in {parent.sample}, and there is no record of that sample and machine"
+                )
+        return self
 
 
 class Results(Strict):
@@ -175,8 +230,13 @@ def completed(results: Results | None) -> frozenset[str]:
     if results is None:
         return frozenset()
     abandoned = _abandoned(results.spec)
-    ended = [one for one in results.spec.samples if is_final(one) or one.id in abandoned]
+    ended = [one for one in own_records(results.spec.samples) if is_final(one) or one.id in abandoned]
     return frozenset(name for one in ended for name in (one.id, one.substitute_for) if name is not None)
+
+
+def own_records(records: Iterable[Measured]) -> list[Measured]:
+    """Return the records of machines themselves, without those of parts of machines."""
+    return [one for one in records if one.nested_in is None]
 
 
 def _abandoned(body: ResultsBody) -> set[str]:
@@ -197,7 +257,7 @@ def _checksum(metadata: PlanMetadata, body: ResultsBody) -> str:
 def other_servers(records: Sequence[Measured]) -> list[str]:
     """Return a sentence for each instance type that was measured on servers with different CPUs."""
     cpus: dict[TypeKey, dict[str, None]] = {}
-    for one in records:
+    for one in own_records(records):
         if one.server is not None:
             seen = filter(None, (one.server.cpu, one.server.changed_to))
             cpus.setdefault(one.machine.type_key, {}).update(dict.fromkeys(seen))

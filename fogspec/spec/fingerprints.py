@@ -14,7 +14,8 @@ from fogspec.spec.introspect import part
 from fogspec.spec.schema import Affects, Application, Benchmark, Stage
 
 NOTHING: frozenset[Stage] = frozenset()
-ADDED = ("volume", "wall_time", "batch_size")  # to the benchmark, after plans were first written
+# To the benchmark, after plans were first written: what each was before.
+ADDED = {"volume": None, "wall_time": None, "batch_size": None, "shapes": "own"}
 
 
 def stages_of_fields(
@@ -61,7 +62,7 @@ def planned_part(application: Application) -> dict[str, Any]:
     """
     found = part_read_by("plan", application)
     benchmark = {
-        name: value for name, value in found["spec"]["benchmark"].items() if name not in ADDED or value is not None
+        name: value for name, value in found["spec"]["benchmark"].items() if name not in ADDED or value != ADDED[name]
     }
     return {**found["spec"], "benchmark": benchmark, **measured_part(application), **found["metadata"]}
 

@@ -351,6 +351,12 @@ class Benchmark(Strict):
         description="adaptive: sampling ends when a further sample is not expected to save its price on these requests",
         examples=[{"requests_per_month": 1000000, "months": 6}],
     )
+    shapes: Annotated[Literal["own", "nested"], affects("plan")] = Field(
+        "own",
+        description="own: each machine is measured as it is; nested: also confined to its half, quarter and eighth, which "
+        "tell of smaller machines",
+        examples=["nested"],
+    )
     wall_time: Annotated[Duration | None, affects("plan")] = Field(
         None,
         gt=0,

@@ -203,6 +203,7 @@ class LocalSamples(LocalBackend):
             stopped_by=outcome.stopped_by,
             waited_s=outcome.waited_s,
             server=outcome.server,
+            parts=agent_state.part_statuses(job),
         )
 
     def stop(self, job: Job) -> None:

@@ -270,7 +270,7 @@ class SkyPilotSamples(SkyPilotBackend):
 
     def _after_follow(self, job: Job, watch: Watch) -> None:
         # Another process cannot tell from the log when it was written.
-        if logs.unpack(job.files, job.directory / LOG, job.directory / "out") and watch.own:
+        if logs.unpack(job.files, job.directory / LOG, job.directory / "out", job.parts) and watch.own:
             record = {"status": "ended", "end_at": time.time()}
             watch.status = job_outcome.final_status(job, record, _launched_s(job))
         else:
@@ -289,7 +289,7 @@ class SkyPilotSamples(SkyPilotBackend):
 
     def _after_log(self, job: Job, watch: Watch) -> None:
         watch.reads += 1
-        if logs.unpack(job.files, job.directory / LOG, job.directory / "out") or watch.reads == READS:
+        if logs.unpack(job.files, job.directory / LOG, job.directory / "out", job.parts) or watch.reads == READS:
             watch.status = job_outcome.final_status(job, watch.record or {}, _launched_s(job))
         else:
             watch.due_s = time.monotonic() + LAUNCH_POLL_S

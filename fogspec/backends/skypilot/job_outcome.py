@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
-from fogspec.backends.agent_state import read_outcome, server_facts
+from fogspec.backends.agent_state import part_statuses, read_outcome, server_facts
 from fogspec.backends.protocol import Job, SampleStatus
 from fogspec.backends.skypilot import logs
 
@@ -30,10 +30,11 @@ def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> Samp
     detail = outcome.detail
     if outcome.reason == "out_of_memory" and job.machine is not None:
         detail = f"{job.machine.memory:g} GiB were not enough: {detail}"
-    ended_s, measured_s = record.get("end_at"), outcome.measured_s
+    ended_s, measured_s, parts = record.get("end_at"), outcome.measured_s, part_statuses(job)
     setup_s = None
     if ended_s is not None and measured_s is not None:
-        setup_s = max(0.0, ended_s - launched_s - measured_s)
+        parts_s = sum(one.billed_s or 0.0 for one in parts.values())
+        setup_s = max(0.0, ended_s - launched_s - measured_s - parts_s)
     return replace(
         status,
         reason=outcome.reason,
@@ -43,6 +44,7 @@ def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> Samp
         measured_s=measured_s,
         setup_s=setup_s,
         server=outcome.server,
+        parts=parts,
     )
 
 
@@ -65,13 +67,15 @@ def read_final(job: Job) -> SampleStatus | None:
         return None
     timings = job.directory / "out" / "timings.jsonl"
     server = server_facts(values.get("server"))
-    return SampleStatus(**{**values, "timings": timings if values.get("timings") else None, "server": server})
+    found = {"timings": timings if values.get("timings") else None, "server": server, "parts": part_statuses(job)}
+    return SampleStatus(**{**values, **found})
 
 
 def write_final(job: Job, status: SampleStatus) -> None:
     """Write the final status."""
     server = None if status.server is None else status.server.model_dump(mode="json")
-    save(job, ENDED, {**asdict(status), "timings": status.timings is not None, "recorded": None, "server": server})
+    others = {"timings": status.timings is not None, "recorded": None, "server": server, "parts": {}}
+    save(job, ENDED, {**asdict(replace(status, parts={})), **others})
 
 
 def load(job: Job, name: str) -> dict[str, Any] | None:

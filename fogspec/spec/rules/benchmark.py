@@ -6,11 +6,12 @@ from fogspec.base.units import SECONDS_PER_MONTH, format_duration, format_rate, 
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.probe import kind_of
 from fogspec.spec.rules.finding import Finding
-from fogspec.spec.schema import Application, Interruption
+from fogspec.spec.schema import Application, Interruption, local_shape
 from fogspec.spec.suggest import closest
 
 SECONDS_PER_DAY = 86400
 PLACEHOLDER_TOPICS = ("/request", "/response")
+NESTED_S = 360.0  # for all parts of a machine, as `fogspec.plan.commitment` counts them
 PROBES = ("request and response", "service", "action", "callback")
 
 
@@ -351,7 +352,7 @@ def wall_time(application: Application) -> Iterator[Finding]:
     if benchmark.wall_time is None:
         return
     yield from _for_adaptive(application, "wall_time", "all of its samples are measured at once")
-    one_s = benchmark.setup_timeout + benchmark.stop.duration
+    one_s = benchmark.setup_timeout + benchmark.stop.duration + (NESTED_S if benchmark.shapes == "nested" else 0.0)
     if benchmark.wall_time < one_s:
         yield Finding(
             "FS529",
@@ -359,6 +360,39 @@ def wall_time(application: Application) -> Iterator[Finding]:
             f"spec.benchmark.wall_time is shorter than one sample, which may take {format_duration(one_s)}",
             "raise it, or lower setup_timeout or stop.duration",
             (("spec", "benchmark", "setup_timeout"), ("spec", "benchmark", "stop", "duration")),
+        )
+
+
+def shapes(application: Application) -> Iterator[Finding]:
+    """Reject nested shapes of the grid, which is the paper's, and of machines that have no part to be confined to."""
+    benchmark, path = application.spec.benchmark, ("spec", "benchmark", "shapes")
+    if benchmark.shapes == "own":
+        return
+    if not benchmark.machines and not benchmark.is_adaptive:
+        yield Finding(
+            "FS537",
+            path,
+            "spec.benchmark.shapes nested is not for sampler: grid, which measures the paper's machines as they are",
+            "write 'sampler: adaptive', or 'shapes: own'",
+            (("spec", "benchmark", "sampler"),),
+        )
+    gpus = [one for one in application.spec.hardware.gpus if one != "none"]
+    if not benchmark.machines and len(gpus) == len(application.spec.hardware.gpus):
+        yield Finding(
+            "FS537",
+            path,
+            f"spec.benchmark.shapes nested needs machines without accelerators: a {gpus[0]} cannot be halved",
+            "write 'shapes: own', or add none to spec.hardware.gpus",
+            (("spec", "hardware", "gpus"),),
+        )
+    sizes = [local_shape(name) for name in benchmark.machines]
+    if sizes and all(size is not None and size[0] % 2 for size in sizes):
+        yield Finding(
+            "FS537",
+            path,
+            "spec.benchmark.shapes nested needs vCPUs that can be halved, and each listed machine has an odd number",
+            "list a larger one, such as local/2cpu-4gib",
+            (("spec", "benchmark", "machines"),),
         )
 
 
@@ -406,5 +440,6 @@ RULES = (
     budget,
     volume,
     wall_time,
+    shapes,
     placeholders,
 )

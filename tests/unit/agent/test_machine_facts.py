@@ -43,7 +43,7 @@ def test_an_x86_server(tmp_path: Path) -> None:
     assert found.pop("arch")
     assert found == {
         "cpu": "AMD EPYC 7452 32-Core Processor", "features": ["avx", "avx2", "fma"], "sockets": 1, "cores": 2, "threads": 4,
-        "clock_ghz": 2.345, "run_queue": 6, "steal": 1.0,
+        "clock_ghz": 2.345, "run_queue": 6, "steal": 1.0, "io_wait": 0.0,
     }  # fmt: skip
 
 

@@ -2,9 +2,12 @@
 
 import json
 import subprocess
+from collections.abc import Sequence
 
 import pytest
 
+from fogspec.backends.skypilot import logs
+from fogspec.base.project_files import ProjectFiles
 from fogspec.base.templates import render
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.compile.tasks import (
@@ -17,7 +20,7 @@ from fogspec.compile.tasks import (
     sample_task,
 )
 from fogspec.plan.commitment import Commitment
-from fogspec.plan.schema import Sample
+from fogspec.plan.schema import Part, Sample
 from fogspec.spec.schema import Application, Node
 from tests.support.agent import AGENT
 
@@ -123,8 +126,8 @@ def test_topics_are_listened_to_by_a_process_of_their_own():
     ]
 
 
-def rendered_sample(app: Application) -> str:
-    return render("run_sample.sh.j2", **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=600.0,
+def rendered_sample(app: Application, parts: Sequence[str] = ()) -> str:
+    return render("run_sample.sh.j2", **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=600.0, parts=parts,
                   processes=measured_processes(app.spec))  # fmt: skip
 
 
@@ -156,12 +159,20 @@ def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_p
     assert (tmp_path / "said").read_text() == NASTY
 
 
-@pytest.mark.parametrize("template", ["run_sample.sh.j2", "run_deploy.sh.j2", "setup_ros2.sh.j2"])
-def test_scripts_pass_shellcheck(tmp_path, template):
+@pytest.mark.parametrize(
+    ("template", "parts"),
+    [
+        ("run_sample.sh.j2", []),
+        ("run_sample.sh.j2", ["half:2:1024"]),
+        ("run_deploy.sh.j2", []),
+        ("setup_ros2.sh.j2", []),
+    ],
+)
+def test_scripts_pass_shellcheck(tmp_path, template, parts):
     app = application(ros={"workspace": "ros2_ws", "apt": ["x y"], "setup": ["echo hello"]}, cloud=[{"cmd": [NASTY]}])
     script = tmp_path / "script.sh"
     script.write_text(render(template, **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=9.0, **DEPLOYED,
-                             processes=measured_processes(app.spec)))  # fmt: skip
+                             parts=parts, processes=measured_processes(app.spec)))  # fmt: skip
     try:
         checked = subprocess.run(["shellcheck", "-s", "bash", "-S", "warning", "-e", "SC1091,SC2016", str(script)],
                                  capture_output=True, text=True)  # fmt: skip
@@ -194,6 +205,43 @@ def test_without_a_runner_that_reads_folders_the_lines_are_in_the_log(tmp_path):
             "=== fogspec begin outcome.json ===", json.dumps({"omp": omp}), "=== fogspec end outcome.json ===",
             "=== fogspec begin timings.jsonl ===", *['{"latency_s": 1.5}'] * 2, "=== fogspec end timings.jsonl ===",
         ]  # fmt: skip
+
+
+PARTS = """import os, sys
+out, parts = sys.argv[sys.argv.index("--out") + 1], [word.partition("=")[2] for word in sys.argv if word.startswith("--part=")]
+for name in [out, *(f"{out}/{part.partition(':')[0]}" for part in parts)][bool("--only-parts" in sys.argv):]:
+    os.makedirs(name, exist_ok=True)
+    for file in ("outcome.json", "timings.jsonl"):
+        with open(f"{name}/{file}", "w") as to:
+            to.write(f"{' '.join(parts)} in {name}\\n")
+sys.exit(int(os.environ.get("CODE", "0")))
+"""
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_parts_of_the_machine_are_in_the_log_one_by_one_after_it(tmp_path, code):
+    """What was measured before a part is in the log by then; a machine that failed has no parts, and its log is whole."""
+    fake = tmp_path / "agent.pyz"
+    fake.write_text(PARTS)
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake), "CODE": str(code)}
+    script = rendered_sample(application(), ["half:2:1024", "quarter:1:512"])
+    run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert run.returncode == code, run.stderr
+    (tmp_path / "run.log").write_text(run.stdout)
+    files, machine = ProjectFiles(tmp_path), Machine(infra="aws", instance="a", cpus=2, memory=2, price=1)
+    both = [Part(part=name, machine=machine) for name in ("half", "quarter")]
+    assert logs.unpack(files, tmp_path / "run.log", tmp_path / "got", both)
+    got = {
+        path.relative_to(tmp_path / "got").as_posix(): path.read_text() for path in (tmp_path / "got").rglob("*.json*")
+    }
+    out = tmp_path / ".fogspec" / "out"
+    nothing = code != 0
+    assert got["timings.jsonl"] == f" in {out}\n"
+    assert got["half/timings.jsonl"] == ("" if nothing else f"half:2:1024 in {out}/half\n")
+    assert got["quarter/outcome.json"] == ("" if nothing else f"quarter:1:512 in {out}/quarter\n")
+    environment["FOGSPEC_OUT"] = str(tmp_path / "here")
+    subprocess.run(["bash", "-c", script], cwd=tmp_path, env=environment, timeout=60)
+    assert (tmp_path / "here/quarter/timings.jsonl").read_text().startswith("half:2:1024 quarter:1:512 in")
 
 
 HOSTILE = """import os, sys

@@ -11,8 +11,9 @@ from fogspec.catalog.machine import Gpu, Machine
 from fogspec.model import predict as predicting
 from fogspec.model.fit import fit
 from fogspec.plan.schema import PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
+from fogspec.results.schema import LatencySummary, Measured, NestedIn, Results, ResultsBody, ServerFacts, with_checksum
 from tests.bench_choice import application, offers
+from tests.support.catalogs import table
 
 
 def predict(models, catalog):
@@ -134,3 +135,47 @@ def test_local_measurements_are_marked_extrapolated():
     )))  # fmt: skip
     assert models.spec.measured_on_local
     assert predict(models, offers(20)).extrapolated.all()
+
+
+def nested(cpus: float, memory: float, mean: float | None, parent: Measured, **more) -> Measured:
+    where = NestedIn(sample=parent.id, machine=parent.machine, part="half")
+    one = record(cpus, memory, mean, spent=0.0, nested_in=where, **more)
+    return one.model_copy(update={"id": f"{parent.id}-half"})
+
+
+def test_a_part_of_a_machine_informs_on_the_type_that_it_stands_for_and_does_not_measure_it() -> None:
+    big = record(16, 32, 1.0)
+    alone, with_part = (fit(application(), results(*some)) for some in ([big], [big, nested(8, 16, 1.9, big)]))
+    assert [one.nested_in for one in with_part.spec.observations] == [None, "a half of s16m32"]
+    assert "nested_in" not in alone.model_dump(mode="json")["spec"]["observations"][0]
+    catalog = table("s8m16,,,8,16,0.2,,r0,", "s16m32,,,16,32,0.4,,r0,")
+    before, after = predict(alone, catalog), predict(with_part, catalog)
+    row = int(np.flatnonzero(catalog.vcpus == 8)[0])
+    assert not after.measured[row]
+    assert after.where_nested(row) == "a half of s16m32"
+    assert before.where_nested(row) is None
+    assert after.posterior is not None
+    assert before.posterior is not None
+    assert after.posterior.sd[after.type_index[row]] < before.posterior.sd[before.type_index[row]]
+    itself = predict(fit(application(), results(big, nested(8, 16, 1.9, big), record(8, 16, 2.0))), catalog)
+    assert itself.measured[row]
+    assert itself.where_nested(row) is None
+
+
+def test_a_part_that_fails_rules_no_machine_out() -> None:
+    big = record(16, 32, 1.0)
+    failed = nested(8, 16, None, big, state="failed", reason="out_of_memory", requests=0)
+    models = fit(application(), results(big, failed))
+    (one,) = models.spec.rejected
+    assert (one.excludes_machine, one.out_of_memory, one.nested_in) == (False, False, "a half of s16m32")
+    catalog = table("s8m16,,,8,16,0.2,,r0,", "s16m32,,,16,32,0.4,,r0,")
+    assert not predict(models, catalog).unfit.any()
+
+
+def test_a_part_that_lost_time_to_others_says_less() -> None:
+    big = record(16, 32, 1.0)
+    quiet, stolen = (
+        fit(application(), results(big, nested(8, 16, 1.9, big, server=ServerFacts(cpu="x", steal=steal))))
+        for steal in (0.0, 0.2)
+    )
+    assert stolen.spec.observations[1].error > quiet.spec.observations[1].error + 0.1
