@@ -49,6 +49,13 @@ class Repository:
         """Return the files at a commit below the working directory, as relative paths."""
         return [Path(os.fsdecode(name)) for name in git("ls-tree", "-r", "-z", "--name-only", commit).split(b"\0")[:-1]]
 
+    def changed(self, commit: str) -> list[Path]:
+        """Return the files that differ between a commit and the checkout, those that git does not know yet included."""
+        plain = ("--name-only", "-z", "--no-ext-diff", "--no-textconv", "--no-renames", "--no-relative")
+        names = git("diff", *plain, commit, "--").split(b"\0")
+        names += git("ls-files", "--others", "--exclude-standard", "--full-name", "-z", "--", ":/").split(b"\0")
+        return [self.top / os.fsdecode(name) for name in names if name]
+
     def _commit(self, name: str) -> str:
         if name.startswith("-"):
             raise UsageError(f"{name} is no commit")

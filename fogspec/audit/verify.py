@@ -45,13 +45,16 @@ class Check:
         return "breaks" if self.breaks else "holds"
 
 
-def verify(opened: ManifestBundle) -> list[Check]:
-    """Check every link of the chain of a manifest, from the spec to the deployed files."""
+def verify(opened: ManifestBundle, compiled: Artifacts | FogspecError | None = None) -> list[Check]:
+    """Check every link of the chain of a manifest, from the spec to the deployed files.
+
+    `compiled` is what `try_compile` returned for its inputs, if that is known.
+    """
     layout, results = opened.layout, opened.inputs.results
     named = opened.manifest.provenance
     links = [_spec(opened), _catalog(opened), _beside(opened)]
     try:
-        compiled = try_compile(opened.inputs)
+        compiled = compiled or try_compile(opened.inputs)
     except DiagnosticError as problems:
         why = tuple(one.message for one in problems.diagnostics)
         return [*links, Check("results", str(layout.results), why), *_later("results", "models", "manifest")]

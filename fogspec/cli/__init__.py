@@ -29,6 +29,7 @@ VERBS = {
     "diff": "what compile would write now against what is committed, and against what runs",
     "review": "what a change deploys, in Markdown for a pull request",
     "verify": "recompute the chain behind a manifest, byte for byte",
+    "ci": "the gate in front of a merge: whether apply would deploy exactly what is committed",
     "attest": "an in-toto statement of where a manifest came from",
     "evaluate": "replay sampling and choosing against full measurements",
     "priors": "build a library of what machines do for other workloads",

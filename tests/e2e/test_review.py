@@ -169,15 +169,19 @@ def run_step(name: str, shell: Shell, **given: str) -> "subprocess.CompletedProc
 
 def test_the_action_validates_and_checks(repository: Shell) -> None:
     assert run_step("validate", repository, PATHS="specs\n").returncode == 0
-    assert run_step("check", repository, PATHS="specs\n").returncode == 0
+    base = git(repository.folder, "rev-parse", "HEAD")
+    for since in ("", base):
+        passed = run_step("check", repository, PATHS="specs\n", BASE=since)
+        assert passed.returncode == 0, passed.stderr
     change(repository, "alpha: 0.5", "alpha: 5")
     wrong = run_step("validate", repository, PATHS="specs\n")
     assert wrong.returncode == 1
     assert "::error file=specs/demo.yaml,line=" in wrong.stdout
     change(repository, "alpha: 5", "alpha: 0.25")
-    stale = run_step("check", repository, PATHS="specs")
+    stale = run_step("check", repository, PATHS="specs", BASE=base)
     assert stale.returncode == 3
-    assert "files differ from what compile would write" in stale.stderr
+    assert "FAIL  demo" in stale.stdout
+    assert "spec.objective" in stale.stdout
 
 
 @pytest.mark.parametrize("posted", [True, False])
@@ -215,10 +219,10 @@ def test_the_action_names_only_inputs_it_has() -> None:
 
 def test_the_hooks_run_what_they_say(repository: Shell) -> None:
     hooks = {hook["id"]: hook for hook in YAML(typ="safe", pure=True).load(ROOT / ".pre-commit-hooks.yaml")}
-    assert hooks.keys() == {"fogspec-validate", "fogspec-compile-check"}
+    assert hooks.keys() == {"fogspec-validate", "fogspec-ci"}
     for hook in hooks.values():
         words = hook["entry"].split()[1:]
         names = [] if hook.get("pass_filenames") is False else ["specs/demo.yaml"]
         repository(*words, *names)
     for name in ("specs/demo.yaml", "compiled/demo/manifest.yaml", "results/demo.yaml", "fogspec.lock"):
-        assert re.search(hooks["fogspec-compile-check"]["files"], name)
+        assert re.search(hooks["fogspec-ci"]["files"], name)

@@ -1,0 +1,170 @@
+"""The gate of a pull request: whether `apply` would deploy exactly what is committed, for every application.
+
+All verbs have one rule of freshness (`fogspec.audit.freshness`), one of the chain (`fogspec.audit.verify`) and one of
+policies; this module asks them all, and what no other verb sees: manifests that a change took away, and files without a spec.
+"""
+
+import os
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fogspec.audit.freshness import Status, status
+from fogspec.audit.git import Repository
+from fogspec.audit.verify import verify
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError
+from fogspec.base.errors import FogspecError
+from fogspec.base.git import tracked_state
+from fogspec.base.layout import Layout
+from fogspec.base.text import paragraph
+from fogspec.compile.artifacts import Artifacts
+from fogspec.compile.bundle import ManifestBundle
+from fogspec.compile.compiler import try_compile
+from fogspec.compile.inputs import Inputs
+from fogspec.compile.manifest import Manifest
+from fogspec.spec.loader import LoadedSpec
+from fogspec.spec.rules.policies import Policies
+
+SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the gate found of one application: `problems` fail it; `what` is what would be deployed, in a few words."""
+
+    name: str
+    what: str
+    problems: tuple[str, ...] = ()
+
+
+def judge(inputs: Inputs, policies: Policies, repository: Repository | None, commit: str | None) -> Verdict:
+    """Return the verdict on one application; `commit` is the base, None without a repository."""
+    layout = inputs.layout
+    try:
+        compiled: Artifacts | FogspecError = try_compile(inputs)
+    except DiagnosticError as damaged:
+        return Verdict(layout.name, "damaged", tuple(one.message for one in damaged.diagnostics))
+    found = status(inputs, compiled)
+    problems = [] if found.refused is None else [f"cannot be compiled: {found.refused}"]
+    if layout.manifest in inputs.on_disk:
+        what = "manifest verified"
+        problems += _manifest(inputs, compiled, found)
+    else:
+        what = "not compiled: nothing to deploy"
+        if inputs.results_file is not None or any(layout.compiled in path.parents for path in inputs.on_disk):
+            what = "planned, nothing measured" if inputs.results_file is None else "measured, no manifest"
+            problems += _stale(found)
+        had = repository is not None and commit is not None and repository.at(commit, layout.manifest) is not None
+        if had:
+            problems.append(
+                f"{layout.manifest}: it is committed at the base and missing now: what runs could not be updated"
+            )
+    problems += [one.message for one in _policy_problems(inputs, policies)]
+    if (tracked := tracked_state(layout)) is not None:
+        problems.append(f"{tracked}: git tracks live state, which bench, apply and down refuse")
+    return Verdict(layout.name, what, tuple(dict.fromkeys(problems)))
+
+
+def _manifest(inputs: Inputs, compiled: Artifacts | FogspecError, found: Status) -> Iterator[str]:
+    """Yield why `apply` would refuse the manifest on disk, or deploy something else than was reviewed."""
+    file = inputs.on_disk[inputs.layout.manifest]
+    try:
+        opened = ManifestBundle(file.document(Manifest), file.content, inputs)
+    except DiagnosticError as damaged:
+        yield from (one.message for one in damaged.diagnostics)
+        return
+    for link in verify(opened, compiled):
+        if link.breaks:
+            yield f"{link.name}: {'; '.join(link.breaks[:SHOWN])}"
+    yield from _stale(found)
+
+
+def _stale(found: Status) -> Iterator[str]:
+    """Yield the stages that are not fresh; before anything is measured, results are no problem."""
+    measured = found.layout.manifest in found.inputs.on_disk or found.inputs.results_file is not None
+    for stage in found.stages:
+        early = not measured and stage.name != "plan"
+        if stage.state != "fresh" and not early:
+            yield f"{stage.name} {'are' if stage.name in ('results', 'models') else 'is'} {stage.state}" + (
+                f": {'; '.join(stage.reasons[:SHOWN])}" if stage.reasons else ""
+            )
+
+
+def _policy_problems(inputs: Inputs, policies: Policies) -> list[Diagnostic]:
+    loaded: Sequence[LoadedSpec] = [inputs.spec]
+    return [*policies.check_specs(loaded), *policies.check_manifests(loaded, Manifest, dict(inputs.on_disk))]
+
+
+def leftovers(root: Path, names: Collection[str]) -> list[str]:
+    """Return compiled files and results below `root` that belong to no application of these names."""
+    files = Layout.of(root / "specs" / "any.yaml", "any").files
+    found = []
+    for name in files.names(root / "compiled"):
+        folder = root / "compiled" / name
+        if (
+            name not in names
+            and files.is_folder(folder)
+            and any(files.is_file(folder / one) for one in ("plan.yaml", "manifest.yaml"))
+        ):
+            found.append(f"{folder}: no spec has an application of this name")
+    for name in files.names(root / "results"):
+        path = root / "results" / name
+        if name.endswith(".yaml") and name.removesuffix(".yaml") not in names and files.is_file(path):
+            found.append(f"{path}: no spec has an application of this name")
+    return found
+
+
+def changed(loaded: Sequence[LoadedSpec], paths: Collection[Path]) -> set[str]:
+    """Return the applications for which a change of these files may matter, paths as they are named on disk.
+
+    Their spec, its compiled files and results; any other file beside the spec, for it is sent to machines; lock and policies.
+    """
+    whole = {os.path.abspath(path) for path in paths}
+    specs = {os.path.abspath(one.path) for one in loaded}
+    return {
+        one.application.metadata.name
+        for one in loaded
+        if any(_matters(path, Layout.of(one.path, one.application.metadata.name), specs) for path in whole)
+    }
+
+
+def _matters(path: str, layout: Layout, specs: Collection[str]) -> bool:
+    spec, root = os.path.abspath(layout.spec), os.path.abspath(layout.root)
+    if path == spec or path in (os.path.abspath(layout.lock), os.path.abspath(layout.agent)):
+        return True
+    if path in specs:
+        return False
+    results = os.path.abspath(layout.results)
+    folders = (
+        os.path.abspath(layout.compiled),
+        results.removesuffix(".yaml"),
+        os.path.join(root, "policies"),
+        os.path.dirname(spec),
+    )
+    return path == results or any(path.startswith(folder + os.sep) for folder in folders)
+
+
+def as_text(verdicts: Sequence[Verdict], others: Sequence[str], skipped: int, since: str | None) -> str:
+    """Return a line for each application with its problems, files without a spec, and a summary."""
+    width = max((len(one.name) for one in verdicts), default=0)
+    lines = []
+    for one in verdicts:
+        lines.append(f"{'FAIL' if one.problems else 'ok  '}  {one.name:<{width}}  {one.what}".rstrip())
+        lines += [f"      {text}" for text in one.problems]
+    lines += [f"FAIL  {text}" for text in others]
+    failed = sum(bool(one.problems) for one in verdicts) + len(others)
+    unchanged = f", {skipped} not changed since {since}" if skipped else ""
+    total = len(verdicts) + skipped
+    summary = f"{total} {'application' if total == 1 else 'applications'}: {failed or 'none'} failed{unchanged}"
+    return paragraph([*lines, summary])
+
+
+def as_dict(verdicts: Sequence[Verdict], others: Sequence[str], skipped: Sequence[str]) -> Mapping[str, Any]:
+    """Return the verdicts as values for JSON."""
+    return {
+        "passed": not others and not any(one.problems for one in verdicts),
+        "applications": [{"name": one.name, "what": one.what, "problems": list(one.problems)} for one in verdicts],
+        "without_spec": list(others),
+        "not_changed": list(skipped),
+    }

@@ -1,0 +1,83 @@
+"""Implement `fogspec ci`: the gate in front of a merge."""
+
+import os
+from pathlib import Path
+
+import click
+
+from fogspec.base.console import say, say_json, say_text
+from fogspec.base.errors import InvalidInput, OutOfDate, UsageError
+from fogspec.base.text import shell_command
+from fogspec.cli.options import CATALOG, OUTPUT, POLICIES
+
+
+@click.command()
+@click.argument("specs", nargs=-1, type=click.Path(path_type=str))
+@click.option("--since", metavar="BASE", help="only applications that changed since this commit, and what it took away")
+@CATALOG
+@POLICIES
+@OUTPUT
+def command(
+    specs: tuple[str, ...], since: str | None, catalog_path: str | None, policies: tuple[str, ...], output: str
+) -> None:
+    """Say whether apply would deploy exactly what is committed: one line per application. SPECS are those in specs/.
+
+    Every spec is valid and meets the policies; plan, results, models, menu and manifest follow from one another and from
+    the lock; no manifest was taken away, and no compiled file is left without its spec. Nothing is written.
+
+    Exit code 1 for an invalid spec, 3 for anything else that is not so.
+    """
+    from fogspec.audit import gate
+    from fogspec.audit.git import Repository
+    from fogspec.audit.review import removed
+    from fogspec.base.layout import Layout
+    from fogspec.compile.inputs import Inputs
+    from fogspec.report.diagnostics import show_diagnostics
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import check_file
+    from fogspec.spec.rules.policies import Policies
+
+    repository, commit = None, None
+    try:
+        repository = Repository()
+        commit = repository.base_of(since or "HEAD")
+    except UsageError:
+        if since is not None:
+            raise
+    gone = [] if repository is None or commit is None else [one.name for one in removed(repository, commit, ())]
+    try:
+        loaded, wrong = check_file(find_specs(specs))
+    except InvalidInput:
+        if not gone:
+            raise
+        loaded, wrong = [], []  # the change removes the last of them
+    show_diagnostics(wrong)
+    broken = any(one.severity == "error" for one in wrong)
+    names = {one.application.metadata.name for one in loaded}
+    wanted = names
+    if since is not None and repository is not None and commit is not None:
+        wanted = gate.changed(loaded, repository.changed(commit))
+    paths = dict.fromkeys(one.path for one in loaded if one.application.metadata.name in wanted)
+    inputs = Inputs.load(list(paths), catalog=catalog_path, audit=True)
+    rules = Policies(policies)
+    verdicts = [gate.judge(one, rules, repository, commit) for one in inputs if one.layout.name in wanted]
+    whole = not broken and all(map(os.path.isdir, specs))
+    roots = {Layout.of(one.path, one.application.metadata.name).root for one in loaded} or {Path()}
+    others = [text for root in sorted(roots) for text in gate.leftovers(root, names)] if whole else []
+    for name in (name for name in gone if whole and name not in names):
+        say(
+            f"{name}: its spec and its manifest are gone; if it still runs: {shell_command('fogspec', 'down', name)}",
+            err=True,
+        )
+    skipped = sorted(names - wanted)
+    if output == "json":
+        say_json(gate.as_dict(verdicts, others, skipped))
+    else:
+        say_text(gate.as_text(verdicts, others, len(skipped), since))
+    if broken:
+        raise click.exceptions.Exit(1)
+    if failed := [one.name for one in verdicts if one.problems] or others:
+        raise OutOfDate(
+            f"not what apply would deploy: {', '.join(failed[:9])}", "fogspec status and fogspec verify say more"
+        )
+    say("apply deploys what is committed", err=True)

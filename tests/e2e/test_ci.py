@@ -1,0 +1,148 @@
+"""The gate: green if and only if `apply` would deploy what is committed, and in agreement with the other verbs."""
+
+import json
+import re
+import subprocess
+from collections.abc import Callable
+
+import pytest
+
+from tests.support.running import Shell, measure, project, shell  # noqa: F401
+
+AT = ("--catalog", "offers.csv")
+MANIFEST = "compiled/demo/manifest.yaml"
+
+
+def git(shell: Shell, *words: str) -> None:
+    who = ["-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false"]
+    subprocess.run(["git", *who, *words], cwd=shell.folder, check=True, capture_output=True)
+
+
+@pytest.fixture
+def repo(shell: Shell) -> Shell:
+    """A committed application with a lock, results and a manifest."""
+    project(shell)
+    shell("lock", *AT)
+    shell("compile", *AT)
+    measure(shell)
+    shell("compile", *AT)
+    git(shell, "init", "-q")
+    git(shell, "add", "-A")
+    git(shell, "commit", "-qm", "all")
+    return shell
+
+
+def replaced(path: str, old: str, new: str) -> Callable[[Shell], None]:
+    def change(shell: Shell) -> None:
+        text = shell.read(path)
+        changed = re.sub(old, new, text, count=1, flags=re.MULTILINE)
+        assert changed != text, (path, old)
+        shell.write(path, changed)
+
+    return change
+
+
+def without(path: str) -> Callable[[Shell], None]:
+    return lambda shell: (shell.folder / path).unlink()
+
+
+def task_of(shell: Shell) -> str:
+    return next(str(one.relative_to(shell.folder)) for one in sorted(shell.folder.glob("compiled/demo/tasks/*")))
+
+
+TAMPERED: dict[str, Callable[[Shell], None]] = {
+    "spec": replaced("specs/demo.yaml", "alpha: 0.5", "alpha: 0.1"),
+    "node code": lambda shell: shell.write("specs/work.py", "print('other')\n"),
+    "plan": replaced("compiled/demo/plan.yaml", "^  duration: .*", "  duration: 9min"),
+    "task": lambda shell: replaced(task_of(shell), "max_hourly_cost: .*", "max_hourly_cost: 9")(shell),
+    "task removed": lambda shell: without(task_of(shell))(shell),
+    "results": replaced("results/demo.yaml", "mean: .*", "mean: 1ms"),
+    "models": replaced("compiled/demo/models.yaml", "kind: .*", "kind: Models2"),
+    "menu": replaced("compiled/demo/menu.yaml", "predicted", "measured"),
+    "manifest": replaced(MANIFEST, "instance: .*", "instance: a.huge"),
+    "deployment": replaced("compiled/demo/deploy.sky.yaml", "run: ", "run: curl evil; "),
+    "agent": lambda shell: (shell.folder / "compiled/agent.pyz").write_bytes(b"evil"),
+}
+VERBS = {
+    "ci": ("ci",),
+    "verify": ("verify", MANIFEST),
+    "status": ("status", "--exit-code"),
+    "check": ("compile", "--check"),
+    "review": ("review", "HEAD", "--exit-code"),
+    "apply": ("apply", MANIFEST, "--dry-run"),
+}
+
+
+def codes(shell: Shell) -> dict[str, int]:
+    return {name: shell(*words, *AT, code=None).code for name, words in VERBS.items()}
+
+
+def test_what_is_committed_passes_all(repo: Shell) -> None:
+    assert codes(repo) == dict.fromkeys(VERBS, 0)
+    assert "ok    demo  manifest verified" in repo("ci", *AT).out
+
+
+@pytest.mark.parametrize("what", TAMPERED)
+def test_what_was_tampered_with_passes_none(repo: Shell, what: str) -> None:
+    TAMPERED[what](repo)
+    assert {name for name, code in codes(repo).items() if not code} == set()
+
+
+def test_a_manifest_that_a_change_takes_away_is_missed(repo: Shell) -> None:
+    (repo.folder / MANIFEST).unlink()
+    said = repo("ci", *AT, code=3)
+    assert f"{MANIFEST}: it is committed at the base and missing now" in said.out
+    git(repo, "commit", "-qam", "taken away")
+    assert "missing now" in repo("ci", "--since", "HEAD~1", *AT, code=3).out
+
+
+def test_what_no_spec_has_any_more_is_named(repo: Shell) -> None:
+    (repo.folder / "specs/demo.yaml").rename(repo.folder / "demo.txt")
+    repo.write("specs/other.yaml", (repo.folder / "demo.txt").read_text().replace("name: demo", "name: other"))
+    said = repo("ci", *AT, code=3).out
+    assert "compiled/demo: no spec has an application of this name" in said
+    assert "results/demo.yaml: no spec has an application of this name" in said
+    assert "ok    other  not compiled: nothing to deploy" in said
+
+
+def test_the_last_application_may_go(repo: Shell) -> None:
+    git(repo, "rm", "-rq", "specs", "compiled", "results")
+    said = repo("ci", *AT)
+    assert "fogspec down demo" in said.err
+
+
+def test_an_invalid_spec_does_not_hide_the_others(repo: Shell) -> None:
+    repo.write(
+        "specs/bad.yaml", repo.read("specs/demo.yaml").replace("name: demo", "name: bad").replace("alpha", "alfa")
+    )
+    said = repo("ci", *AT, code=1)
+    assert "ok    demo" in said.out
+    assert "specs/bad.yaml:" in said.err
+
+
+def test_only_what_changed_since_the_base_is_judged(repo: Shell) -> None:
+    both = ("specs", "other/specs")
+    repo.write("other/specs/second.yaml", repo.read("specs/demo.yaml").replace("name: demo", "name: second"))
+    repo.write("other/specs/work.py", "print('work')\n")
+    said = json.loads(repo("ci", *both, "--since", "HEAD", "-o", "json", *AT).out)
+    assert [one["name"] for one in said["applications"]] == ["second"]
+    assert said["not_changed"] == ["demo"]
+    repo.write("specs/work.py", "print('other')\n")
+    said = repo("ci", "--since", "HEAD", *AT, code=3)
+    assert "work.py is not what the lock says" in said.out, "a file that machines are sent"
+
+
+def test_a_base_that_is_not_in_the_clone_is_said(repo: Shell) -> None:
+    said = repo("ci", "--since", "f" * 40, *AT, code=2)
+    assert "git fetch origin" in said.err
+
+
+def test_policies_and_committed_live_state_fail_it(repo: Shell) -> None:
+    policy = {"properties": {"spec": {"properties": {"infra": {"const": ["gcp/r1"]}}}}}
+    repo.write("policies/place.application.schema.json", json.dumps(policy))
+    found = repo("ci", *AT, code=None)
+    assert found.code != 0
+    (repo.folder / "policies/place.application.schema.json").unlink()
+    repo.write(".fogspec/demo/deployment.yaml", "machines: []\n")
+    git(repo, "add", "-f", ".fogspec")
+    assert "git tracks live state" in repo("ci", *AT, code=3).out
