@@ -83,7 +83,7 @@ layers: .venv/dev.stamp  ## which package may import which
 generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled specs and the public suite are what the code writes
 	$(BIN)/python -m tools.json_schemas --check
 	$(BIN)/python -m tests.docs.reference --check
-	$(FOGSPEC) compile specs/grasp-planning.yaml specs/vslam.yaml specs/motion-planning.yaml --catalog snapshot --check
+	$(FOGSPEC) compile specs/*-recorded.yaml --catalog snapshot --check
 	$(BIN)/python -m tools.paper --check
 	$(BIN)/python -m tests.tools.public_suite --check
 	$(BIN)/python -m tests.tools.quality --check

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PAPER_SPECS = ("grasp-planning", "vslam", "motion-planning")
+PAPER_SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
 RUNS = 9
 QUOTED = ("machine:", "validate specs/grasp", "compile specs/grasp", "fit and choose, 50,000", "install:")  # in README
 BLOCK = re.compile(r"(tests\.figures --write`:\n\n```text\n).*?(```\n)", re.DOTALL)
@@ -65,7 +65,7 @@ def _fogspec() -> list[str]:
 def _many(folder: Path) -> Path:
     """A thousand specs, each with a name of its own."""
     folder.mkdir()
-    text = (ROOT / "specs/grasp-planning.yaml").read_text(encoding="utf-8")
+    text = (ROOT / "specs/grasp-planning-recorded.yaml").read_text(encoding="utf-8")
     for number in range(1000):
         (folder / f"{number}.yaml").write_text(
             text.replace("name: grasp-planning", f"name: grasp-{number}"), encoding="utf-8"

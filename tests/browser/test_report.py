@@ -30,15 +30,18 @@ from tests.support.files import write_yaml
 ALPHAS = ("0", "0.25", "0.5", "0.8", "1")
 # In seconds and USD per request: wide, about where machines differ, and hopeless.
 LIMITS = {
-    "grasp-planning": ((None, "20", "4.1", "2", "1.7", "0.01"), (None, "0.001", "0.0004", "0.00024", "0.00001")),
-    "vslam": ((None, "0.25", "0.04", "0.03", "0.001"), (None, "0.00001", "0.0000055", "0.0000001")),
-    "motion-planning-cubicles": ((None, "90", "15", "5.5", "0.1"), (None, "0.003", "0.0021", "0.00001")),
-    "motion-planning-apartment": ((None, "40", "10", "8", "0.1"), (None, "0.002", "0.0017", "0.0005")),
+    "grasp-planning-recorded": (
+        (None, "20", "4.1", "2", "1.7", "0.01"),
+        (None, "0.001", "0.0004", "0.00024", "0.00001"),
+    ),
+    "vslam-recorded": ((None, "0.25", "0.04", "0.03", "0.001"), (None, "0.00001", "0.0000055", "0.0000001")),
+    "motion-planning-cubicles-recorded": ((None, "90", "15", "5.5", "0.1"), (None, "0.003", "0.0021", "0.00001")),
+    "motion-planning-apartment-recorded": ((None, "40", "10", "8", "0.1"), (None, "0.002", "0.0017", "0.0005")),
 }
 SPOT = [(f"{family}.{size}", 2**n, 2**n * ratio, 0.0425 * 2**n * (1 + ratio / 20), 0.018 * 2**n * (1 + ratio / 10))
         for family, ratio in (("c6i", 2), ("m6i", 4), ("r6i", 8))
         for size, n in (("large", 1), ("xlarge", 2), ("2xlarge", 3), ("4xlarge", 4), ("8xlarge", 5))]  # fmt: skip
-SPEC_OF = {"motion-planning-cubicles": "motion-planning", "motion-planning-apartment": "motion-planning"}
+SPEC_OF = {f"motion-planning-{scene}-recorded": "motion-planning-recorded" for scene in ("cubicles", "apartment")}
 
 
 def loaded(checkout: Path, name: str) -> LoadedSpec:
@@ -119,19 +122,24 @@ def same_as_menu(browser, one: LoadedSpec, made: Artifacts, to: Path, limits, al
 
 @pytest.mark.parametrize(
     ("name", "most"),
-    [("grasp-planning", 1), ("vslam", 1500), ("motion-planning-cubicles", 1), ("motion-planning-apartment", 1500)],
+    [
+        ("grasp-planning-recorded", 1),
+        ("vslam-recorded", 1500),
+        ("motion-planning-cubicles-recorded", 1),
+        ("motion-planning-apartment-recorded", 1500),
+    ],
     ids=lambda value: {1: "only those that can win", 1500: "every type"}.get(value, value),
 )
 def test_the_sliders_choose_as_menu_does(browser, checkout, tmp_path, monkeypatch, name, most):
     monkeypatch.setattr(page_data, "MOST", most)
     one = loaded(checkout, name)
     chosen = same_as_menu(browser, one, compiled(one), tmp_path / "report.html", LIMITS[name], ALPHAS)
-    assert len(chosen) > (name != "grasp-planning"), "a grid on which the choice never moves proves nothing"
+    assert len(chosen) > (name != "grasp-planning-recorded"), "a grid on which the choice never moves proves nothing"
 
 
 def test_a_limit_is_drawn_where_it_is_or_not_at_all(browser, checkout, tmp_path):
     """One beyond the picture is not drawn at its edge, where the scale would say something else of it."""
-    view = browser.open(written(loaded(checkout, "grasp-planning"), tmp_path / "report.html"))
+    view = browser.open(written(loaded(checkout, "grasp-planning-recorded"), tmp_path / "report.html"))
     for latency, drawn in (("2", 1), ("100000", 0), ("0.000001", 0)):
         move(view, "0.7", latency, None)
         assert view.evaluate("document.querySelectorAll('#picture .limit').length") == drawn, latency
@@ -158,7 +166,7 @@ OTHERS = {
 def test_every_rule_of_the_choice_is_in_the_page(browser, checkout, tmp_path, monkeypatch, other):
     monkeypatch.setattr(page_data, "MOST", 1)
     patch, offers = OTHERS[other]
-    one = loaded(checkout, "vslam")
+    one = loaded(checkout, "vslam-recorded")
     document = one.application.model_dump(mode="json", exclude_unset=True)
     for part, values in patch.items():
         document["spec"][part] = document["spec"].get(part, {}) | values
@@ -214,7 +222,7 @@ def test_a_metric_in_place_of_latency_and_no_probabilities(browser, checkout, tm
     assert same_as_menu(browser, one, compiled(one), tmp_path / "report.html", limits, ALPHAS[::2])
 
 
-@pytest.mark.parametrize("name", ["vslam", "motion-planning-cubicles"])
+@pytest.mark.parametrize("name", ["vslam-recorded", "motion-planning-cubicles-recorded"])
 def test_the_command_in_the_page_says_the_same(browser, checkout, tmp_path, name):
     one = loaded(checkout, name)
     view = browser.open(written(one, tmp_path / "report.html"))
@@ -227,7 +235,7 @@ def test_the_command_in_the_page_says_the_same(browser, checkout, tmp_path, name
 
 
 def test_nothing_is_asked_for_and_nothing_complained_of_light_and_dark(browser, checkout, tmp_path):
-    path = written(loaded(checkout, "grasp-planning"), tmp_path / "report.html")
+    path = written(loaded(checkout, "grasp-planning-recorded"), tmp_path / "report.html")
     colours = set()
     for scheme in ("light", "dark"):
         view = browser.open(path, color_scheme=scheme)
@@ -240,7 +248,7 @@ def test_nothing_is_asked_for_and_nothing_complained_of_light_and_dark(browser, 
 
 
 def test_it_fits_600_px_and_needs_no_mouse(browser, checkout, tmp_path):
-    view = browser.open(written(loaded(checkout, "vslam"), tmp_path / "report.html"), width=600)
+    view = browser.open(written(loaded(checkout, "vslam-recorded"), tmp_path / "report.html"), width=600)
     assert view.evaluate("document.documentElement.scrollWidth") <= 600
     assert view.evaluate(UNNAMED) == []
     view.focus("#alpha")
@@ -262,11 +270,13 @@ HOSTILE = "</script><img src=x onerror=alert(1)><!--'\"&"
 def test_hostile_names_do_nothing(browser, checkout, tmp_path):
     catalog = tmp_path / "aws.csv"
     written_catalog(catalog, [(f"c6i.{HOSTILE}", 32, 64, 0.3, ""), ("c6i.xlarge", 4, 8, 0.17, "")])
-    spec = tmp_path / "specs" / "vslam.yaml"
+    spec = tmp_path / "specs" / "vslam-recorded.yaml"
     spec.parent.mkdir()
-    spec.write_text((checkout / "specs" / "vslam.yaml").read_text() + f"# {HOSTILE}\n")
+    spec.write_text((checkout / "specs" / "vslam-recorded.yaml").read_text() + f"# {HOSTILE}\n")
     (tmp_path / "results").mkdir()
-    (tmp_path / "results" / "vslam.yaml").write_text((checkout / "results" / "vslam.yaml").read_text())
+    (tmp_path / "results" / "vslam-recorded.yaml").write_text(
+        (checkout / "results" / "vslam-recorded.yaml").read_text()
+    )
     (one,) = load([str(spec)])
     view = browser.open(written(one, tmp_path / "report.html", str(catalog)))
     move(view, "0.5", None, None)

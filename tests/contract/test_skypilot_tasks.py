@@ -17,7 +17,7 @@ from fogspec.plan.schema import Plan
 from fogspec.spec.loader import read_document
 
 ROOT = Path(__file__).resolve().parents[2]
-SPECS = ("grasp-planning", "vslam", "motion-planning")
+SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
 HEAD = ("InstanceType", "AcceleratorName", "AcceleratorCount", "vCPUs", "MemoryGiB", "GpuInfo", "Price", "SpotPrice",
         "Region", "AvailabilityZone", "Arch")  # fmt: skip
 GCP = """InstanceType,vCPUs,MemoryGiB,AcceleratorName,AcceleratorCount,GpuInfo,Region,AvailabilityZone,Price,SpotPrice

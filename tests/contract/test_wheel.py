@@ -38,7 +38,12 @@ def test_the_sdist_holds_what_builds_and_tests_it(built: dict[str, Path]) -> Non
     with tarfile.open(built["sdist"]) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     assert names >= {"README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "Makefile", "mkdocs.yml", "pyproject.toml"}
-    assert names >= {"tests/contract/test_wheel.py", "docs/tutorial.md", "results/vslam.yaml", "requirements/run.lock"}
+    assert names >= {
+        "tests/contract/test_wheel.py",
+        "docs/tutorial.md",
+        "results/vslam-recorded.yaml",
+        "requirements/run.lock",
+    }
     assert not [name for name in names if name.startswith((".venv", ".fogspec", "build/", "results/lidar-odometry"))]
 
 
@@ -69,9 +74,9 @@ def test_the_first_commands_work_in_an_empty_environment(kind: str, built: dict[
     assert "FS201" in fogspec("explain", "FS201")
     assert probe_does_nothing(environment, here)
     shutil.copytree(ROOT / "results", here / "results", ignore=shutil.ignore_patterns("lidar*", "planner*"))
-    shutil.copy(ROOT / "specs/vslam.yaml", here / "specs")
-    fogspec("compile", "specs/vslam.yaml")
-    assert (here / "compiled/vslam/menu.svg").stat().st_size > 1000
+    shutil.copy(ROOT / "specs/vslam-recorded.yaml", here / "specs")
+    fogspec("compile", "specs/vslam-recorded.yaml")
+    assert (here / "compiled/vslam-recorded/menu.svg").stat().st_size > 1000
     assert os.access(environment / "bin/fogspec", os.X_OK)
 
 

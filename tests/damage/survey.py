@@ -12,7 +12,7 @@ from fogspec.spec.loader import check_text
 from tests.damage.specs import Mutant, mutants
 
 ROOT = Path(__file__).resolve().parents[2]
-SPECS = ("grasp-planning", "vslam", "motion-planning")
+SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
 
 
 @dataclass

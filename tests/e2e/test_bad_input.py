@@ -216,9 +216,9 @@ def test_a_torn_last_line_of_the_journal_is_no_damage(scene):
 @pytest.fixture(scope="module")
 def clouds(tmp_path_factory):
     """The paper's grasp planning, compiled, and without results."""
-    scene = Scene(tmp_path_factory.mktemp("clouds"), "grasp-planning")
+    scene = Scene(tmp_path_factory.mktemp("clouds"), "grasp-planning-recorded")
     (scene.folder / "specs").mkdir()
-    shutil.copy(ROOT / "specs" / "grasp-planning.yaml", scene.spec)
+    shutil.copy(ROOT / "specs" / "grasp-planning-recorded.yaml", scene.spec)
     assert scene.run("compile").returncode == 0
     return scene
 
@@ -238,7 +238,7 @@ def test_a_replay_of_what_is_no_recording(clouds, tmp_path):
 
 
 def test_a_replay_has_the_same_records_and_the_same_choice(clouds):
-    recorded = ROOT / "results" / "grasp-planning.yaml"
+    recorded = ROOT / "results" / "grasp-planning-recorded.yaml"
     ended = clouds.run("bench", "--runner", "replay", "--from", str(recorded))
     assert ended.returncode == 0, ended.stderr
     then, now = (clouds.document(path)["spec"] for path in (recorded, clouds.results))

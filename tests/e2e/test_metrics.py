@@ -16,7 +16,7 @@ from tests.support.files import write_yaml
 from tests.support.running import Shell, shell  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
-SPEC = "specs/vslam.yaml"
+SPEC = "specs/vslam-recorded.yaml"
 
 
 @pytest.fixture
@@ -28,20 +28,20 @@ def there(shell: Shell) -> Shell:
     )
     text = text.replace("    latency: 40ms", "    metrics: { path_length: 40 }\n    latency: 1s")
     spec = shell.write(SPEC, text.replace("alpha: 0.5", "alpha: 0.9\n    metric: path_length"))
-    recorded = read_results(Layout.of(str(ROOT / SPEC), "vslam"))
+    recorded = read_results(Layout.of(str(ROOT / SPEC), "vslam-recorded"))
     assert recorded is not None
     samples = [
         one.model_copy(update={"metrics": {"path_length": 30 + 40 / one.machine.cpus}}) for one in recorded.spec.samples
     ]
     digest = fingerprints.measured_digest(load([str(spec)])[0].application)
     body = recorded.spec.model_copy(update={"samples": samples, "application": digest})
-    sealed = with_checksum(PlanMetadata(name="vslam"), body).model_dump(mode="json", exclude_none=True)
-    write_yaml(shell.folder / "results" / "vslam.yaml", sealed, "a test")
+    sealed = with_checksum(PlanMetadata(name="vslam-recorded"), body).model_dump(mode="json", exclude_none=True)
+    write_yaml(shell.folder / "results" / "vslam-recorded.yaml", sealed, "a test")
     return shell
 
 
 def test_the_menu_names_the_metric_in_headings_and_columns(there: Shell) -> None:
-    out = there("menu", "vslam").out
+    out = there("menu", "vslam-recorded").out
     assert "Pareto front, cost per request against path_length in m:" in out
     assert "Pareto front, price per hour against path_length in m:" in out
     assert "path_length [90%] <= 40" in out
@@ -52,7 +52,7 @@ def test_the_menu_names_the_metric_in_headings_and_columns(there: Shell) -> None
 
 def test_every_file_carries_value_interval_limit_and_unit(there: Shell) -> None:
     there("compile", SPEC)
-    folder = there.folder / "compiled" / "vslam"
+    folder = there.folder / "compiled" / "vslam-recorded"
     menu = yaml.safe_load((folder / "menu.yaml").read_text("utf-8"))["spec"]
     for entry in (menu["balanced"], menu["least"], *menu["front"], *menu["hourly_front"]):
         found = entry["metrics"]["path_length"]
@@ -68,19 +68,21 @@ def test_every_file_carries_value_interval_limit_and_unit(there: Shell) -> None:
     assert expected["probability_met"] > 0.9
     assert all("path_length" in one["metrics"] for one in manifest["alternatives"])
     assert "path_length in m" in (folder / "menu.svg").read_text("utf-8")
-    out = there("explain", "vslam").out
+    out = there("explain", "vslam-recorded").out
     assert " m [" in out
     assert "metrics.path_length: " in out
 
 
 def test_the_metric_and_its_limit_can_be_others_for_once(there: Shell) -> None:
-    of_latency = there("menu", "vslam", "--metric", "latency", "--limit", "path_length=none").out
+    of_latency = there("menu", "vslam-recorded", "--metric", "latency", "--limit", "path_length=none").out
     assert "against mean latency" in of_latency
     assert "metrics.path_length" not in of_latency.split("\n")[1]
-    [menu] = json.loads(there("menu", "vslam", "--limit", "path_length=32", "--cost", "none", "-o", "json").out)
+    [menu] = json.loads(
+        there("menu", "vslam-recorded", "--limit", "path_length=32", "--cost", "none", "-o", "json").out
+    )
     assert menu["spec"]["limits"]["metrics.path_length"] == "32 m"
     assert menu["spec"]["balanced"]["cpus"] > 16
-    missed = there("menu", "vslam", "--limit", "path_length=5", code=4).out
+    missed = there("menu", "vslam-recorded", "--limit", "path_length=5", code=4).out
     assert "metrics.path_length would have to be 6." in missed
     assert "limit 5 m" in missed
 
@@ -88,11 +90,11 @@ def test_the_metric_and_its_limit_can_be_others_for_once(there: Shell) -> None:
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--metric", "length"), "vslam has no metric named length; spec.metrics: path_length"),
-        (("--limit", "width=3"), "vslam has no metric named width"),
+        (("--metric", "length"), "vslam-recorded has no metric named length; spec.metrics: path_length"),
+        (("--limit", "width=3"), "vslam-recorded has no metric named width"),
         (("--limit", "path_length"), "--limit is a metric and its bound"),
         (("--limit", "path_length=-1"), "--limit is a metric and its bound"),
     ],
 )
 def test_a_metric_that_does_not_exist_is_named(there: Shell, words: tuple[str, ...], says: str) -> None:
-    assert says in there("menu", "vslam", *words, code=2).err
+    assert says in there("menu", "vslam-recorded", *words, code=2).err

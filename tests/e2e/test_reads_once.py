@@ -25,11 +25,15 @@ from fogspec.spec.loader import SourceFile
 from tests.support.running import Shell, shell  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
-SAMPLES = {"specs/vslam.yaml": 9, "specs/grasp-planning.yaml": 12, "specs/motion-planning.yaml": 17}
+SAMPLES = {
+    "specs/vslam-recorded.yaml": 9,
+    "specs/grasp-planning-recorded.yaml": 12,
+    "specs/motion-planning-recorded.yaml": 17,
+}
 MANIFESTS = {
-    "specs/vslam.yaml": ["vslam"],
-    "specs/grasp-planning.yaml": ["grasp-planning"],
-    "specs/motion-planning.yaml": ["motion-planning-apartment", "motion-planning-cubicles"],
+    "specs/vslam-recorded.yaml": ["vslam-recorded"],
+    "specs/grasp-planning-recorded.yaml": ["grasp-planning-recorded"],
+    "specs/motion-planning-recorded.yaml": ["motion-planning-apartment-recorded", "motion-planning-cubicles-recorded"],
 }
 
 
@@ -153,7 +157,7 @@ def test_every_command_reads_parses_and_fits_once(shell: Shell, counts: Counts, 
 
 def test_an_unmeasured_application_is_not_fitted(shell: Shell, counts: Counts) -> None:
     shutil.rmtree(shell.folder / "results")
-    for words in (("compile", "specs/vslam.yaml"), ("status", "specs/vslam.yaml"), ("diff", "specs/vslam.yaml")):
+    for words in ((verb, "specs/vslam-recorded.yaml") for verb in ("compile", "status", "diff")):
         counts.clear()
         shell(*words)
         assert not counts.full_fits

@@ -21,7 +21,7 @@ def checkout(tmp_path: Path) -> Path:
     """The SLAM spec and its measurements in an empty folder."""
     for folder in ("specs", "results"):
         (tmp_path / folder).mkdir()
-        shutil.copy(ROOT / folder / "vslam.yaml", tmp_path / folder / "vslam.yaml")
+        shutil.copy(ROOT / folder / "vslam-recorded.yaml", tmp_path / folder / "vslam-recorded.yaml")
     return tmp_path
 
 
@@ -35,10 +35,10 @@ def fogspec(cwd: Path, *words: str, code: int = 0, **env: str) -> subprocess.Com
 
 
 def test_the_page_is_whole_by_itself_and_the_same_each_time(checkout):
-    fogspec(checkout, "report", "vslam", PYTHONHASHSEED="1")
-    page = checkout / "compiled" / "vslam" / "report.html"
+    fogspec(checkout, "report", "vslam-recorded", PYTHONHASHSEED="1")
+    page = checkout / "compiled" / "vslam-recorded" / "report.html"
     first = page.read_bytes()
-    fogspec(checkout, "report", "specs/vslam.yaml", "--name", "vslam", PYTHONHASHSEED="2")
+    fogspec(checkout, "report", "specs/vslam-recorded.yaml", "--name", "vslam-recorded", PYTHONHASHSEED="2")
     assert page.read_bytes() == first
     text = first.decode()
     assert str(checkout) not in text
@@ -60,7 +60,7 @@ def test_the_page_is_whole_by_itself_and_the_same_each_time(checkout):
 
 
 def test_the_numbers_in_the_page_are_data(checkout):
-    text = fogspec(checkout, "report", "vslam", "--to", "-").stdout
+    text = fogspec(checkout, "report", "vslam-recorded", "--to", "-").stdout
     data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)[1])
     assert data["complete"]
     assert len(data["offers"]["row"]) == data["types"] == 21
@@ -68,24 +68,24 @@ def test_the_numbers_in_the_page_are_data(checkout):
 
 
 def test_what_was_not_measured_has_a_page_without_a_menu(checkout):
-    (checkout / "results" / "vslam.yaml").unlink()
-    text = fogspec(checkout, "report", "vslam", "--to", "-").stdout
+    (checkout / "results" / "vslam-recorded.yaml").unlink()
+    text = fogspec(checkout, "report", "vslam-recorded", "--to", "-").stdout
     assert "not measured yet" in text
     assert "To be measured" in text
     assert "<script" not in text
 
 
 def test_an_answer_of_none_has_a_page(checkout):
-    spec = checkout / "specs" / "vslam.yaml"
+    spec = checkout / "specs" / "vslam-recorded.yaml"
     spec.write_text(re.sub(r"latency: .*", "latency: 1ms", spec.read_text(), count=1))
-    text = fogspec(checkout, "report", "vslam", "--to", "-").stdout
+    text = fogspec(checkout, "report", "vslam-recorded", "--to", "-").stdout
     assert "No machine meets the limits" in text
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [(("nothing-of-this-name",), "no application named"), (("specs/missing.yaml",), "missing.yaml"),
-     (("specs/vslam.yaml", "--name", "other"), "no application named other")],
+     (("specs/vslam-recorded.yaml", "--name", "other"), "no application named other")],
 )  # fmt: skip
 def test_what_is_not_there_is_said(checkout, words, said):
     ended = subprocess.run(
@@ -97,22 +97,22 @@ def test_what_is_not_there_is_said(checkout, words, said):
 
 
 def test_the_report_stays_when_compile_tidies_up(checkout):
-    fogspec(checkout, "report", "vslam")
-    fogspec(checkout, "compile", "specs/vslam.yaml")
-    assert (checkout / "compiled" / "vslam" / "report.html").is_file()
-    assert (checkout / "compiled" / "vslam" / "latency.svg").is_file()
-    fogspec(checkout, "compile", "specs/vslam.yaml", "--check")
+    fogspec(checkout, "report", "vslam-recorded")
+    fogspec(checkout, "compile", "specs/vslam-recorded.yaml")
+    assert (checkout / "compiled" / "vslam-recorded" / "report.html").is_file()
+    assert (checkout / "compiled" / "vslam-recorded" / "latency.svg").is_file()
+    fogspec(checkout, "compile", "specs/vslam-recorded.yaml", "--check")
 
 
 def test_menu_draws_in_plain_characters_and_takes_limits_away(checkout):
-    plain = fogspec(checkout, "menu", "specs/vslam.yaml", "--latency", "none").stdout
+    plain = fogspec(checkout, "menu", "specs/vslam-recorded.yaml", "--latency", "none").stdout
     assert "per request: mean latency" in plain
     assert "\x1b[" not in plain
     assert "limits: cost at most" in plain
-    colored = fogspec(checkout, "menu", "specs/vslam.yaml", "--latency", "none", "--color", "always").stdout
+    colored = fogspec(checkout, "menu", "specs/vslam-recorded.yaml", "--latency", "none", "--color", "always").stdout
     assert "\x1b[" in colored
     assert re.sub(r"\x1b\[[0-9;]*m", "", colored) == plain
-    narrow = fogspec(checkout, "menu", "specs/vslam.yaml", COLUMNS="50").stdout
+    narrow = fogspec(checkout, "menu", "specs/vslam-recorded.yaml", COLUMNS="50").stdout
     assert max(len(line) for line in narrow.splitlines() if "|" in line) <= 50
 
 
@@ -140,7 +140,7 @@ def skypilots_offerings(_folder):
     "catalog_of", [all_offerings, *([skypilots_offerings] if skypilots_offerings(None).is_dir() else [])]
 )
 def test_the_page_of_every_offering_stays_small(checkout, tmp_path_factory, catalog_of):
-    spec = checkout / "specs" / "vslam.yaml"
+    spec = checkout / "specs" / "vslam-recorded.yaml"
     text = spec.read_text().replace("infra: [aws/us-east-1]", "infra: [aws, azure, gcp]")
     for old, new in (
         (r"    cpus: .*", "    cpus: 1..1024"), (r"    memory: .*", "    memory: 0.5GiB..32TiB"),
@@ -151,7 +151,7 @@ def test_the_page_of_every_offering_stays_small(checkout, tmp_path_factory, cata
         text = re.sub(old, new, text)
     spec.write_text(text)
     catalog = str(catalog_of(tmp_path_factory.mktemp("offerings")))
-    page = fogspec(checkout, "report", "vslam", "--catalog", catalog, "--to", "-").stdout
+    page = fogspec(checkout, "report", "vslam-recorded", "--catalog", catalog, "--to", "-").stdout
     said = re.search(r"([\d,]+) machine types in ([\d,]+) offers can be predicted", page)
     assert int(said[2].replace(",", "")) > 90_000
     assert int(said[1].replace(",", "")) > 1500
@@ -161,10 +161,15 @@ def test_the_page_of_every_offering_stays_small(checkout, tmp_path_factory, cata
 
 def test_verbs_take_the_name_of_an_application_as_well_as_its_spec(checkout):
     for verb in ("compile", "explain", "menu", "config", "validate", "status"):
-        assert fogspec(checkout, verb, "vslam").stdout == fogspec(checkout, verb, "specs/vslam.yaml").stdout
-    (checkout / "compiled" / "vslam" / "manifest.yaml").unlink()
-    assert "compiled/vslam/manifest.yaml" in fogspec(checkout, "apply", "vslam", code=1).stderr
+        assert (
+            fogspec(checkout, verb, "vslam-recorded").stdout
+            == fogspec(checkout, verb, "specs/vslam-recorded.yaml").stdout
+        )
+    (checkout / "compiled" / "vslam-recorded" / "manifest.yaml").unlink()
+    assert "compiled/vslam-recorded/manifest.yaml" in fogspec(checkout, "apply", "vslam-recorded", code=1).stderr
     assert "no application named slam" in fogspec(checkout, "menu", "slam", code=2).stderr
-    spec = checkout / "specs" / "vslam.yaml"
+    spec = checkout / "specs" / "vslam-recorded.yaml"
     spec.write_text(spec.read_text("utf-8").replace("name: vslam", "nmae: vslam"), "utf-8")
-    assert "write 'name'" in fogspec(checkout, "menu", "vslam", code=1).stderr, "its mistakes, not that it is missing"
+    assert "write 'name'" in fogspec(checkout, "menu", "vslam-recorded", code=1).stderr, (
+        "its mistakes, not that it is missing"
+    )

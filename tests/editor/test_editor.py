@@ -10,7 +10,7 @@ from tests.editor.server import SERVER, Server
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECS = sorted((ROOT / "specs").glob("*.yaml"))
-GRASP = (ROOT / "specs" / "grasp-planning.yaml").read_text("utf-8")
+GRASP = (ROOT / "specs" / "grasp-planning-recorded.yaml").read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_good_specs_have_nothing_underlined(server: Server, path: Path) -> None:
         ("range", "alpha: 0.7", "alpha: 7"), ("unit", "latency: 2s", "latency: 2"),
         ("unit of text", "latency: 2s", "latency: 2 parsecs"),
         ("cost", "cost: $0.001/request", "cost: $0.001"), ("memory", "memory: 4GiB..512GiB", "memory: 4..512"),
-        ("unknown key", "latency: 2s", "latancy: 2s"), ("name", "name: grasp-planning", "name: Grasp_Planning"),
+        ("unknown key", "latency: 2s", "latancy: 2s"), ("name", "name: grasp-planning-recorded", "name: Grasp_Planning"),
         ("number as text", "alpha: 0.7", "alpha: '0.7'"),
     ],
 )  # fmt: skip

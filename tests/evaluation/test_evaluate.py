@@ -88,7 +88,7 @@ def test_a_sweep_is_replayed(tmp_path):
     sweep = tmp_path / "sweep.csv"
     rows = [f"c6i.{size},{4.0 / n + 0.1}" for size, n in (("large", 2), ("xlarge", 4), ("2xlarge", 8), ("4xlarge", 16))]
     sweep.write_text("\n".join(["instance_type,latency_s", *rows, "c6i.large,2.2"]) + "\n")
-    found = json.loads(run("evaluate", "grasp-planning", "--sweep", sweep, "-o", "json").stdout)
+    found = json.loads(run("evaluate", "grasp-planning-recorded", "--sweep", sweep, "-o", "json").stdout)
     assert found["machines"] == 4
     assert found["chosen"] == found["best"]
     assert 0 < found["cost_usd"] <= found["full_sweep_usd"] * 1.5
@@ -111,7 +111,7 @@ def test_a_sweep_is_judged_by_the_limits_and_the_confidence_of_its_spec(tmp_path
 
 def test_results_are_a_sweep_and_every_sampler_is_replayed(tmp_path):
     chart = tmp_path / "chart.svg"
-    words = ("evaluate", "vslam", "--sweep", "results/vslam.yaml", "--all")
+    words = ("evaluate", "vslam-recorded", "--sweep", "results/vslam-recorded.yaml", "--all")
     told = run(*words, "--chart", chart).stdout
     assert "noise none: the sweep has one measurement of each machine" in told
     rows = told.splitlines()[2:]
@@ -130,18 +130,23 @@ def test_results_are_a_sweep_and_every_sampler_is_replayed(tmp_path):
 def test_failed_samples_of_results_are_named_and_repeats_are_the_noise(tmp_path):
     found = json.loads(
         run(
-            "evaluate", "motion-planning-cubicles", "--sweep", "results/motion-planning-cubicles.yaml", "-o", "json"
+            "evaluate",
+            "motion-planning-cubicles-recorded",
+            "--sweep",
+            "results/motion-planning-cubicles-recorded.yaml",
+            "-o",
+            "json",
         ).stdout
     )
     [failed] = found["not_measured"]
     assert failed.startswith("r6i.large (insufficient")
     (tmp_path / "sweep.csv").write_text("instance_type,latency_s\nc6i.large,0.2\nc6i.large,0.22\nc6i.4xlarge,0.03\n")
-    again = json.loads(run("evaluate", "vslam", "--sweep", tmp_path / "sweep.csv", "-o", "json").stdout)
+    again = json.loads(run("evaluate", "vslam-recorded", "--sweep", tmp_path / "sweep.csv", "-o", "json").stdout)
     assert again["noise"] == "the sweep's own: up to 2 measurements, 1 of 2 machines repeated"
 
 
 def test_metrics_are_replayed_as_they_are_weighed(tmp_path):
-    text = (ROOT / "specs/vslam.yaml").read_text("utf-8")
+    text = (ROOT / "specs/vslam-recorded.yaml").read_text("utf-8")
     text = text.replace(
         "  constraints:\n", "  metrics: { path: { topic: /length, field: data, unit: m } }\n  constraints:\n"
     )
@@ -167,7 +172,7 @@ def test_metrics_are_replayed_as_they_are_weighed(tmp_path):
 
 
 def test_shapes_of_one_host_are_machines_that_count_by_their_vcpus(tmp_path):
-    body = read_document(ROOT / "results/vslam.yaml", Results)
+    body = read_document(ROOT / "results/vslam-recorded.yaml", Results)
     samples = [
         one.model_copy(
             update={
@@ -180,7 +185,7 @@ def test_shapes_of_one_host_are_machines_that_count_by_their_vcpus(tmp_path):
     results = with_checksum(body.metadata, body.spec.model_copy(update={"samples": samples}))
     write_yaml(tmp_path / "sweep.yaml", results.model_dump(mode="json", exclude_none=True), "a test")
     found = json.loads(
-        run("evaluate", "vslam", "--sweep", tmp_path / "sweep.yaml", "--sampler", "full", "-o", "json").stdout
+        run("evaluate", "vslam-recorded", "--sweep", tmp_path / "sweep.yaml", "--sampler", "full", "-o", "json").stdout
     )
     assert found["machines"] == 4
     assert found["prices"] == "free machines count as $1 per vCPU and hour"
@@ -199,7 +204,9 @@ def test_shapes_of_one_host_are_machines_that_count_by_their_vcpus(tmp_path):
 )
 def test_a_wrong_sweep_is_said(tmp_path, text, says):
     (tmp_path / "sweep.csv").write_text(text)
-    assert says in run("evaluate", "specs/grasp-planning.yaml", "--sweep", tmp_path / "sweep.csv", code=1).stderr
+    assert (
+        says in run("evaluate", "specs/grasp-planning-recorded.yaml", "--sweep", tmp_path / "sweep.csv", code=1).stderr
+    )
 
 
 def test_a_library_is_built_from_a_folder_and_used(suite, tmp_path):

@@ -16,7 +16,7 @@ from tools.paper import published, tables
 from tools.paper.cases import price_usd_per_hour
 
 ROOT = Path(__file__).resolve().parents[2]
-SPECS = ("grasp-planning", "vslam", "motion-planning")
+SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
 C6I, M6I, R6I = (0.0425, 2.0), (0.048, 4.0), (0.063, 8.0)  # us-east-1: USD per hour and vCPU, GiB per vCPU
 SIZES = {"large": 2, "xlarge": 4, "2xlarge": 8, "4xlarge": 16, "8xlarge": 32, "12xlarge": 48, "16xlarge": 64}
 FULL = [
@@ -58,10 +58,10 @@ def with_machines(cwd: Path, spec: str, machines: list[str]) -> None:
 
 
 def test_table_2_sampling_the_apartment_costs_104_892_cents(checkout):
-    found = compiled(checkout, "motion-planning")["motion-planning-apartment"]
+    found = compiled(checkout, "motion-planning-recorded")["motion-planning-apartment-recorded"]
     assert found["samples"] == 9
     assert found["estimate_usd"]["measuring"] == pytest.approx(1.04892, abs=5e-6)
-    assert "104.892 cents" in fogspec(checkout, "compile", "specs/motion-planning.yaml")
+    assert "104.892 cents" in fogspec(checkout, "compile", "specs/motion-planning-recorded.yaml")
 
 
 @pytest.mark.parametrize(
@@ -76,8 +76,8 @@ def test_table_2_sampling_the_apartment_costs_104_892_cents(checkout):
     ids=["apartment sampling", "cubicles sampling", "cubicles full", "apartment full"],
 )  # fmt: skip
 def test_table_2_from_catalog_prices(checkout, machines, usd):
-    with_machines(checkout, "motion-planning", machines)
-    found = compiled(checkout, "motion-planning")["motion-planning-apartment"]
+    with_machines(checkout, "motion-planning-recorded", machines)
+    found = compiled(checkout, "motion-planning-recorded")["motion-planning-apartment-recorded"]
     assert found["samples"] == len(machines)
     assert found["estimate_usd"]["measuring"] == pytest.approx(usd, abs=5e-6)
 
@@ -107,7 +107,7 @@ def test_rounding_to_a_neighbour_is_checked_again():
 
 def test_listing_1_is_infeasible_and_says_by_how_much(checkout):
     words = ("--latency", "0.01s", "--cost", "0.01 cent/request")
-    out = fogspec(checkout, "menu", "specs/grasp-planning.yaml", *words, "-o", "json", code=4)
+    out = fogspec(checkout, "menu", "specs/grasp-planning-recorded.yaml", *words, "-o", "json", code=4)
     [menu] = json.loads(out)
     missed = {miss["limit"]: miss for miss in menu["spec"]["missed"]}
     assert missed["latency"]["factor"] == pytest.approx(164.9, abs=0.1)
@@ -126,7 +126,7 @@ def test_r2_of_three_t4_machines_says_nothing(latency, r2):
 
 
 def test_the_t4_model_is_flagged(checkout):
-    [answer] = compiled(checkout, "grasp-planning").values()
+    [answer] = compiled(checkout, "grasp-planning-recorded").values()
     warnings = answer["menu"]["warnings"]
     assert any("with T4:1" in text and "R²" in text and "3 samples" in text for text in warnings)
     assert answer["menu"]["balanced"]["instance"] == "g4dn.xlarge"
@@ -134,7 +134,7 @@ def test_the_t4_model_is_flagged(checkout):
 
 @pytest.mark.parametrize("alpha", ["0", "0.5", "1"])
 def test_slam_runs_best_on_16_vcpus(checkout, alpha):
-    out = fogspec(checkout, "menu", "specs/vslam.yaml", "--alpha", alpha, "-o", "json")
+    out = fogspec(checkout, "menu", "specs/vslam-recorded.yaml", "--alpha", alpha, "-o", "json")
     [menu] = json.loads(out)
     assert menu["spec"]["balanced"]["cpus"] == 16
 
@@ -144,16 +144,16 @@ def test_what_is_committed_is_what_compile_writes():
 
 
 def test_the_relaxed_method_is_in_the_manifest_where_it_ends_elsewhere(checkout):
-    spec = checkout / "specs" / "motion-planning.yaml"
+    spec = checkout / "specs" / "motion-planning-recorded.yaml"
     wide = (
         spec.read_text().replace("latency: 10s", "latency: 4min").replace("cost: $2/1000 requests", "cost: $1/request")
     )
     spec.write_text(wide.replace("alpha: 0.3", "alpha: 1"))
-    manifest = checkout / "compiled/motion-planning-apartment/manifest.yaml"
-    fogspec(checkout, "compile", "specs/motion-planning.yaml")
+    manifest = checkout / "compiled/motion-planning-apartment-recorded/manifest.yaml"
+    fogspec(checkout, "compile", "specs/motion-planning-recorded.yaml")
     every = yaml.safe_load(manifest.read_text())
     spec.write_text(spec.read_text().replace("alpha: 1", "alpha: 1\n    method: relaxed"))
-    fogspec(checkout, "compile", "specs/motion-planning.yaml")
+    fogspec(checkout, "compile", "specs/motion-planning-recorded.yaml")
     paper = yaml.safe_load(manifest.read_text())
     assert (every["provenance"]["method"], paper["provenance"]["method"]) == ("exhaustive", "relaxed")
     assert every["spec"]["instance"] != paper["spec"]["instance"]
@@ -166,12 +166,12 @@ def test_the_relaxed_method_is_in_the_manifest_where_it_ends_elsewhere(checkout)
 
 def relaxed_grasp(cwd: Path, latency: str) -> tuple[dict, dict]:
     """The manifest and the Dex-Net curve of CPU machines by the paper's method, without GPUs."""
-    spec = cwd / "specs" / "grasp-planning.yaml"
+    spec = cwd / "specs" / "grasp-planning-recorded.yaml"
     text = spec.read_text().replace("latency: 2s", f"latency: {latency}").replace("gpus: [none, T4]", "gpus: [none]")
     text = text.replace(", g4dn.xlarge, g4dn.2xlarge, g4dn.4xlarge", "")
     spec.write_text(text.replace("alpha: 0.7", "alpha: 0\n    method: relaxed"))
-    fogspec(cwd, "compile", "specs/grasp-planning.yaml")
-    folder = cwd / "compiled" / "grasp-planning"
+    fogspec(cwd, "compile", "specs/grasp-planning-recorded.yaml")
+    folder = cwd / "compiled" / "grasp-planning-recorded"
     models = yaml.safe_load((folder / "models.yaml").read_text())["spec"]["models"]
     curve = next(one for one in models if one["gpu"] is None)["paper"]
     return yaml.safe_load((folder / "manifest.yaml").read_text()), curve
@@ -199,9 +199,9 @@ def test_the_relaxed_methods_own_curve_decides_what_is_feasible(checkout):
     assert every["instance"] == "c6i.4xlarge"
     assert manifest["expected"]["latency"]["predicted"] != relaxed["latency"]
     assert any("its own curve" in text and "exhaustive" in text for text in manifest["warnings"])
-    fogspec(checkout, "explain", "grasp-planning", "specs/grasp-planning.yaml")
-    fogspec(checkout, "menu", "grasp-planning")
-    fogspec(checkout, "report", "grasp-planning")
+    fogspec(checkout, "explain", "grasp-planning-recorded", "specs/grasp-planning-recorded.yaml")
+    fogspec(checkout, "menu", "grasp-planning-recorded")
+    fogspec(checkout, "report", "grasp-planning-recorded")
 
 
 @pytest.mark.parametrize(
@@ -214,18 +214,18 @@ def test_the_machines_of_each_cell_of_table_2_give_its_cents(cell):
 
 
 def test_a_machine_that_is_up_in_sessions_costs_them_and_their_start_up(checkout):
-    spec = checkout / "specs" / "vslam.yaml"
+    spec = checkout / "specs" / "vslam-recorded.yaml"
     text = spec.read_text().replace("latency: 40ms", "latency: 1s").replace("    cost: $0.01/1000 requests\n", "")
     always = text.replace("alpha: 0.5", "alpha: 0\n    billing: provisioned\n    rate: 1/s")
     spec.write_text(always)
-    [before] = json.loads(fogspec(checkout, "menu", "vslam", "-o", "json"))
+    [before] = json.loads(fogspec(checkout, "menu", "vslam-recorded", "-o", "json"))
     spec.write_text(always.replace("rate: 1/s", "rate: 1/s\n    usage: { session: 20min, sessions: 1/week }"))
-    [after] = json.loads(fogspec(checkout, "menu", "vslam", "-o", "json"))
+    [after] = json.loads(fogspec(checkout, "menu", "vslam-recorded", "-o", "json"))
     one, other = before["spec"]["balanced"], after["spec"]["balanced"]
     assert one["instance"] == other["instance"] == "c6i.large"
     assert (one["month"], other["month"]) == ("$62.05/month", "$0.15/month")
     assert (one["cost"], other["cost"]) == ("$0.00002361/request", "$0.00002951/request")
-    assert "up for 20min after 5min of start-up, 1/week: 1.81 h a month" in fogspec(checkout, "menu", "vslam")
+    assert "up for 20min after 5min of start-up, 1/week: 1.81 h a month" in fogspec(checkout, "menu", "vslam-recorded")
 
 
 def test_the_savings_of_the_paper_are_ratios_of_prices_per_hour():

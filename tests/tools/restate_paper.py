@@ -19,11 +19,12 @@ from fogspec.spec.loader import load
 from tests.support.files import write_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
+SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
 APPLICATIONS = {
-    "dexnet": "grasp-planning",
-    "slam": "vslam",
-    "mp_cubicles": "motion-planning-cubicles",
-    "mp_apartment": "motion-planning-apartment",
+    "dexnet": "grasp-planning-recorded",
+    "slam": "vslam-recorded",
+    "mp_cubicles": "motion-planning-cubicles-recorded",
+    "mp_apartment": "motion-planning-apartment-recorded",
 }
 SOURCE = (
     "measured by the authors of FogROS2-Config (Chen et al., ICRA 2024, arXiv 2311.05600) in September 2023 and published "
@@ -36,7 +37,7 @@ def main(folder: Path) -> None:
     """Write one results file for each of the paper's applications."""
     with open(folder / "measured.csv", encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    specs = [ROOT / "specs" / f"{name}.yaml" for name in ("grasp-planning", "vslam", "motion-planning")]
+    specs = [ROOT / "specs" / f"{name}.yaml" for name in SPECS]
     applications = {one.application.metadata.name: one for one in load(specs)}
     for app, name in APPLICATIONS.items():
         loaded = applications[name]

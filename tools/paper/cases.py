@@ -20,12 +20,12 @@ from fogspec.spec.schema import Application, Constraints
 from tools.generated import ROOT
 
 PATH_LENGTH = "path_length"
-SPECS = ("grasp-planning", "vslam", "motion-planning")
+SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
 TITLES = {
-    "grasp-planning": "Dex-Net",
-    "vslam": "SLAM",
-    "motion-planning-cubicles": "Cubicles",
-    "motion-planning-apartment": "Apartment",
+    "grasp-planning-recorded": "Dex-Net",
+    "vslam-recorded": "SLAM",
+    "motion-planning-cubicles-recorded": "Cubicles",
+    "motion-planning-apartment-recorded": "Apartment",
 }
 
 

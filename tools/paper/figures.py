@@ -19,7 +19,7 @@ from tools.generated import ROOT
 from tools.paper.cases import TITLES, Case, OwnRun, cases, own_runs
 
 FOLDER = ROOT / "docs" / "figures"
-SHOWN = "motion-planning-cubicles"
+SHOWN = "motion-planning-cubicles-recorded"
 WIDTH, HEIGHT, WIDE, HIGH = 760, 654, 286, 196
 SOURCE = "samples: Chen et al., ICRA 2024, arXiv 2311.05600; AWS on-demand, us-east-1; both axes logarithmic"
 

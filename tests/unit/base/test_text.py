@@ -16,7 +16,7 @@ from tests.support.hostile_text import HOSTILE
 
 ANY = some.one_of(some.sampled_from(HOSTILE), some.text(max_size=60))
 WORDS = some.text(some.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=40)
-PLAIN = "specs/grasp-planning.yaml: $0.526/h, 1.648s [1.58s, 1.719s] (α × 2) — 日本"
+PLAIN = "specs/grasp-planning-recorded.yaml: $0.526/h, 1.648s [1.58s, 1.719s] (α × 2) — 日本"
 GITHUB = MarkdownIt("commonmark", {"html": True, "linkify": False}).enable(["table", "strikethrough"])
 
 

@@ -59,8 +59,8 @@ def test_requests_that_resemble_each_other_say_less() -> None:
 
 @pytest.fixture
 def paper() -> tuple:
-    (loaded,) = load([ROOT / "specs/grasp-planning.yaml"])
-    expected = read_document(ROOT / "compiled/grasp-planning/manifest.yaml", Manifest).expected
+    (loaded,) = load([ROOT / "specs/grasp-planning-recorded.yaml"])
+    expected = read_document(ROOT / "compiled/grasp-planning-recorded/manifest.yaml", Manifest).expected
     latency = expected.latency.model_copy(
         update={"predicted": 1.65, "interval": (1.5, 1.8), "limit": 2.0, "network_allowance": 0.0}
     )
@@ -69,7 +69,7 @@ def paper() -> tuple:
 
 MACHINE = Machine(infra="aws/us-east-1", instance="g4dn.xlarge", cpus=4, memory=16.0, price=0.526)
 # How the spec's own probe names its requests.
-NAME = RecordRules.of(load([ROOT / "specs/grasp-planning.yaml"])[0].application).callback
+NAME = RecordRules.of(load([ROOT / "specs/grasp-planning-recorded.yaml"])[0].application).callback
 
 
 def lines(latencies, failed: int = 0) -> bytes:

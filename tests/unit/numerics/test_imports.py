@@ -23,7 +23,7 @@ def test_numerics_imports_numpy_and_scipy_only(module):
 def test_scipy_is_not_imported_to_compile(words):
     verb, *options = words
     ended = subprocess.run(
-        [sys.executable, "-X", "importtime", "-m", "fogspec", verb, "specs/vslam.yaml", *options], cwd=ROOT,
+        [sys.executable, "-X", "importtime", "-m", "fogspec", verb, "specs/vslam-recorded.yaml", *options], cwd=ROOT,
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr[-2000:]

