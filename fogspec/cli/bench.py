@@ -10,7 +10,7 @@ import click
 from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
 from fogspec.base.text import shell_command
-from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from
+from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from, require_named
 
 if TYPE_CHECKING:
     from fogspec.backends.protocol import SampleBackend
@@ -96,7 +96,9 @@ def command(
     names = [name.strip() for name in only.split(",") if name.strip()]
     unusable = []
     known: dict[Path, SourceFile] = {}
-    for one in applications_of(spec):
+    applications = applications_of(spec)
+    require_named(applications, files=False)
+    for one in applications:
         prepared = prepare(one.application, one.path, names, known)
         backend = _backend(prepared, runner_name, recorded, pace)
         backend.at_once = min(backend.at_once, at_once or backend.at_once)

@@ -7,7 +7,7 @@ import click
 from fogspec.base.console import say, say_json, say_text
 from fogspec.base.errors import Infeasible, OutOfDate
 from fogspec.base.text import shell_command
-from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, PRIORS, SPECS, echo_notes, load_inputs
+from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, PRIORS, SPECS, echo_notes, load_inputs, require_named
 
 
 @click.command()
@@ -33,6 +33,7 @@ def command(
     from fogspec.spec.rules.policies import Policies
 
     inputs, rules = load_inputs(find_specs(specs), catalog_path, priors, audit=True), Policies(policies)
+    require_named([one.spec for one in inputs])
     echo_notes(note for one in inputs for note in one.catalog_notes)
     rules.require_specs([one.spec for one in inputs])
     compiled = [compile_application(one) for one in inputs]

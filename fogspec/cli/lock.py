@@ -7,7 +7,7 @@ import click
 
 from fogspec.base.console import say, say_json
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from, require_named
 
 SHOWN = 40
 
@@ -45,7 +45,9 @@ def command(
 
     library = library_from(priors)
     wanted = []
-    for one in load(find_specs(specs)):
+    loaded = load(find_specs(specs))
+    require_named(loaded)
+    for one in loaded:
         layout = Layout.of(one.path, one.application.metadata.name)
         pins = read_pins(layout)
         origin = _origin(catalog_path, layout.root) or (pins.catalog.origin if pins else default_origin(clouds_of(one)))

@@ -79,6 +79,22 @@ def load_inputs(
     return Inputs.load(specs, catalog=catalog, priors=priors, name=name, audit=audit)
 
 
+def require_named(loaded: "Sequence[LoadedSpec]", files: bool = True) -> None:
+    """Raise DiagnosticError if specs still have the names that `init` made up; with `files`, warn about missing ones."""
+    import dataclasses
+
+    from fogspec.base.diagnostics import DiagnosticError
+    from fogspec.report.diagnostics import show_diagnostics
+    from fogspec.spec.files_there import CODE
+    from fogspec.spec.rules.benchmark import PLACEHOLDERS
+
+    said = list(dict.fromkeys(warning for one in loaded for warning in one.warnings))
+    if made_up := [dataclasses.replace(one, severity="error") for one in said if one.code == PLACEHOLDERS]:
+        raise DiagnosticError(made_up)
+    if files:
+        show_diagnostics([one for one in said if one.code == CODE])
+
+
 def load_named(what: str, name: str | None, catalog: str | None, priors: Path | None) -> "list[Inputs]":
     """Read the applications of a spec, or the one in specs/ that `what` names; `name` selects one of several.
 

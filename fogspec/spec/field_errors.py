@@ -107,7 +107,7 @@ def _retyped(kind: str, found: Node | None) -> str | None:
     if kind == "string_type":
         return f"write '{text}' in quotes"
     if kind == "list_type":
-        return f"write [{text}]"
+        return f"write [{', '.join(text.replace(',', ' ').split())}]"
     if kind in ("int_type", "float_type", "bool_type") and found.quoted:
         return f"write {text} without quotes"
     return None

@@ -3,7 +3,7 @@
 import dataclasses
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,7 @@ from fogspec.base.yaml.positions import Node, key_span, plain, span_of, spans
 from fogspec.base.yaml.positions import Path as Steps
 from fogspec.spec import rules
 from fogspec.spec.documents import SourceMap, documents_in, documents_of, unreadable
+from fogspec.spec.files_there import missing_files
 from fogspec.spec.overlays import merge
 from fogspec.spec.schema import Application
 from fogspec.spec.validate import Validation, validate
@@ -81,7 +82,7 @@ def check_file(
 def check_text(content: bytes, path: str) -> tuple[list[LoadedSpec], list[Diagnostic]]:
     """Return the same for content that is not, or not yet, in the file at `path`."""
     texts, wrong = SourceMap(), list[Diagnostic]()
-    return _checked([(path, *documents_in(content, path, texts, wrong))], [], texts, wrong)
+    return _checked([(path, *documents_in(content, path, texts, wrong))], [], texts, wrong, on_disk=False)
 
 
 def _checked(
@@ -89,6 +90,7 @@ def _checked(
     layers: Sequence[list[Node]],
     texts: SourceMap,
     wrong: list[Diagnostic],
+    on_disk: bool = True,
 ) -> tuple[list[LoadedSpec], list[Diagnostic]]:
     found: list[tuple[str, int, Node, Validation[Application]]] = []
     refused = {one.span for one in wrong}
@@ -98,7 +100,8 @@ def _checked(
         for index, node in enumerate(nodes):
             merged = merge(node, layers)
             checked = validate(Application, merged)
-            said = [one for one in (*checked.wrong, *rules.run_rules(checked)) if one.span not in refused]
+            found_wrong = (*checked.wrong, *rules.run_rules(checked), *(_missing(checked, path) if on_disk else ()))
+            said = [one for one in found_wrong if one.span not in refused]
             wrong.extend(texts.at_the_cut(said) if index == len(nodes) - 1 else said)
             found.append((path, index, merged, checked))
     wrong.extend(rules.run_rules_together([(node, checked) for _, _, node, checked in found]))
@@ -117,6 +120,14 @@ def _checked(
         if checked.value is not None
     ]
     return loaded, shown
+
+
+def _missing(checked: Validation[Application], path: str) -> Iterator[Diagnostic]:
+    """Yield what the spec at `path` names beside itself and is not there."""
+    if checked.value is None:
+        return
+    for one in missing_files(checked.value, Path(path).parent):
+        yield Diagnostic(one.code, one.message, span_of(checked.node, one.path), one.fix, severity=one.severity)
 
 
 class SourceFile:

@@ -7,7 +7,7 @@ from fogspec.base.text import line as one_line
 from fogspec.base.yaml.writer import block, flow
 from fogspec.spec.field_docs import FieldPage, pages
 from fogspec.spec.launch_import.found import LaunchImport
-from fogspec.spec.rules.benchmark import PLACEHOLDER_TOPICS
+from fogspec.spec.rules.benchmark import PLACEHOLDER_PACKAGE, PLACEHOLDER_TOPICS
 from fogspec.spec.schema import API_VERSION, Application
 
 HINTED = ("metrics", "secrets")
@@ -16,8 +16,8 @@ COLUMN = 48
 
 def first_data(name: str, found: LaunchImport | None = None) -> dict[str, Any]:
     """Return the values of a first spec, taken from a launch file if there is one."""
-    cloud: list[dict[str, Any]] = [{"package": "my_package", "executable": "my_node"}]
-    robot: list[dict[str, Any]] = [{"package": "my_package", "executable": "my_client"}]
+    cloud: list[dict[str, Any]] = [{"package": PLACEHOLDER_PACKAGE, "executable": "my_node"}]
+    robot: list[dict[str, Any]] = [{"package": PLACEHOLDER_PACKAGE, "executable": "my_client"}]
     if found is not None:
         cloud, robot = (found.cloud, found.robot) if found.cloud else (found.robot, [])
     spec: dict[str, Any] = {"cloud": cloud}

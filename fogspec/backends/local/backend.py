@@ -32,6 +32,7 @@ from fogspec.results.schema import Reason
 MARK = "FOGSPEC_JOB"
 WORK = "work"
 GRACE_S = 10.0
+BUILT = "FOGSPEC_BUILT"  # the spec's own folder: a colcon workspace in it is used as its owner built it
 # Mounts that the scripts find by a variable: the reviewed files, in place.
 MOUNTED = (
     ("~/.fogspec/agent.pyz", "FOGSPEC_AGENT", ""),
@@ -124,6 +125,8 @@ class LocalBackend:
         for target, variable, folder in MOUNTED:
             if target in mounts:
                 given[variable] = os.path.abspath(job.root / str(mounts[target]) / folder)
+        if "workdir" in job.task:
+            given[BUILT] = os.path.abspath(job.root / str(job.task["workdir"]))
         return {**given, MARK: mark_of(job)}
 
 

@@ -10,8 +10,10 @@ from fogspec.spec.schema import Application, Interruption, local_shape
 from fogspec.spec.suggest import closest
 
 SECONDS_PER_DAY = 86400
+PLACEHOLDERS = "FS523"
 PLACEHOLDER_TOPICS = ("/request", "/response")
 NESTED_S = 360.0  # for all parts of a machine, as `fogspec.plan.commitment` counts them
+PLACEHOLDER_PACKAGE = "my_package"
 PROBES = ("request and response", "service", "action", "callback")
 
 
@@ -413,17 +415,23 @@ def _for_adaptive(application: Application, name: str, why: str) -> Iterator[Fin
 
 
 def placeholders(application: Application) -> Iterator[Finding]:
-    """Warn about the topics that `init` wrote as placeholders."""
-    probe = application.spec.probe
-    if (probe.request, probe.response) == PLACEHOLDER_TOPICS:
+    """Warn about the names that `init` wrote as placeholders, which compile and bench refuse."""
+    spec = application.spec
+    if (spec.probe.request, spec.probe.response) == PLACEHOLDER_TOPICS:
+        message = "spec.probe still has the topics that init made up"
         yield Finding(
-            "FS523",
+            PLACEHOLDERS,
             ("spec", "probe", "request"),
-            "spec.probe still has the topics that init made up",
+            message,
             "name the topics of your own nodes",
             (("spec", "probe", "response"),),
             severity="warning",
         )
+    for i, node in enumerate(spec.cloud):
+        if node.package == PLACEHOLDER_PACKAGE:
+            path = ("spec", "cloud", i, "package")
+            message = f"{dotted(path)} is still the one that init made up"
+            yield Finding(PLACEHOLDERS, path, message, "name a package of your own", severity="warning")
 
 
 RULES = (

@@ -1,0 +1,14 @@
+"""Everything on one computer: the node and what it is tried with."""
+
+from launch import LaunchDescription
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    """Return the node and its client."""
+    return LaunchDescription(
+        [
+            Node(package="motion_planning", executable="planner"),
+            Node(package="motion_planning", executable="client"),
+        ]
+    )

@@ -1,0 +1,96 @@
+"""What a spec names beside itself and is not there, at its place, by every command that reads the spec."""
+
+from pathlib import Path
+
+import pytest
+
+from fogspec.spec.loader import check_file
+from tests.support.running import Shell, shell  # noqa: F401
+
+SPEC = """\
+apiVersion: fogspec.dev/v1alpha1
+kind: Application
+metadata: { name: arm }
+spec:
+  cloud:
+    - {NODE}
+  robot: [{ package: elsewhere, executable: x, parameter_files: [on-the-robot.yaml] }]
+  ros: { distro: jazzy, workspace: ws, apt: [ros-jazzy-nav2-planner] }
+  probe: { request: /a, response: /b }
+  infra: [aws/us-east-1]
+  benchmark: { budget: $2.50 }
+"""
+
+
+def warned(folder: Path, node: str) -> list[str]:
+    """Line and message of each warning; no errors."""
+    path = folder / "spec.yaml"
+    path.write_text(SPEC.replace("{NODE}", node), "utf-8")
+    (folder / "ws" / "src" / "deep" / "arm_planner").mkdir(parents=True, exist_ok=True)
+    (folder / "ws/src/deep/arm_planner/package.xml").write_text("<package><name> arm_planner </name></package>")
+    (folder / "ws" / "src" / "off").mkdir(exist_ok=True)
+    (folder / "ws/src/off/package.xml").write_text("<package><name>left_out</name></package>")
+    (folder / "ws/src/off/COLCON_IGNORE").touch()
+    found = check_file([path])[1]
+    assert all((one.severity, one.code) == ("warning", "FS545") for one in found), found
+    return [f"{one.span.line}: {one.message}; {one.fix}" for one in found]
+
+
+@pytest.mark.parametrize(
+    "node",
+    [
+        "{ cmd: [ros2, launch, gqcnn_ros, planner.launch.py] }",
+        "{ cmd: [python3, -m, http.server] }",
+        "{ cmd: [python3, -c, print()] }",
+        "{ cmd: [python3, /opt/arm/plan.py] }",
+        "{ cmd: [plan] }",
+        "{ package: arm_planner, executable: x }",
+        "{ package: nav2_planner, executable: x }",
+    ],
+)
+def test_what_is_elsewhere_or_there_is_not_missed(tmp_path: Path, node: str) -> None:
+    assert warned(tmp_path, node) == []
+
+
+@pytest.mark.parametrize(
+    ("node", "says"),
+    [
+        ("{ cmd: [python3, -u, plam.py] }", "spec.cloud[0].cmd[2] names plam.py, which is not there"),
+        ("{ cmd: [./run.sh] }", "spec.cloud[0].cmd[0] names ./run.sh, which is not there"),
+        ("{ cmd: [ros2, launch, arm.launch.py] }", "spec.cloud[0].cmd[2] names arm.launch.py, which is not there"),
+        (
+            "{ package: arm_planner, executable: x, parameter_files: [p.yaml] }",
+            "spec.cloud[0].parameter_files[0] names p.yaml, which is not there",
+        ),
+        ("{ package: arm_planer, executable: x }", "spec.cloud[0].package arm_planer is not in ws/src; write 'arm_planner'"),
+        (
+            "{ package: left_out, executable: x }",
+            "spec.cloud[0].package left_out is not in ws/src; add it there, or ros-jazzy-left-out to spec.ros.apt",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_not_there_is_said_at_its_place(tmp_path: Path, node: str, says: str) -> None:
+    [found] = warned(tmp_path, node)
+    assert found.startswith(f"6: {says}")
+
+
+def test_compile_and_lock_say_it_and_bench_refuses(shell: Shell) -> None:
+    shell.write("specs/arm.yaml", SPEC.replace("{NODE}", "{ cmd: [python3, plam.py] }").replace("ws, apt", "gone, apt"))
+    for words in (["validate", "specs/arm.yaml"], ["compile", "specs/arm.yaml"], ["lock", "specs/arm.yaml"]):
+        said = shell(*words).err
+        assert "warning[FS545]: spec.ros.workspace names gone, which is not there\n --> specs/arm.yaml:8:" in said, (
+            words
+        )
+        assert "names plam.py, which is not there" in said, words
+    assert (
+        "spec.ros.workspace names gone" in shell("bench", "specs/arm.yaml", "--runner", "skypilot", "--yes", code=1).err
+    )
+
+
+def test_names_that_init_made_up_are_refused(shell: Shell) -> None:
+    shell("init", "arm")
+    assert shell("validate").err.count("warning[FS523]") == 2
+    for words in (["compile"], ["lock"], ["bench", "arm", "--runner", "local", "--yes"]):
+        said = shell(*words, code=1).err
+        assert "error[FS523]: spec.cloud[0].package is still the one that init made up" in said, words
+        assert "error[FS523]: spec.probe still has the topics that init made up" in said, words
