@@ -273,3 +273,12 @@ def _without_sc_data(folder):
 def _prices(suite):
     lines = (suite / "machines.csv").read_text().splitlines()[1:]
     return {f"aws/{line.split(',')[1]}": float(line.split(",")[4]) for line in lines}
+
+
+@pytest.mark.slow
+def test_a_measured_full_sweep_of_a_case_study_is_sampled_by_half_and_chosen_from_alike():
+    words = ("evaluate", "specs/vslam.yaml", "--sweep", "tests/data/sweeps/vslam.yaml")
+    found = json.loads(run(*words, "-o", "json").stdout)
+    assert (found["machines"], found["samples"]) == (6, 4)
+    assert found["chosen"] == found["best"] == "local/1cpu-2gib"
+    assert found["bench"] < 0.6
