@@ -9,6 +9,7 @@ PROGRAMS = {
     "supervisor": "run the nodes of a deployment until one of them ends, and report their state",
     "topics": "time requests on ROS 2 topics and goals of an action, beside the nodes",
     "preload": "start a node with the timing library in its process",
+    "launch": "have ROS 2's launch play a launch file that is given as text",
     "bag": "time the requests in a recorded bag",
     "player": "send the requests of a recorded bag",
     "redaction": "copy standard input without the values of secret variables",

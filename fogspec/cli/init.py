@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -9,9 +10,15 @@ from fogspec.base.console import say
 from fogspec.base.errors import UsageError
 from fogspec.base.text import shell_command
 
+if TYPE_CHECKING:
+    from fogspec.spec.launch_import.found import LaunchImport
+
+MOST_DEFAULTS = 20
+
 
 @click.command()
 @click.argument("spec", required=False, type=click.Path(path_type=Path))
+@click.argument("arguments", nargs=-1, metavar="[NAME:=VALUE]...")
 @click.option(
     "--from-launch",
     "launch",
@@ -19,9 +26,22 @@ from fogspec.base.text import shell_command
     metavar="FILE",
     help="read nodes and constraints from this Python, XML or YAML launch file; it is not run",
 )
+@click.option(
+    "--package-path",
+    "package_paths",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    multiple=True,
+    metavar="DIRECTORY",
+    help="look for the packages of included launch files below this directory too: a workspace or an installed prefix",
+)
 @click.option("--name", help="name of the application; that of the file unless said otherwise")
-def command(spec: Path | None, launch: str | None, name: str | None) -> None:
-    """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten."""
+def command(
+    spec: Path | None, arguments: tuple[str, ...], launch: str | None, package_paths: tuple[Path, ...], name: str | None
+) -> None:
+    """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten.
+
+    NAME:=VALUE are launch arguments for --from-launch, as `ros2 launch` takes them.
+    """
     from fogspec.base.project_files import ProjectFiles, write_output
     from fogspec.base.templates import shipped
     from fogspec.report.diagnostics import show_diagnostics
@@ -30,24 +50,34 @@ def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     from fogspec.spec.loader import check_file
     from fogspec.spec.scaffold import first_data, first_text, name_from
 
+    if spec and ":=" in str(spec):
+        spec, arguments = None, (str(spec), *arguments)
+    given = _launch_arguments(arguments, launch)
     if spec and is_name(str(spec)) and not spec.suffix:
         name, spec = name or str(spec), Path("specs") / f"{spec}.yaml"  # `init mybot` means specs/mybot.yaml
-    found = read_launch(launch) if launch else None
+    found = read_launch(launch, given, package_paths) if launch else None
     name = name or name_from((spec and spec.name) or (launch and os.path.basename(launch)) or Path.cwd().name)
     spec = spec or Path("specs") / f"{name}.yaml"
     if spec.exists():
         raise UsageError(f"{spec} is there already", "name another file, or remove it")
     root = spec.parent.parent if spec.absolute().parent.name == "specs" else spec.parent
     schema, files = root / "schemas" / "Application.json", ProjectFiles(root)
-    notes = [f"From {os.path.basename(launch)}, which was read and not run."] if launch else []
-    if found and not found.cloud:
-        notes.append(
-            "The launch file says nothing of a cloud: all nodes are under cloud; move those that stay to robot."
-        )
+    text = first_text(
+        first_data(name, found),
+        Path(os.path.relpath(schema, spec.parent)).as_posix(),
+        _notes(launch, given, found),
+        found,
+    )
+    written = {spec.parent / f"{name}.params" / one: content for one, content in (found.files if found else {}).items()}
+    for path in written:
+        if files.exists(path):
+            raise UsageError(f"{path} is there already", "name another application with --name, or remove it")
     if not files.exists(schema):
         files.write(schema, (shipped("schemas") / "Application.json").read_bytes())
         say(f"{schema}: the language for your editor")
-    text = first_text(first_data(name, found), Path(os.path.relpath(schema, spec.parent)).as_posix(), notes)
+    for path, content in written.items():
+        files.write(path, content.encode())
+        say(f"{path}: the parameter file that the launch file makes of its own")
     write_output(spec, text.encode())
     say(f"{spec}: written; name your topics under probe, then: {shell_command('fogspec', 'validate', spec)}")
     show_diagnostics(found.notes if found else [])
@@ -55,3 +85,38 @@ def command(spec: Path | None, launch: str | None, name: str | None) -> None:
     if wrong:
         show_diagnostics(wrong)
         raise click.exceptions.Exit(1)
+
+
+def _launch_arguments(arguments: tuple[str, ...], launch: str | None) -> dict[str, str]:
+    """Return launch arguments by name; raise UsageError for what is none."""
+    if arguments and launch is None:
+        raise UsageError(
+            f"{arguments[0]} is a launch argument, and there is no --from-launch", "add --from-launch FILE"
+        )
+    for one in arguments:
+        if ":=" not in one or one.startswith(":="):
+            raise UsageError(f"{one} is no launch argument", "write NAME:=VALUE")
+    return dict(one.split(":=", 1) for one in arguments)
+
+
+def _notes(launch: str | None, given: dict[str, str], found: "LaunchImport | None") -> list[str]:
+    """Return what stands at the top of the spec: where it comes from, and what was decided for it."""
+    if launch is None or found is None:
+        return []
+    notes = [f"From {os.path.basename(launch)}, which was read and not run."]
+    if given:
+        notes.append("Launch arguments: " + " ".join(f"{key}:={value}" for key, value in given.items()))
+    if found.defaults:
+        some = [f"{key}:={value}" for key, value in found.defaults.items()]
+        notes += ["Launch arguments at their defaults:", *(f"  {one}" for one in some[:MOST_DEFAULTS])]
+        if len(some) > MOST_DEFAULTS:
+            notes.append(f"  and {len(some) - MOST_DEFAULTS} more")
+    if found.reasons:
+        notes.append(
+            "Which nodes stay on the robot is a suggestion, with its reason above each: move them as you like."
+        )
+    elif not found.said_cloud:
+        notes.append(
+            "The launch file says nothing of a cloud: all nodes are under cloud; move those that stay to robot."
+        )
+    return notes

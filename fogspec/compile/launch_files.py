@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
+from fogspec.compile import launch_source
 from fogspec.compile.links import link_of, port_of
 from fogspec.compile.links.sros2_policy import policy
 from fogspec.compile.links.wireguard import interface
@@ -87,7 +88,5 @@ def _words(application: Application, layout: Layout, nodes: Sequence[Node]) -> d
     return {
         "source": layout.relative(layout.spec),
         "name": application.metadata.name,
-        "nodes": nodes,
-        "has_nodes": any(node.cmd is None for node in nodes),
-        "has_processes": any(node.cmd is not None for node in nodes),
+        **launch_source.words(nodes),
     }

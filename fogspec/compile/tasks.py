@@ -11,11 +11,13 @@ from typing import Any
 from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
 from fogspec.catalog.machine import Machine
+from fogspec.compile.launch_source import node_launch
 from fogspec.compile.links import link_of, port_of
 from fogspec.plan.commitment import Commitment, time_limit
 from fogspec.plan.schema import Sample
+from fogspec.spec.launch_text import needs_launch
 from fogspec.spec.lockfile import measurement_sends_files
-from fogspec.spec.probe import optional, player, probe_parts
+from fogspec.spec.probe import module, optional, player, probe_parts
 from fogspec.spec.schema import Application, Node, Spec
 
 DEPLOYMENT_IDLE_MINUTES = 30
@@ -197,12 +199,16 @@ def listener(spec: Spec) -> list[list[str]]:
 def command(node: Node) -> list[str]:
     """Return the argv that starts a node: `ros2 run` in launch_ros' words, or the plain process as it is."""
     environment = ["env", *(f"{key}={value}" for key, value in sorted(node.env.items()))] if node.env else []
+    if needs_launch(node):
+        # It is on the command line, so that no further file is sent; the agent has launch itself play it.
+        return list(module("launch", node_launch(node)))
     if node.cmd is not None:
         return [*environment, *node.cmd, *node.arguments]
     return [
         *environment,
         "ros2",
         "run",
+        *(["--prefix", node.prefix] if node.prefix else []),
         str(node.package),
         str(node.executable),
         *node.arguments,

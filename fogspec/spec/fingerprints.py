@@ -108,6 +108,8 @@ def _read(
 ) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, field in model.model_fields.items():
+        if name not in values:  # what a later version added, and is not set
+            continue
         stages, value = _declared(field, inherited), values[name]
         below = _model(part(field.annotation)[0])
         if below is not None and value is not None:

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field
 
 from fogspec.base import digest
 from fogspec.base.quantities import Strict
+from fogspec.spec.launch_text import STARTS
 from fogspec.spec.schema import Application, Node, Spec
 
 DIGEST = re.compile(r"sha256:[0-9a-f]{64}")
@@ -216,7 +217,7 @@ def measurement_sends_files(spec: Spec) -> bool:
         return True
     nodes = [*spec.cloud, *([workload.node] if workload.node else [])]
     workspace = spec.ros is not None and spec.ros.workspace is not None
-    return workspace or any(node.cmd is not None or node.parameter_files for node in nodes)
+    return workspace or any(node.cmd is not None or any(parameter_files(node)) for node in nodes)
 
 
 def files_needed(application: Application, measured: bool) -> Iterator[tuple[str, str]]:
@@ -229,15 +230,24 @@ def files_needed(application: Application, measured: bool) -> Iterator[tuple[str
     if measured:
         named.append(("spec.benchmark.workload.bag", spec.benchmark.workload.bag))
     nodes = _nodes(application, measured)
-    named += [(f"{field}.parameter_files", name) for field, node in nodes for name in node.parameter_files]
+    named += [(f"{field}.parameter_files", name) for field, node in nodes for name in parameter_files(node)]
     return ((field, name) for field, name in named if name is not None)
+
+
+def parameter_files(node: Node) -> Iterator[str]:
+    """Return the parameter files of a node and its components that are next to the spec; others are in packages there."""
+    files = [
+        *node.parameter_files,
+        *(name for one in node.composable_node_descriptions for name in one.parameter_files),
+    ]
+    return (name for name in files if not name.startswith(STARTS))
 
 
 def words_of_commands(application: Application, measured: bool) -> Iterator[tuple[str, str]]:
     """Return the words of commands that may name a file next to the spec, with their field."""
     for field, node in _nodes(application, measured):
         words = [*node.cmd, *node.arguments] if node.cmd is not None else []
-        yield from ((f"{field}.cmd", word) for word in words if not word.startswith(("-", "/")))
+        yield from ((f"{field}.cmd", word) for word in words if not word.startswith(("-", "/", *STARTS)))
 
 
 def _nodes(application: Application, measured: bool) -> list[tuple[str, Node]]:

@@ -34,7 +34,7 @@ def _set_fields(document: BaseModel) -> list[tuple[str, Any]]:
 
 
 def _rendered(document: BaseModel, data: dict[str, Any]) -> dict[str, Any]:
-    return {key: _text(inner, data[key]) for key, inner in _set_fields(document)}
+    return {key: _text(inner, data[key]) for key, inner in _set_fields(document) if key in data}
 
 
 def _text(value: Any, data: Any) -> Any:

@@ -1,5 +1,6 @@
 """A first spec: valid, commented from the language's own field pages, with a line for the editor."""
 
+import os.path
 import re
 from typing import Any
 
@@ -7,6 +8,7 @@ from fogspec.base.text import line as one_line
 from fogspec.base.yaml.writer import block, flow
 from fogspec.spec.field_docs import FieldPage, pages
 from fogspec.spec.launch_import.found import LaunchImport
+from fogspec.spec.launch_import.substitutions import WRITTEN
 from fogspec.spec.rules.benchmark import PLACEHOLDER_PACKAGE, PLACEHOLDER_TOPICS
 from fogspec.spec.schema import API_VERSION, Application
 
@@ -19,7 +21,8 @@ def first_data(name: str, found: LaunchImport | None = None) -> dict[str, Any]:
     cloud: list[dict[str, Any]] = [{"package": PLACEHOLDER_PACKAGE, "executable": "my_node"}]
     robot: list[dict[str, Any]] = [{"package": PLACEHOLDER_PACKAGE, "executable": "my_client"}]
     if found is not None:
-        cloud, robot = (found.cloud, found.robot) if found.cloud else (found.robot, [])
+        folder = f"{name}.params"
+        cloud, robot = ([_placed(one, folder) for one in side] for side in (found.cloud, found.robot))
     spec: dict[str, Any] = {"cloud": cloud}
     if robot:
         spec["robot"] = robot
@@ -27,9 +30,10 @@ def first_data(name: str, found: LaunchImport | None = None) -> dict[str, Any]:
         spec["ros"] = {
             "distro": "jazzy",
             "workspace": "ros2_ws",
+            **({"image": found.image} if found and found.image else {}),
             **({"setup": found.setup} if found and found.setup else {}),
         }
-    spec["probe"] = dict(zip(("request", "response"), PLACEHOLDER_TOPICS, strict=True))
+    spec["probe"] = dict(zip(("request", "response"), PLACEHOLDER_TOPICS, strict=True)) | (found.probe if found else {})
     spec["constraints"] = {"latency": "1s", "cost": "$0.001/request"}
     spec["objective"] = {"alpha": 0.5}
     spec["hardware"] = {"cpus": "2..64", "memory": "4GiB..512GiB", "memory_per_cpu": "2GiB..8GiB", "gpus": ["none"]}
@@ -47,16 +51,32 @@ def _over(spec: dict[str, Any], found: LaunchImport) -> None:
     spec["objective"] |= found.objective
     spec["hardware"] |= found.hardware
     spec["benchmark"]["stop"] |= found.stop
+    spec["infra"] = found.infra or spec["infra"]
 
 
-def first_text(data: dict[str, Any], schema: str, notes: list[str]) -> str:
-    """Return the spec as text: each field's meaning after its first line, omitted fields as hints at the end."""
+def _placed(value: Any, folder: str) -> Any:
+    """Return a value with the files that launch would write in the folder beside the spec."""
+    if isinstance(value, dict):
+        return {key: _placed(one, folder) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_placed(one, folder) for one in value]
+    return value.replace(WRITTEN, f"{folder}/") if isinstance(value, str) else value
+
+
+def first_text(data: dict[str, Any], schema: str, notes: list[str], found: LaunchImport | None = None) -> str:
+    """Return the spec as text: each field's meaning after its first line, omitted fields as hints at the end.
+
+    Above a node of a launch file is where it is written, and why it is proposed for the robot.
+    """
     book = {page.path: page for page in pages(Application)}
     lines = [f"# yaml-language-server: $schema={one_line(schema)}", *(f"# {one_line(note)}" for note in notes)]
     said: set[str] = set()
+    origins = _origins(found)
     for written, path in block(data):
         # A field without a value is an error, where null means no limit.
         line = written.removesuffix(" null") if written.endswith(": null") else written
+        if len(path) == 4 and path[1:3] in origins and line.lstrip().startswith("- "):
+            lines.append(f"{' ' * (len(line) - len(line.lstrip()))}# {one_line(origins[path[1:3]])}")
         page = _page(book, path)
         meaning = page.meaning if page and page.path not in said else ""
         if page:
@@ -65,6 +85,19 @@ def first_text(data: dict[str, Any], schema: str, notes: list[str]) -> str:
     hints = [book[f"spec.{name}"] for name in HINTED if name not in data["spec"]]
     lines += [f"{_hint(page):<{COLUMN}} # {page.meaning}" for page in hints]
     return "\n".join(line.rstrip() for line in lines) + "\n"
+
+
+def _origins(found: LaunchImport | None) -> dict[tuple[str | int, ...], str]:
+    """Return the comment of each node, by its side and number."""
+    comments: dict[tuple[str | int, ...], str] = {}
+    if found is None:
+        return comments
+    for side in ("cloud", "robot"):
+        for i, node in enumerate(found.cloud if side == "cloud" else found.robot):
+            place, reason = found.origins.get(id(node)), found.reasons.get(id(node))
+            where = f"{os.path.basename(place.path)}:{place.line}" if place else ""
+            comments[(side, i)] = f"{where}: proposed for the robot, because it {reason}" if reason else where
+    return {key: text for key, text in comments.items() if text}
 
 
 def _page(book: dict[str, FieldPage], path: tuple[str | int, ...]) -> FieldPage | None:

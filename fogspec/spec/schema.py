@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from fogspec.base.quantities import (
     Cost,
@@ -33,6 +33,13 @@ Pattern = Annotated[str, Field(pattern=r"^[^\s\\!](.*[^\s\\])?$")]
 Condition = Annotated[
     str, Field(pattern=r"^\s*(len\([A-Za-z_][\w.\[\]]*\)|[A-Za-z_][\w.\[\]]*)\s*(==|!=|<=|>=|<|>)\s*\S.*$")
 ]
+ADDED = (
+    "allow_substs",
+    "prefix",
+    "respawn",
+    "respawn_delay",
+    "composable_node_descriptions",
+)  # to Node, after results were first written
 Statistic = Literal["mean", "p50", "p95", "p99"]
 Billing = Literal["busy", "provisioned"]
 MachineClass = Literal["previous-generation", "burstable"]
@@ -63,8 +70,36 @@ class Metadata(Strict):
     )
 
 
+class ComposableNode(Strict):
+    """One component of a container, in launch_ros' words."""
+
+    package: str = Field(description="ROS 2 package that holds the component", examples=["image_proc"])
+    plugin: str = Field(description="class of the component", examples=["image_proc::RectifyNode"])
+    name: str | None = Field(None, description="node name, as in launch_ros", examples=["rectify"])
+    namespace: str | None = Field(None, description="node namespace, as in launch_ros", examples=["/camera"])
+    parameters: dict[str, Any] = Field({}, description="ROS 2 parameters", examples=[{"queue_size": 5}])
+    parameter_files: list[str] = Field(
+        [], description="ROS 2 parameter files, relative to the spec", examples=[["config/rectify.yaml"]]
+    )
+    allow_substs: bool = Field(
+        False,
+        description="whether launch replaces substitutions in the parameter files, as ParameterFile does",
+        examples=[True],
+    )
+    remappings: dict[str, str] = Field(
+        {}, description="topic and service names: from -> to", examples=[{"image": "image_raw"}]
+    )
+    extra_arguments: dict[str, Any] = Field(
+        {}, description="extra arguments of the component", examples=[{"use_intra_process_comms": True}]
+    )
+
+
 class Node(Strict):
-    """One process to start: a ROS 2 node in launch_ros' words, or with `cmd` a plain process."""
+    """One process to start: a ROS 2 node in launch_ros' words, or with `cmd` a plain process.
+
+    Texts may have launch's substitutions `$(find-pkg-share P)`, `$(find-pkg-prefix P)`, `$(env X)` and `$(command '...')`;
+    they are replaced on the machine where the node starts.
+    """
 
     package: str | None = Field(
         None, description="ROS 2 package that holds the executable", examples=["fogros2_examples"]
@@ -91,6 +126,31 @@ class Node(Strict):
     env: dict[str, str] = Field(
         {}, description="environment variables of this process", examples=[{"OMP_PROC_BIND": "true"}]
     )
+    allow_substs: bool = Field(
+        False,
+        description="whether launch replaces substitutions in the parameter files, as ParameterFile does",
+        examples=[True],
+    )
+    prefix: str | None = Field(
+        None, description="command in front of the executable, as in launch_ros", examples=["nice -n 5"]
+    )
+    respawn: bool = Field(
+        False,
+        description="start the process again when it ends, as in launch_ros; not while a sample is measured",
+        examples=[True],
+    )
+    respawn_delay: Duration | None = Field(None, gt=0, description="time until it is started again", examples=["2s"])
+    composable_node_descriptions: list[ComposableNode] = Field(
+        [],
+        description="components that run in this process, which is then a component container, as in launch_ros",
+        examples=[[{"package": "image_proc", "plugin": "image_proc::RectifyNode"}]],
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_added(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit what later versions added while it is not set, so that digests of older results stay valid."""
+        values: dict[str, Any] = written(self)
+        return {key: value for key, value in values.items() if key not in ADDED or value}
 
 
 class Ros(Strict):

@@ -1,35 +1,29 @@
-"""Reading ROS 2 launch files without running them: what starts, with which parameters, and what could not be read."""
+"""Reading ROS 2 launch files without running them: what `launch` would start, and what could not be read."""
 
 import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
-from fogspec.base.files import read_bounded
-from fogspec.base.yaml import reader
-from fogspec.spec.launch_import.found import MOST_BYTES, LaunchImport
+from fogspec.spec.launch_import.found import LaunchImport
 
 
-def read_launch(path: str | os.PathLike[str]) -> LaunchImport:
-    """Return what a Python, XML or YAML launch file starts.
+def read_launch(
+    path: str | os.PathLike[str],
+    arguments: Mapping[str, str] | None = None,
+    package_paths: Sequence[str | os.PathLike[str]] = (),
+) -> LaunchImport:
+    """Return what a Python, XML or YAML launch file starts with these launch arguments.
 
-    Raise DiagnosticError if the file cannot be read at all; what cannot be imported is in `notes`.
+    Included files are followed where they are: in the launch file's workspace, below `package_paths`, or installed where
+    ROS 2 is sourced. Raise DiagnosticError if the file cannot be read at all; what could not be taken over is in `notes`.
     """
+    from fogspec.spec.launch_import.packages import Packages
+    from fogspec.spec.launch_import.proposal import propose
+    from fogspec.spec.launch_import.service import Service
+
     name = os.fspath(path)
-    try:
-        content = read_bounded(path, MOST_BYTES)
-    except OSError as problem:
-        message = f"the launch file cannot be read: {problem.strerror}"
-        raise DiagnosticError([Diagnostic("FS801", message, Span(name, 1, 1))]) from None
-    text, wrong = reader.decode(content, name)
-    if wrong:
-        raise DiagnosticError(wrong)
-    if name.endswith(".py"):
-        from fogspec.spec.launch_import.python import read_python
-
-        return read_python(text, name)
-    if name.endswith((".xml", ".launch")):
-        from fogspec.spec.launch_import.xml import read_xml
-
-        return read_xml(text, name)
-    from fogspec.spec.launch_import.yaml import read_yaml
-
-    return read_yaml(text, name)
+    found = LaunchImport(path=name)
+    packages = Packages(Path(name), [Path(one) for one in package_paths])
+    Service(found, packages, dict(arguments or {})).play(name)
+    propose(found, packages, dict(arguments or {}))
+    return found

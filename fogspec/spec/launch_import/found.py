@@ -1,87 +1,113 @@
-"""What a launch file says, as far as it can be read without running it."""
+"""What a launch file starts, in the words of the spec, and what of it could not be read."""
 
-import shlex
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
-from fogspec.base.yaml.scalars import Refusal, resolve
 
-MOST_BYTES = 256 << 10
-MOST_WORK = 20_000_000  # characters that are handled to read one file
+MOST_BYTES = 1 << 20
+MOST_WORK = 20_000_000  # steps and characters that are handled to read one launch file and those that it includes
+MOST_FILES = 100
 DEEPEST = 50
-LONGEST_COMMAND = 8 << 10
-NODE_WORDS = (
-    "package",
-    "executable",
-    "cmd",
-    "name",
-    "namespace",
-    "parameters",
-    "parameter_files",
-    "remappings",
-    "arguments",
-    "env",
-)
+SHARE = re.compile(r"\$\(find-pkg-share ([A-Za-z0-9_.-]+)\)")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where something is written."""
+
+    path: str
+    line: int
+    column: int = 1
+    width: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """A value that only a launch would determine: where it comes from, and why it is not known."""
+
+    place: Place
+    why: str
+
+
+@dataclass(slots=True)
+class Made:
+    """An action, substitution or description that a launch file makes: its class, and what the class was given.
+
+    `places` is where each of the words is written, as far as a message needs it.
+    """
+
+    kind: str
+    args: list[Any]
+    words: dict[str, Any]
+    place: Place
+    places: dict[str, Place] = field(default_factory=dict)
+
+    def word(self, name: str, position: int | None = None, default: Any = None) -> Any:
+        """Return an argument by name, or by position."""
+        if name in self.words:
+            return self.words[name]
+        return self.args[position] if position is not None and position < len(self.args) else default
 
 
 @dataclass(kw_only=True)
 class LaunchImport:
-    """Nodes as the spec writes them, whatever else a spec can take over, and warnings about the rest."""
+    """What the spec can take over, and warnings about the rest.
+
+    `files` are parameter files that the launch file writes while it is played, by their names beside the spec. `defaults` are
+    the launch arguments whose default was taken, with the value. `origins` and `reasons` are by the id() of a node: where it
+    is written, and why it is proposed for the robot.
+    """
 
     path: str
-    lines: list[str]
     cloud: list[dict[str, Any]] = field(default_factory=list)
     robot: list[dict[str, Any]] = field(default_factory=list)
+    said_cloud: bool = False
+    reasons: dict[int, str] = field(default_factory=dict)
+    origins: dict[int, Place] = field(default_factory=dict)
     constraints: dict[str, Any] = field(default_factory=dict)
     objective: dict[str, Any] = field(default_factory=dict)
     hardware: dict[str, Any] = field(default_factory=dict)
     stop: dict[str, Any] = field(default_factory=dict)
+    probe: dict[str, Any] = field(default_factory=dict)
+    infra: list[str] = field(default_factory=list)
+    image: str | None = None
     setup: list[str] = field(default_factory=list)
+    files: dict[str, str] = field(default_factory=dict)
+    defaults: dict[str, str] = field(default_factory=dict)
+    included: list[str] = field(default_factory=list)
     notes: list[Diagnostic] = field(default_factory=list)
+    sources: dict[str, list[str]] = field(default_factory=dict)
     work: int = 0
+    noted: set[tuple[str, int, str]] = field(default_factory=set)
 
-    def spend(self, characters: int) -> None:
+    def spend(self, amount: int) -> None:
         """Count work; raise DiagnosticError once it is out of proportion: a few names can double a text many times."""
-        self.work += 16 + characters
+        self.work += 1 + amount
         if self.work > MOST_WORK:
-            message = "the launch file is too large, or its values grow too large when they are put together"
+            message = "the launch file is too large, loops for too long, or its values grow too large"
             fix = "write the spec by hand: fogspec init without --from-launch"
             raise DiagnosticError([Diagnostic("FS801", message, Span(self.path, 1, 1), fix)])
 
-    def checked_depth(self, depth: int, line: int) -> None:
-        """Raise DiagnosticError for what is nested too deep."""
-        if depth > DEEPEST:
-            message = f"a launch file may be nested at most {DEEPEST} deep"
-            raise DiagnosticError([Diagnostic("FS801", message, Span(self.path, line, 1))])
-
-    def note(self, line: int, message: str, column: int = 1, width: int | None = None) -> None:
-        """Report what was not imported, and where it is."""
-        source = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
+    def note(self, place: Place, message: str) -> None:
+        """Report once what was not taken over, and where it is."""
+        key = (place.path, place.line, message)
+        if key in self.noted:
+            return
+        self.noted.add(key)
+        lines = self.sources.get(place.path, [])
+        source = lines[place.line - 1] if 0 < place.line <= len(lines) else ""
         self.spend(len(source))
+        column, width = place.column, place.width
         if column == 1:
             column = len(source) - len(source.lstrip()) + 1
-        span = Span(self.path, line, column, width or max(1, len(source.rstrip()) - column + 1))
+        if width == 1:
+            width = max(1, len(source.rstrip()) - column + 1)
+        span = Span(place.path, place.line, column, width)
         self.notes.append(Diagnostic("FS802", message, span, severity="warning", source_line=source))
 
 
-def tidy_node(raw: dict[str, Any]) -> dict[str, Any]:
-    """Return the node with its keys in the order of the schema, without empty ones."""
-    return {word: raw[word] for word in NODE_WORDS if raw.get(word) not in (None, "", [], {})}
-
-
-def typed(text: str) -> Any:
-    """Return a parameter's value as ROS 2 would read it from a string; the string if readers would differ."""
-    stripped = text.strip()
-    if stripped.startswith("[") and stripped.endswith("]"):
-        return [typed(part.strip(" '\"")) for part in stripped[1:-1].split(",") if part.strip()]
-    value = resolve(stripped)
-    return text if value is None or isinstance(value, (Refusal, str)) else value
-
-
-def words(text: str) -> list[str]:
-    """Return a command line as a list of arguments; a very long one is split at spaces: shlex takes quadratic time."""
-    try:
-        return shlex.split(text) if len(text) <= LONGEST_COMMAND else text.split()
-    except ValueError:
-        return text.split()
+def refuse(message: str, place: Place, fix: str | None = None) -> DiagnosticError:
+    """Return the error of a launch file that cannot be read at all."""
+    return DiagnosticError([Diagnostic("FS801", message, Span(place.path, place.line, place.column), fix)])

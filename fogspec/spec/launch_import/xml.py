@@ -1,45 +1,38 @@
 """XML launch files, read as data: no entities, no documents from elsewhere."""
 
 import xml.parsers.expat
-from dataclasses import dataclass, field
+from typing import Any
 
-from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
-from fogspec.spec.launch_import.found import LaunchImport
-from fogspec.spec.launch_import.frontend import Action, take_actions
-
-
-@dataclass
-class _Element:
-    tag: str
-    attributes: dict[str, str]
-    line: int
-    children: list["_Element"] = field(default_factory=list)
+from fogspec.spec.launch_import.found import DEEPEST, Place, refuse
+from fogspec.spec.launch_import.frontend import Entity, actions, is_ros1
 
 
-def read_xml(text: str, path: str) -> LaunchImport:
-    """Return what the file starts; raise DiagnosticError if it is not an XML launch file."""
-    found = LaunchImport(path=path, lines=text.split("\n"))
+def read_xml(text: str, path: str) -> list[Any]:
+    """Return the file's actions; raise DiagnosticError if it is not an XML launch file of ROS 2."""
     try:
-        root = _parsed(text, found)
+        root = _parsed(text, path)
     except xml.parsers.expat.ExpatError as wrong:
         message = f"the launch file must be XML: {xml.parsers.expat.ErrorString(wrong.code)}"
-        raise DiagnosticError([Diagnostic("FS801", message, Span(path, wrong.lineno, wrong.offset + 1))]) from None
+        raise refuse(message, Place(path, wrong.lineno, wrong.offset + 1)) from None
     if root is None or root.tag != "launch":
-        message = "the launch file must have one element <launch> and no DOCTYPE"
-        raise DiagnosticError([Diagnostic("FS801", message, Span(path, 1, 1))])
-    take_actions(found, [_action(child) for child in root.children])
-    return found
+        raise refuse("the launch file must have one element <launch> and no DOCTYPE", Place(path, 1))
+    if is_ros1(root):
+        fix = "ROS 2 launch files say exec= for type=, and $(var x) for $(arg x); port it first"
+        raise refuse("this is a launch file of ROS 1", root.place, fix)
+    return actions(root.inside)
 
 
-def _parsed(text: str, found: LaunchImport) -> _Element | None:
-    root = _Element("", {}, 0)
+def _parsed(text: str, path: str) -> Entity | None:
+    root = Entity("", {}, Place(path, 1))
     stack, refused = [root], []
     parser = xml.parsers.expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        found.checked_depth(len(stack), parser.CurrentLineNumber)
-        element = _Element(tag, attributes, parser.CurrentLineNumber)
-        stack[-1].children.append(element)
+        place = Place(path, parser.CurrentLineNumber)
+        if len(stack) > DEEPEST:
+            raise refuse(f"a launch file may be nested at most {DEEPEST} deep", place)
+        element = Entity(tag, dict(attributes), place)
+        stack[-1].inside.append(element)
         stack.append(element)
 
     def doctype(*_: object) -> None:
@@ -50,13 +43,4 @@ def _parsed(text: str, found: LaunchImport) -> _Element | None:
     parser.StartDoctypeDeclHandler = doctype
     if "<!DOCTYPE" not in text and "<!ENTITY" not in text:
         parser.Parse(text, True)
-    return root.children[0] if root.children and not refused else None
-
-
-def _action(element: _Element) -> Action:
-    """Return the element as the YAML front end would write it: children of one name are a list."""
-    inside = [_action(child) for child in element.children]
-    below: dict[str, list[Action]] = {}
-    for child in inside:
-        below.setdefault(child.tag, []).append(child)
-    return Action(element.tag, dict(element.attributes), below, element.line, inside)
+    return root.inside[0] if root.inside and not refused else None

@@ -6,10 +6,12 @@ from posixpath import normpath
 from typing import Any
 
 from fogspec.base.yaml.positions import Path, dotted
+from fogspec.spec.launch_text import STARTS
 from fogspec.spec.rules.finding import Finding
-from fogspec.spec.schema import Application, Node, Spec
+from fogspec.spec.schema import Application, ComposableNode, Node, Spec
 
-ROS_WORDS = ("package", "executable", "name", "namespace", "parameters", "parameter_files", "remappings")
+ROS_WORDS = ("package", "executable", "name", "namespace", "parameters", "parameter_files", "remappings",
+             "allow_substs", "prefix", "composable_node_descriptions")  # fmt: skip
 GRAPH_NAME = re.compile(r"(~/|/)?([A-Za-z_{][A-Za-z0-9_{}]*)(/[A-Za-z_{][A-Za-z0-9_{}]*)*|/|~")
 
 
@@ -37,6 +39,14 @@ def kind_of_node(application: Application) -> Iterator[Finding]:
                 "executable" if node.package else "package" if node.executable else "package and executable, or cmd"
             )
             yield Finding("FS501", path, f"{dotted(path)} must say {missing}", f"add {missing}")
+
+
+def all_named(spec: Spec) -> Iterator[tuple[Path, Node | ComposableNode]]:
+    """Return every node and every component of a container with its path."""
+    for path, node in all_nodes(spec):
+        yield path, node
+        for i, one in enumerate(node.composable_node_descriptions):
+            yield (*path, "composable_node_descriptions", i), one
 
 
 def environment_of_nodes(application: Application) -> Iterator[Finding]:
@@ -72,7 +82,7 @@ def graph_names(application: Application) -> Iterator[Finding]:
     for kind in ("topics", "services", "actions"):
         listed = getattr(spec.connectivity, kind)
         named += [(("spec", "connectivity", kind, i), name) for i, name in enumerate(listed)]
-    for path, node in all_nodes(spec):
+    for path, node in all_named(spec):
         named.append(((*path, "namespace"), node.namespace))
         for old, new in node.remappings.items():
             named += [((*path, "remappings", old), old.partition(":=")[0]), ((*path, "remappings", old), new)]
@@ -84,8 +94,10 @@ def graph_names(application: Application) -> Iterator[Finding]:
 
 def parameter_values(application: Application) -> Iterator[Finding]:
     """Require ROS 2 parameter values: booleans, numbers, strings, lists of one of these; maps nest."""
-    for path, node in all_nodes(application.spec):
+    for path, node in all_named(application.spec):
         yield from _parameters((*path, "parameters"), node.parameters)
+        if isinstance(node, ComposableNode):
+            yield from _parameters((*path, "extra_arguments"), node.extra_arguments)
 
 
 def _parameters(path: Path, values: dict[str, Any]) -> Iterator[Finding]:
@@ -112,8 +124,9 @@ def paths(application: Application) -> Iterator[Finding]:
         (("spec", "probe", "bag"), spec.probe.bag),
         (("spec", "benchmark", "workload", "bag"), spec.benchmark.workload.bag),
     ]
-    for path, node in all_nodes(spec):
-        named += [((*path, "parameter_files", i), file) for i, file in enumerate(node.parameter_files)]
+    for path, node in all_named(spec):
+        files = enumerate(node.parameter_files)
+        named += [((*path, "parameter_files", i), file) for i, file in files if not file.startswith(STARTS)]
     for path, file in named:
         if file is not None and (not file or file[0] in "/~" or ":" in file[:3] or "\\" in file):
             yield Finding(

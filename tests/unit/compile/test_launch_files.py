@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from fogspec.base.layout import Layout
 from fogspec.compile.launch_files import launch_files, robot_launch
+from fogspec.compile.tasks import _flat
 from fogspec.spec.launch_import import read_launch
 from fogspec.spec.schema import Application
 from tests.support.launching import launched
@@ -84,11 +85,11 @@ def test_without_ros_there_is_no_launch_file_for_the_cloud():
 
 
 def test_init_reads_the_generated_file_back_as_the_same_nodes(tmp_path):
-    """What cannot be told without running the file, the spec's folder, is noted and left out."""
+    """Nested parameters come back by their full names, as launch_ros passes them on."""
     node = {key: value for key, value in NODE.items() if key != "parameter_files"}
     layout = written(application(robot=[node]), tmp_path)
     found = read_launch(layout.robot)
-    assert found.robot == [node]
+    assert found.cloud == [node | {"parameters": dict(_flat(NODE["parameters"]))}]
     assert not found.notes
 
 
