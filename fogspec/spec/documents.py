@@ -20,12 +20,17 @@ class SourceMap:
 
     lines: dict[str, list[str]] = field(default_factory=dict)
     content: dict[str, bytes] = field(default_factory=dict)
+    hidden: set[tuple[str, int]] = field(default_factory=set)  # lines by file and number that nothing may show
 
     def shown(self, diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
         """Return the diagnostics with their source lines, by file and line, errors first at a span."""
+        given = list(diagnostics)
+        self.hidden |= {(one.span.path, one.span.line) for one in given if one.code in NOT_SHOWN}
         found = [
-            one if one.code in NOT_SHOWN else dataclasses.replace(one, source_line=self.line(one.span))
-            for one in diagnostics
+            one
+            if (one.span.path, one.span.line) in self.hidden
+            else dataclasses.replace(one, source_line=self.line(one.span))
+            for one in given
         ]
         files = list(self.lines)
         return sorted(
