@@ -19,7 +19,7 @@ PACKAGES = ("grasp_planning", "motion_planning", "visual_slam")
 CHANGES = {
     "vslam": [("requests: 130", "requests: 15")],
     "grasp-planning": [("requests: 20", "requests: 4"), ("warmup: 2", "warmup: 1"), ("samples: 64", "samples: 8")],
-    "motion-planning": [("requests: 8", "requests: 3"), ("30000", "25000"), ("planners: 4", "planners: 2")],
+    "motion-planning": [("requests: 8", "requests: 3"), ("planners: 4", "planners: 2")],
 }
 
 
@@ -53,7 +53,8 @@ def measured(net: Net, workspace: Path, name: str) -> list[dict[str, Any]]:
     specs = net.folder / "specs"
     specs.mkdir(parents=True)
     shutil.copytree(workspace, specs / "ros2_ws")
-    text = (ROOT / "specs" / f"{name}.yaml").read_text("utf-8")
+    # The last application: cubicles take several times as long as the apartment.
+    text = (ROOT / "specs" / f"{name}.yaml").read_text("utf-8").rpartition("\n---\n")[2]
     for old, new in [*CHANGES[name], (", local/2cpu-2gib]", "]")]:
         assert old in text
         text = text.replace(old, new)
@@ -70,12 +71,10 @@ def measured(net: Net, workspace: Path, name: str) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_case_study_is_measured_with_its_success_condition(net: Net, workspace: Path, name: str) -> None:
-    samples = measured(net, workspace, name)
-    assert len(samples) == (2 if name == "motion-planning" else 1)
-    for sample in samples:
-        assert (sample["state"], sample["failed_requests"]) == ("ok", 0), sample
-        assert sample["requests"] >= 2
-        if name == "vslam":
-            assert 0 < sample["metrics"]["drift"] < 0.2
-        if name == "motion-planning":
-            assert 10 < sample["metrics"]["path_length"] < 60
+    [sample] = measured(net, workspace, name)
+    assert (sample["state"], sample["failed_requests"]) == ("ok", 0), sample
+    assert sample["requests"] >= 2
+    if name == "vslam":
+        assert 0 < sample["metrics"]["drift"] < 0.2
+    if name == "motion-planning":
+        assert 8 < sample["metrics"]["path_length"] < 30
