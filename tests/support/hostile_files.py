@@ -165,13 +165,18 @@ def _priors(at: Path) -> tuple[str, ...]:
 
 
 VARIABLES = f'<launch><arg name="a" default="{"x" * 100_000}"/><node exec="{"$(var a)" * 15_000}"/></launch>'
-DOUBLED = _doubled("'x'", "{0} + {0}", "Node(package='p', executable=a40)")
-LISTS = _doubled("['x']", "[{0}, {0}]", "Node(package='p', executable='e', arguments=a40)")
+START = "from launch_ros.actions import Node\ndef generate_launch_description(): return "
+DOUBLED = _doubled("'x'", "{0} + {0}", START + "[Node(package='p', executable=a40)]")
+LISTS = _doubled(
+    "['x']",
+    "[{0}, {0}]",
+    START + "[Node(package='p', executable='e', arguments=a40)]",
+)
 SCALAR = f"  a: {'a' * ((1 << 20) - 2000)}\n"
 PATTERNS = [f'a{i},1,1,1,r,"{i}{"SizeInMiB" * 1_800}",aws\n' for i in range(1_000)]
 CATASTROPHE = {"cmd": {"items": {"pattern": "^(a+)+$x"}}}
 BOMBS = (
-    _launch("xml", "<launch>" + "<group>" * 20 + "</group>" * 20 + "</launch>", 1, "group"),
+    _launch("xml", "<launch>" + "<group>" * 20 + "</group>" * 20 + "</launch>", 0, "no node"),
     _launch("deep.xml", "<launch>" + "<group>" * 8000 + "</group>" * 8000 + "</launch>", 1, "at most 50 deep"),
     _launch(
         "outside.xml", '<!DOCTYPE l [<!ENTITY a SYSTEM "file:///etc/passwd">]><launch>&a;</launch>', 1, "no DOCTYPE"
@@ -181,6 +186,7 @@ BOMBS = (
     _launch("doubled.py", DOUBLED, 1, "grow too large"),
     _launch("lists.py", LISTS, 1, "grow too large"),
     _launch("line.py", "Node();" * 37_000, 1, "grow too large"),
+    _launch("loop.py", "while True:\n    x = 1\n", 1, "loops for too long"),
     _launch("deep.yaml", "launch: " + "[" * 9_000 + "]" * 9_000, 1, "nested at most 64 deep"),
     _launch("large.py", "x;" * 200_000, 1, "more than 256 KiB"),
     _catalog("gzip", "a.csv.gz", lambda: gzip.compress(b"\n" * (400 << 20), 6), "more than 65,536 KiB unpacked"),

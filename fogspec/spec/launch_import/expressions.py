@@ -68,6 +68,7 @@ class Expressions(ABC):
         """Return line, column and width of a node's first line, in characters; Python counts bytes."""
         number = getattr(node, "lineno", 1)
         line = self.lines[number - 1] if number <= len(self.lines) else ""
+        self.found.spend(len(line) // 16)
         start = getattr(node, "col_offset", 0)
         end = getattr(node, "end_col_offset", None) if getattr(node, "end_lineno", None) == number else None
         if not line.isascii():

@@ -6,7 +6,8 @@ from typing import Any
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 
-MOST_BYTES = 1 << 20
+MOST_BYTES = 256 << 10  # of a launch file
+MOST_DATA_BYTES = 1 << 20  # of a file that one reads
 MOST_WORK = 20_000_000  # steps and characters that are handled to read one launch file and those that it includes
 MOST_FILES = 100
 DEEPEST = 50

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from fogspec.base.files import read_bounded
-from fogspec.spec.launch_import.found import MOST_BYTES, SHARE
+from fogspec.spec.launch_import.found import MOST_DATA_BYTES, SHARE
 
 MOST_FOLDERS = 20_000
 DEEPEST = 8
@@ -100,7 +100,7 @@ def _elsewhere(folder: Path, name: str) -> Path | None:
 
 def _name(folder: Path) -> str | None:
     try:
-        content = read_bounded(folder / "package.xml", MOST_BYTES)
+        content = read_bounded(folder / "package.xml", MOST_DATA_BYTES)
     except OSError:
         return None
     match = NAME.search(content.decode("utf-8", "replace"))

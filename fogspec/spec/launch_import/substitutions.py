@@ -16,10 +16,11 @@ from typing import Any
 from fogspec.base.files import read_bounded
 from fogspec.base.yaml.reader11 import NotYaml, read11, read11_text
 from fogspec.base.yaml.writer import yaml_text
-from fogspec.spec.launch_import.found import DEEPEST, MOST_BYTES, LaunchImport, Made, Place, Unknown
+from fogspec.spec.launch_import.found import DEEPEST, MOST_DATA_BYTES, LaunchImport, Made, Place, Unknown
 from fogspec.spec.launch_import.packages import Packages
 
 KEPT = re.compile(r"\$\((find-pkg-share|find-pkg-prefix|env|command) ")
+OF_TEXT = 20  # what performing a substitution counts as, in characters handled
 WRITTEN = "@files/"  # where a file that launch would write is put, in front of its name
 
 
@@ -60,7 +61,7 @@ class Context:
             if self.depth > DEEPEST:
                 return Unknown(place, "it is nested too deep")
             text = self._perform(value, place)
-            self.found.spend(len(text) if isinstance(text, str) else 0)
+            self.found.spend(OF_TEXT + len(text) if isinstance(text, str) else OF_TEXT)
             return text
         finally:
             self.depth -= 1
@@ -107,7 +108,7 @@ class Context:
         if file is None and path and not path.startswith(("/", "$")):
             file = Path(self.file).parent / path
         try:
-            content = read_bounded(file, MOST_BYTES) if file is not None else None
+            content = read_bounded(file, MOST_DATA_BYTES) if file is not None else None
         except (OSError, ValueError):
             return None
         self.found.spend(len(content or b""))
