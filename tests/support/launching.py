@@ -11,7 +11,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-PROCESS = {"cmd", "cwd", "additional_env", "output", "on_exit", "respawn", "respawn_delay", "name", "env", "shell"}
+PROCESS = {
+    "cmd",
+    "cwd",
+    "additional_env",
+    "output",
+    "on_exit",
+    "respawn",
+    "respawn_delay",
+    "name",
+    "env",
+    "shell",
+    "prefix",
+}
 KEYWORDS = {
     "ExecuteProcess": PROCESS,
     "Node": PROCESS - {"cmd"} | {"package", "executable", "namespace", "parameters", "remappings", "arguments"},
@@ -66,7 +78,13 @@ def recorder() -> Iterator[None]:
         "launch.actions": {name: type(name, (Entity,), {}) for name in KEYWORDS if name != "Node"},
         "launch.logging": {"get_logger": logging.getLogger},
         "launch_ros": {},
-        "launch_ros.actions": {"Node": type("Node", (Entity,), {})},
+        "launch_ros.actions": {name: type(name, (Entity,), {}) for name in ("Node", "ComposableNodeContainer")},
+        "launch_ros.descriptions": {"ComposableNode": type("ComposableNode", (Entity,), {})},
+        "launch_ros.parameter_descriptions": {
+            name: type(name, (Entity,), {}) for name in ("ParameterFile", "ParameterValue")
+        },
+        "launch_ros.substitutions": {"FindPackageShare": type("FindPackageShare", (Entity,), {})},
+        "launch.substitutions": {name: type(name, (Entity,), {}) for name in ("Command", "EnvironmentVariable")},
     }
     for name, content in names.items():
         sys.modules[name] = types.ModuleType(name)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from fogspec.base.layout import Layout
 from fogspec.compile.launch_files import launch_files, robot_launch
-from fogspec.compile.tasks import _flat
+from fogspec.compile.tasks import _flat, measured_processes
 from fogspec.spec.launch_import import read_launch
 from fogspec.spec.schema import Application
 from tests.support.launching import launched
@@ -70,6 +70,53 @@ def test_with_a_link_the_robot_starts_its_end_before_its_nodes(tmp_path, link, r
     assert begun.kind == "OpaqueFunction"
     assert tunnel.keywords["cmd"] == ["bash", str(layout.link / "link.sh"), "robot", "up"]
     assert node.kind == "Node"
+
+
+CONTAINER = {
+    "package": "rclcpp_components", "executable": "component_container", "name": "vision", "namespace": "/camera",
+    "composable_node_descriptions": [
+        {"package": "image_proc", "plugin": "image_proc::RectifyNode", "name": "rectify", "parameters": {"queue_size": 5},
+         "remappings": {"image": "image_raw"}, "extra_arguments": {"use_intra_process_comms": True}},
+    ],
+}  # fmt: skip
+
+
+def test_a_container_is_one_process_with_its_components(tmp_path):
+    layout = written(application(robot=[CONTAINER]), tmp_path)
+    (container,) = launched(layout.robot)
+    assert container.kind == "ComposableNodeContainer"
+    assert (container.keywords["name"], container.keywords["namespace"]) == ("vision", "/camera")
+    (component,) = container.keywords["composable_node_descriptions"]
+    assert component.keywords == {
+        "package": "image_proc", "plugin": "image_proc::RectifyNode", "name": "rectify", "parameters": [{"queue_size": 5}],
+        "remappings": [("image", "image_raw")], "extra_arguments": [{"use_intra_process_comms": True}],
+    }  # fmt: skip
+
+
+def test_a_container_is_measured_by_a_launch_file_of_its_own(tmp_path):
+    (argv,) = measured_processes(application(cloud=[CONTAINER], ros={}).spec)
+    assert argv[:3] == ["python3", "-m", "fogspec_agent.launch"]
+    (tmp_path / "one.launch.py").write_text(argv[3], "utf-8")
+    (container,) = launched(tmp_path / "one.launch.py")
+    assert container.kind == "ComposableNodeContainer"
+    assert container.keywords["on_exit"].kind == "Shutdown"
+
+
+def test_substitutions_are_launchs_own(tmp_path):
+    node = {
+        "package": "p", "executable": "e", "parameter_files": ["$(find-pkg-share p)/a.yaml"],
+        "arguments": ["-d", "$(env HOME)/x"],
+        "parameters": {"map": "$(find-pkg-share p)/map.yaml", "cost": "$5"}, "prefix": "nice -n 5", "respawn": True,
+        "respawn_delay": "2s",
+    }  # fmt: skip
+    (one,) = launched(written(application(robot=[node]), tmp_path).robot)
+    words = one.keywords
+    file, values = words["parameters"]
+    assert (file.kind, file.arguments[0][0].arguments, file.arguments[0][1]) == ("ParameterFile", ("p",), "/a.yaml")
+    assert values["map"].keywords == {"value_type": str}
+    assert values["cost"] == "$5"
+    assert words["arguments"][1][0].kind == "EnvironmentVariable"
+    assert (words["prefix"], words["respawn"], words["respawn_delay"]) == ("nice -n 5", True, 2.0)
 
 
 def test_a_robot_without_nodes_still_gets_its_end_of_the_link(tmp_path):
