@@ -12,6 +12,7 @@ PROGRAMS = {
     "launch": "have ROS 2's launch play a launch file that is given as text",
     "bag": "time the requests in a recorded bag",
     "player": "send the requests of a recorded bag",
+    "watch": "watch the graph of a robot that runs, without changing it, or record topics",
     "redaction": "copy standard input without the values of secret variables",
 }
 

@@ -1,7 +1,7 @@
 """Shared by the programs that take part in the ROS graph: rclpy, message types, quality of service."""
 
+import contextlib
 import importlib
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -17,7 +17,9 @@ RESTARTED = "FOGSPEC_LOOKED_FOR_RCLPY"
 
 def need_rclpy(module: str, arguments: Sequence[str]) -> None:
     """Continue in a Python that has rclpy: this one, or another python3 on PATH; exit if there is none."""
-    if importlib.util.find_spec("rclpy") is not None:
+    # Another version's rclpy may be on PYTHONPATH, which can be found and not imported.
+    with contextlib.suppress(ImportError):
+        importlib.import_module("rclpy")
         return
     if RESTARTED not in os.environ:
         path = os.pathsep.join(filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH")]))

@@ -34,9 +34,26 @@ MOST_DEFAULTS = 20
     metavar="DIRECTORY",
     help="look for the packages of included launch files below this directory too: a workspace or an installed prefix",
 )
+@click.option("--from-graph", "graph", is_flag=True, help="watch the robot that runs now, without changing it")
+@click.option("--watch", default="20s", show_default=True, metavar="20s", help="how long the robot is watched")
+@click.option("--record", metavar="30s", help="after that, record the requests for so long, as the workload")
+@click.option(
+    "--observed",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="read what `agent.pyz watch --out FILE` saw of a robot, in place of watching",
+)
 @click.option("--name", help="name of the application; that of the file unless said otherwise")
 def command(
-    spec: Path | None, arguments: tuple[str, ...], launch: str | None, package_paths: tuple[Path, ...], name: str | None
+    spec: Path | None,
+    arguments: tuple[str, ...],
+    launch: str | None,
+    package_paths: tuple[Path, ...],
+    graph: bool,
+    watch: str,
+    record: str | None,
+    observed: Path | None,
+    name: str | None,
 ) -> None:
     """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten.
 
@@ -44,6 +61,7 @@ def command(
     """
     from fogspec.base.project_files import ProjectFiles, write_output
     from fogspec.base.templates import shipped
+    from fogspec.cli.init_graph import check_options, from_graph
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import is_name
     from fogspec.spec.launch_import import read_launch
@@ -55,6 +73,7 @@ def command(
     given = _launch_arguments(arguments, launch)
     if spec and is_name(str(spec)) and not spec.suffix:
         name, spec = name or str(spec), Path("specs") / f"{spec}.yaml"  # `init mybot` means specs/mybot.yaml
+    check_options(launch, graph, record, observed)
     found = read_launch(launch, given, package_paths) if launch else None
     name = name or name_from((spec and spec.name) or (launch and os.path.basename(launch)) or Path.cwd().name)
     spec = spec or Path("specs") / f"{name}.yaml"
@@ -62,10 +81,13 @@ def command(
         raise UsageError(f"{spec} is there already", "name another file, or remove it")
     root = spec.parent.parent if spec.absolute().parent.name == "specs" else spec.parent
     schema, files = root / "schemas" / "Application.json", ProjectFiles(root)
+    data, notes = None, _notes(launch, given, found)
+    if graph or observed:
+        data, notes = from_graph(name, spec.parent, files, watch, record, observed)
     text = first_text(
-        first_data(name, found),
+        data or first_data(name, found),
         Path(os.path.relpath(schema, spec.parent)).as_posix(),
-        _notes(launch, given, found),
+        notes,
         found,
     )
     written = {spec.parent / f"{name}.params" / one: content for one, content in (found.files if found else {}).items()}
@@ -79,7 +101,8 @@ def command(
         files.write(path, content.encode())
         say(f"{path}: the parameter file that the launch file makes of its own")
     write_output(spec, text.encode())
-    say(f"{spec}: written; name your topics under probe, then: {shell_command('fogspec', 'validate', spec)}")
+    todo = "read what it says" if data else "name your topics under probe"
+    say(f"{spec}: written; {todo}, then: {shell_command('fogspec', 'validate', spec)}")
     show_diagnostics(found.notes if found else [])
     wrong = [one for one in check_file([spec])[1] if one.severity == "error"]
     if wrong:

@@ -11,7 +11,16 @@ from pathlib import Path
 
 from tests.docs.blocks import DIFFERS, ROOT, Step, blocks, steps
 
-COPIED = ("specs", "results", "compiled", "schemas", "templates", "tests/cases/launch", "docs/examples")
+COPIED = (
+    "specs",
+    "results",
+    "compiled",
+    "schemas",
+    "templates",
+    "tests/cases/launch",
+    "tests/cases/graph",
+    "docs/examples",
+)
 MACHINE_DEPENDENT = ("lidar-odometry*", "planner-local*", "__pycache__")
 BEGINS, ENDS = "\x1e", "\x1f"
 LONGEST_S = 240

@@ -19,6 +19,7 @@ WRITES = {
     "spec/tree.py": "a snapshot, in a folder that ProjectFiles has just made: each file in it is new",
     "backends/local/backend.py": "a sample's copy of that snapshot, in a folder that ProjectFiles has just made",
     "cli/__init__.py": "the null device in place of a closed pipe",
+    "cli/init_graph.py": "a temporary directory of its own for the agent and its observations, which goes with the call",
     "agent": AGENT,
 }
 STARTS = {
@@ -28,6 +29,7 @@ STARTS = {
     "backends/images/credentials.py": "docker's helper, by base/child.py",
     "deploy/link.py": "bash, by base/child.py",
     "evaluation/campaign.py": "processes of the standard library, with the environment of base/child.py",
+    "cli/init_graph.py": "the agent's watcher, by base/child.py",
     "ros/description.py": "part of the user's own launch on the robot",
     "agent": AGENT,
 }

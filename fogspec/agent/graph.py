@@ -1,0 +1,140 @@
+"""What the middleware knows of a graph: nodes, topics, services, actions, and the nodes' parameters."""
+
+import contextlib
+import time
+from typing import Any
+
+SETTLED_S, LATEST_S = 1.0, 8.0  # the graph is known once it has not changed for so long, or after this time
+CALL_S = 3.0  # for all nodes' parameters
+MOST_NODES = 200
+MOST_PARAMETERS = 200
+OF_EVERY_NODE = ("rcl_interfaces/", "type_description_interfaces/", "lifecycle_msgs/")
+VALUES = ("", "bool_value", "integer_value", "double_value", "string_value", "", "bool_array_value",
+          "integer_array_value", "double_array_value", "string_array_value")  # fmt: skip
+
+
+def full_name(namespace: str, name: str) -> str:
+    """Return the node's name in the graph."""
+    return f"{namespace.rstrip('/')}/{name}"
+
+
+class Graph:
+    """What the middleware knows of nodes, topics, services and actions."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self.own = full_name(node.get_namespace(), node.get_name())
+        self.own_gid = b""
+        self.gids: dict[str, bytes] = {}
+
+    def settle(self) -> None:
+        """Wait until discovery brings nothing new."""
+        begun_s = changed_s = time.monotonic()
+        known: Any = None
+        while (now_s := time.monotonic()) - changed_s < SETTLED_S and now_s - begun_s < LATEST_S:
+            found = sorted(self.node.get_topic_names_and_types()), sorted(self.nodes())
+            changed_s, known = (now_s, found) if found != known or not self.nodes() else (changed_s, known)
+            time.sleep(0.1)
+
+    def nodes(self) -> list[tuple[str, str]]:
+        """Return namespaces and names of the visible nodes but this one and those of tools."""
+        found = {(namespace, name) for name, namespace in self.node.get_node_names_and_namespaces()}
+        return sorted(one for one in found if full_name(*one) != self.own and not one[1].startswith("_"))
+
+    def topics(self) -> dict[str, dict[str, Any]]:
+        """Return publishers and subscribers of each topic."""
+        found = {}
+        for topic, kinds in sorted(self.node.get_topic_names_and_types()):
+            publishers = self.node.get_publishers_info_by_topic(topic)
+            subscribers = self.node.get_subscriptions_info_by_topic(topic)
+            for one in publishers:
+                name, gid = full_name(one.node_namespace, one.node_name), bytes(one.endpoint_gid)
+                if name == self.own:
+                    self.own_gid = gid
+                self.gids.setdefault(name, gid)
+            found[topic] = {
+                "types": sorted(kinds),
+                "publishers": self._names(publishers),
+                "subscribers": self._names(subscribers),
+                "reliable": self.reliable(topic),
+                "latched": any(int(one.qos_profile.durability) == 1 for one in publishers),
+            }
+        return found
+
+    def _names(self, endpoints: list[Any]) -> list[str]:
+        names = {full_name(one.node_namespace, one.node_name) for one in endpoints}
+        return sorted(names - {self.own})
+
+    def reliable(self, topic: str) -> bool:
+        """Return whether all publishers of a topic are reliable."""
+        publishers = self.node.get_publishers_info_by_topic(topic)
+        return bool(publishers) and all(int(one.qos_profile.reliability) == 1 for one in publishers)
+
+    def offers(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return services and actions by name, each with its type, servers and callers."""
+        from rclpy.action import get_action_client_names_and_types_by_node as of_caller
+        from rclpy.action import get_action_server_names_and_types_by_node as of_server
+
+        services: dict[str, Any] = {}
+        actions: dict[str, Any] = {}
+        for namespace, name in self.nodes()[:MOST_NODES]:
+            node, here = self.node, full_name(namespace, name)
+            with contextlib.suppress(Exception):  # a node that has just ended has no entry
+                self._offer(services, "servers", here, node.get_service_names_and_types_by_node(name, namespace))
+                self._offer(services, "callers", here, node.get_client_names_and_types_by_node(name, namespace))
+                self._offer(actions, "servers", here, of_server(node, name, namespace))
+                self._offer(actions, "callers", here, of_caller(node, name, namespace))
+        return services, actions
+
+    @staticmethod
+    def _offer(found: dict[str, Any], role: str, node: str, names: list[tuple[str, list[str]]]) -> None:
+        for name, kinds in names:
+            if "/_action/" in name or kinds[0].startswith(OF_EVERY_NODE):
+                continue
+            entry = found.setdefault(name, {"type": kinds[0], "servers": [], "callers": []})
+            if node not in entry[role]:
+                entry[role].append(node)
+
+
+def parameters(node: Any, nodes: list[tuple[str, str]]) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the nodes that answer in time."""
+    import rclpy
+    from rcl_interfaces.srv import GetParameters, ListParameters
+
+    until_s = time.monotonic() + CALL_S
+    clients: list[Any] = []
+
+    def called(service: Any, suffix: str, requests: dict[str, Any]) -> dict[str, Any]:
+        pending: dict[str, tuple[Any, Any, Any]] = {}
+        for name, request in requests.items():
+            clients.append(node.create_client(service, f"{name}/{suffix}"))
+            pending[name] = (clients[-1], request, None)
+        answers: dict[str, Any] = {}
+        while pending and time.monotonic() < until_s:
+            for name, (client, request, future) in list(pending.items()):
+                if future is None and client.service_is_ready():
+                    pending[name] = (client, request, client.call_async(request))
+                elif future is not None and future.done():
+                    answers[name] = future.result()
+                    del pending[name]
+            rclpy.spin_once(node, timeout_sec=0.01)
+        return answers
+
+    names = [full_name(*one) for one in nodes[:MOST_NODES]]
+    listed = called(ListParameters, "list_parameters", {name: ListParameters.Request() for name in names})
+    asked = {name: sorted(answer.result.names)[:MOST_PARAMETERS] for name, answer in listed.items()}
+    wanted = {name: GetParameters.Request(names=names) for name, names in asked.items() if names}
+    got = called(GetParameters, "get_parameters", wanted)
+    for client in clients:
+        node.destroy_client(client)
+    return {
+        name: {key: value for key, value in zip(asked[name], map(plain, answer.values), strict=False) if value is not None}
+        for name, answer in got.items()
+    }  # fmt: skip
+
+
+def plain(value: Any) -> Any:
+    """Return the value of a rcl_interfaces/msg/ParameterValue as JSON has it; None for bytes and for one that is not set."""
+    field = VALUES[value.type] if value.type < len(VALUES) else ""
+    found: Any = getattr(value, field) if field else None
+    return list(found) if field.endswith("array_value") else found

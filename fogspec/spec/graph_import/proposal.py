@@ -1,0 +1,291 @@
+"""The spec that a watched robot suggests: its probe, its nodes, its limits, and what passes the link.
+
+Everything comes from observations, except for the link, which is not there yet: `ROUND_TRIP_S` and the rates below stand in
+for it, and the notes say so.
+"""
+
+import math
+import statistics
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, get_args
+
+from fogspec.base.units import format_duration
+from fogspec.spec.graph_import.observed import Node, Observed, Process
+from fogspec.spec.graph_import.pairs import Pair, find_pairs
+from fogspec.spec.schema import Ros
+
+ROUND_TRIP_S = 0.04
+TO_CLOUD_BITS_PER_S = 20e6
+FROM_CLOUD_BITS_PER_S = 50e6
+PRICE = "$0.09/GiB"  # AWS's list price for the first 10 TB per month to the internet
+NS = 1e-9
+MOST_LINES = 20
+LONGEST_VALUE = 4000  # characters of a parameter: a robot's description is not written into a spec
+OWN_PARAMETERS = ("qos_overrides.", "start_type_description_service")
+RENAMES = ("__node", "__name", "__ns")
+SYSTEM = "/opt/ros/"
+DISTROS = get_args(Ros.model_fields["distro"].annotation)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goals:
+    """An action, where it is offered, and how long its goals took."""
+
+    action: str
+    node: str
+    accepted: int
+    latencies_s: tuple[float, ...]
+    rate: float
+
+    @property
+    def p50_s(self) -> float:
+        """Median of the latencies."""
+        return statistics.median(self.latencies_s)
+
+    @property
+    def p95_s(self) -> float:
+        """Their 95 % quantile."""
+        return sorted(self.latencies_s)[math.ceil(0.95 * len(self.latencies_s)) - 1]
+
+    def evidence(self) -> str:
+        """Return what was seen, as a line of text."""
+        ended = f"{len(self.latencies_s)} of {self.accepted} goals ended"
+        return f"{self.action}: action, {ended}, p50 {1e3 * self.p50_s:.3g} ms, p95 {1e3 * self.p95_s:.3g} ms"
+
+
+@dataclass(kw_only=True)
+class Proposal:
+    """Values for `spec`, lines for the head of the file, and what the user should know besides.
+
+    `record` are topics to record as the workload; `load` is the process of the chosen node.
+    """
+
+    spec: dict[str, Any]
+    lines: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    record: list[str] = field(default_factory=list)
+    latency_s: float | None = None
+    cores: float | None = None
+    memory_gib: float | None = None
+
+
+def find_goals(seen: Observed) -> list[Goals]:
+    """Return the actions with goals that were accepted and ended while the robot was watched."""
+    found = []
+    for name, offer in sorted(seen.actions.items()):
+        took = tuple((end - begin) * NS for begin, end, _ in offer.goals if end is not None and end > begin)
+        accepted = sum(end is None or end > begin for begin, end, _ in offer.goals)
+        if took and offer.servers:
+            rate = accepted / max(seen.seconds, 1e-9)
+            found.append(
+                Goals(action=name, node=offer.servers[0], accepted=accepted, latencies_s=took, rate=rate)
+            )  # fmt: skip
+    return found
+
+
+def propose(seen: Observed) -> Proposal:
+    """Return a first spec: the node that works most is the one to offload."""
+    pairs, acted = find_pairs(seen), find_goals(seen)
+    timed: list[Pair | Goals] = [*(one for one in pairs if one.match is not None), *acted]
+    # What a node works per second, at most all of it.
+    chosen = max(timed, key=lambda one: min(1.0, one.p50_s * one.rate), default=None)
+    called = [name for name, offer in sorted(seen.services.items()) if offer.servers and offer.callers]
+    proposal = Proposal(spec={})
+    proposal.lines += _evidence(seen, pairs, acted, called)
+    proposal.warnings += _doubts(seen, pairs)
+    node = chosen.node if chosen else seen.services[called[0]].servers[0] if called else None
+    if node is None:
+        proposal.warnings.append(
+            "no request and response were found: name them under probe, and move the node to offload to cloud"
+        )
+    _nodes(proposal, seen, node)
+    if isinstance(chosen, Pair):
+        order = {} if chosen.match == "stamp" else {"match": chosen.match}
+        proposal.spec["probe"] = {"request": chosen.request, "response": chosen.response, **order}
+        proposal.record = [chosen.request]
+    elif chosen is not None:
+        proposal.spec["probe"] = {"action": chosen.action}
+    elif called:
+        proposal.spec["probe"] = {"service": called[0]}
+        proposal.warnings.append(
+            f"{called[0]}: calls are visible inside its node only, so its latency is not known yet"
+        )
+    if chosen is not None:
+        proposal.latency_s = chosen.p50_s
+        proposal.spec["probe"]["timeout"] = format_duration(_rounded_up(max(10 * chosen.p95_s, 1.0)))
+    if node is not None:
+        _link(proposal, seen, node, chosen)
+    return proposal
+
+
+def _evidence(seen: Observed, pairs: list[Pair], acted: list[Goals], called: list[str]) -> Iterator[str]:
+    yield f"{_count(len(seen.nodes), 'node')} and {_count(len(seen.topics), 'topic')}, watched for {seen.seconds:.0f} s."
+    found = [*(one.evidence() for one in pairs), *(one.evidence() for one in acted)]
+    found += [f"{name}: service of {seen.services[name].servers[0]}, called by {', '.join(seen.services[name].callers)}"
+              for name in called]  # fmt: skip
+    yield from found[:MOST_LINES]
+    if len(found) > MOST_LINES:
+        yield f"... and {len(found) - MOST_LINES} more"
+
+
+def _doubts(seen: Observed, pairs: list[Pair]) -> Iterator[str]:
+    for pair in pairs:
+        if pair.match is None:
+            yield (
+                f"{pair.request} -> {pair.response}: requests are lost and no stamp tells which response is whose: "
+                "keep the header stamp in the node, or time it with fogspec_probe"
+            )
+        elif pair.how.endswith("alone"):
+            yield f"{pair.request} -> {pair.response}: only the counts agree: check it before you rely on it"
+    if gone := [name for name, node in seen.nodes.items() if node.gone]:
+        yield f"{_some(gone)} ended while the robot was watched"
+    if dropped := [name for name, topic in seen.topics.items() if topic.dropped]:
+        yield f"{_some(dropped)}: too much data to watch without load on the robot, so left after a few seconds"
+    if unknown := [name for name, topic in seen.topics.items() if topic.problem]:
+        yield f"{_some(unknown)}: not watched: {seen.topics[unknown[0]].problem}"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def _nodes(proposal: Proposal, seen: Observed, chosen: str | None) -> None:
+    """Divide the nodes: the chosen one to the cloud, the others stay; those without a known program are named."""
+    unknown, together, apt = [], [], set()
+    entries: dict[str, dict[str, Any]] = {}
+    for name, node in seen.nodes.items():
+        if node.gone and name != chosen:
+            continue
+        if node.process is None or not node.process.argv:
+            unknown.append(name)
+        elif node.process.shared:
+            together.append(name)
+        entries[name] = _node(name, node, proposal)
+        if name == chosen and node.process is not None and node.process.package:
+            path = next((word for word in node.process.argv if word.endswith(f"/{node.process.executable}")), "")
+            if path.startswith(SYSTEM):
+                distro = path.removeprefix(SYSTEM).partition("/")[0]
+                apt.add(f"ros-{distro}-{node.process.package.replace('_', '-')}")
+    cloud = [entries.pop(chosen)] if chosen in entries else []
+    known = [entry for name, entry in entries.items() if name not in unknown and name not in together]
+    proposal.spec |= {"cloud": cloud or [{"package": "my_package", "executable": "my_node"}]}
+    if known:
+        proposal.spec["robot"] = known
+    known_distro = seen.distro if seen.distro in DISTROS else "jazzy"
+    if "package" in proposal.spec["cloud"][0]:
+        proposal.spec["ros"] = {"distro": known_distro, **({"apt": sorted(apt)} if apt else {"workspace": "ros2_ws"})}
+    process = seen.nodes[chosen].process if chosen is not None and not seen.nodes[chosen].gone else None
+    if process is not None and not process.shared and seen.seconds > 0:
+        proposal.cores = process.cpu_s / seen.seconds
+        proposal.memory_gib = process.memory_bytes / 2**30 if process.memory_bytes else None
+        proposal.lines.append(
+            f"{chosen} used {proposal.cores:.2f} cores"
+            + (f" and {proposal.memory_gib:.2f} GiB of memory" if proposal.memory_gib else "")
+        )
+    if unknown:
+        proposal.warnings.append(
+            f"{_some(unknown)}: how it was started is not visible from here: write it into the spec"
+        )
+    if together:
+        what = f"{_some(together)} share a process: a node container is written as a whole"
+        proposal.warnings.append(f"{what}, and what starts them is left for you")
+
+
+def _node(name: str, node: Node, proposal: Proposal) -> dict[str, Any]:
+    """Return a node as a spec has it."""
+    namespace, _, own = name.rpartition("/")
+    process = node.process or Process()
+    if process.package:
+        entry: dict[str, Any] = {"package": process.package, "executable": process.executable}
+    elif process.argv and not process.shared:
+        entry = {"cmd": process.argv}
+    else:
+        entry = {"package": "my_package", "executable": own}
+    if "cmd" in entry:
+        return entry  # what follows --ros-args is in it
+    entry |= {"name": own} if own != process.executable else {}
+    entry |= {"namespace": namespace} if namespace else {}
+    if values := _parameters(name, node, proposal):
+        entry["parameters"] = values
+    if process.package and not process.shared:
+        if names := {old: new for old, new in process.remappings.items() if old not in RENAMES and old and new}:
+            entry["remappings"] = names
+        if process.arguments:
+            entry["arguments"] = process.arguments
+    return entry
+
+
+def _parameters(name: str, node: Node, proposal: Proposal) -> dict[str, Any]:
+    kept = {}
+    for key, value in node.parameters.items():
+        if key.startswith(OWN_PARAMETERS) or (key, value) == ("use_sim_time", False) or value in (None, [], ""):
+            continue
+        values = value if isinstance(value, list) else [value]
+        if any(isinstance(one, float) and not math.isfinite(one) for one in values) or len(str(value)) > LONGEST_VALUE:
+            proposal.warnings.append(f"{name}: parameter {key} is too long or not finite, and left for you")
+            continue
+        kept[key] = value
+    return kept
+
+
+def _link(proposal: Proposal, seen: Observed, node: str, chosen: Pair | Goals | None) -> None:
+    """Propose limits for machine and network, from what passes between the node and the others."""
+    to_cloud, from_cloud = _passing(seen, node)
+    seconds = max(seen.seconds, 1e-9)
+    up, down = sum(to_cloud.values()) / seconds, sum(from_cloud.values()) / seconds
+    for way, rates, total in (("to the cloud", to_cloud, up), ("back", from_cloud, down)):
+        if rates:
+            largest = max(rates, key=lambda topic: rates[topic])
+            proposal.lines.append(
+                f"link: {_bytes(total)}/s {way}, most of it {largest}, {_bytes(rates[largest] / seconds)}/s"
+            )
+    if 8 * up > TO_CLOUD_BITS_PER_S:
+        proposal.warnings.append(
+            f"{8e-6 * up:.0f} Mbit/s would go to the cloud: compress it, or keep what makes it on the same side"
+        )
+    sizes = (chosen.request_bytes, chosen.response_bytes) if isinstance(chosen, Pair) else (0.0, 0.0)
+    network_s = _rounded_up(ROUND_TRIP_S + 8 * sizes[0] / TO_CLOUD_BITS_PER_S + 8 * sizes[1] / FROM_CLOUD_BITS_PER_S)
+    limits = {"network_allowance": format_duration(network_s)}
+    proposal.lines.append(
+        f"network_allowance: {format_duration(ROUND_TRIP_S)} round trip, and {_bytes(sizes[0])} at "
+        f"{TO_CLOUD_BITS_PER_S * 1e-6:g} Mbit/s to the cloud, {_bytes(sizes[1])} at "
+        f"{FROM_CLOUD_BITS_PER_S * 1e-6:g} Mbit/s back: guesses, until you measure your link"
+    )
+    if chosen is not None:
+        limits = {"latency": format_duration(_rounded_up(chosen.p95_s + network_s)), **limits}
+        proposal.lines.append("latency: the robot's own p95 now, and the network's part")
+        if chosen.rate > 0 and down > 0:
+            megabytes = f"{down / chosen.rate / 1e6:.6f}".rstrip("0").rstrip(".")
+            if megabytes not in ("0", ""):
+                proposal.spec["transfer"] = {"per_request": f"{megabytes}MB", "price": PRICE}
+    proposal.spec["limits"] = limits
+
+
+def _passing(seen: Observed, node: str) -> tuple[dict[str, float], dict[str, float]]:
+    """Return bytes by topic that other nodes send to this one, and this one to others."""
+    to_cloud: dict[str, float] = {}
+    from_cloud: dict[str, float] = {}
+    for name, topic in seen.topics.items():
+        if node in topic.subscribers and set(topic.publishers) - {node} and topic.bytes:
+            to_cloud[name] = topic.bytes * topic.sent_per_heard
+        if node in topic.publishers and set(topic.subscribers) - {node} and topic.bytes:
+            from_cloud[name] = topic.bytes * topic.sent_per_heard
+    return to_cloud, from_cloud
+
+
+def _bytes(count: float) -> str:
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count:.3g} B"
+
+
+def _rounded_up(seconds: float) -> float:
+    """Return the duration with two significant digits, not below the given one."""
+    scale = 10.0 ** (math.floor(math.log10(seconds)) - 1)
+    return round(math.ceil(round(seconds / scale, 6)) * scale, 9)

@@ -1,0 +1,78 @@
+"""`init --from-graph` beside real nodes; `python -m tests.ros.graphs` scores all graphs. About 40 s."""
+
+import json
+import sys
+import time
+
+import pytest
+
+from tests.conftest import ROOT
+from tests.ros.graphs import GRAPHS, NODES, observe, score, source, ticker, worker
+from tests.ros.namespaces import PYTHON, Net
+
+FOGSPEC = [str(ROOT / ".venv" / "bin" / "fogspec")] if (ROOT / ".venv").is_dir() else [sys.executable, "-m", "fogspec"]
+
+
+def test_what_exists_is_found_among_decoys_and_nothing_else(net: Net) -> None:
+    graph = [
+        source("/raw", "image", 10),
+        worker("/raw", "/rgb", 0.02, kind="image", stamp=False),
+        worker("/rgb", "/pose", 0.04, loss=0.1, also={"/map": "image"}),
+        {"node": "maps", "latched": [{"topic": "/map", "kind": "image"}]},
+        ticker({"/rgb": "image"}, "/status", "text", 10),
+        *GRAPHS["an action and a service"][0],
+    ]
+    expected = {("/raw", "/rgb"), ("/rgb", "/pose"), ("/navigate", "/navigate")}
+    seen, truth = observe(net, graph, 8.0)
+    found = score(seen, truth, expected)
+    assert (found.right, found.wrong) == (expected, set())
+    assert {one.match for one in found.found} == {"stamp", "order"}
+    assert max(map(abs, found.errors.values())) < 0.15  # other tests run at the same time
+    plan = seen.services["/plan"]
+    assert (plan.servers, plan.callers) == (["/planner"], ["/mission"])
+
+
+def test_from_a_robot_that_runs_to_a_spec_that_compiles(net: Net) -> None:
+    program = net.folder / "install" / "my_robot" / "lib" / "my_robot" / "detector"
+    program.parent.mkdir(parents=True)
+    program.write_text((NODES / "graph.py").read_text())
+    detector = {**worker("/image", "/pose", 0.05), "parameters": {"gain": 38.0, "password": "hunter2-Xy9"}}
+    truth = str(net.folder / "truth")
+    camera = net.python("camera", str(NODES / "graph.py"), json.dumps([source("/rgb", "image", 10)]), truth)
+    net.start("detector", [str(PYTHON), str(program), json.dumps([detector]), truth,
+                           "--ros-args", "-r", "/image:=/rgb"])  # fmt: skip
+    time.sleep(2.0)
+    made = net.run([*FOGSPEC, "init", "arm", "--from-graph", "--watch", "5s", "--record", "3s"], 120)
+    assert made.returncode == 0, made.stderr
+    assert "by stamp, p50 5" in made.stdout
+    written = (net.folder / "specs" / "arm.yaml").read_text()
+    for line in (
+        "package: my_robot",
+        "executable: detector",
+        "gain: 38.0",
+        "/image: /rgb",
+        "request: /rgb",
+        "bag: data/arm",
+    ):
+        assert line in written, line
+    assert "hunter2" not in written + made.stdout + made.stderr
+    planned = net.run([*FOGSPEC, "compile", "specs/arm.yaml", "--catalog", "snapshot"], 120)
+    assert planned.returncode == 0, planned.stderr
+    read = "import sys; from pathlib import Path; from fogspec.agent.bag import messages as of; "
+    read += "print(len(list(of(Path(sys.argv[1])))))"
+    count = net.run([sys.executable, "-c", read, str(net.folder / "specs/data/arm")], 60, PYTHONPATH=str(ROOT))
+    assert int(count.stdout) >= 20, count.stderr
+    # The robot's camera goes away, and the rest of the robot with it.
+    camera.stop()
+    again = net.run([*FOGSPEC, "init", "other", "--from-graph", "--watch", "3s", "--record", "2s"], 120)
+    assert "no request and response were found" in again.stderr
+    assert not (net.folder / "specs" / "data" / "other").exists()
+
+
+@pytest.mark.parametrize("words", [("--watch", "2s")])
+def test_without_a_robot_nothing_is_written(words: tuple[str, ...], net: Net) -> None:
+    before = sorted(net.folder.iterdir())
+    ended = net.run([*FOGSPEC, "init", "arm", "--from-graph", *words], 60)
+    assert ended.returncode == 1
+    assert "no node of a robot is visible" in ended.stderr
+    assert [path for path in sorted(net.folder.iterdir()) if path not in before and path.name != "ros-log"] == []

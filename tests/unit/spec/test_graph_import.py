@@ -1,0 +1,276 @@
+"""A spec from a robot that runs, on simulated observations; tests/ros/test_graph.py does the same on real nodes."""
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fogspec.spec.graph_import.observed import Observed
+from fogspec.spec.graph_import.pairs import Pair, find_pairs
+from fogspec.spec.graph_import.proposal import propose
+from tests.support.running import Shell, shell  # noqa: F401
+
+BEGUN = 1_795_000_000_000_000_000
+S = 10**9
+
+
+class Robot:
+    """Observations of nodes that are simulated: times in seconds, with jitter."""
+
+    def __init__(self, seed: int = 1) -> None:
+        self.dice = random.Random(seed)
+        self.topics: dict[str, dict[str, Any]] = {}
+        self.nodes: dict[str, dict[str, Any]] = {}
+        self.more: dict[str, Any] = {}
+
+    def timer(
+        self, node: str, topic: str, rate: float, count: int = 150, jitter: float = 2e-4, **more: Any
+    ) -> list[float]:
+        at = [(i + 0.3) / rate + self.dice.gauss(0, jitter) for i in range(count)]
+        self.says(node, topic, [(t, t) for t in at], **more)
+        return at
+
+    def answers(
+        self, node: str, request: str, response: str, busy: float, spread: float = 0.01, loss: float = 0.0,
+        stamp: str = "kept", **more: Any,
+    ) -> None:  # fmt: skip
+        """A node with one thread: requests wait for it."""
+        self.hears(node, request)
+        free, said = 0.0, []
+        for at, stamped, _ in self.topics[request]["messages"]:
+            if self.dice.random() < loss:
+                continue
+            asked = (at - BEGUN) / S
+            free = max(asked + 2e-4, free) + busy * (1 + self.dice.uniform(-spread, spread))
+            said.append((free, ((stamped or at) - BEGUN) / S if stamp == "kept" else free))
+        self.says(node, response, said, has_header=stamp != "none", **more)
+
+    def says(self, node: str, topic: str, said: list[tuple[float, float]], size: int = 1000, **more: Any) -> None:
+        header = more.pop("has_header", True)
+        messages = [
+            [BEGUN + round(at * S), BEGUN + round(stamp * S) if header else None, size] for at, stamp in sorted(said)
+        ]
+        self.nodes.setdefault(node, {})
+        self.topics[topic] = {
+            "types": ["x/msg/Y"], "publishers": [node], "subscribers": [], "has_header": header, "watched": True,
+            "count": len(messages), "bytes": size * len(messages), "messages": messages, **more,
+        }  # fmt: skip
+
+    def hears(self, node: str, *topics: str) -> None:
+        self.nodes.setdefault(node, {})
+        for topic in topics:
+            self.topics[topic]["subscribers"].append(node)
+
+    def data(self) -> dict[str, Any]:
+        return {"version": 1, "seconds": 15.0, "nodes": self.nodes, "topics": self.topics, **self.more}
+
+    def seen(self) -> Observed:
+        return Observed.model_validate(self.data())
+
+    def pairs(self) -> list[Pair]:
+        return find_pairs(self.seen())
+
+
+@pytest.mark.parametrize(("stamp", "match"), [("kept", "stamp"), ("new", "order"), ("none", "order")])
+def test_a_node_that_answers_is_found_with_its_latency(stamp: str, match: str) -> None:
+    robot = Robot()
+    robot.timer("/camera", "/rgb", 10)
+    robot.answers("/detector", "/rgb", "/pose", 0.04, stamp=stamp)
+    (pair,) = robot.pairs()
+    assert (pair.node, pair.request, pair.response, pair.match) == ("/detector", "/rgb", "/pose", match)
+    assert pair.p50_s == pytest.approx(0.0402, rel=0.01)
+    assert pair.answered >= pair.requests - 1 >= 148
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("phase", ["same jitter", "none", "more"])
+def test_a_timer_of_the_same_rate_answers_nothing(seed: int, phase: str) -> None:
+    robot = Robot(seed)
+    robot.timer("/camera", "/rgb", 10, jitter=3e-4)
+    robot.timer("/beat", "/status", 10, jitter={"same jitter": 3e-4, "none": 1e-7, "more": 9e-4}[phase])
+    robot.hears("/beat", "/rgb")
+    assert robot.pairs() == []
+
+
+def test_requests_that_are_lost_keep_a_stamped_pair_and_leave_an_unstamped_one_without_a_match() -> None:
+    robot = Robot()
+    robot.timer("/camera", "/rgb", 10)
+    robot.answers("/detector", "/rgb", "/pose", 0.04, loss=0.15)
+    robot.answers("/counter", "/rgb", "/count", 0.03, loss=0.15, stamp="none")
+    stamped, counted = robot.pairs()
+    assert (stamped.match, counted.match) == ("stamp", None)
+    assert stamped.answered / stamped.requests == pytest.approx(0.85, abs=0.08)
+    assert any("no stamp tells" in one for one in propose(robot.seen()).warnings)
+
+
+def test_a_saturated_node_is_matched_by_stamp_although_requests_wait() -> None:
+    robot = Robot()
+    robot.timer("/camera", "/rgb", 20, count=100)
+    robot.answers("/detector", "/rgb", "/pose", 0.06)
+    (pair,) = robot.pairs()
+    assert pair.match == "stamp"
+    assert pair.p50_s > 0.3
+
+
+def test_of_several_inputs_the_one_that_starts_the_work_is_the_request() -> None:
+    robot = Robot()
+    robot.timer("/camera", "/rgb", 10, size=900_000)
+    robot.says(
+        "/camera",
+        "/camera_info",
+        [((t - BEGUN) / S + 1e-4, (s - BEGUN) / S) for t, s, _ in robot.topics["/rgb"]["messages"]],
+    )
+    robot.timer("/imu", "/imu", 100, count=1500)
+    robot.answers("/detector", "/rgb", "/boxes", 0.03)
+    robot.answers("/tracker", "/boxes", "/track", 0.01)
+    robot.hears("/detector", "/camera_info", "/imu")
+    robot.hears("/tracker", "/rgb")
+    found = {(one.node, one.request, one.response) for one in robot.pairs()}
+    assert found == {("/detector", "/rgb", "/boxes"), ("/tracker", "/boxes", "/track")}
+
+
+def test_a_topic_of_a_higher_rate_explains_nothing_although_it_always_comes_shortly_before() -> None:
+    robot = Robot()
+    robot.timer("/imu", "/imu", 50, count=750, has_header=False)
+    robot.timer("/camera", "/rgb", 10, has_header=False)
+    robot.answers("/detector", "/rgb", "/pose", 0.05, spread=0.005, stamp="none")
+    robot.hears("/detector", "/imu")
+    assert [(one.request, one.response) for one in robot.pairs()] == [("/rgb", "/pose")]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_work_that_varies_more_than_any_timer_is_matched_by_count_alone(seed: int) -> None:
+    robot = Robot(seed)
+    robot.timer("/user", "/goal", 5, count=75, has_header=False)
+    robot.answers("/planner", "/goal", "/path", 0.1, spread=0.6, stamp="none")
+    (pair,) = robot.pairs()
+    assert (pair.request, pair.match) == ("/goal", "order")
+    assert pair.p50_s == pytest.approx(0.1, rel=0.25)
+
+
+def test_a_latched_topic_and_a_node_that_reads_what_it_writes_are_no_requests() -> None:
+    robot = Robot()
+    robot.timer("/maps", "/map", 1, count=15, latched=True)
+    robot.timer("/node", "/a", 10)
+    robot.answers("/node", "/a", "/b", 0.01)
+    robot.hears("/node", "/map")
+    assert robot.pairs() == []
+
+
+@pytest.mark.slow
+def test_of_two_thousand_topics_the_pairs_are_found_although_a_recorder_hears_them_all() -> None:
+    robot = Robot()
+    for i in range(1000):
+        robot.timer(f"/n{i}", f"/in{i}", 10, count=20)
+        robot.answers(f"/w{i}", f"/in{i}", f"/out{i}", 0.01)
+    robot.hears("/recorder", *robot.topics)
+    robot.timer("/recorder", "/status", 1, count=15)
+    pairs = robot.pairs()
+    assert {(one.request, one.response) for one in pairs} >= {(f"/in{i}", f"/out{i}") for i in range(1000)}
+    proposal = propose(robot.seen())
+    assert len(proposal.lines) < 40
+    assert "probe" in proposal.spec
+
+
+def full() -> Robot:
+    robot = Robot()
+    robot.timer("/camera", "/rgb", 10, size=90_000)
+    robot.answers("/arm/detector", "/rgb", "/pose", 0.04, size=200)
+    robot.hears("/arm/controller", "/pose")
+    robot.nodes["/arm/detector"] = {
+        "parameters": {"gain": 38.0, "use_sim_time": False, "qos_overrides./a.depth": 1, "token": "ghp_" + "a1B2" * 9,
+                       "classes": ["cup", "can"], "limit": float("inf")},
+        "process": {"argv": ["/opt/ros/jazzy/lib/det_ros/detector_node", "--ros-args"], "package": "det_ros",
+                    "executable": "detector_node", "remappings": {"__node": "detector", "image": "/rgb"},
+                    "cpu_s": 6.0, "memory_bytes": 2**30},
+    }  # fmt: skip
+    robot.nodes["/arm/controller"] = {
+        "process": {"argv": ["x"], "package": "arm", "executable": "controller", "arguments": ["--fast"]}, "gone": False,
+    }  # fmt: skip
+    return robot
+
+
+def test_the_spec_is_valid_and_has_what_was_seen(shell: Shell) -> None:
+    shell.write("robot.json", json.dumps(full().data()))
+    ended = shell("init", "arm", "--observed", "robot.json")
+    assert "/rgb -> /pose: 150 of 150 by stamp, p50 40.2 ms, p95 40." in ended.out
+    assert "parameter token of detector is left for you" in ended.err
+    assert "ghp_" not in ended.out + ended.err + shell.read("specs/arm.yaml")
+    assert "not visible from here" in ended.err  # the camera
+    shell("validate")
+    written = shell.read("specs/arm.yaml")
+    for line in (
+        "package: det_ros", "executable: detector_node", "name: detector", "namespace: /arm", "gain: 38.0",
+        "classes: [cup, can]", "image: /rgb", "apt: [ros-jazzy-det-ros]", "request: /rgb", "network_allowance: 77ms",
+        "latency: 120ms", '"--fast"', 'per_request: 0.0002MB', "# link: 900 kB/s to the cloud",
+    ):  # fmt: skip
+        assert line in written, line
+    assert "qos_overrides" not in written
+    assert shell("init", "arm", "--observed", "robot.json", code=2).err.startswith("specs/arm.yaml is there already")
+
+
+def test_a_service_and_an_action_have_their_callers_and_times(shell: Shell) -> None:
+    robot = full()
+    robot.topics.clear()
+    goals = [[BEGUN + i * S, BEGUN + i * S + S // 2, "succeeded"] for i in range(9)]
+    robot.more["actions"] = {
+        "/go": {"type": "a/action/Go", "servers": ["/arm/detector"], "callers": ["/ui"], "goals": goals}
+    }
+    robot.more["services"] = {"/plan": {"type": "a/srv/Plan", "servers": ["/arm/controller"], "callers": ["/ui"]}}
+    shell.write("robot.json", json.dumps(robot.data()))
+    ended = shell("init", "arm", "--observed", "robot.json")
+    assert "/go: action, 9 of 9 goals ended, p50 500 ms" in ended.out
+    assert "/plan: service of /arm/controller, called by /ui" in ended.out
+    assert "action: /go" in shell.read("specs/arm.yaml")
+    shell("validate")
+    robot.more.pop("actions")
+    shell.write("robot.json", json.dumps(robot.data()))
+    assert "not known yet" in shell("init", "arm2", "--observed", "robot.json").err
+    assert "service: /plan" in shell.read("specs/arm2.yaml")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"[1]", "not observations of a robot"),
+        (b'{"version": 1, "seconds": 1, "nodes": {"/a": {"parameters": 3}}, "topics": {}}', "nodes./a.parameters"),
+        (
+            b'{"version": 1, "seconds": 1, "nodes": {}, "topics": {}}',
+            "no node of a robot is visible in ROS_DOMAIN_ID 0",
+        ),
+        (b'{"version": 9, "seconds": 1, "nodes": {}, "topics": {}}', "version 9 is of another fogspec"),
+        (b'{"version": 1, "seconds": 1e999', "not observations of a robot"),
+    ],
+)
+def test_other_files_are_refused_and_nothing_is_written(content: bytes, message: str, shell: Shell) -> None:
+    (shell.folder / "robot.json").write_bytes(content)
+    assert message in shell("init", "arm", "--observed", "robot.json", code=1).err
+    assert [path.name for path in shell.folder.iterdir()] == ["robot.json"]
+
+
+def test_a_file_that_is_not_there_is_said(shell: Shell) -> None:
+    assert "robot.json: no such file or directory" in shell("init", "arm", "--observed", "robot.json", code=1).err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--from-graph", "--from-launch", "x.py"), "three sources"),
+        (("--record", "5s"), "--record needs a robot that runs"),
+        (("--from-graph", "--watch", "5"), "--watch"),
+        (("--from-graph", "--watch", "2h"), "between 1s and 10min"),
+    ],
+)
+def test_options_that_make_no_sense_together(words: tuple[str, ...], message: str, shell: Shell) -> None:
+    assert message in shell("init", "arm", *words, code=2).err
+
+
+def test_without_ros_2_it_says_how_and_writes_nothing(shell: Shell, tmp_path: Path) -> None:
+    shell.monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
+    shell.monkeypatch.setenv("FOGSPEC_LOOKED_FOR_RCLPY", "1")
+    ended = shell("init", "arm", "--from-graph", "--watch", "1s", code=1)
+    assert "no python3 on PATH has rclpy" in ended.err
+    assert "agent.pyz watch --out robot.json" in ended.err
+    assert list(shell.folder.iterdir()) == []
