@@ -43,6 +43,12 @@ MOST_DEFAULTS = 20
     metavar="FILE",
     help="read what `agent.pyz watch --out FILE` saw of a robot, in place of watching",
 )
+@click.option(
+    "--priors",
+    type=click.Path(path_type=Path),
+    metavar="DIR|FILE",
+    help="a machine library (fogspec priors build): name a first machine for what was seen of the robot",
+)
 @click.option("--name", help="name of the application; that of the file unless said otherwise")
 def command(
     spec: Path | None,
@@ -53,6 +59,7 @@ def command(
     watch: str,
     record: str | None,
     observed: Path | None,
+    priors: Path | None,
     name: str | None,
 ) -> None:
     """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten.
@@ -73,7 +80,7 @@ def command(
     given = _launch_arguments(arguments, launch)
     if spec and is_name(str(spec)) and not spec.suffix:
         name, spec = name or str(spec), Path("specs") / f"{spec}.yaml"  # `init mybot` means specs/mybot.yaml
-    check_options(launch, graph, record, observed)
+    check_options(launch, graph, record, observed, priors)
     found = read_launch(launch, given, package_paths) if launch else None
     name = name or name_from((spec and spec.name) or (launch and os.path.basename(launch)) or Path.cwd().name)
     spec = spec or Path("specs") / f"{name}.yaml"
@@ -83,7 +90,7 @@ def command(
     schema, files = root / "schemas" / "Application.json", ProjectFiles(root)
     data, notes = None, _notes(launch, given, found)
     if graph or observed:
-        data, notes = from_graph(name, spec.parent, files, watch, record, observed)
+        data, notes = from_graph(name, spec.parent, files, watch, record, observed, priors)
     text = first_text(
         data or first_data(name, found),
         Path(os.path.relpath(schema, spec.parent)).as_posix(),

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 from fogspec.base import child
 from fogspec.base.console import say
 from fogspec.base.errors import CloudError, InvalidInput, UsageError
+from fogspec.cli.options import library_from
 
 if TYPE_CHECKING:
     from fogspec.base.project_files import ProjectFiles
+    from fogspec.numerics.priors import PriorData
     from fogspec.spec.graph_import.observed import Observed
     from fogspec.spec.graph_import.proposal import Proposal
 
@@ -110,16 +112,26 @@ def first_of(name: str, proposal: "Proposal") -> dict[str, Any]:
     return data
 
 
-def check_options(launch: str | None, graph: bool, record: str | None, observed: Path | None) -> None:
+def check_options(
+    launch: str | None, graph: bool, record: str | None, observed: Path | None, priors: Path | None
+) -> None:
     """Raise UsageError for options that exclude each other."""
     if sum(map(bool, (launch, graph, observed))) > 1:
         raise UsageError("--from-launch, --from-graph and --observed are three sources, and a spec has one")
     if record is not None and not graph:
         raise UsageError("--record needs a robot that runs", "add --from-graph")
+    if priors is not None and not (graph or observed):
+        raise UsageError("--priors needs what was seen of a robot", "add --from-graph or --observed FILE")
 
 
 def from_graph(
-    name: str, folder: Path, files: "ProjectFiles", watch: str, record_for: str | None, observed: Path | None
+    name: str,
+    folder: Path,
+    files: "ProjectFiles",
+    watch: str,
+    record_for: str | None,
+    observed: Path | None,
+    priors: Path | None,
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the values of the spec and the lines of its head; the bag of the workload is below `folder`.
 
@@ -128,6 +140,7 @@ def from_graph(
     from fogspec.spec.graph_import.observed import read_observed
     from fogspec.spec.graph_import.proposal import propose
 
+    library = library_from(priors)
     seconds, record_s = seconds_of(watch, "--watch"), seconds_of(record_for, "--record")
     bag = Path("data") / name
     if record_s and (folder / bag).exists():
@@ -147,9 +160,36 @@ def from_graph(
     elif record_s:
         proposal.warnings.append("nothing was recorded: the probe has no request topic")
     proposal.warnings += without_invalid(data)
+    if library is not None and (guessed := guess(data, seen, proposal, library)):
+        proposal.lines.append(guessed)
+        say(guessed)
     for warning in proposal.warnings:
         say(f"note: {warning}", err=True)
     return data, ["From a robot that ran:", *proposal.lines]
+
+
+def guess(data: dict[str, Any], seen: "Observed", proposal: "Proposal", library: "PriorData") -> str | None:
+    """Return a first machine by a machine library, as a line of text; None if the robot or the library is not known enough."""
+    from fogspec.catalog.sources import default_origin, load_catalog
+    from fogspec.model.first_guess import Robot, first_guess
+    from fogspec.spec.loader import check_text
+    from fogspec.spec.scaffold import first_text
+
+    loaded, machine = check_text(first_text(data, "", []).encode(), "spec")[0], seen.machine
+    if not loaded or proposal.latency_s is None or machine.vcpus is None or machine.memory_gib is None:
+        return None
+    spec = loaded[0].application.spec
+    robot = Robot(
+        vcpus=machine.vcpus,
+        memory_gib=machine.memory_gib,
+        arch=machine.arch or "",
+        cpu=machine.cpu or "",
+        latency_s=proposal.latency_s,
+        used_gib=proposal.memory_gib or 0.0,
+    )
+    clouds = sorted({entry.partition("/")[0] for entry in spec.infra})
+    found = first_guess(library, spec, robot, load_catalog(default_origin(clouds), clouds))
+    return found.line() if found else None
 
 
 def without_invalid(data: dict[str, Any]) -> list[str]:

@@ -61,9 +61,15 @@ def prior_for(
     enough = np.isfinite(profiles).mean(1) >= MIN_COVERAGE
     if enough.sum() < MIN_WORKLOADS:
         return None
+    # A machine may be known by workloads alone that did not count.
+    known, profiles = known[enough], profiles[enough]
+    for machine in np.flatnonzero(np.isnan(profiles).all(0)):
+        profiles[:, machine], nugget[machine] = _impute_from_neighbours(
+            data.machines, known, machines, int(machine), there
+        )
     suites = [data.suites[i] for i in np.array(kept)[enough]]
     weight = np.array([suites.count(suite) ** -0.5 for suite in suites])
-    return Prior(_complete_matrix(profiles[enough]), weight / weight.sum(), nugget)
+    return Prior(_complete_matrix(profiles), weight / weight.sum(), nugget)
 
 
 def _log_cores(machines: Machines) -> Floats:

@@ -29,6 +29,17 @@ def test_a_library_sharpens_predictions():
     assert _error(with_prior, truth) < 0.5 * _error(without, truth)
 
 
+def test_a_machine_known_by_workloads_alone_that_do_not_count_is_imputed():
+    n = len(NAMES)
+    rare = [(0, machine) for machine in range(n - n // 4)]  # workload 0 is known on a quarter of the machines
+    only = [(workload, n - 1) for workload in range(1, len(SERIAL))]  # and the last one by it alone
+    prior = prior_for(library([*rare, *only]), NAMES, MACHINES)
+    assert prior is not None
+    assert len(prior.profiles) == len(SERIAL) - 1
+    assert np.isfinite(prior.profiles).all()
+    assert prior.nugget[-1] > 0
+
+
 def test_a_suite_that_is_left_out_says_nothing():
     suites = ("a", "a", "b", "b", "b", "b")
     prior = prior_for(library(suites=suites), NAMES, MACHINES, leave_out=["a"])

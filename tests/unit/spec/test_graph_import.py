@@ -10,6 +10,7 @@ import pytest
 from fogspec.spec.graph_import.observed import Observed
 from fogspec.spec.graph_import.pairs import Pair, find_pairs
 from fogspec.spec.graph_import.proposal import propose
+from tests.conftest import ROOT
 from tests.support.running import Shell, shell  # noqa: F401
 
 BEGUN = 1_795_000_000_000_000_000
@@ -209,6 +210,18 @@ def test_the_spec_is_valid_and_has_what_was_seen(shell: Shell) -> None:
         assert line in written, line
     assert "qos_overrides" not in written
     assert shell("init", "arm", "--observed", "robot.json", code=2).err.startswith("specs/arm.yaml is there already")
+
+
+def test_a_machine_library_names_a_first_machine(shell: Shell) -> None:
+    robot = full()
+    robot.more["machine"] = {"cpu": "Intel Core i7", "arch": "x86_64", "vcpus": 8, "memory_gib": 16.0}
+    shell.write("robot.json", json.dumps(robot.data()))
+    ended = shell("init", "arm", "--observed", "robot.json", "--priors", str(ROOT / "tests/data/sparecores"))
+    (line,) = [one for one in ended.out.splitlines() if one.startswith("first guess: ")]
+    assert " in aws/us-east-1, $" in line
+    assert line.endswith("Measuring decides")
+    assert f"# {line}" in shell.read("specs/arm.yaml")
+    assert "--priors needs" in shell("init", "b", "--priors", "x.zip", code=2).err
 
 
 def test_a_service_and_an_action_have_their_callers_and_times(shell: Shell) -> None:
