@@ -192,5 +192,6 @@ def limits_of(application: Application) -> str:
     """Return a short digest of the limits, the objective and what bounds sampling: they decide what is sampled."""
     chosen = fingerprints.chosen_part(application)
     parts = {name: chosen[name] for name in ("constraints", "objective", "metrics")}
-    benchmark = application.spec.benchmark.model_dump(mode="json", include={"volume", "wall_time"}, exclude_none=True)
+    bounding = {"volume", "wall_time", *(["servers"] if application.spec.benchmark.servers > 1 else [])}
+    benchmark = application.spec.benchmark.model_dump(mode="json", include=bounding, exclude_none=True)
     return digest.shorten(digest.of_value(parts | ({"benchmark": benchmark} if benchmark else {})))

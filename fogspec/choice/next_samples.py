@@ -162,6 +162,8 @@ class _State:
             reasons = [self._reason(posterior, one, gain, worth) for one, gain in of]
             return next_batch(found, self.costs, reasons, left_usd)
         why = next_batch(found, self.costs, (), left_usd).reason
+        if (again := self._on_another_server(choice, posterior, why, left_usd)) is not None:
+            return again
         volume = self.application.spec.benchmark.volume
         if volume is None:
             return self._verifying(choice, why, left_usd)
@@ -173,6 +175,24 @@ class _State:
         again = "measured again, for one sample may err: " if posterior.measured[one] else ""
         saves = "" if worth is None else f", which saves {dollars(gain * worth)}"
         return f"{again}may better the choice by {gain:.1%} on average{saves}, for at most ${self.costs.usd[one]:.4g}"
+
+    def _on_another_server(self, choice: Choice, posterior: Posterior, why: str, left_usd: float) -> NextBatch | None:
+        """Return the choice once more while it was measured on fewer servers than asked; None if that is enough."""
+        asked = self.application.spec.benchmark.servers
+        if choice.chosen is None:
+            return None
+        one = int(self.predicted.types.of[choice.chosen])
+        measured = int(posterior.samples[one])
+        if not 0 < measured < asked:
+            return None
+        name = choice.offers.instance[choice.chosen]
+        if self.excluded[one]:
+            return NextBatch((), (), f"{why}; the choice, {name}, could not be measured on another server")
+        if self.costs.usd[one] > left_usd:
+            cost = f"it may cost ${self.costs.usd[one]:.4g}"
+            return NextBatch((), (), f"{why}; the choice, {name}, is not measured on another server: {cost}")
+        reason = f"the choice on another server, number {measured + 1} of {asked}"
+        return NextBatch((int(self.costs.row[one]),), (reason,), why)
 
     def _verifying(self, choice: Choice, why: str, left_usd: float) -> NextBatch:
         """Return the choice if it was not measured and the budget allows it."""

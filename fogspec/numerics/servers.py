@@ -10,6 +10,7 @@ mixture of two normals, of which a sample's own noise (`fogspec.numerics.observa
 may be newer builds of a benchmark: they are upper bounds. Other clouds are taken to be between the two.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,11 @@ class Shift:
     core: float
     tail: float
     spread: float
+
+    def beyond(self, size: float) -> float:
+        """Return the probability that the shift is larger than `size`, up or down."""
+        parts = ((1 - self.tail, self.core), (self.tail, self.spread))
+        return sum(share * math.erfc(size / sd / math.sqrt(2)) for share, sd in parts if sd > 0)
 
 
 SHIFTS = {

@@ -25,10 +25,12 @@ from fogspec.choice.shortlist import shortlist
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision
 from fogspec.model.fit import Model, targets
+from fogspec.numerics.servers import OTHER, SHIFTS
 from fogspec.report.summary import billing_text, entry_text, infeasible_text, metrics_text
 from fogspec.results.schema import Measured, NestedIn, own_records
 
 MOST_SAMPLES = 3
+DIFFERENT = 0.05  # of the latency: what the servers of one type may differ by unsaid
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +85,8 @@ def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
     if servers := _servers(compiled):
         lines += ["", "measured on", *(f"  {text}" for text in servers)]
     lines += ["", "one more sample", f"  {_next_sample_text(choice, found.next, local)}"]
+    if another := _another_server(compiled, decision):
+        lines += ["", "another server", f"  {another}"]
     lines += ["", "others", *_others(compiled, decision)]
     if menu.spec.warnings:
         lines += ["", *(f"warning: {text}" for text in menu.spec.warnings)]
@@ -264,6 +268,28 @@ def _servers(compiled: Artifacts) -> list[str]:
     samples = [] if compiled.results is None else compiled.results.spec.samples
     own = [f"{one.machine.instance}: {one.server.line()}" for one in own_records(samples) if one.server is not None]
     return own + [_nested_text(one, one.nested_in) for one in samples if one.nested_in is not None]
+
+
+def _another_server(compiled: Artifacts, decision: Decision) -> str | None:
+    """Return how the servers of the chosen type differ, and what measuring it on another one costs; None of local machines."""
+    row, choice = decision.choice.chosen, decision.choice
+    if row is None or not choice.latency.measured[row]:
+        return None
+    machine = choice.offers.machine(row)
+    if machine.is_local:
+        return None
+    own = [one for one in decision.models.spec.observations if one.nested_in is None]
+    measured = [one.values["latency"] for one in own if one.machine.type_key == machine.type_key]
+    usd = compiled.plan.spec.commitment.usd(machine.price)
+    chance = SHIFTS.get(machine.cloud_name, OTHER).beyond(DIFFERENT)
+    differ = (
+        f"servers of one type on {machine.cloud_name} differ by more than {DIFFERENT:.0%} with probability {chance:.2f}"
+    )
+    if len(measured) > 1:
+        apart = max(measured) / min(measured) - 1
+        return f"{machine.instance} was measured {len(measured)} times, up to {apart:.1%} apart; {differ}"
+    how = "" if compiled.application.spec.benchmark.is_adaptive else "with sampler: adaptive, "
+    return f"{differ}; {how}benchmark.servers: 2 measures {machine.instance} on another one, for at most {dollars(usd)}"
 
 
 def _nested_text(one: Measured, where: NestedIn) -> str:

@@ -15,7 +15,7 @@ from fogspec.spec.schema import Affects, Application, Benchmark, Stage
 
 NOTHING: frozenset[Stage] = frozenset()
 # To the benchmark, after plans were first written: what each was before.
-ADDED = {"volume": None, "wall_time": None, "batch_size": None, "shapes": "own"}
+ADDED = {"volume": None, "wall_time": None, "batch_size": None, "shapes": "own", "servers": 1}
 
 
 def stages_of_fields(

@@ -417,6 +417,13 @@ class Benchmark(Strict):
         "tell of smaller machines",
         examples=["nested"],
     )
+    servers: Annotated[int, affects("plan")] = Field(
+        1,
+        ge=1,
+        le=6,
+        description="adaptive: how many servers the chosen machine is measured on, each rented for it",
+        examples=[2],
+    )
     wall_time: Annotated[Duration | None, affects("plan")] = Field(
         None,
         gt=0,

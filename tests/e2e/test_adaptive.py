@@ -102,6 +102,22 @@ def test_few_samples_a_good_choice_and_everything_fresh(project):
     assert chosen in {one["machine"]["instance"] for one in found["samples"]}, "the choice is measured"
 
 
+def test_another_server_is_asked_for_and_its_price_and_worth_are_said(project):
+    """A sweep has one server of each type: that there is no other one is said, and nothing measured is lost."""
+    write_spec(project, benchmark=ADAPTIVE.replace("budget", "servers: 2, budget"))
+    project("compile", "specs/demo.yaml", *AT)
+    bench(project)
+    found = results(project)
+    assert "could not be measured on another server" in found["sampling"]["stop_reason"]
+    (again,) = [one for one in found["samples"] if one["id"].endswith("repeat-2")]
+    assert (again["state"], again["reason"]) == ("failed", "capacity")
+    project("compile", "specs/demo.yaml", *AT)
+    assert document(project, "compiled/demo/manifest.yaml")["spec"]["instance"] == again["machine"]["instance"]
+    said = project("explain", "specs/demo.yaml", *AT).out
+    assert "servers of one type on aws differ by more than 5% with probability 0.07" in said
+    assert f"benchmark.servers: 2 measures {again['machine']['instance']} on another one, for at most $0.0" in said
+
+
 def test_what_bench_writes_of_the_plan_is_what_compile_writes(project):
     project("compile", "specs/demo.yaml", *AT)
     bench(project)

@@ -398,6 +398,12 @@ def shapes(application: Application) -> Iterator[Finding]:
         )
 
 
+def servers(application: Application) -> Iterator[Finding]:
+    """Require a sampler that measures the choice again."""
+    if application.spec.benchmark.servers > 1:
+        yield from _for_adaptive(application, "servers", "no machine is measured again")
+
+
 def _for_adaptive(application: Application, name: str, why: str) -> Iterator[Finding]:
     benchmark = application.spec.benchmark
     if benchmark.is_adaptive:
@@ -405,7 +411,7 @@ def _for_adaptive(application: Application, name: str, why: str) -> Iterator[Fin
     other = "machines" if benchmark.machines else "sampler"
     what = "a list of machines" if benchmark.machines else "the grid"
     yield Finding(
-        "FS529" if name == "wall_time" else "FS528",
+        {"wall_time": "FS529", "servers": "FS538"}.get(name, "FS528"),
         ("spec", "benchmark", name),
         f"spec.benchmark.{name} is for sampler: adaptive; of {what} {why}",
         f"remove {name}, or {other}" if benchmark.machines else f"write 'sampler: adaptive', or remove {name}",
@@ -449,5 +455,6 @@ RULES = (
     volume,
     wall_time,
     shapes,
+    servers,
     placeholders,
 )

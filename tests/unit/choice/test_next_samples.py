@@ -72,6 +72,42 @@ def test_a_campaign_ends_with_the_best_machine_measured(family, alpha):
     assert value[choice.chosen] <= value.min() * 1.05
 
 
+def asking(servers: int) -> Application:
+    app = adaptive(latency=2.0)
+    benchmark = app.spec.benchmark.model_copy(update={"servers": servers})
+    return app.model_copy(update={"spec": app.spec.model_copy(update={"benchmark": benchmark})})
+
+
+@pytest.mark.parametrize("servers", [2, 3])
+def test_the_choice_is_measured_on_as_many_servers_as_asked(family, servers):
+    app = asking(servers)
+    one, _ = campaign(family, asking(1))
+    records, _ = campaign(family, app)
+    known, unusable = partition(records, "mean")
+    choice = choose(app, predict_from(known, unusable, family, ["latency"]))
+    assert choice.chosen is not None
+    names = [each.machine.instance for each in records]
+    assert names.count(str(family.instance[choice.chosen])) >= servers
+    assert len(one) <= len(records) <= len(one) + 2 * servers
+
+
+def test_a_second_server_that_cannot_be_had_or_paid_ends_sampling_and_is_said(family):
+    app, usd = asking(2), family.price_usd_per_hour * 0.2
+    records, _ = campaign(family, asking(1))
+    once = list({one.machine.instance: one for one in records}.values())
+    (row,), (why,) = (asked := next_samples(app, family, once, usd_per_sample=usd)).rows, asked.reasons
+    while "on another server" not in why:
+        once.append(record(family, row))
+        (row,), (why,) = (asked := next_samples(app, family, once, usd_per_sample=usd)).rows, asked.reasons
+    assert why == "the choice on another server, number 2 of 2"
+    poor = next_samples(app, family, once, usd_per_sample=usd, left_usd=float(usd[row]) * 0.99)
+    assert poor.rows == ()
+    gone = record(family, row, state="failed", reason="capacity", latency=None)
+    assert (
+        "could not be measured on another server" in next_samples(app, family, [*once, gone], usd_per_sample=usd).reason
+    )
+
+
 @pytest.mark.parametrize("left", [0.0, 0.02, 0.1, 0.5])
 def test_the_budget_is_never_exceeded_and_the_end_says_why(family, left):
     records, reason = campaign(family, adaptive(latency=2.0), left)

@@ -70,6 +70,16 @@ def test_quantiles_and_probabilities_agree_with_scipy() -> None:
     assert some.quantile(0.9) == pytest.approx(elsewhere.quantile(0.9)[[3, 1]], rel=1e-9)
 
 
+def test_the_probability_of_a_larger_shift_is_that_of_the_mixture() -> None:
+    shift = SHIFTS["aws"]
+    drawn = np.random.default_rng(0).standard_normal(200_000)
+    tail = np.random.default_rng(1).random(200_000) < shift.tail
+    assert shift.beyond(0.05) == pytest.approx(
+        (np.abs(drawn * np.where(tail, shift.spread, shift.core)) > 0.05).mean(), abs=0.003
+    )
+    assert SHIFTS["local"].beyond(0.05) == 0
+
+
 def test_this_host_has_one_server_and_unknown_clouds_are_between_the_known() -> None:
     found, _ = posterior("local")
     assert np.allclose(ends(found.widened(1.0)), ends(found))
