@@ -91,6 +91,7 @@ def test_an_old_catalog_is_warned_of_on_compile_as_the_spec_allows(clouds: Shell
 
 def test_how_good_the_bundled_prices_are_is_said_once_on_compile(clouds: Shell) -> None:
     machines = "{cpus: 2..4, machines: {allow: [c6i.*]}}"
+    clouds.write("specs/work.py", "")
     clouds.write("specs/demo.yaml", spec(infra="[aws/us-east-1]", hardware=machines))
     said = clouds("compile", "specs/demo.yaml", "--catalog", "snapshot")
     assert said.out.count("in July 2026, 740 of its 741 prices in us-east-1 were unchanged, and 458 types were") == 1

@@ -162,6 +162,7 @@ LIFE = (
     ("verify", "tiny"),
     ("attest", "tiny"),
     ("review", "HEAD", "specs/tiny.yaml"),
+    ("ci", "specs/tiny.yaml"),
     ("apply", "tiny", "--yes"),
     ("status", "specs/tiny.yaml"),
     ("diff", "specs/tiny.yaml"),

@@ -72,7 +72,7 @@ def counts(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Counts]:
     """This repository's compiled and measured specs, committed, and what commands read and fit there."""
     for name in ("specs", "compiled", "results"):
         shutil.copytree(ROOT / name, shell.folder / name)
-    (shell.folder / "specs/ros2_ws").mkdir()
+    (shell.folder / "specs/ros2_ws").mkdir(exist_ok=True)
     who = ["-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false"]
     for words in (["init", "-q"], ["add", "-A"], [*who, "commit", "-q", "-m", "all"]):
         subprocess.run(["git", *words], cwd=shell.folder, check=True)

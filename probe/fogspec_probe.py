@@ -1,0 +1,1 @@
+../fogspec/agent/fogspec_probe.py
