@@ -47,7 +47,9 @@ def test_every_sample_is_measured_once(tmp_path):
         assert record["requests"] >= 10
         kept = (scene.results.parent / record["timings"]["path"]).read_bytes()
         assert record["timings"]["digest"] == f"sha256:{hashlib.sha256(kept).hexdigest()}"
-        _warmup, *latencies_s = [one["latency_s"] for one in map(json.loads, gzip.decompress(kept).splitlines()) if "latency_s" in one]
+        _warmup, *latencies_s = [
+            one["latency_s"] for one in map(json.loads, gzip.decompress(kept).splitlines()) if "latency_s" in one
+        ]
         assert len(latencies_s) == record["requests"]
         mean_ms = float(record["latency"]["mean"].removesuffix("ms"))
         assert mean_ms == pytest.approx(1000 * statistics.fmean(latencies_s))

@@ -284,8 +284,8 @@ def _path_length() -> Section:
         + (
             f"These are our own runs, on {places}: not the paper's planner, scenes or machines."
             if rows
-            else "Our own runs will be here once results of an application with the metric `path_length` are in `results/`: "
-            "`specs/planner-local.yaml` measures it on any computer."
+            else "Our own runs will be here once results of an application with the metric `path_length` are in "
+            "`tests/data/sweeps/`."
         ),
         head=("application", "machine", "vCPUs", "latency", "path length"),
         rows=rows or [("-", "-", "-", "-", "not measured yet")],
