@@ -187,7 +187,7 @@ function showAnswer(answer) {
   const number = answer.meets.filter(Boolean).length;
   const total = data.complete ? `${number} of ${count} machine types meet the limits` : "";
   if (chosen === null) {
-    const words = answer.misses.map((one) => `${one.name} would have to be ${trim(one.factor.toPrecision(3))} times as large (${one.name_of})`);
+    const words = answer.misses.map((one) => `${one.name}: the best machine needs ${trim(one.factor.toPrecision(3))} times the limit (${one.name_of})`);
     if (!count) verdict.textContent = "Nothing can be said of any machine: no sample counts, or each admissible machine failed.";
     else verdict.textContent = words.length ? "No machine meets the limits: " + words.join("; ") + "." : "No machine is likely enough to meet the limits.";
   } else {

@@ -87,7 +87,7 @@ def _none(choice: Choice) -> list[str]:
     """Return a note that no machine meets the limits and how far the nearest is off; no note if one does."""
     if choice.feasible.any():
         return []
-    far = [f"{miss.limit} would have to be {miss.factor:.3g} times as large" for miss in choice.violations]
+    far = [f"{miss.limit}: the best machine needs {miss.factor:.3g} times the limit" for miss in choice.violations]
     either = " or " if all(miss.alone for miss in choice.violations) else " and "
     return [": ".join(["no machine meets the limits", *([either.join(far)] if far else [])])]
 

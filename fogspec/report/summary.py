@@ -143,8 +143,8 @@ def infeasible_text(menu: "Menu") -> list[str]:
     for miss in body.missed:
         beside = "of those that meet the other limits, " if miss.alone and len(body.limits) > 1 else ""
         lines.append(
-            f"  {miss.limit} would have to be {miss.factor:.3g} times as large: limit {miss.bound}, {beside}"
-            f"the nearest, {miss.instance} in {miss.infra}, needs {miss.nearest_value}"
+            f"  {miss.limit}: limit {miss.bound} is infeasible: {beside}the best machine, {miss.instance} in {miss.infra}, "
+            f"needs {miss.nearest_value}, {miss.factor:.3g} times the limit"
         )
     if body.nearest is not None:
         lines.append(f"  nearest on all limits: {entry_text(body.nearest)}; {body.nearest.why_not}")

@@ -109,7 +109,7 @@ def same_as_menu(browser, one: LoadedSpec, made: Artifacts, to: Path, limits, al
                 assert verdict == "No machine is likely enough to meet the limits."
                 continue
             worst = choice.violations[0]
-            said = re.search(r"limits: (\S+) would have to be (\S+) times", verdict)
+            said = re.search(r"limits: (\S+): the best machine needs (\S+) times", verdict)
             assert said[1] == worst.limit
             assert float(said[2]) == pytest.approx(worst.factor, rel=0.01)
             continue

@@ -20,20 +20,21 @@ apiVersion: fogspec.dev/v1alpha1
 kind: Application
 metadata: {name: full}
 spec:
-  cloud: [{package: p, executable: e}]
-  robot: [{package: p, executable: e, name: r}]
+  cloud: [{package: p, executable: e, name: c, composable_node_descriptions: [{package: p, plugin: "p::A"}]}]
+  robot: [{package: p, executable: e, name: r, composable_node_descriptions: [{package: p, plugin: "p::A"}]}]
   ros: {distro: jazzy}
   probe: {callback: plan}
   metrics: {length: {callback: length, unit: m}}
   constraints: {latency: 2s, metrics: {length: 3}}
-  objective: {alpha: 0.5, scale: {latency: 1s}}
+  objective: {alpha: 0.5, scale: {latency: 1s}, billing: provisioned, rate: 1/s, usage: {session: 1h, sessions: 1/day}}
   hardware: {cpus: 2..64}
   infra: [aws/us-east-1]
   benchmark:
     budget: $2
     volume: {requests_per_month: 1000}
     sampler: adaptive
-    workload: {node: {package: p, executable: client}}
+    workload:
+      node: {package: p, executable: e, name: w, composable_node_descriptions: [{package: p, plugin: "p::A"}]}
   connectivity: {link: none}
 """
 LEAVES = dict(fingerprints.stages_of_fields())
