@@ -276,9 +276,9 @@ def _prices(suite):
 
 
 @pytest.mark.slow
-def test_a_measured_full_sweep_of_a_case_study_is_sampled_by_half_and_chosen_from_alike():
+def test_the_choice_from_a_measured_full_sweep_of_a_case_study_is_near_its_best():
     words = ("evaluate", "specs/vslam.yaml", "--sweep", "tests/data/sweeps/vslam.yaml")
     found = json.loads(run(*words, "-o", "json").stdout)
-    assert (found["machines"], found["samples"]) == (6, 4)
-    assert found["chosen"] == found["best"] == "local/1cpu-2gib"
-    assert found["bench"] < 0.6
+    assert found["machines"] == 6
+    assert (found["ok5"], found["best"].startswith("local/")) == (True, True)
+    assert found["bench"] <= 1
