@@ -193,7 +193,7 @@ def read_task(content: bytes) -> Mapping[str, Any]:
 
 
 def against_spec(application: Application, machine: Machine) -> str | None:
-    """Return the field of the spec that does not admit a machine of the plan, whoever wrote the plan; None without one."""
+    """Return the field of the spec that does not admit a machine of the plan, however it came there; None without one."""
     spec = application.spec
     if listed := spec.benchmark.machines:
         name = f"{LOCAL}/{machine.instance}" if machine.is_local else machine.instance

@@ -74,7 +74,7 @@ def _path_lengths(runs: tuple[OwnRun, ...]) -> str:
                 y_label=label + unit,
                 x_words=lambda v: f"{v:g}",
                 y_words=words,
-                heading=run.name,
+                heading=run.name.removeprefix("motion-planning-"),
             )
             found.dots = [
                 Dot(x=x.at(one[1]), y=y.at(float(one[at])), kind="measured", radius=4.2, title=one[0])
