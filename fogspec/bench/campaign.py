@@ -299,7 +299,7 @@ class Campaign:
         if substitute is not None:
             detail = filter(None, (record.detail, f"{substitute.id} takes its place"))
             record = record.model_copy(update={"detail": "; ".join(detail)})
-        parts = [] if end.parts and record.state != "ok" else list(self._parts(started.sample, end, record))
+        parts = list(self._parts(started.sample, end, record)) if record.state == "ok" else []
         record = self.sink.keep(record, end.timings)
         self.journal.end(started.name, record.spent, record, self.clock, parts)
         self._write(started, record, parts)

@@ -2,6 +2,7 @@
 
 import os
 import stat
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -293,9 +294,13 @@ def test_a_write_never_goes_into_a_file_that_is_there_by_the_temporary_name(
     assert planted.read_bytes() == b"another's"
 
 
-def test_a_tree_of_any_depth_and_with_any_permissions_is_removed(tmp_path: Path) -> None:
+def test_a_tree_of_any_depth_and_with_any_permissions_is_removed(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     """A node that makes folders in folders, or forbids to list them, does not keep `down` from removing what it wrote."""
     files, here = ProjectFiles(tmp_path), os.getcwd()
+    # pytest itself cannot remove such a tree.
+    request.addfinalizer(lambda: subprocess.run(["rm", "-rf", tmp_path / "d"], check=False))
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "kept").touch()

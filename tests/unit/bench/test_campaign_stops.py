@@ -2,9 +2,10 @@
 
 import pytest
 
-from fogspec.backends.protocol import Unreachable
+from fogspec.backends.protocol import SampleStatus, Unreachable
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.types import Event, EventKind, Queued
+from fogspec.results.schema import Measured
 from tests.faults.controllers import COMMITMENT, campaign_of, samples
 from tests.faults.simulation import FaultyBackend, World
 
@@ -240,3 +241,30 @@ def test_a_machine_of_another_spec_is_ended_and_paid_and_is_no_sample(told):
     assert campaign.journal.state.spent_usd > 0
     assert world.disk.get("samples", {}) == {}
     assert events[-1].kind is EventKind.UNWANTED
+
+
+@pytest.mark.parametrize(("state", "kept"), [("ok", ["one-half"]), ("failed", [])])
+def test_parts_of_a_machine_that_failed_are_no_measurements(told, monkeypatch, state, kept):
+    campaign, _, _ = told
+    sample = samples(1)[0]
+    campaign.queue += [Queued(sample)]
+    campaign._start_what_fits()
+    (attempt,) = campaign.running.values()
+    put, record = (
+        [],
+        Measured(
+            id=sample.id,
+            machine=sample.machine,
+            measured_on="sim",
+            state=state,
+            requests=0,
+            duration="10s",
+            spent="$0.1",
+        ),
+    )
+    half = record.model_copy(update={"id": "one-half"})
+    monkeypatch.setattr(Campaign, "_parts", lambda *_: iter([half]))
+    monkeypatch.setattr(Campaign, "_write", lambda _self, _started, _record, parts: put.extend(parts))
+    campaign._record(attempt.started, record, SampleStatus(running=False))
+    assert [one.id for one in put] == kept
+    assert [one.id for one in campaign.journal.state.unwritten_parts.get(attempt.started.name, [])] == kept

@@ -82,6 +82,22 @@ def test_a_record_that_was_not_written_yet_is_remembered(tmp_path):
     again.close()
 
 
+def test_records_of_a_machines_parts_are_remembered_with_its_own(tmp_path):
+    parts = [RECORD.model_copy(update={"id": "half", "requests": 7}), RECORD.model_copy(update={"id": "quarter"})]
+    journal = Journal(tmp_path / "journal.jsonl")
+    journal.begin("local", "sha256:app", "sha256:plan", 0.0)
+    journal.start(started("a"))
+    journal.end("a", 0.1, RECORD, parts=parts)
+    journal.close()
+    assert "$0.1" in (tmp_path / "journal.jsonl").read_text(), "with units, as in the results"
+    again = Journal(tmp_path / "journal.jsonl")
+    assert again.state.unwritten_parts["a"] == parts
+    assert again.state.spent_usd == pytest.approx(0.1), "the machine is paid once"
+    again.written("a")
+    assert again.state.unwritten_parts == {}
+    again.close()
+
+
 @pytest.mark.slow
 def test_a_cut_anywhere_is_a_state_to_go_on_from(tmp_path):
     path = tmp_path / "journal.jsonl"
