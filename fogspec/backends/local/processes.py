@@ -12,6 +12,9 @@ from fogspec.agent.processes import Process, below, extinguish, living, offsprin
 from fogspec.base import child
 
 CHECKS = 4
+LAST_CHECKS = (
+    16  # before it is believed that nothing is left: on a busy host a chain of short processes hides between looks
+)
 Find = Callable[[], set[int]]
 
 
@@ -79,7 +82,7 @@ def end(find: Find, glance: Find, grace_s: float, force: Callable[[], object] = 
         while find() and time.monotonic() < until:
             time.sleep(0.05)
     force()
-    return extinguish(lambda: _rechecked(find), glance) if some else []
+    return extinguish(lambda: _rechecked(find, LAST_CHECKS), glance) if some else []
 
 
 def bury(pids: Collection[int]) -> None:
@@ -89,8 +92,8 @@ def bury(pids: Collection[int]) -> None:
             os.waitpid(pid, os.WNOHANG)
 
 
-def _rechecked(find: Find) -> set[int]:
-    for _ in range(CHECKS - 1):
+def _rechecked(find: Find, checks: int = CHECKS) -> set[int]:
+    for _ in range(checks - 1):
         if pids := find():
             return pids
         time.sleep(0.03)
