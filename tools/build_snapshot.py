@@ -19,6 +19,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from typing import Any
 
+from fogspec.catalog.names import BUNDLED
 from fogspec.catalog.sources.parse import digest
 from fogspec.catalog.sources.snapshot import ABOUT, TABLE
 from tools.ec2_prices import Price, by_region, by_size
@@ -56,15 +57,18 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="write nothing; exit 3 if a file would change")
     check = parser.parse_args().check
     try:
-        table, about = build()
+        (table, about), names = build(), _names()
     except (ModuleNotFoundError, PackageNotFoundError):
         sys.exit(MISSING)
     if check:
-        same = gzip.decompress(TABLE.read_bytes()) == table and ABOUT.read_text(encoding="utf-8") == about
+        texts = [(ABOUT, about), (BUNDLED, names)]
+        same = gzip.decompress(TABLE.read_bytes()) == table
+        same = same and all(path.read_text(encoding="utf-8") == text for path, text in texts)
         print("the snapshot is what these packages give" if same else "the snapshot is not what these packages give")
         sys.exit(0 if same else 3)
     TABLE.write_bytes(gzip.compress(table, 9, mtime=0))
     ABOUT.write_text(about, encoding="utf-8")
+    BUNDLED.write_text(names, encoding="utf-8")
     print(f"{TABLE.name}: {TABLE.stat().st_size:,} bytes, {len(table.splitlines()) - 1:,} offers\n{about}", end="")
 
 
@@ -94,6 +98,15 @@ def build() -> tuple[bytes, str]:
     table = _csv(rows)
     dated = datetime.fromtimestamp(pricing["updated"], UTC).date().isoformat()
     return table, _about(dated, table, counts)
+
+
+def _names() -> str:
+    """Return as JSON every region and instance type that moto knows, so that `validate` can tell a misspelt one."""
+    resources = files("moto") / "ec2" / "resources"
+    regions = [one.name.partition(".")[0] for one in (resources / "instance_type_offerings" / "region").iterdir()]
+    kinds = _json_gz(resources / "instance_types.json.gz")
+    known = {"aws": {"regions": sorted(regions), "instances": sorted(kinds)}}
+    return json.dumps(known, indent=0, ensure_ascii=False) + "\n"
 
 
 def _is_candidate(kind: str, fact: Facts, described: Facts | None, counts: Counter[str]) -> bool:

@@ -1,13 +1,14 @@
 """Filters from every machine on offer to those that a spec admits, each with a count of the offers that it removed."""
 
+import difflib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.base.clouds import CLOUDS, split_infra
+from fogspec.base.clouds import CLOUDS, cloud_name, split_infra
 from fogspec.base.units import Range
 from fogspec.catalog import classes
 from fogspec.catalog.machine import Gpu, Machine
@@ -94,6 +95,21 @@ def matches_infra(catalog: Catalog, entry: str) -> Mask:
         if part != "*":
             mask &= _equal(column, part.lower() if column is catalog.cloud else part)
     return mask
+
+
+def unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
+    """Yield a hint for each entry of `infra` in which the catalog has no machine at all."""
+    for entry in infra:
+        if matches_infra(catalog, entry).any():
+            continue
+        places = {*catalog.cloud, *map("/".join, zip(catalog.cloud, catalog.region, strict=True))}
+        close = difflib.get_close_matches(entry, sorted(places), n=3)
+        hint = ""
+        if close:
+            hint = f"; did you mean {', '.join(close)}?"
+        elif cloud_name(entry) not in places:
+            hint = "; --catalog takes a list of its machines and prices, and fogspec lock pins it"
+        yield f"the catalog has no machine in {entry}{hint}"
 
 
 def gpu_type(text: str) -> Gpu | None:

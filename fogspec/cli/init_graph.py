@@ -101,6 +101,7 @@ def first_of(name: str, proposal: "Proposal") -> dict[str, Any]:
 
     data = first_data(name)
     spec, found = data["spec"], dict(proposal.spec)
+    del spec["benchmark"]["workload"]
     limits, transfer = found.pop("limits", {}), found.pop("transfer", None)
     order = ("cloud", "robot", "ros", "probe")
     rest = {key: value for key, value in spec.items() if key not in order}

@@ -80,19 +80,21 @@ def load_inputs(
 
 
 def require_named(loaded: "Sequence[LoadedSpec]", files: bool = True) -> None:
-    """Raise DiagnosticError if specs still have the names that `init` made up; with `files`, warn about missing ones."""
+    """Raise DiagnosticError if specs still have the names that `init` made up.
+
+    With `files`, warn about missing ones; without, as before machines are started, of specs in which nothing sends requests.
+    """
     import dataclasses
 
     from fogspec.base.diagnostics import DiagnosticError
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.files_there import CODE
-    from fogspec.spec.rules.benchmark import PLACEHOLDERS
+    from fogspec.spec.rules.benchmark import NO_SENDER, PLACEHOLDERS
 
     said = list(dict.fromkeys(warning for one in loaded for warning in one.warnings))
     if made_up := [dataclasses.replace(one, severity="error") for one in said if one.code == PLACEHOLDERS]:
         raise DiagnosticError(made_up)
-    if files:
-        show_diagnostics([one for one in said if one.code == CODE])
+    show_diagnostics([one for one in said if one.code == (CODE if files else NO_SENDER)])
 
 
 def load_named(what: str, name: str | None, catalog: str | None, priors: Path | None) -> "list[Inputs]":

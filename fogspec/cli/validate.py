@@ -1,9 +1,16 @@
 """Implement `fogspec validate`: report all errors in all specs."""
 
+from functools import partial
+from typing import TYPE_CHECKING
+
 import click
 
 from fogspec.base.console import say
 from fogspec.cli.options import COLOR, POLICIES
+
+if TYPE_CHECKING:
+    from fogspec.catalog.table import Catalog
+    from fogspec.spec.loader import LoadedSpec
 
 
 @click.command()
@@ -18,6 +25,7 @@ def command(
     files: tuple[str, ...], overlays: tuple[str, ...], output: str, policies: tuple[str, ...], color: bool | None
 ) -> None:
     """Check FILES, or the specs in folders, or those that patterns match; without any, those in specs/."""
+    from fogspec.catalog.names import unknown_names
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import check_file
@@ -25,7 +33,8 @@ def command(
 
     paths = find_specs(files)
     loaded, diagnostics = check_file(paths, overlays)
-    diagnostics = [*diagnostics, *Policies(policies).check_specs(loaded)]
+    strange = [said for one in loaded for said in unknown_names(one, partial(_catalog, one))]
+    diagnostics = [*diagnostics, *strange, *Policies(policies).check_specs(loaded)]
     show_diagnostics(diagnostics, output, color)
     if any(one.severity == "error" for one in diagnostics):
         raise click.exceptions.Exit(1)
@@ -33,6 +42,12 @@ def command(
         names = ", ".join(one.application.metadata.name for one in loaded[:10])
         more = f" and {len(loaded) - 10} more" if len(loaded) > 10 else ""
         say(f"{_count(len(loaded), 'application')} in {_count(len(paths), 'file')} valid: {names}{more}")
+
+
+def _catalog(one: "LoadedSpec") -> "Catalog | None":
+    from fogspec.compile.inputs import catalog_beside_snapshot
+
+    return catalog_beside_snapshot(one)
 
 
 def _count(number: int, word: str) -> str:

@@ -12,12 +12,13 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fogspec.base.clouds import cloud_name
+from fogspec.base.clouds import cloud_name, cloud_of
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
 from fogspec.catalog.classes import unknown_families
+from fogspec.catalog.filters import unknown_places
 from fogspec.catalog.sources import default_origin, load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.compile.agent_archive import agent_archive, is_former_agent_file
@@ -139,6 +140,18 @@ def catalogs_for(loaded: Sequence[LoadedSpec], path: str | None) -> list[Catalog
     reader = _Reader(files={}, catalog_path=path, priors=None)
     layouts = [Layout.of(one.path, one.application.metadata.name) for one in loaded]
     return [reader.catalog(one, layout, reader.pins(layout)) for one, layout in zip(loaded, layouts, strict=True)]
+
+
+def catalog_beside_snapshot(one: LoadedSpec) -> Catalog | None:
+    """Return the catalog of an application, from the lock, else the default; None if that is the bundled one.
+
+    Raise the errors of `Inputs.load`.
+    """
+    reader = _Reader(files={}, catalog_path=None, priors=None)
+    layout = Layout.of(one.path, one.application.metadata.name)
+    pins = reader.pins(layout)
+    origin = pins.catalog.origin if pins else default_origin(clouds_of(one))
+    return None if origin == "snapshot" else reader.catalog(one, layout, pins)
 
 
 def clouds_of(one: LoadedSpec) -> tuple[str, ...]:
@@ -304,6 +317,10 @@ def _catalog_notes(one: LoadedSpec, catalog: Catalog) -> Iterator[str]:
     for cloud, families in unknown_families(catalog).items():
         named = ", ".join(families if len(families) <= 3 else [*families[:3], f"and {len(families) - 3:,} more"])
         yield f"{about.source}: no family of {cloud} is named like {named}: generation and kind of CPU are unknown"
+    infra = [entry for entry in one.application.spec.infra if cloud_of(entry).priced]
+    strange = list(unknown_places(infra, catalog))
+    if len(strange) < len(infra):  # of none, the plan says so
+        yield from strange
     if not about.date or (about.checked is not None and "max_age" not in limit.model_fields_set):
         return
     days = (datetime.now(UTC).date() - date.fromisoformat(about.date)).days

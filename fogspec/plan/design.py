@@ -2,7 +2,7 @@
 
 import difflib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base import units
-from fogspec.base.clouds import LOCAL, cloud_name
+from fogspec.base.clouds import LOCAL
 from fogspec.base.errors import Infeasible, InvalidInput
 from fogspec.catalog.classes import platforms
 from fogspec.catalog.filters import (
@@ -21,6 +21,7 @@ from fogspec.catalog.filters import (
     matches_gpu,
     matches_infra,
     merge_zones,
+    unknown_places,
 )
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import About, Catalog, Floats, ranks
@@ -137,7 +138,7 @@ def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "PriorDa
     if not found.samples:
         instead = before_empty(catalog, spec.hardware, spec.infra)
         further = filter(None, (instead, admissible.left_out_line(), *(() if len(catalog) else catalog.about.notes)))
-        hints = [admissible.funnel.line(), *_unknown_places(spec.infra, catalog), *further]
+        hints = [admissible.funnel.line(), *unknown_places(spec.infra, catalog), *further]
         raise Infeasible("no machine on offer is admissible", *hints)
     return _distinct(found)
 
@@ -295,21 +296,6 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Sample]:
         named = (place.take(matches_gpu(place, gpu)) for gpu in spec.hardware.gpus)
         best = next(filter(len, named), place)
         yield sample_on(best.machine(int(cheapest_first(best)[0])), "listed in benchmark.machines")
-
-
-def _unknown_places(infra: Sequence[str], catalog: Catalog) -> Iterator[str]:
-    """Yield a hint for each entry of `infra` in which the catalog has no machine at all."""
-    for entry in infra:
-        if matches_infra(catalog, entry).any():
-            continue
-        places = {*catalog.cloud, *map("/".join, zip(catalog.cloud, catalog.region, strict=True))}
-        close = difflib.get_close_matches(entry, sorted(places), n=3)
-        hint = ""
-        if close:
-            hint = f"; did you mean {', '.join(close)}?"
-        elif cloud_name(entry) not in places:
-            hint = "; --catalog takes a list of its machines and prices, and fogspec lock pins it"
-        yield f"the catalog has no machine in {entry}{hint}"
 
 
 def _distinct(found: Design) -> Design:

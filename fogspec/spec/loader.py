@@ -22,6 +22,7 @@ from fogspec.spec import rules
 from fogspec.spec.documents import SourceMap, documents_in, documents_of, unreadable
 from fogspec.spec.files_there import missing_files
 from fogspec.spec.overlays import merge
+from fogspec.spec.rules.benchmark import sender
 from fogspec.spec.schema import Application
 from fogspec.spec.validate import Validation, validate
 
@@ -100,7 +101,8 @@ def _checked(
         for index, node in enumerate(nodes):
             merged = merge(node, layers)
             checked = validate(Application, merged)
-            found_wrong = (*checked.wrong, *rules.run_rules(checked), *(_missing(checked, path) if on_disk else ()))
+            found_wrong = [*checked.wrong, *rules.run_rules(checked)]
+            found_wrong += _missing(checked, path, found_wrong) if on_disk else ()
             said = [one for one in found_wrong if one.span not in refused]
             wrong.extend(texts.at_the_cut(said) if index == len(nodes) - 1 else said)
             found.append((path, index, merged, checked))
@@ -122,11 +124,12 @@ def _checked(
     return loaded, shown
 
 
-def _missing(checked: Validation[Application], path: str) -> Iterator[Diagnostic]:
-    """Yield what the spec at `path` names beside itself and is not there."""
+def _missing(checked: Validation[Application], path: str, wrong: Sequence[Diagnostic]) -> Iterator[Diagnostic]:
+    """Yield what the spec at `path` names beside itself and is not there, and of one that is right, what it lacks."""
     if checked.value is None:
         return
-    for one in missing_files(checked.value, Path(path).parent):
+    right = all(one.severity == "warning" for one in wrong)
+    for one in (*missing_files(checked.value, Path(path).parent), *(sender(checked.value) if right else ())):
         yield Diagnostic(one.code, one.message, span_of(checked.node, one.path), one.fix, severity=one.severity)
 
 

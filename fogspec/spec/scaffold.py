@@ -39,7 +39,9 @@ def first_data(name: str, found: LaunchImport | None = None) -> dict[str, Any]:
     spec["hardware"] = {"cpus": "2..64", "memory": "4GiB..512GiB", "memory_per_cpu": "2GiB..8GiB", "gpus": ["none"]}
     spec["infra"] = ["aws/us-east-1"]
     spec["benchmark"] = {"budget": "$2.50", "sampler": "adaptive", "stop": {"requests": 200, "duration": "5min"}}
-    if found is not None:
+    if found is None:
+        spec["benchmark"]["workload"] = {"node": robot[0]}
+    else:
         _over(spec, found)
     return {"apiVersion": API_VERSION, "kind": "Application", "metadata": {"name": name}, "spec": spec}
 

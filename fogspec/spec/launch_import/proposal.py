@@ -3,11 +3,7 @@
 import json
 import os.path
 import re
-import tomllib
 from collections.abc import Iterator
-from fnmatch import fnmatchcase
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +11,7 @@ from fogspec.spec.launch_import.fogros import timed_node
 from fogspec.spec.launch_import.found import LaunchImport, Place
 from fogspec.spec.launch_import.nodes import tidy
 from fogspec.spec.launch_import.packages import Packages
+from fogspec.spec.robot_packages import reason_of
 from fogspec.spec.rules.nodes import GRAPH_NAME
 
 
@@ -36,31 +33,6 @@ def propose(found: LaunchImport, packages: Packages, arguments: dict[str, str]) 
     found.cloud = [one for one, reason in stay if reason is None]
     found.robot = [one for one, reason in stay if reason is not None]
     found.reasons = {id(one): reason for one, reason in stay if reason is not None}
-
-
-def reason_of(node: dict[str, Any]) -> str | None:
-    """Return why a node belongs on the robot; None if nothing says so."""
-    groups, commands = _listed()
-    if "cmd" in node:
-        argv = node["cmd"]
-        if argv[:1] == ["ros2"] and len(argv) > 2 and argv[1] in ("launch", "run"):
-            return _reason(groups, argv[2])
-        return _reason(commands, os.path.basename(argv[0]))
-    said = [node.get("package", ""), *(one["package"] for one in node.get("composable_node_descriptions", []))]
-    return next((reason for one in said if (reason := _reason(groups, one)) is not None), None)
-
-
-def _reason(groups: list[tuple[str, list[str]]], name: str) -> str | None:
-    return next((reason for reason, patterns in groups if any(fnmatchcase(name, one) for one in patterns)), None)
-
-
-@cache
-def _listed() -> tuple[list[tuple[str, list[str]]], list[tuple[str, list[str]]]]:
-    data = tomllib.loads(files(__package__).joinpath("robot_packages.toml").read_text("utf-8"))
-    return (
-        [(one["reason"], one["packages"]) for one in data["group"]],
-        [(one["reason"], one["programs"]) for one in data["command"]],
-    )
 
 
 def _whole(found: LaunchImport, packages: Packages, arguments: dict[str, str]) -> None:

@@ -5,12 +5,14 @@ from collections.abc import Iterator
 from fogspec.base.units import SECONDS_PER_MONTH, format_duration, format_rate, rounded
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.probe import kind_of
+from fogspec.spec.robot_packages import reason_of
 from fogspec.spec.rules.finding import Finding
-from fogspec.spec.schema import Application, Interruption, local_shape
+from fogspec.spec.schema import Application, Interruption, Node, Workload, local_shape
 from fogspec.spec.suggest import closest
 
 SECONDS_PER_DAY = 86400
 PLACEHOLDERS = "FS523"
+NO_SENDER = "FS546"
 PLACEHOLDER_TOPICS = ("/request", "/response")
 NESTED_S = 360.0  # for all parts of a machine, as `fogspec.plan.commitment` counts them
 PLACEHOLDER_PACKAGE = "my_package"
@@ -121,6 +123,25 @@ def workload(application: Application) -> Iterator[Finding]:
     if work.bag is not None and kind in ("callback", "action"):
         message = f"{dotted((*at, 'bag'))} holds requests on a topic or of a service, and the probe names neither"
         yield Finding("FS526", (*at, "bag"), message, "send the requests with a node", about, at_key=True)
+
+
+def sender(application: Application) -> Iterator[Finding]:
+    """Warn if nothing is said to send the requests: the robot's nodes do not run while a machine is measured.
+
+    Not one of `RULES`, because it makes sense of a spec only in which nothing is wrong.
+    """
+    spec, at = application.spec, ("spec", "benchmark", "workload")
+    kind = kind_of(spec.probe)
+    if kind not in ("topics", "service", "action") or spec.benchmark.workload != Workload():
+        return
+    name = spec.probe.request if kind == "topics" else getattr(spec.probe, kind)
+    alone = spec.robot[0] if len(spec.robot) == 1 else None
+    client = alone if alone and alone.package and reason_of({"package": alone.package}) is None else None
+    words = f"package: {client.package}, executable: {client.executable}" if client else "package: ..., executable: ..."
+    node = f"'workload: {{node: {{{words}}}}}'"
+    fix = f"add {node}" if kind == "action" else f"add {node}, or a recorded bag: 'workload: {{bag: data/run.mcap}}'"
+    message = f"spec.benchmark.workload is missing: unless a cloud node does, nothing sends {name} while it is measured"
+    yield Finding(NO_SENDER, at, message, fix, severity="warning")
 
 
 def kind_of_metric(application: Application) -> Iterator[Finding]:
@@ -433,9 +454,11 @@ def placeholders(application: Application) -> Iterator[Finding]:
             (("spec", "probe", "response"),),
             severity="warning",
         )
-    for i, node in enumerate(spec.cloud):
-        if node.package == PLACEHOLDER_PACKAGE:
-            path = ("spec", "cloud", i, "package")
+    nodes: list[tuple[Path, Node | None]] = [(("spec", "cloud", i), node) for i, node in enumerate(spec.cloud)]
+    nodes.append((("spec", "benchmark", "workload", "node"), spec.benchmark.workload.node))
+    for at, node in nodes:
+        if node is not None and node.package == PLACEHOLDER_PACKAGE:
+            path = (*at, "package")
             message = f"{dotted(path)} is still the one that init made up"
             yield Finding(PLACEHOLDERS, path, message, "name a package of your own", severity="warning")
 

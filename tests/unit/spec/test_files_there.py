@@ -18,7 +18,7 @@ spec:
   ros: { distro: jazzy, workspace: ws, apt: [ros-jazzy-nav2-planner] }
   probe: { request: /a, response: /b }
   infra: [aws/us-east-1]
-  benchmark: { budget: $2.50 }
+  benchmark: { budget: $2.50, workload: { node: { cmd: [play] } } }
 """
 
 
@@ -74,6 +74,11 @@ def test_what_is_not_there_is_said_at_its_place(tmp_path: Path, node: str, says:
     assert found.startswith(f"6: {says}")
 
 
+def test_a_command_in_one_text_gets_the_list_as_its_fix(shell: Shell) -> None:
+    shell.write("specs/arm.yaml", SPEC.replace("{NODE}", "{ cmd: python3 stitch.py }"))
+    assert "^ write [python3, stitch.py]" in shell("validate", code=1).err
+
+
 def test_compile_and_lock_say_it_and_bench_refuses(shell: Shell) -> None:
     shell.write("specs/arm.yaml", SPEC.replace("{NODE}", "{ cmd: [python3, plam.py] }").replace("ws, apt", "gone, apt"))
     for words in (["validate", "specs/arm.yaml"], ["compile", "specs/arm.yaml"], ["lock", "specs/arm.yaml"]):
@@ -89,8 +94,18 @@ def test_compile_and_lock_say_it_and_bench_refuses(shell: Shell) -> None:
 
 def test_names_that_init_made_up_are_refused(shell: Shell) -> None:
     shell("init", "arm")
-    assert shell("validate").err.count("warning[FS523]") == 2
+    assert shell("validate").err.count("warning[FS523]") == 3
     for words in (["compile"], ["lock"], ["bench", "arm", "--runner", "local", "--yes"]):
         said = shell(*words, code=1).err
         assert "error[FS523]: spec.cloud[0].package is still the one that init made up" in said, words
+        assert "error[FS523]: spec.benchmark.workload.node.package is still the one that init made up" in said, words
         assert "error[FS523]: spec.probe still has the topics that init made up" in said, words
+
+
+def test_bench_says_that_nothing_sends_requests_before_it_asks_for_money(shell: Shell) -> None:
+    spec = SPEC.replace("{NODE}", "{ cmd: [plan] }").replace(", workload: { node: { cmd: [play] } }", "")
+    shell.write("specs/arm.yaml", spec.replace("workspace: ws, ", ""))
+    for words, code in ((["validate"], 0), (["bench", "arm", "--runner", "local", "--yes"], 3)):
+        said = shell(*words, code=code).err
+        assert "warning[FS546]: spec.benchmark.workload is missing" in said, words
+        assert "add 'workload: {node: {package: elsewhere, executable: x}}'" in said, words

@@ -11,8 +11,8 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.cli import main
 from fogspec.spec.launch_import import read_launch
 from fogspec.spec.launch_import.found import LaunchImport
-from fogspec.spec.launch_import.proposal import reason_of
 from fogspec.spec.loader import load
+from fogspec.spec.robot_packages import reason_of
 from fogspec.spec.scaffold import first_data
 from fogspec.spec.schema import Node
 from tests.support.launch_facts import facts_of
