@@ -162,7 +162,10 @@ def parse_range(text: Any, parse: Callable[[Any], float]) -> Range:
     """Return a closed interval from `2..64`, `2..`, `..64` or one value `4`; each end read by `parse`."""
     body = _body(text)
     if ".." not in body:
-        value = parse(text)
+        try:
+            value = parse(text)
+        except UnitError as wrong:
+            raise _meant_range(body, parse) or wrong from None
         return Range(value, value)
     low_text, _, high_text = (part.strip() for part in body.partition(".."))
     if not low_text and not high_text:
@@ -189,6 +192,17 @@ def parse_count(text: Any) -> float:
 def _unsaid(message: str, fix: str | None, example: str) -> UnitError:
     """Return the error of an amount without its denominator; without a fix if it seems to be another quantity."""
     return UnitError(message if fix else f"{message}, such as {example}", fix, "FS201")
+
+
+def _meant_range(text: str, parse: Callable[[Any], float]) -> UnitError | None:
+    """Return the error of a range with another sign than `..` between its ends, such as `2G-64G`; None for other text."""
+    match = re.fullmatch(rf"({NUMBER}\s*\w*)\s*(?:-|–|—|:|,|\bto\b)\s*({NUMBER}\s*\w*)", text)
+    ends = [_end(end, parse)[1] for end in match.groups()] if match else []
+    return (
+        UnitError("must be a range with '..' between its ends", "..".join(map(str, ends)))
+        if all(ends) and ends
+        else None
+    )
 
 
 def _end(text: str, parse: Callable[[Any], float]) -> tuple[float | None, str | None, UnitError | None]:
@@ -300,6 +314,8 @@ def _parse_scaled(text: Any, units: Mapping[str, float], spellings: Mapping[str,
         raise UnitError("must have its unit", f"{body}{usual}", "FS202")
     match = re.fullmatch(rf"({NUMBER})\s*([A-Za-zµ]+)", body)
     if not match:
+        if body.startswith("-") and re.fullmatch(rf"{NUMBER}\s*({'|'.join(units)})", body[1:].strip()):
+            raise UnitError("must not be negative", body[1:].strip())
         raise UnitError(f"must be {what} with its unit, such as 2{usual}")
     scale = units.get(match[2])
     if scale is None:

@@ -10,7 +10,7 @@ import click
 from fogspec import __version__
 from fogspec.base.console import say
 from fogspec.base.diagnostics import DiagnosticError
-from fogspec.base.errors import FogspecError
+from fogspec.base.errors import FogspecError, UsageError
 
 VERBS = {
     "init": "write a commented, valid spec",
@@ -42,7 +42,10 @@ class _Verbs(click.Group):
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in VERBS:
-            return None
+            from fogspec.spec.suggest import did_you_mean
+
+            hints = did_you_mean(name, VERBS) or ["fogspec --help lists the commands"]
+            raise UsageError(f"there is no command {name}", *hints)
         module = importlib.import_module(f"fogspec.cli.{name}")
         command: click.Command = module.command
         return command
@@ -60,10 +63,10 @@ def fogspec() -> None:
 
 def usage(wrong: click.ClickException) -> list[str]:
     """Return what click says of a wrong command line, as lines."""
-    found = [f"Error: {wrong.format_message()}"]
+    found = [f"error: {wrong.format_message().removesuffix('.')}"]
     context = wrong.ctx if isinstance(wrong, click.UsageError) else None
     if context is not None:
-        found = [*context.get_usage().splitlines(), f"Try '{context.command_path} --help' for help.", "", *found]
+        found += [f"  {' '.join(context.get_usage().split())}", f"  options: {context.command_path} --help"]
     return found
 
 
@@ -84,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         show_diagnostics(problems.diagnostics)
         code = 1
     except FogspecError as outcome:
-        say(outcome.message, *(f"  {hint}" for hint in outcome.hints), err=True)
+        say(f"error: {outcome.message}", *(f"  {hint}" for hint in outcome.hints), err=True)
         code = outcome.exit_code
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.console import ask, say, say_json, say_on
-from fogspec.base.errors import Refused, UsageError
+from fogspec.base.errors import Refused
 from fogspec.base.text import shell_command
-from fogspec.base.units import UnitError, format_price, parse_price_usd_per_hour
-from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_policies, open_manifest
+from fogspec.base.units import format_price, parse_price_usd_per_hour
+from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_policies, open_manifest, quantity
 
 if TYPE_CHECKING:
     from fogspec.catalog.table import Catalog
@@ -83,10 +83,7 @@ def _prices(opened: "ManifestBundle", origin: str | None) -> "Catalog":
 
 
 def _price(text: str | None) -> float | None:
-    try:
-        return None if text is None else parse_price_usd_per_hour(text)
-    except UnitError as wrong:
-        raise UsageError(f"--max: {wrong}", *([f"write {wrong.fix}"] if wrong.fix else [])) from None
+    return None if text is None else quantity("--max", text, parse_price_usd_per_hour)
 
 
 def _ask(yes: bool) -> None:

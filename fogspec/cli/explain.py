@@ -63,13 +63,10 @@ def _choices(what: str, catalog_path: str | None, priors: Path | None, output: s
 def _code(name: str, output: str) -> None:
     from fogspec.spec.codes import codes
     from fogspec.spec.reference import code_text
-    from fogspec.spec.suggest import closest
 
     if name not in codes():
-        near = closest(name, codes())
-        raise UsageError(
-            f"there is no code {name}", *([f"did you mean {near}?"] if near else []), f"codes: {', '.join(codes())}"
-        )
+        same = sorted(one for one in codes() if one[:3] == name[:3]) or sorted(codes())
+        raise UsageError(f"there is no error code {name}", f"known: {', '.join(same)}")
     if output == "json":
         say_json({"code": name, **codes()[name]._asdict()})
     else:
@@ -95,13 +92,14 @@ def _field(name: str, spec: str | None, output: str) -> bool:
 
 
 def _nothing(name: str) -> None:
+    from fogspec.spec.discover import applications
     from fogspec.spec.field_docs import pages
     from fogspec.spec.schema import Application
-    from fogspec.spec.suggest import closest
+    from fogspec.spec.suggest import did_you_mean
 
-    near = closest(name.rpartition(".")[2], [page.path.rpartition(".")[2] for page in pages(Application)])
-    hint = f"did you mean {near}?" if near else "all fields: fogspec explain spec"
-    raise UsageError(f"the language has no field {name}, and specs/ no application", hint)
+    fields = [page.path.rpartition(".")[2] for page in pages(Application)]
+    hints = did_you_mean(name.rpartition(".")[2], [*fields, *applications()]) or ["all fields: fogspec explain spec"]
+    raise UsageError(f"{name} is not a field of the spec, an error code or an application in specs/", *hints)
 
 
 def _below(known: list["FieldPage"], found: list["FieldPage"]) -> list[str]:

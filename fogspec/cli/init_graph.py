@@ -26,14 +26,12 @@ MOST_BAG_BYTES = 512 << 20
 
 def seconds_of(text: str | None, option: str) -> float | None:
     """Return a duration such as `30s`, None without one; raise UsageError."""
-    from fogspec.base.units import UnitError, parse_duration_s
+    from fogspec.base.units import parse_duration_s
+    from fogspec.cli.options import quantity
 
     if text is None:
         return None
-    try:
-        seconds = parse_duration_s(text)
-    except UnitError as wrong:
-        raise UsageError(f"{option}: {wrong}", "write 30s") from None
+    seconds = quantity(option, text, parse_duration_s)
     if not 1 <= seconds <= MOST_S:
         raise UsageError(f"{option} must be between 1s and {MOST_S / 60:g}min, and is {text}")
     return seconds

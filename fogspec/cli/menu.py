@@ -8,8 +8,8 @@ import click
 
 from fogspec.base.console import has_color, say_json, say_text
 from fogspec.base.errors import Infeasible, UsageError
-from fogspec.base.units import UnitError
-from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named
+from fogspec.base.units import parse_cost_usd_per_request, parse_duration_s
+from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named, quantity
 
 
 @click.command()
@@ -49,14 +49,14 @@ def command(
 
     Nothing is measured anew and nothing is written.
     """
-    from fogspec.report.menu import Changes, menu_view, show
+    from fogspec.report.menu import NO_LIMIT, Changes, menu_view, show
 
+    for option, text, parse in (("--latency", latency, parse_duration_s), ("--cost", cost, parse_cost_usd_per_request)):
+        if text not in (None, NO_LIMIT):
+            quantity(option, str(text), parse)
     changes = Changes(alpha=alpha, latency=latency, cost=cost, metric=metric, limits=dict(map(_bound, bounds)))
     inputs = load_named(spec, name, catalog_path, priors)
-    try:
-        views = [menu_view(one, changes) for one in inputs]
-    except UnitError as wrong:
-        raise UsageError(str(wrong), *([f"write {wrong.fix}"] if wrong.fix else [])) from None
+    views = [menu_view(one, changes) for one in inputs]
     menus = [one.menu for one in views]
     if output == "json":
         say_json([menu.model_dump(mode="json") for menu in menus])

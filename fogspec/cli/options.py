@@ -1,7 +1,7 @@
 """Define options and steps that several commands share."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +9,8 @@ import click
 
 from fogspec.base.console import say
 from fogspec.base.errors import UsageError
+from fogspec.base.text import shell
+from fogspec.base.units import UnitError
 
 if TYPE_CHECKING:
     from fogspec.compile.bundle import ManifestBundle
@@ -34,9 +36,14 @@ COLOR = click.option(
 
 
 def _manifest(_context: click.Context, _parameter: click.Parameter, given: str) -> str:
-    from fogspec.spec.discover import is_name
+    from fogspec.spec.discover import is_name, named_spec
 
-    return os.path.join("compiled", given, "manifest.yaml") if is_name(given) else given
+    if not is_name(given):
+        return given
+    path = os.path.join("compiled", given, "manifest.yaml")
+    if not os.path.exists(path):
+        named_spec(given)  # raises for an application that does not exist
+    return path
 
 
 MANIFEST = click.argument("manifest", type=click.Path(path_type=str), callback=_manifest)
@@ -63,6 +70,16 @@ PRIORS = click.option(
     metavar="DIR|FILE",
     help="a machine library (fogspec priors build): with one, fewer samples suffice; otherwise what fogspec.lock says",
 )
+
+
+def quantity(option: str, text: str, parse: Callable[[str], float]) -> float:
+    """Return what an option's text means; raise UsageError that names the option and what to write instead."""
+    try:
+        return parse(text)
+    except UnitError as wrong:
+        raise UsageError(
+            f"{option} {text}: {wrong}", *([f"write {option} {shell(wrong.fix)}"] if wrong.fix else [])
+        ) from None
 
 
 def load_inputs(
@@ -138,12 +155,9 @@ def named(what: str, name: str | None = None) -> tuple[str, str | None]:
 
     Raise UsageError for an unknown application.
     """
-    from fogspec.spec.discover import is_name, spec_of
+    from fogspec.spec.discover import is_name, named_spec
 
-    path = spec_of(what)
-    if path is None and is_name(what) and os.path.isdir("specs"):
-        raise UsageError(f"specs/ has no application named {what}", "name its file, such as specs/NAME.yaml")
-    return path or what, name or (what if path else None)
+    return named_spec(what), name or (what if is_name(what) else None)
 
 
 def applications_of(what: str) -> list["LoadedSpec"]:

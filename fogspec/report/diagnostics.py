@@ -95,7 +95,7 @@ def summary(diagnostics: Sequence[Diagnostic]) -> str:
     count = Counter(one.severity for one in diagnostics)
     files = len({one.span.path for one in diagnostics})
     counts = [f"{number} {word}{'' if number == 1 else 's'}" for word, number in sorted(count.items())]
-    return f"{', '.join(counts)} in {files} file{'' if files == 1 else 's'}; `fogspec explain {diagnostics[0].code}` says more"
+    return f"{', '.join(counts)} in {files} file{'' if files == 1 else 's'}; details: fogspec explain {diagnostics[0].code}"
 
 
 def bug_paragraph(bug: BaseException) -> str:

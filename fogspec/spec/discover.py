@@ -4,9 +4,11 @@ import glob
 import os
 from collections.abc import Sequence
 
-from fogspec.base.errors import InvalidInput
+from fogspec.base.errors import InvalidInput, UsageError
 from fogspec.base.files import read_file
 from fogspec.spec.loader import check_file
+from fogspec.spec.lockfile import some
+from fogspec.spec.suggest import did_you_mean
 
 
 def find_specs(arguments: Sequence[str] = ()) -> list[str]:
@@ -18,7 +20,8 @@ def find_specs(arguments: Sequence[str] = ()) -> list[str]:
     """
     if not arguments and not os.path.isdir("specs"):
         raise InvalidInput(
-            "there is no folder specs here", "name files, folders or patterns, or begin with: fogspec init"
+            "there is no directory specs/ here",
+            "name files, directories or patterns, or write a first spec: fogspec init",
         )
     found: dict[str, None] = {}
     for argument in arguments or ("specs",):
@@ -29,9 +32,9 @@ def find_specs(arguments: Sequence[str] = ()) -> list[str]:
             here = sorted(path for path in glob.glob(argument, recursive=True) if os.path.isfile(path))
             nothing = "matches no file"
         else:
-            here, nothing = [spec_of(argument) or argument], ""
+            here, nothing = [named_spec(argument)], ""
         if not here:
-            raise InvalidInput(f"{argument} {nothing}", "name a file, a folder or a pattern, such as specs/*.yaml")
+            raise InvalidInput(f"{argument} {nothing}", "name a file, a directory or a pattern, such as specs/*.yaml")
         found |= dict.fromkeys(os.path.normpath(path) for path in here)
     return list(found)
 
@@ -50,6 +53,27 @@ def spec_of(name: str) -> str | None:
         if any(one.application.metadata.name == name for one in check_file([path])[0]):
             return path
     return guess if os.path.exists(guess) else None  # its error hides its name: loading it reports the error
+
+
+def named_spec(argument: str) -> str:
+    """Return the spec that an argument of the command line means: a path, or the spec of an application in specs/.
+
+    Raise UsageError for a name that no application in specs/ has.
+    """
+    path = spec_of(argument)
+    if path is not None or not is_name(argument):
+        return path or argument
+    if not os.path.isdir("specs"):
+        raise UsageError(f"there is no file {argument}, and no directory specs/ here", "run fogspec where specs/ is")
+    known = applications()
+    near = did_you_mean(argument, known) or ([f"it has {some(known)}"] if known else [])
+    raise UsageError(f"specs/ has no application named {argument}", *near)
+
+
+def applications() -> list[str]:
+    """Return the names of the applications of the valid specs in specs/, sorted."""
+    paths = _specs_in("specs") if os.path.isdir("specs") else []
+    return sorted({one.application.metadata.name for path in paths for one in check_file([path])[0]})
 
 
 def _specs_in(folder: str) -> list[str]:

@@ -1,19 +1,21 @@
 """Errors of single fields: a pydantic error becomes a `Diagnostic` in the words of the schema."""
 
+import re
 from typing import Any, Literal, get_args, get_origin
 
 from fogspec.base.diagnostics import Diagnostic
 from fogspec.base.quantities import Strict
-from fogspec.base.units import UnitError
+from fogspec.base.units import NUMBER, UnitError, format_number
 from fogspec.base.yaml.positions import Node, Path, dotted, find, span_of
+from fogspec.base.yaml.writer import flow
 from fogspec.spec.introspect import annotation_at, part
 from fogspec.spec.suggest import closest
 
 LIMITS = {"greater_than": "more than {gt}", "greater_than_equal": "at least {ge}", "less_than": "less than {lt}",
           "less_than_equal": "at most {le}"}  # fmt: skip
-KINDS = {"string_type": "a text", "int_type": "a whole number", "int_from_float": "a whole number", "float_type": "a number",
-         "bool_type": "true or false", "list_type": "a list", "dict_type": "a map of keys and values",
-         "model_type": "a map of keys and values", "tuple_type": "a list"}  # fmt: skip
+KINDS = {"string_type": "a string", "int_type": "an integer", "int_from_float": "an integer", "float_type": "a number",
+         "bool_type": "true or false", "list_type": "a list", "dict_type": "a mapping",
+         "model_type": "a mapping", "tuple_type": "a list"}  # fmt: skip
 
 
 def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
@@ -22,14 +24,15 @@ def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
     name, span = dotted(path) or "the document", span_of(node, path)
     found = find(node, path)
     if kind == "missing":
-        return Diagnostic("FS302", f"{name} is missing", span, f"add '{path[-1]}: …'")
+        return Diagnostic("FS302", f"{name} is missing", span, f"add '{path[-1]}: {_example(model, path)}'")
     if kind == "value_error" and isinstance(context.get("error"), UnitError):
         wrong = context["error"]
         return Diagnostic(wrong.code, f"{name} {wrong.message}", span, f"write '{wrong.fix}'" if wrong.fix else None)
     if kind == "literal_error":
         return _choice(model, path, name, span, found)
     if kind in LIMITS:
-        return Diagnostic("FS206", f"{name} must be {_limit(model, path, kind, context)}", span)
+        fix = _within(kind, context, found)
+        return Diagnostic("FS206", f"{name} must be {_limit(model, path, kind, context)}", span, fix)
     if kind == "string_pattern_mismatch":
         return Diagnostic(
             "FS305", f"{name} must {_pattern(context['pattern'])}", span, _legal_name(context["pattern"], found)
@@ -39,7 +42,10 @@ def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
             "FS306", f"{name} must have at least {context.get('min_length')} entry", span, "add one, or remove the key"
         )
     if kind in KINDS:
-        return Diagnostic("FS303", f"{name} must be {KINDS[kind]}, not {_what(found)}", span, _retyped(kind, found))
+        if kind == "list_type" and found is not None and isinstance(found.value, dict):
+            span = next(iter(found.keys.values()), span)
+        message = f"{name} must be {KINDS[kind]}, not {_what(found)}"
+        return Diagnostic("FS303", message, span, _retyped(kind, found))
     return Diagnostic("FS303", f"{name}: {error['msg'].lower()}", span)
 
 
@@ -52,6 +58,25 @@ def _choice(model: Any, path: Path, name: str, span: Any, found: Node | None) ->
         code = "FS307" if path[-1] in ("apiVersion", "kind") else "FS304"
         return Diagnostic(code, f"{name} must be {known[0]}", span, f"write '{known[0]}'")
     return Diagnostic("FS304", f"{name} must be one of {', '.join(known)}", span, fix)
+
+
+def _example(model: Any, path: Path) -> str:
+    """Return what to write for a missing field: its only value, or the schema's example."""
+    annotation = part(annotation_at(model, path))[0]
+    if get_origin(annotation) is Literal and len(known := get_args(annotation)) == 1:
+        return str(known[0])
+    parent = part(annotation_at(model, path[:-1]))[0]
+    field = parent.model_fields.get(str(path[-1])) if isinstance(parent, type) and issubclass(parent, Strict) else None
+    return flow(field.examples[0]) if field is not None and field.examples else "…"
+
+
+def _within(kind: str, context: Any, found: Node | None) -> str | None:
+    """Return the number that was meant: a percentage as a fraction, otherwise the limit itself if it is allowed."""
+    value = found.value if found else None
+    if context.get("le") == 1 and isinstance(value, (int, float)) and 1 < value <= 100:
+        return f"write {format_number(value / 100)}"
+    bound = context.get("le", context.get("ge"))
+    return f"write {format_number(bound)}" if kind.endswith("_equal") and isinstance(bound, (int, float)) else None
 
 
 def _limit(model: Any, path: Path, kind: str, context: Any) -> str:
@@ -84,14 +109,14 @@ def _what(found: Node | None) -> str:
     if found is None:
         return "nothing"
     if isinstance(found.value, dict):
-        return "a map"
+        return "a mapping"
     if isinstance(found.value, list):
         return "a list"
     if found.value is None:
         return "null"
     if isinstance(found.value, bool):
         return f"the word {found.text}"
-    return f"the {'text' if isinstance(found.value, str) else 'number'} {_short(found.text)}"
+    return f"the {'string' if isinstance(found.value, str) else 'number'} {_short(found.text)}"
 
 
 def _short(text: str) -> str:
@@ -101,11 +126,17 @@ def _short(text: str) -> str:
 
 def _retyped(kind: str, found: Node | None) -> str | None:
     """Return what to write if only the type is wrong."""
+    if kind == "list_type" and found is not None and isinstance(found.value, dict) and found.keys:
+        first = next(iter(found.keys))
+        below = ", and indent the lines below it by 2 more spaces" if len(found.keys) > 1 else ""
+        return f"write '- {first}'{below}"
     if found is None or isinstance(found.value, (dict, list)) or found.value is None:
         return None
     text = _short(found.text)
     if kind == "string_type":
         return f"write '{text}' in quotes"
+    if kind == "float_type" and (percent := re.fullmatch(rf"({NUMBER})\s*%", text)):
+        return f"write {format_number(float(percent[1]) / 100)}"
     if kind == "list_type":
         return f"write [{', '.join(text.replace(',', ' ').split())}]"
     if kind in ("int_type", "float_type", "bool_type") and found.quoted:

@@ -15,7 +15,7 @@ from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
 from fogspec.base.files import read_file
 from fogspec.base.project_files import ProjectFiles
-from fogspec.base.text import shell_command
+from fogspec.base.text import shell, shell_command
 from fogspec.base.yaml.positions import Node, key_span, plain, span_of, spans
 from fogspec.base.yaml.positions import Path as Steps
 from fogspec.spec import rules
@@ -97,7 +97,7 @@ def _checked(
     refused = {one.span for one in wrong}
     for path, nodes, clean in files:
         if not nodes and clean:
-            wrong.append(Diagnostic("FS114", "the file must have a document", Span(path, texts.last_line(path), 1)))
+            wrong.append(_nothing_in(path, texts.last_line(path)))
         for index, node in enumerate(nodes):
             merged = merge(node, layers)
             checked = validate(Application, merged)
@@ -122,6 +122,12 @@ def _checked(
         if checked.value is not None
     ]
     return loaded, shown
+
+
+def _nothing_in(path: str, line: int) -> Diagnostic:
+    """Return the diagnostic of a file without a document."""
+    fix = f"replace it by a complete spec: rm {shell(path)}; {shell_command('fogspec', 'init', path)}"
+    return Diagnostic("FS114", "the file is empty: it has no YAML document", Span(path, line, 1), fix)
 
 
 def _missing(checked: Validation[Application], path: str, wrong: Sequence[Diagnostic]) -> Iterator[Diagnostic]:

@@ -28,5 +28,11 @@ def closest(word: str, known: Iterable[str]) -> str | None:
     return plain[starts[0]] if len(starts) == 1 else None
 
 
+def did_you_mean(word: str, known: Iterable[str]) -> list[str]:
+    """Return `did you mean X?` if a known word is near, as a list of hints."""
+    near = closest(word, known)
+    return [f"did you mean {near}?"] if near else []
+
+
 def _plain(word: str) -> str:
     return re.sub(r"[-_\s]", "", word).lower()

@@ -115,7 +115,8 @@ class _Repairer:
         """Put a key under its `parent`, at whose level it was written; report it."""
         key = str(at[-1])
         message = f"{key} must be indented under {dotted(at[:-1])}"
-        self.wrong.append(Diagnostic("FS116", message, span, "indent it, with all that belongs to it"))
+        fix = f"indent it by {max(2, parent.span.column + 2 - span.column)} spaces, with the lines that belong to it"
+        self.wrong.append(Diagnostic("FS116", message, span, fix))
         if isinstance(parent.value, dict) and not child.empty:
             parent.value[key] = self.walk(annotation_at(self.model, at), child, at)
             parent.keys[key] = span

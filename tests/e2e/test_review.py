@@ -107,7 +107,7 @@ def test_outside_of_a_repository_it_says_what_to_do(shell: Shell) -> None:
     assert said.startswith(f"{shell.folder} is in no git repository")
     assert "fogspec diff says without git" in said
     git(shell.folder, "init", "-q")
-    assert shell("review", code=2).err == "there is no commit HEAD here\n  commit something first\n"
+    assert shell("review", code=2).err == "error: there is no commit HEAD here\n  commit something first\n"
 
 
 def test_a_new_application_and_one_that_is_not_measured(repository: Shell) -> None:

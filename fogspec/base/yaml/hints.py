@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 KEYED = re.compile(r"^\s*(- )?\s*[^\s#][^#]*?:(\s|$)|^\s*-\s")
-
+MERGE = re.compile(r"<{7}( |$)")
 
 SYNTAX = (
-    (re.compile(r"unexpected end of stream"), "the quote must be closed", "close the quote that starts here"),
+    (re.compile(r"unexpected end of stream"), "the quote must be closed", "add the closing quote at the end of this line"),
     (re.compile(r"mapping values are not allowed"), "a ':' cannot stand here",
      "put quotes around a text that holds ': ', or indent the line like its neighbours"),
     (re.compile(r"expected ',' or"), "the bracket must be closed", "close the bracket that starts here"),
@@ -41,6 +41,15 @@ def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
     if mark is None:
         return SyntaxHint(line=0, column=0, width=1, message=f"the text must be YAML: {problem}", fix=None)
     stop = min(mark.line, len(lines) - 1)
+    conflict = next((number for number, line in enumerate(lines) if MERGE.match(line)), None)
+    if conflict is not None:
+        return SyntaxHint(
+            line=conflict,
+            column=0,
+            width=len(lines[conflict].rstrip()),
+            message="a merge conflict is not resolved",
+            fix="keep the lines of one side; remove those of the other and the lines <<<<<<<, =======, >>>>>>>",
+        )
     lead = lines[stop][: len(lines[stop]) - len(lines[stop].lstrip())]
     if "\t" in lead:
         column = lead.index("\t")
@@ -49,7 +58,7 @@ def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
             column=column,
             width=1,
             message="indentation must be spaces, not tabs",
-            fix="replace the tab with spaces",
+            fix=f"replace the tab with {_wanted(lines, stop)} spaces",
             code="FS105",
         )
     inside = "quoted" in context or "flow" in context
@@ -64,6 +73,8 @@ def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
     if wrong.context_mark and (inside or "simple key" in context):
         mark = wrong.context_mark
     said = next(((said, mend) for pattern, said, mend in SYNTAX if pattern.search(problem)), None)
+    if problem.startswith("found unexpected end of stream") and re.search(r"[\[{]", lines[mark.line][: mark.column]):
+        said = ("the quote must be closed", "close the quote that starts here")
     message, fix_or_none = said or (f"the text must be YAML: {problem}", None)
     return SyntaxHint(
         line=min(mark.line, len(lines) - 1), column=mark.column, width=1, message=message, fix=fix_or_none
@@ -118,6 +129,14 @@ def _odd_one(lines: Sequence[str], stop: int, above: int, first: int, before: in
 def _step(lines: Sequence[str]) -> int:
     """Return the number of spaces by which the file indents."""
     return min((_indent(line) for line in lines if not _blank(line) and _indent(line) > 1), default=2)
+
+
+def _wanted(lines: Sequence[str], line: int) -> int:
+    """Return the number of spaces that a line most likely needs: those of the one above, or a step more after `key:`."""
+    above = _before(lines, line)
+    if above is None:
+        return _step(lines)
+    return _indent(lines[above]) + (_step(lines) if lines[above].rstrip().endswith(":") else 0)
 
 
 def _dash(line: str) -> int:

@@ -181,11 +181,12 @@ class _Composer:
             )
             return None
         if key.text in values:
+            earlier = node.keys[key.text].line
             self._refuse(
                 "FS106",
-                f"{key.text} is already set on line {node.keys[key.text].line}",
+                f"{key.text} is already set on line {earlier}",
                 key.span,
-                "remove one of the two",
+                "remove one of the two" if earlier == key.span.line else f"remove this line, or line {earlier}",
             )
             return None
         return key.text

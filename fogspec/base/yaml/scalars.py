@@ -42,9 +42,8 @@ def resolve(text: str) -> str | int | float | bool | Refusal | None:
         return text in TRUE
     if text in OLD_TRUE or text in OLD_FALSE:
         meant = "true" if text in OLD_TRUE else "false"
-        return Refusal(
-            "FS110", f"{text} is {meant} to ROS 2 and text to others", f"write {meant}, or '{text}' in quotes"
-        )
+        message = f"{text} is ambiguous: {meant} in YAML 1.1 (ROS 2, SkyPilot), a string in YAML 1.2"
+        return Refusal("FS110", message, f"write {meant}, or '{text}' in quotes")
     if not (text[0].isascii() and text[0] in "0123456789.+-"):
         return text
     return _number(text)

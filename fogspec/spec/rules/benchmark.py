@@ -31,7 +31,7 @@ def kind_of_probe(application: Application) -> Iterator[Finding]:
             "FS512",
             (*at, other),
             f"spec.probe.{other} needs spec.probe.{missing}",
-            f"add '{missing}: /topic'",
+            f"add '{missing}: /{missing}', with the topic's name",
             ((*at, missing),),
         )
     if topics and probe.request is not None and probe.request == probe.response:
@@ -57,7 +57,8 @@ def kind_of_probe(application: Application) -> Iterator[Finding]:
         )
     for extra in found[1:]:
         message = f"spec.probe must have one kind of probe, and {extra} is a second one"
-        yield Finding("FS511", (*at, extra), message, f"remove {extra} or {found[0]}", ((*at, found[0]),), at_key=True)
+        other = "request and response" if found[0] == "request" else found[0]
+        yield Finding("FS511", (*at, extra), message, f"remove this line, or {other}", ((*at, found[0]),), at_key=True)
 
 
 def ways_to_watch(application: Application) -> Iterator[Finding]:
@@ -304,7 +305,8 @@ def latency_limit(application: Application) -> Iterator[Finding]:
         after: Path = ("spec", "benchmark", "stop", "duration")
         longest = format_duration(spec.benchmark.stop.duration)
         message = f"spec.constraints.latency must be below the {longest} that a sample measures"
-        yield Finding("FS520", at, message, "raise spec.benchmark.stop.duration", (after,))
+        fix = f"set spec.benchmark.stop.duration to {format_duration(2 * latency)} or more"
+        yield Finding("FS520", at, message, fix, (after,))
 
 
 def stop(application: Application) -> Iterator[Finding]:

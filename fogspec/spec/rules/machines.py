@@ -26,7 +26,8 @@ def places(application: Application) -> Iterator[Finding]:
     for i, text in enumerate(application.spec.infra):
         path, cloud = ("spec", "infra", i), cloud_name(text)
         if not INFRA.fullmatch(text):
-            tidy = text.strip().strip("/").lower()
+            start, _, rest = re.sub(r"[:\s]+", "/", text.strip().strip("/").lower(), count=1).partition("/")
+            tidy = f"{start}/{re.sub(r'[ /]+', '', rest)}" if start in CLOUDS else ""
             fix = f"write '{tidy}'" if INFRA.fullmatch(tidy) else "write it like aws/us-east-1"
             yield Finding("FS531", path, f"{dotted(path)} must be cloud, cloud/region or cloud/region/zone", fix)
         elif cloud not in CLOUDS:
@@ -52,7 +53,8 @@ def gpus(application: Application) -> Iterator[Finding]:
     for i, name in enumerate(application.spec.hardware.gpus):
         if name in GPUS:
             continue
-        path, near = ("spec", "hardware", "gpus", i), closest(name, GPUS)
+        bare = re.sub(r"(?i)\b(nvidia|tesla|geforce|amd|intel)\b[-_ ]*|:\d+$", "", name).strip()
+        path, near = ("spec", "hardware", "gpus", i), closest(bare, GPUS)
         if near or not name.strip() or ":" in name:
             fix = (
                 f"write '{near}'"
@@ -69,7 +71,7 @@ def gpus(application: Application) -> Iterator[Finding]:
                 "FS532",
                 path,
                 f"'{name}' names no GPU that fogspec knows",
-                "check it against the catalog",
+                "write a name of the catalog, such as 'T4' or 'A10G'",
                 severity="warning",
             )
 

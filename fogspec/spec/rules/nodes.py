@@ -38,7 +38,14 @@ def kind_of_node(application: Application) -> Iterator[Finding]:
             missing = (
                 "executable" if node.package else "package" if node.executable else "package and executable, or cmd"
             )
-            yield Finding("FS501", path, f"{dotted(path)} must say {missing}", f"add {missing}")
+            yield Finding("FS501", path, f"{dotted(path)} must say {missing}", _missing_part(node))
+
+
+def _missing_part(node: Node) -> str:
+    """Return what to add to a node that lacks its package, its executable, or both."""
+    if node.package:
+        return f"add 'executable: {node.package}_node', or the name that `ros2 pkg executables {node.package}` lists"
+    return "add 'package: …'" if node.executable else "add 'cmd: [python3, plan.py]', or a package and its executable"
 
 
 def all_named(spec: Spec) -> Iterator[tuple[Path, Node | ComposableNode]]:
@@ -129,9 +136,9 @@ def paths(application: Application) -> Iterator[Finding]:
         named += [((*path, "parameter_files", i), file) for i, file in files if not file.startswith(STARTS)]
     for path, file in named:
         if file is not None and (not file or file[0] in "/~" or ":" in file[:3] or "\\" in file):
-            yield Finding(
-                "FS507", path, f"{dotted(path)} must be a path relative to the spec", "write it like data/run.bag"
-            )
+            name = (file or "").replace("\\", "/").rstrip("/").rpartition("/")[2] or "data/run.bag"
+            fix = f"copy it next to the spec and write '{name}'"
+            yield Finding("FS507", path, f"{dotted(path)} must be a path relative to the spec", fix)
     for path, node in all_nodes(spec):
         named += [((*path, "cmd", i), word) for i, word in enumerate(node.cmd or [])]
     for path, file in named:

@@ -54,7 +54,7 @@ def test_validate_without_anything_is_an_error(
     monkeypatch.chdir(tmp_path)
     code, _, err = said(capsys, "validate")
     assert code == 1
-    assert err.startswith("there is no folder specs here")
+    assert err.startswith("error: there is no directory specs/ here")
 
 
 def test_validate_prints_json_also_when_all_is_well(capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,7 +155,7 @@ def test_explain_suggests(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = said(capsys, "explain", "alfa")
     assert (code, "did you mean alpha?" in err) == (2, True)
     code, _, err = said(capsys, "explain", "FS999")
-    assert (code, "there is no code FS999" in err) == (2, True)
+    assert (code, "there is no error code FS999" in err) == (2, True)
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def test_color_is_asked_for_and_never_alone_says_anything(
 
 def test_the_summary_counts() -> None:
     warning = Diagnostic("FS532", "w", Span("b.yaml", 1, 1), severity="warning")
-    assert summary([ONE, ONE, warning]) == "2 errors, 1 warning in 2 files; `fogspec explain FS201` says more"
+    assert summary([ONE, ONE, warning]) == "2 errors, 1 warning in 2 files; details: fogspec explain FS201"
 
 
 def test_a_bug_is_one_paragraph_without_paths() -> None:

@@ -86,7 +86,7 @@ def test_rules(change: dict[str, str], codes: list[str]) -> None:
     [
         ("us-east-1", "write 'aws/us-east-1'"), ("us-central1", "write 'gcp/us-central1'"),
         ("awss/eu-west-1", "write 'aws/eu-west-1'"),
-        ("AWS/us-east-1", "write 'aws/us-east-1'"), ("aws us-east-1", "write it like aws/us-east-1"),
+        ("AWS/us-east-1", "write 'aws/us-east-1'"), ("aws us-east-1", "write 'aws/us-east-1'"),
     ],
 )  # fmt: skip
 def test_infra_is_mended(entry: str, fix: str) -> None:
