@@ -164,8 +164,8 @@ def parse_range(text: Any, parse: Callable[[Any], float]) -> Range:
     if ".." not in body:
         try:
             value = parse(text)
-        except UnitError as wrong:
-            raise _meant_range(body, parse) or wrong from None
+        except UnitError as unread:
+            raise _meant_range(body, parse) or unread from None
         return Range(value, value)
     low_text, _, high_text = (part.strip() for part in body.partition(".."))
     if not low_text and not high_text:
@@ -269,8 +269,41 @@ def dollars(usd: float) -> str:
 def short_dollars(usd: float) -> str:
     """Return `$0.0015`, with three significant digits and no exponent."""
     digits = max(0, 2 - math.floor(math.log10(usd))) if usd > 0 else 0
-    text = f"{usd:.{digits}f}"
+    text = f"{usd:,.{digits}f}"
     return "$" + (text.rstrip("0").rstrip(".") if "." in text else text)
+
+
+def shown(value: float, digits: int = 3) -> str:
+    """Return `1.65`, `26`, `1,250`: a number for people, with three significant digits, never with an exponent."""
+    if not value or not math.isfinite(value):
+        return f"{value:g}"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    text = f"{value:,.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def shown_duration(seconds: float) -> str:
+    """Return `1.65 s`, `26 ms`, `10 min`, for people."""
+    steps = ((1e-3, 1e-6, "µs"), (1.0, 1e-3, "ms"), (120.0, 1.0, "s"), (7200.0, 60.0, "min"), (math.inf, 3600.0, "h"))
+    if not seconds:
+        return "0 s"
+    scale, unit = next((scale, unit) for below, scale, unit in steps if seconds < below)
+    return f"{shown(seconds / scale)} {unit}"
+
+
+def shown_price(usd_per_hour: float) -> str:
+    """Return `$0.526/h`, for people."""
+    return f"{short_dollars(usd_per_hour)}/h"
+
+
+def shown_month(usd_per_hour: float) -> str:
+    """Return `$384/month` of a machine that is always up, for people."""
+    return f"{short_dollars(usd_per_hour * HOURS_PER_MONTH)}/month"
+
+
+def shown_cost(usd_per_request: float) -> str:
+    """Return `$0.241 per 1,000 requests`, for people: the one unit in which costs are compared."""
+    return f"{short_dollars(1000 * usd_per_request)} per 1,000 requests"
 
 
 def format_cost(usd_per_request: float) -> str:

@@ -43,7 +43,8 @@ def command(
     if output == "json":
         say_json([summary.as_dict(one) for one in compiled])
     else:
-        say_text("\n\n".join(summary.summary(one) for one in compiled))
+        given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
+        say_text("\n\n".join(summary.summary(one, given) for one in compiled))
     if any(one.decision is not None for one in compiled):
         from fogspec.compile.manifest import Manifest
 

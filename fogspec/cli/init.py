@@ -50,6 +50,11 @@ MOST_DEFAULTS = 20
     help="a machine library (fogspec priors build): name a first machine for what was seen of the robot",
 )
 @click.option("--name", help="name of the application; that of the file unless said otherwise")
+@click.option(
+    "--example",
+    metavar="NAME",
+    help="copy a spec with its results instead: grasp-planning, motion-planning or vslam; nothing is rented",
+)
 def command(
     spec: Path | None,
     arguments: tuple[str, ...],
@@ -61,6 +66,7 @@ def command(
     observed: Path | None,
     priors: Path | None,
     name: str | None,
+    example: str | None,
 ) -> None:
     """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten.
 
@@ -75,6 +81,13 @@ def command(
     from fogspec.spec.loader import check_file
     from fogspec.spec.scaffold import first_data, first_text, name_from
 
+    if example is not None:
+        from fogspec.cli.init_example import copy_example
+
+        if spec or launch or graph or observed or name:
+            raise UsageError("--example goes with no other argument of init", f"fogspec init --example {example}")
+        copy_example(example)
+        return
     if spec and ":=" in str(spec):
         spec, arguments = None, (str(spec), *arguments)
     given = _launch_arguments(arguments, launch)

@@ -1,26 +1,29 @@
 """Summarize a compilation: the derived files, their content, and the next command."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base import units
 from fogspec.base.text import paragraph, shell_command
 from fogspec.base.units import dollars
+from fogspec.choice.rule import latency_limit_s
 from fogspec.compile.artifacts import Artifacts
 from fogspec.plan.commitment import unattended
 from fogspec.plan.design import max_cost_usd
 from fogspec.results.schema import own_records
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from fogspec.choice.menu import Entry, Menu, MetricValue
     from fogspec.choice.payoff import Payoff
+    from fogspec.spec.schema import Application
 
 NOTES = 3
 
 
-def summary(compiled: Artifacts) -> str:
-    """Return the summary of a compiled application as text."""
+def summary(compiled: Artifacts, given: "Sequence[str]" = ()) -> str:
+    """Return the summary of a compiled application as text; `given` are the options that the next command needs too."""
     layout, body = compiled.layout, compiled.plan.spec
     catalog = body.catalog
     from_ = f"{catalog.source}, {catalog.date}" if catalog.date else catalog.source
@@ -36,7 +39,7 @@ def summary(compiled: Artifacts) -> str:
     lines.append(_row("tasks", f"{layout.tasks}/", f"{len(body.samples)} SkyPilot tasks, one a machine"))
     decision, results = compiled.decision, compiled.results
     if decision is None or results is None:
-        return paragraph([*lines, *_unmeasured(compiled)])
+        return paragraph([*lines, *_unmeasured(compiled, given)])
     own = own_records(results.spec.samples)
     usable, all_of = sum(one.nested_in is None for one in decision.models.spec.observations), len(own)
     parts = len(results.spec.samples) - len(own)
@@ -51,9 +54,9 @@ def summary(compiled: Artifacts) -> str:
     if decision.manifest is None or entry is None:
         return paragraph([*lines, *infeasible_text(decision.menu)])
     lines.append(_row("manifest", str(layout.manifest), f"with {layout.deploy.name}"))
-    lines.append(_row("choice", entry_text(entry), decision.menu.spec.objective))
+    lines += choice_card(entry, compiled.application)
     return paragraph(
-        [*lines, f"next: review {layout.manifest}; {shell_command('fogspec', 'explain', layout.spec)} says why"]
+        [*lines, f"next: {shell_command('fogspec', 'explain', layout.spec, *given)}, then review {layout.manifest}"]
     )
 
 
@@ -67,11 +70,10 @@ def _plan_text(compiled: Artifacts) -> str:
     count = f"{len(body.samples)} samples"
     if estimate.total == 0:
         return f"{count} on this host, free, at most {units.format_duration(body.duration * len(body.samples))} of measuring"
-    budget = "" if body.budget is None else f" of a budget of {dollars(body.budget)}"
-    wall = f"{units.format_duration(estimate.wall)} if all run at once"
-    cents = f"{estimate.measuring * 100:.3f}".rstrip("0").rstrip(".")
+    budget = "" if body.budget is None else f", of a budget of {dollars(body.budget)}"
+    wall = f"{units.shown_duration(estimate.wall)} if all run at once"
     total = dollars(estimate.total)
-    return f"{count}; measuring costs {cents} cents, with set-up, start and end at most {total}{budget}; {wall}"
+    return f"{count}; measuring costs {units.short_dollars(estimate.measuring)}, at most {total} with set-up{budget}; {wall}"
 
 
 def payoff(compiled: Artifacts) -> "Payoff | None":
@@ -85,8 +87,8 @@ def payoff(compiled: Artifacts) -> "Payoff | None":
     return expected_payoff(compiled.application, offers, usd, compiled.inputs.library)
 
 
-def _unmeasured(compiled: Artifacts) -> list[str]:
-    command = compiled.plan.bench_command(compiled.layout.spec)
+def _unmeasured(compiled: Artifacts, given: "Sequence[str]") -> list[str]:
+    command = " ".join([compiled.plan.bench_command(compiled.layout.spec), *([shell_command(*given)] if given else [])])
     expected = payoff(compiled)
     worth = [] if expected is None else [_row("worth", "", expected.line())]
     return [*worth, *_next(compiled, command)]
@@ -108,17 +110,60 @@ def _menu_text(menu: "Menu") -> str:
 
 def entry_text(entry: "Entry") -> str:
     """Format a menu entry: the machine, its price, latency with interval, and cost."""
-    interval = ""
-    if entry.interval is not None:
-        low, high = (units.format_duration(end) for end in entry.interval)
-        interval = f" [{low}, {high}]"
     gpu = f" with {entry.gpu.label}" if entry.gpu else ""
-    how = entry.how if entry.measured or entry.nested_in else ", ".join(filter(None, ("predicted", entry.how)))
     spot = " spot" if entry.spot else ""
     return (
-        f"{entry.instance}{spot}{gpu} in {entry.infra}, {units.format_price(entry.price)} ({entry.month}): "
-        f"{units.format_duration(entry.latency)}{interval} {how}, {metrics_text(entry.metrics)}{units.format_cost(entry.cost)}"
+        f"{entry.instance}{spot}{gpu} in {entry.infra}, {units.shown_price(entry.price)} "
+        f"({units.shown_month(entry.price)}): {units.shown_duration(entry.latency)}{_interval(entry)} {_how(entry)}, "
+        f"{metrics_text(entry.metrics)}{units.shown_cost(entry.cost)}"
     )
+
+
+def _how(entry: "Entry") -> str:
+    return entry.how if entry.measured or entry.nested_in else ", ".join(filter(None, ("predicted", entry.how)))
+
+
+def _interval(entry: "Entry") -> str:
+    """Return the interval of the latency, with a space before it; empty without one."""
+    if entry.interval is None:
+        return ""
+    low, high = (units.shown_duration(end) for end in entry.interval)
+    unit = high.rpartition(" ")[2]
+    return f" [{low.removesuffix(' ' + unit)}, {high.removesuffix(' ' + unit)}]"
+
+
+def choice_card(entry: "Entry", application: "Application") -> list[str]:
+    """Return the choice as a card of lines: the machine, then latency, cost and metrics, each against its limit."""
+    limits, gpu = application.spec.constraints, entry.gpu
+    shape = f"{units.shown(entry.cpus)} vCPU, {units.shown(entry.memory)} GiB"
+    machine = (
+        f"{entry.instance}{' spot' if entry.spot else ''}  {shape}{f', {gpu.label}' if gpu else ''}  {entry.infra}"
+    )
+    rows = [
+        (
+            "latency",
+            f"{units.shown_duration(entry.latency)}{_interval(entry)}",
+            latency_limit_s(application),
+            entry.latency,
+        ),
+        ("cost", units.shown_cost(entry.cost), limits.cost, entry.cost),
+        *(
+            (name, f"{units.shown(one.value)}{one.unit or ''}", one.limit, one.value)
+            for name, one in entry.metrics.items()
+        ),
+    ]
+    bounds: dict[str, Callable[[float], str]] = {
+        "latency": units.shown_duration,
+        "cost": lambda usd: units.short_dollars(1000 * usd),
+    }
+    lines = [_row("choice", "", f"{machine}  {_how(entry)}")]
+    for name, text, bound, value in rows:
+        limit = "" if bound is None else f"limit {bounds.get(name, units.shown)(bound)}"
+        room = "" if bound is None else f"{1 - value / bound:.0%} headroom"
+        lines.append(_row("", "", f"{name:<8} {text:<31} {limit:<13} {room}".rstrip()))
+    price = f"{units.shown_price(entry.price)}, {units.shown_month(entry.price)}"
+    met = f"P(all limits) {entry.probability:.3g}" if entry.probability is not None else ""
+    return [*lines, _row("", "", f"{'price':<8} {price:<31} {met}".rstrip())]
 
 
 def metrics_text(metrics: "Mapping[str, MetricValue]") -> str:

@@ -104,7 +104,7 @@ def test_warnings_are_new_or_folded_away(repository: Shell) -> None:
 
 def test_outside_of_a_repository_it_says_what_to_do(shell: Shell) -> None:
     said = shell("review", "main", code=2).err
-    assert said.startswith(f"{shell.folder} is in no git repository")
+    assert said.startswith(f"error: {shell.folder} is in no git repository")
     assert "fogspec diff says without git" in said
     git(shell.folder, "init", "-q")
     assert shell("review", code=2).err == "error: there is no commit HEAD here\n  commit something first\n"

@@ -209,7 +209,9 @@ def test_the_spec_is_valid_and_has_what_was_seen(shell: Shell) -> None:
     ):  # fmt: skip
         assert line in written, line
     assert "qos_overrides" not in written
-    assert shell("init", "arm", "--observed", "robot.json", code=2).err.startswith("error: specs/arm.yaml is there already")
+    assert shell("init", "arm", "--observed", "robot.json", code=2).err.startswith(
+        "error: specs/arm.yaml is there already"
+    )
 
 
 def test_a_machine_library_names_a_first_machine(shell: Shell) -> None:
