@@ -65,8 +65,9 @@ def _code(name: str, output: str) -> None:
     from fogspec.spec.reference import code_text
 
     if name not in codes():
-        same = sorted(one for one in codes() if one[:3] == name[:3]) or sorted(codes())
-        raise UsageError(f"there is no error code {name}", f"known: {', '.join(same)}")
+        same = sorted(one for one in codes() if one[:3] == name[:3])
+        groups = f"the codes are from {min(codes())} to {max(codes())}; validate prints the code of each error"
+        raise UsageError(f"there is no error code {name}", f"known: {', '.join(same)}" if same else groups)
     if output == "json":
         say_json({"code": name, **codes()[name]._asdict()})
     else:

@@ -83,7 +83,7 @@ MISTAKES = (
     Mistake("a GPU by its maker's name", "memory: 2GiB..64GiB", "gpus: [none, Tesla T4]"),
     Mistake("a shape of this host with a dash", "budget: $5", "budget: $5\n    machines: [local-2cpu-4gb]"),
     Mistake("no budget", "    budget: $5\n", ""),
-    Mistake("m for minutes", "1min", "1m"),
+    Mistake("a region that does not exist", "aws/us-east-1", "aws/us-east-11"),
     Mistake("a request without its response", "callback: register", "request: /image"),
     Mistake("two kinds of probe", "callback: register", "callback: register\n    service: /plan"),
     Mistake("a budget without its currency", "budget: $5", "budget: 5"),
