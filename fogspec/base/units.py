@@ -269,7 +269,7 @@ def dollars(usd: float) -> str:
 def short_dollars(usd: float) -> str:
     """Return `$0.0015`, with three significant digits and no exponent."""
     digits = max(0, 2 - math.floor(math.log10(usd))) if usd > 0 else 0
-    text = f"{usd:,.{digits}f}"
+    text = f"{usd:.{digits}f}"
     return "$" + (text.rstrip("0").rstrip(".") if "." in text else text)
 
 
@@ -298,7 +298,7 @@ def shown_price(usd_per_hour: float) -> str:
 
 def shown_month(usd_per_hour: float) -> str:
     """Return `$384/month` of a machine that is always up, for people."""
-    return f"{short_dollars(usd_per_hour * HOURS_PER_MONTH)}/month"
+    return f"${shown(usd_per_hour * HOURS_PER_MONTH)}/month"
 
 
 def shown_cost(usd_per_request: float) -> str:
