@@ -1,10 +1,13 @@
 """The program: `fogspec`, or `python -m fogspec`."""
 
+import os
 import sys
 
 
 def main() -> None:
     """Run the command line; Ctrl-C while it is being loaded ends without a traceback."""
+    # Otherwise pydantic opens every installed distribution to look for plugins of its own, of which fogspec uses none.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
         from fogspec.base.child import leave_working_folder
 

@@ -8,7 +8,6 @@ reached through links, which are the user's own.
 import contextlib
 import errno
 import os
-import secrets
 import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -293,7 +292,7 @@ def _remove_tree(folder: int, name: str) -> None:
                         continue
                     os.close(_made_writable(below, inner))
                     moved += 1
-                    waiting.append(f".{secrets.token_hex(8)}-{moved}")
+                    waiting.append(f".{os.urandom(8).hex()}-{moved}")
                     os.rename(inner, waiting[-1], src_dir_fd=below, dst_dir_fd=top)
             finally:
                 os.close(below)

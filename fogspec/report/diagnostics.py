@@ -1,8 +1,6 @@
 """Report diagnostics as text for people, JSON for programs, or annotations for GitHub."""
 
 import os
-import platform
-import traceback
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
@@ -100,6 +98,9 @@ def summary(diagnostics: Sequence[Diagnostic]) -> str:
 
 def bug_paragraph(bug: BaseException) -> str:
     """Return a paragraph to paste into an issue: the location in fogspec, without paths or values."""
+    import platform
+    import traceback
+
     frames = traceback.extract_tb(bug.__traceback__)
     ours = [frame for frame in frames if f"{os.sep}fogspec{os.sep}" in frame.filename] or frames
     steps = " < ".join(

@@ -296,7 +296,7 @@ class Objective(Strict):
         examples=["relaxed"],
     )
     scale: Scale = Field(
-        Scale(),
+        Scale.model_construct(),
         description="what latency and cost are divided by",
         examples=[{"latency": "1s", "cost": "$1/1000 requests"}],
     )
@@ -312,12 +312,12 @@ class Objective(Strict):
         examples=[{"session": "20min", "sessions": "1/week"}],
     )
     interruption: Interruption = Field(
-        Interruption(),
+        Interruption.model_construct(),
         description="what spot machines' interruptions add to their cost",
         examples=[{"rate": "0.05/h", "recovery_time": "5min"}],
     )
     transfer: DataTransfer = Field(
-        DataTransfer(),
+        DataTransfer.model_construct(),
         description="an allowance for data transfer, added to the cost of each request",
         examples=[{"per_request": "2MB", "price": "$0.09/GiB"}],
     )
@@ -353,7 +353,9 @@ class Hardware(Strict):
         examples=[["none", "T4"]],
     )
     machines: Machines = Field(
-        Machines(), description="instance types allowed or denied", examples=[{"allow": ["c6i.*", "m6i.*"]}]
+        Machines.model_construct(),
+        description="instance types allowed or denied",
+        examples=[{"allow": ["c6i.*", "m6i.*"]}],
     )
     arch: list[Literal["x86_64", "arm64"]] = Field(
         ["x86_64"], min_length=1, description="CPU architectures allowed", examples=[["x86_64", "arm64"]]
@@ -442,7 +444,9 @@ class Benchmark(Strict):
         examples=[["c6i.large", "c6i.4xlarge"]],
     )
     stop: Annotated[Stop, affects("plan")] = Field(
-        Stop(), description="when one sample has measured enough", examples=[{"requests": 200, "duration": "5min"}]
+        Stop.model_construct(),
+        description="when one sample has measured enough",
+        examples=[{"requests": 200, "duration": "5min"}],
     )
     warmup: Annotated[int, affects("plan", "results")] = Field(
         1, ge=0, description="first requests of each sample that do not count", examples=[5]
@@ -451,7 +455,9 @@ class Benchmark(Strict):
         300.0, ge=0, description="longest time a machine may take to be ready", examples=["10min"]
     )
     workload: Annotated[Workload, affects("plan", "results")] = Field(
-        Workload(), description="what sends the requests", examples=[{"node": {"cmd": ["python3", "client.py"]}}]
+        Workload.model_construct(),
+        description="what sends the requests",
+        examples=[{"node": {"cmd": ["python3", "client.py"]}}],
     )
     scenarios: Annotated[dict[Identifier, Annotated[float, Field(gt=0)]], affects("plan", "results")] = Field(
         {},
@@ -551,13 +557,19 @@ class Spec(Strict):
         examples=[{"path_length": {"callback": "path_length", "unit": "m"}}],
     )
     constraints: Annotated[Constraints, affects("choice")] = Field(
-        Constraints(), description="upper bounds, hard", examples=[{"latency": "2s", "cost": "$0.001/request"}]
+        Constraints.model_construct(),
+        description="upper bounds, hard",
+        examples=[{"latency": "2s", "cost": "$0.001/request"}],
     )
     objective: Annotated[Objective, affects("choice")] = Field(
-        Objective(), description="what is best among what meets the constraints", examples=[{"alpha": 0.7}]
+        Objective.model_construct(),
+        description="what is best among what meets the constraints",
+        examples=[{"alpha": 0.7}],
     )
     hardware: Annotated[Hardware, affects("plan", "choice")] = Field(
-        Hardware(), description="which machines are admissible", examples=[{"cpus": "2..64", "gpus": ["none", "T4"]}]
+        Hardware.model_construct(),
+        description="which machines are admissible",
+        examples=[{"cpus": "2..64", "gpus": ["none", "T4"]}],
     )
     infra: Annotated[list[str], affects("plan", "choice")] = Field(
         min_length=1,
@@ -565,14 +577,18 @@ class Spec(Strict):
         examples=[["aws/us-east-1"]],
     )
     catalog: Annotated[CatalogAge, affects()] = Field(
-        CatalogAge(), description="what is asked of the catalog of machines and prices", examples=[{"max_age": "30d"}]
+        CatalogAge.model_construct(),
+        description="what is asked of the catalog of machines and prices",
+        examples=[{"max_age": "30d"}],
     )
-    benchmark: Benchmark = Field(Benchmark(), description="how machines are sampled", examples=[{"budget": "$2.50"}])
+    benchmark: Benchmark = Field(
+        Benchmark.model_construct(), description="how machines are sampled", examples=[{"budget": "$2.50"}]
+    )
     connectivity: Annotated[Connectivity, affects("choice")] = Field(
-        Connectivity(), description="how robot and cloud are joined", examples=[{"link": "none"}]
+        Connectivity.model_construct(), description="how robot and cloud are joined", examples=[{"link": "none"}]
     )
     deployment: Annotated[Deployment, affects("choice")] = Field(
-        Deployment(), description="how the cloud nodes are kept running", examples=[{"fallbacks": 2}]
+        Deployment.model_construct(), description="how the cloud nodes are kept running", examples=[{"fallbacks": 2}]
     )
     ignore: Annotated[list[Pattern], affects("choice")] = Field(
         [],
