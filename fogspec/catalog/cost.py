@@ -9,6 +9,7 @@ provisioned machine is paid while it restarts and serves nothing.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from fogspec.spec.schema import Spec
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Costs:
     """The cost model of n machines: price in USD per hour (n,), and the mask of spot machines (n,).
 
@@ -65,7 +66,7 @@ class Costs:
             requests_per_s=None,
         )
 
-    @property
+    @cached_property
     def usd_per_s(self) -> Floats:
         """Return the cost of a second of use (n,), restarts and start-ups included: exact but for long requests on spot."""
         extra = np.where(self.spot, self.interruptions_per_s * self.restart_s, 0.0)
@@ -89,7 +90,9 @@ class Costs:
             return np.where(self.usd_per_s / self.requests_per_s <= left, np.inf, 0.0)
         seconds = max(left, 0.0) / self.usd_per_s
         rate = self.interruptions_per_s
-        return np.where(self.spot & (rate > 0), np.log1p(rate * seconds) / (rate or 1.0), seconds)
+        if not rate or not self.spot.any():
+            return seconds
+        return np.where(self.spot, np.log1p(rate * seconds) / rate, seconds)
 
     def _paid(self, latency_s: Floats) -> Floats:
         """Return the paid seconds of a request, without restarts."""

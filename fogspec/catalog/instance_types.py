@@ -1,7 +1,7 @@
 """Instance types: the offers of a catalog without place and kind of price, as the models read them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,25 +103,32 @@ def _cpu(cloud: str, arch: str, clock_ghz: float, smt: float) -> str:
     return "" if clock_ghz < 0 else f"{cloud} {arch} {clock_ghz:g} {'nan' if smt < 0 else f'{smt:g}'}"
 
 
-def with_measured(offers: Catalog, measured: Sequence[Machine], catalog: Catalog | None = None) -> Catalog:
-    """Return the offers followed by a row for each measured machine that is not among them.
+def types_with_measured(offers: Catalog, measured: Sequence[Machine], catalog: Catalog | None = None) -> InstanceTypes:
+    """Return the types of the offers and of the measured machines, which have a row each after the offers if they are none.
 
-    Its row is taken from `catalog` if it is there; otherwise family, architecture and the rest are unknown. Its price
+    Such a row is taken from `catalog` if it is there; otherwise family, architecture and the rest are unknown. Its price
     does not matter, because it cannot be chosen.
     """
-    rows = np.flatnonzero(_named(offers, {machine.instance for machine in measured})).tolist()
-    there = {(offers.cloud[i], offers.instance[i], offers.gpu[i], float(offers.gpu_count[i])) for i in rows}
+    types = instance_types(offers)
+    there = set(types.keys)
     missing = {machine.type_key: machine for machine in measured if machine.type_key not in there}
     if not missing:
-        return offers
-    added = [_row(machine, offers, catalog) for _, machine in sorted(missing.items())]
-    columns = [f.name for f in fields(Catalog) if f.name != "about"]
-    joined = {name: np.concatenate([getattr(one, name) for one in (offers, *added)]) for name in columns}
-    return Catalog(about=offers.about, **joined)
-
-
-def _named(offers: Catalog, names: set[str]) -> NDArray[np.bool_]:
-    return np.fromiter(map(names.__contains__, offers.instance.tolist()), np.bool_, len(offers))
+        return types
+    added = [machines_of(_row(machine, offers, catalog)) for machine in missing.values()]
+    keys = [*types.keys, *missing]
+    order = np.array(sorted(range(len(keys)), key=keys.__getitem__))
+    place = np.argsort(order)
+    return InstanceTypes(
+        keys=tuple(keys[i] for i in order.tolist()),
+        machines=Machines(
+            **{
+                name: np.concatenate([getattr(one, name) for one in (types.machines, *added)])[order]
+                for name in Machines.__slots__
+            }
+        ),
+        of=place[np.concatenate([types.of, np.arange(len(types), len(keys))])],
+        offer=np.concatenate([types.offer, len(offers) + np.arange(len(missing))])[order],
+    )
 
 
 def _row(machine: Machine, offers: Catalog, catalog: Catalog | None) -> Catalog:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.clouds import LOCAL
-from fogspec.catalog.instance_types import InstanceTypes, instance_types, with_measured
+from fogspec.catalog.instance_types import InstanceTypes, instance_types, types_with_measured
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.model.fit import Model, Models, Observation, RejectedSample
@@ -134,7 +134,7 @@ class PredictionSpace:
     ) -> "PredictionSpace":
         """`machines` are measured, and described by `catalog` where they are no offers."""
         measured = [one for one in machines if counts(one, offers)]
-        types = instance_types(with_measured(offers, measured, catalog))
+        types = types_with_measured(offers, measured, catalog)
         prior = None if library is None else prior_for(library, types.names, types.machines)
         place = {key: row for row, key in enumerate(types.keys)}
         return cls(offers, types, prepare(types.machines, prior), place)

@@ -98,11 +98,24 @@ def matern(columns: Floats, lengths: Floats) -> Floats:
 
     Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, eq. 4.17.
     """
-    points, where = np.unique(np.round(columns / lengths, 6), axis=0, return_inverse=True)
+    points, where = _distinct(np.round(columns / lengths, 6))
     distance = np.sqrt(5.0) * np.sqrt(((points[:, None, :] - points[None, :, :]) ** 2).sum(-1))
     covariance = (1 + distance + distance**2 / 3) * np.exp(-distance)
     root = np.linalg.cholesky(covariance + 1e-8 * np.eye(len(points)))
-    return np.asarray(root[np.asarray(where).ravel()])
+    return np.asarray(root[where])
+
+
+def _distinct(rows: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the distinct rows of a matrix in lexicographic order, and the position of each row among them.
+
+    As `np.unique` over axis 0, which compares rows field by field and takes six times as long.
+    """
+    key = np.zeros(len(rows), dtype=np.int64)
+    for column in rows.T:
+        values, rank = np.unique(column, return_inverse=True)
+        key = np.unique(key * len(values) + rank.ravel(), return_inverse=True)[1].ravel()
+    _, first, where = np.unique(key, return_index=True, return_inverse=True)
+    return rows[first], where.ravel()
 
 
 def standardise(column: Floats) -> Floats:

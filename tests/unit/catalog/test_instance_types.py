@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fogspec.catalog.instance_types import instance_types, with_measured
+from fogspec.catalog.instance_types import instance_types, types_with_measured
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import concatenated
 from tests.bench_choice import offers
@@ -33,13 +33,37 @@ def test_a_measured_machine_that_is_not_offered_is_described_by_the_catalog():
     some = catalog.take(np.arange(5, 30))
     gone = Machine(infra="aws/r0", instance=str(catalog.instance[0]), cpus=2.0, memory=4.0, price=0.1)
     strange = Machine(infra="aws/r0", instance="never-heard.of", cpus=7.0, memory=9.0, price=0.1)
-    joined = with_measured(some, [gone, strange], catalog)
-    assert len(joined) == 27
-    assert joined.vcpus[joined.instance == gone.instance][0] == catalog.vcpus[0]
-    assert (joined.vcpus[-1], joined.memory_gib[-1], joined.arch[-1]) == (7.0, 9.0, "") or joined.instance[
-        -1
-    ] == gone.instance
-    assert with_measured(some, [], catalog) is some
+    types = types_with_measured(some, [gone, strange], catalog)
+    known, unknown = types.keys.index(gone.type_key), types.keys.index(strange.type_key)
+    assert types.machines.vcpus[known] == catalog.vcpus[0]
+    assert (types.machines.vcpus[unknown], types.machines.memory_gib[unknown], types.machines.arch[unknown]) == (
+        7,
+        9,
+        -1,
+    )
+    assert {int(types.offer[known]), int(types.offer[unknown])} == {25, 26}
+
+
+def test_types_of_measured_machines_lie_among_those_of_the_offers():
+    """As if the machines were offers, so that numbers do not depend on what was measured."""
+    catalog = offers(60)
+    gone = [catalog.machine(row) for row in (7, 31, 52)]
+    offered = catalog.take(~np.isin(catalog.instance, [one.instance for one in gone]))
+    types, whole = types_with_measured(offered, gone, catalog), instance_types(catalog)
+    assert types.keys == whole.keys
+    assert np.array_equal(types.machines.cpu_model, whole.machines.cpu_model)
+    assert np.array_equal(types.machines.vcpus, whole.machines.vcpus)
+    names = [types.keys[one][1] for one in types.of.tolist()]
+    assert names == [*offered.instance, *(one.instance for one in gone)]
+    assert types.of[types.offer].tolist() == list(range(len(types)))
+    same = types_with_measured(catalog, gone)
+    assert same.keys == whole.keys
+    assert np.array_equal(same.of, whole.of)
+
+
+def test_catalogs_are_concatenated():
+    catalog = offers(30)
+    some = catalog.take(np.arange(5, 30))
     assert len(concatenated([some], some.about)) == 25
 
 
