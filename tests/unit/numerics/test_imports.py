@@ -29,3 +29,21 @@ def test_scipy_is_not_imported_to_compile(words):
     assert ended.returncode == 0, ended.stderr[-2000:]
     assert "fogspec" in ended.stderr
     assert "scipy" not in ended.stderr
+
+
+SAID = """
+import atexit, runpy, sys
+heavy = {"numpy", "scipy", "jinja2", "jsonschema", "referencing", "asyncio", "sqlite3", "yaml"}
+atexit.register(lambda: print(*sorted(heavy & set(sys.modules)), file=sys.stderr))
+sys.argv[1:] = ["validate", "specs/vslam-recorded.yaml"]
+runpy.run_module("fogspec", run_name="__main__")
+"""
+
+
+def test_what_only_checks_a_spec_imports_nothing_that_it_does_not_use():
+    ended = subprocess.run(
+        [sys.executable, "-c", SAID], cwd=ROOT, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    assert "valid" in ended.stdout
+    assert ended.stderr.split() == []
