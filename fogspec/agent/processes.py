@@ -7,14 +7,13 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 VMSTAT = Path("/proc/vmstat")
 PR_SET_CHILD_SUBREAPER = 36
 KILL_S = 10.0
-GLANCES = 50  # at the children, which takes microseconds, for each look at all processes
 
 
 def is_argv(value: object) -> bool:
@@ -61,37 +60,42 @@ def finish(children: list[subprocess.Popen[bytes]]) -> None:
         end_s = time.monotonic() + patience_s
         while descendants() and time.monotonic() < end_s:
             time.sleep(0.02)
-        for child in children:
-            child.poll()
-    extinguish(lambda: set(descendants()), offspring)
-    for child in children:
-        child.poll()
-    # Reap adopted processes: not every machine's init does.
-    with contextlib.suppress(ChildProcessError):
-        while os.waitpid(-1, os.WNOHANG)[0]:
-            pass
+    extinguish(children)
 
 
-def extinguish(
-    find: Callable[[], set[int]], glance: Callable[[], Iterable[int]] = lambda: (), patience_s: float = KILL_S
-) -> list[int]:
-    """Kill processes until `find` finds none; return those that are left after `patience_s`.
+def extinguish(children: Iterable[subprocess.Popen[bytes]] = (), patience_s: float = KILL_S) -> bool:
+    """Kill and reap all processes below this one, which adopts orphans; return whether none is left after `patience_s`.
 
-    All are stopped before the first is killed, and looked for again until no new one is found: what is stopped starts nothing,
-    while others may start again what is killed. A chain of processes, each of which ends once it has started the next, is
-    faster than a look at all processes: `glance` returns quickly those that have just lost their parent.
+    All are stopped before the first is killed: what is stopped starts nothing, while others may start again what is killed. A
+    process that ends once it has started the next is never seen for long, but cannot hide: whoever loses its parent becomes a
+    child of this process, and when this process has no child, the kernel says so.
     """
-    end_s = time.monotonic() + patience_s
-    while True:
-        stopped: set[int] = set()
-        while (new := find() - stopped) and time.monotonic() < end_s:
+    end_s, stopped = time.monotonic() + patience_s, set[int]()
+    while not (gone := reap(children)) and time.monotonic() < end_s:
+        if new := _tree() - stopped:
             stopped |= send(new, signal.SIGSTOP)
-            for _ in range(GLANCES):
-                stopped |= send(set(glance()) - stopped, signal.SIGSTOP)
-        send(stopped, signal.SIGKILL)
-        if not (left := find()) or time.monotonic() >= end_s:
-            return sorted(left)
-        time.sleep(0.005)
+            continue
+        send(_tree(), signal.SIGKILL)
+        stopped.clear()
+        time.sleep(0.001)
+    return gone
+
+
+def reap(children: Iterable[subprocess.Popen[bytes]] = ()) -> bool:
+    """Reap what has ended below this process, adopted ones too; return whether no child is left, ended or not.
+
+    Exit codes of `children` are kept for whoever asks them.
+    """
+    own = {child.pid: child for child in children if child.returncode is None}
+    try:
+        while ended := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+            if child := own.pop(ended.si_pid, None):
+                child.poll()
+            else:
+                os.waitpid(ended.si_pid, 0)
+    except ChildProcessError:
+        return True
+    return False
 
 
 def send(pids: Iterable[int], number: int) -> set[int]:
@@ -142,19 +146,22 @@ def descendants() -> list[int]:
     return sorted(below([os.getpid()], living()))
 
 
-def bury(children: list[subprocess.Popen[bytes]]) -> None:
-    """Reap adopted processes that have ended, besides `children`, whose exit codes are asked for elsewhere."""
-    for pid in set(offspring()) - {child.pid for child in children}:
-        with contextlib.suppress(ChildProcessError):
-            os.waitpid(pid, os.WNOHANG)
+def _tree() -> set[int]:
+    """Return the processes below this one, zombies included: as `descendants`, but in microseconds where the kernel can."""
+    found: set[int] = set()
+    frontier = offspring()
+    while frontier:
+        found.update(frontier)
+        frontier = [child for pid in frontier for child in offspring(pid) if child not in found]
+    return found or set(descendants())
 
 
-def offspring() -> list[int]:
-    """Return the ids of the children of this process, zombies included; none where the kernel does not list them."""
+def offspring(of: int | str = "self") -> list[int]:
+    """Return the ids of a process's children, zombies included; none where the kernel does not list them."""
     found: list[int] = []
     with contextlib.suppress(OSError):
-        for task in os.listdir("/proc/self/task"):
-            with contextlib.suppress(OSError), open(f"/proc/self/task/{task}/children", "rb") as file:
+        for task in os.listdir(f"/proc/{of}/task"):
+            with contextlib.suppress(OSError), open(f"/proc/{of}/task/{task}/children", "rb") as file:
                 found += map(int, file.read().split())
     return found
 

@@ -254,7 +254,7 @@ class SampleRun:
             self._read()
             self._print_progress()
             self.shared_memory.look(processes.descendants)
-            processes.bury(self.children)
+            processes.reap(self.children)
             end = self._enough() or self._exited(codes) or self._late(time.monotonic())
             if end:
                 return end

@@ -118,7 +118,7 @@ class Supervisor:
                 self._report_running()
             self._bound_files()
             self.shared_memory.look(processes.descendants)
-            processes.bury([*self.nodes, *self.listeners, *([self.check] if self.check else [])])
+            processes.reap([*self.nodes, *self.listeners, *([self.check] if self.check else [])])
             if time.monotonic() - self.reported_s > self.report_after_s:
                 self.report_after_s = min(2 * self.report_after_s, REPORT_EVERY_S)
                 self._report_running()

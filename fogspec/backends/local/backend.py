@@ -6,7 +6,6 @@ must match, so that a copy of a name in another checkout leads to no process. Th
 """
 
 import contextlib
-import functools
 import hashlib
 import math
 import os
@@ -45,6 +44,7 @@ class LocalBackend:
     """What samples and deployments have in common: one process tree per job."""
 
     name = "local"
+    apart = False
     no_accelerators: ClassVar[str]
 
     def __init__(self) -> None:
@@ -56,11 +56,11 @@ class LocalBackend:
 
     def stop(self, job: Job) -> None:
         """Send TERM, which the agent passes on, then kill all processes of the job until none is left."""
-        self._end(job, lambda: processes.members(MARK, mark_of(job)), set)
+        self._end(job, lambda: processes.members(MARK, mark_of(job)))
 
-    def _end(self, job: Job, find: processes.Find, glance: processes.Find) -> None:
+    def _end(self, job: Job, find: processes.Find) -> None:
         groups = limits.groups(group_of(job))
-        if left := processes.end(find, glance, GRACE_S, lambda: [*map(limits.end_group, groups)]):
+        if left := processes.end(find, GRACE_S + limits.KILL_S, lambda: [*map(limits.end_group, groups)]):
             raise Unreachable(f"processes {', '.join(map(str, left))} do not end")
 
     def check_access(self, places: Collection[str]) -> None:
@@ -93,6 +93,8 @@ class LocalBackend:
                     env=given,
                     log=log,
                     name=group_of(job),
+                    grace_s=GRACE_S,
+                    apart=self.apart,
                 )
         except OSError as problem:
             raise LaunchRefused("setup", f"cannot be started: {problem}") from problem
@@ -134,6 +136,7 @@ class LocalSamples(LocalBackend):
     """Measures one sample at a time on this host."""
 
     at_once = 1
+    apart = True  # while a deployment shares memory with the robot's nodes
     poll_s = 0.2
     costs = Costs.NOTHING
     no_accelerators = "the local runner has no accelerators"
@@ -219,11 +222,10 @@ class LocalSamples(LocalBackend):
             job.files.remove_tree(job.directory / WORK)
 
     def _end_own(self, job: Job, started: "_Started") -> None:
-        find, glance = functools.partial(self._members, job), functools.partial(self._orphans, job)
-        started.memory.look(find, again=True)
-        started.process.end(grace_s=GRACE_S)
-        self._end(job, find, glance)
-        processes.bury(glance())
+        started.memory.look(lambda: self._members(job), again=True)
+        started.process.end()
+        self._end(job, lambda: self._members(job))
+        processes.bury(self._orphans(job))
         started.memory.remove()
         if all(one.process.poll() is not None for one in self._own.values()):
             adopt_orphans(False)

@@ -4,10 +4,12 @@ Affinity is inherited by every descendant, so a sample of n CPUs runs on n CPUs 
 `nproc`, OpenMP and the like see n. A cgroup bounds the memory of the whole tree. RLIMIT_DATA, the fallback, bounds
 the private memory of each process by itself, so a tree of several processes may use more, and shared memory is not bounded.
 A cgroup is used without its memory controller too: it ends all of its processes at once, however fast they start others.
+Where there is none, namespaces do that for a sample, if this kernel lets this user have any, and bound `/dev/shm`.
 """
 
 import contextlib
 import errno
+import functools
 import math
 import os
 import subprocess
@@ -18,27 +20,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
 
+import fogspec
 from fogspec.base import child
 
 CGROUPS = Path("/sys/fs/cgroup")
-MemoryBy = Literal["cgroup", "rlimit"]
-MEMORY_TEXT = {"cgroup": "by cgroup", "rlimit": "by rlimit of each process (shared memory is not limited)"}
+MemoryBy = Literal["cgroup", "namespace", "rlimit"]
+MEMORY_TEXT = {
+    "cgroup": "by cgroup",
+    "namespace": "by rlimit of each process and the size of /dev/shm (other shared memory is not limited)",
+    "rlimit": "by rlimit of each process (shared memory is not limited)",
+}
 
 GROUP = "fogspec-"  # the beginning of the names of cgroups
 
-# Runs in a process of its own before the program: affinity and limits must not affect the caller.
-LAUNCHER = """
-import os, resource, sys
-cpus, data_bytes, group, folder = sys.argv[1:5]
-if group:
-    with open(os.path.join(group, "cgroup.procs"), "w") as file:
-        file.write(str(os.getpid()))
-os.sched_setaffinity(0, set(map(int, cpus.split(","))))
-if data_bytes:
-    resource.setrlimit(resource.RLIMIT_DATA, (int(data_bytes), int(data_bytes)))
-os.chdir(folder)
-os.execv(sys.argv[5], sys.argv[5:])
-"""
+# A process of its own: affinity, limits and namespaces must not affect the caller.
+LAUNCHER = "import sys; sys.path.append(sys.argv.pop(1)); from fogspec.backends.local.launcher import main; main()"
+KILL_S = 5.0  # that the launcher gets to kill what is left
 
 
 @dataclass(slots=True)
@@ -49,6 +46,7 @@ class LimitedProcess:
     cpus: tuple[int, ...]
     memory_by: MemoryBy
     group: Path | None
+    grace_s: float
 
     def poll(self) -> int | None:
         """Return the exit code of the first process; None while it runs."""
@@ -58,12 +56,12 @@ class LimitedProcess:
         """Return whether the kernel killed one of its processes for lack of memory, if a cgroup recorded it."""
         return "out_of_memory" if _events(self.group).get("oom_kill", 0) else None
 
-    def end(self, grace_s: float) -> None:
-        """Terminate the first process, then kill all of its session and cgroup."""
+    def end(self) -> None:
+        """Terminate the program, after its grace kill all that it started, then all of its session and cgroup."""
         if self.poll() is None:
             self.process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(grace_s)
+                self.process.wait(self.grace_s + KILL_S)
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.process.pid, 9)
         if self.process.poll() is None:
@@ -81,20 +79,31 @@ def start(
     env: Mapping[str, str],
     log: BinaryIO,
     name: str,
+    grace_s: float,
+    apart: bool = False,
 ) -> LimitedProcess:
     """Start `argv` on `cpus` CPUs with `memory_gib` of memory, its output to `log`; raise OSError if it cannot be started.
 
-    Its cgroup, if it gets one, is called `name`, by which `groups` finds it. Raise ValueError if this host has fewer CPUs.
+    Once it ends, or `grace_s` after it was told to, all that it started is killed. Its cgroup, if it gets one, is called
+    `name`, by which `groups` finds it; if it gets none and is to be `apart`, it gets namespaces where this host has them.
+    Raise ValueError if this host has fewer CPUs.
     """
     chosen = pick_cpus(cpus)
     if not cwd.is_dir():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(cwd))
     limit_bytes = math.floor(memory_gib * 2**30)
     group, limited = _new_group(name, limit_bytes)
-    data_bytes = "" if limited else str(limit_bytes)
-    given = [",".join(map(str, chosen)), data_bytes, str(group or ""), str(cwd.absolute())]
+    memory_by: MemoryBy = "cgroup" if limited else "namespace" if apart and not group and has_namespaces() else "rlimit"
+    words = _command(
+        [child.program(argv[0]), *argv[1:]],
+        cpus=chosen,
+        data_bytes=None if limited else limit_bytes,
+        group=group,
+        apart_bytes=limit_bytes if memory_by == "namespace" else None,
+        grace_s=grace_s,
+        folder=cwd,
+    )
     try:
-        words = [sys.executable, "-I", "-S", "-c", LAUNCHER, *given, child.program(argv[0]), *argv[1:]]
         process = subprocess.Popen(
             words,
             cwd=child.ELSEWHERE,
@@ -108,7 +117,34 @@ def start(
         if group:
             group.rmdir()
         raise
-    return LimitedProcess(process, chosen, "cgroup" if limited else "rlimit", group)
+    return LimitedProcess(process, chosen, memory_by, group, grace_s)
+
+
+def _command(
+    program: Sequence[str],
+    *,
+    cpus: Sequence[int],
+    data_bytes: int | None = None,
+    group: Path | None = None,
+    apart_bytes: int | None = None,
+    grace_s: float = 0.0,
+    folder: Path = Path(child.ELSEWHERE),
+) -> list[str]:
+    numbers = ["" if number is None else str(number) for number in (data_bytes, group, apart_bytes)]
+    given = [",".join(map(str, cpus)), *numbers, str(grace_s), str(folder.absolute())]
+    own = str(Path(fogspec.__file__).absolute().parents[1])
+    return [sys.executable, "-I", "-S", "-c", LAUNCHER, own, *given, *program]
+
+
+@functools.cache
+def has_namespaces() -> bool:
+    """Return whether this user may start processes in namespaces of their own: many containers and some hosts forbid it."""
+    words = _command([child.program("true")], cpus=pick_cpus(1), apart_bytes=2**20)
+    try:
+        tried = subprocess.run(words, cwd=child.ELSEWHERE, stdin=subprocess.DEVNULL, capture_output=True, timeout=20)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return tried.returncode == 0
 
 
 def pick_cpus(count: int) -> tuple[int, ...]:
@@ -158,11 +194,12 @@ def end_group(group: Path) -> None:
 
 
 def memory_by() -> MemoryBy:
-    """Return how memory is limited on this host."""
+    """Return how the memory of a sample is limited on this host."""
     group, limited = _new_group(f"{GROUP}{os.getpid()}-{time.monotonic_ns()}", 2**30)
     if group is not None:
         end_group(group)
-    return "cgroup" if limited else "rlimit"
+        return "cgroup" if limited else "rlimit"
+    return "namespace" if has_namespaces() else "rlimit"
 
 
 def _own(controller: str) -> str | None:

@@ -8,13 +8,11 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 
-from fogspec.agent.processes import Process, below, extinguish, living, offspring, send
+from fogspec.agent.processes import Process, below, living, offspring, send
 from fogspec.base import child
 
 CHECKS = 4
-LAST_CHECKS = (
-    16  # before it is believed that nothing is left: on a busy host a chain of short processes hides between looks
-)
+KILL_S = 10.0
 Find = Callable[[], set[int]]
 
 
@@ -74,15 +72,30 @@ def _is_of_another(pid: int, variable: str, value: str) -> bool:
     return False
 
 
-def end(find: Find, glance: Find, grace_s: float, force: Callable[[], object] = lambda: None) -> list[int]:
+def end(find: Find, grace_s: float, force: Callable[[], object] = lambda: None) -> list[int]:
     """Send TERM, after `grace_s` call `force`, and kill until `find` finds no process; return those that are left."""
-    if some := _rechecked(find):
-        send(some, signal.SIGTERM)
-        until = time.monotonic() + grace_s
-        while find() and time.monotonic() < until:
-            time.sleep(0.05)
+    if not (some := _rechecked(find)):
+        force()
+        return []
+    send(some, signal.SIGTERM)
+    until_s = time.monotonic() + grace_s
+    while find() and time.monotonic() < until_s:
+        time.sleep(0.05)
     force()
-    return extinguish(lambda: _rechecked(find, LAST_CHECKS), glance) if some else []
+    return _killed(find)
+
+
+def _killed(find: Find) -> list[int]:
+    """Kill until nothing is found; all are stopped before the first is killed: others may start again what is killed."""
+    until_s, stopped = time.monotonic() + KILL_S, set[int]()
+    while (left := _rechecked(find)) and time.monotonic() < until_s:
+        if new := left - stopped:
+            stopped |= send(new, signal.SIGSTOP)
+            continue
+        send(left, signal.SIGKILL)
+        stopped.clear()
+        time.sleep(0.005)
+    return sorted(left)
 
 
 def bury(pids: Collection[int]) -> None:
@@ -92,8 +105,8 @@ def bury(pids: Collection[int]) -> None:
             os.waitpid(pid, os.WNOHANG)
 
 
-def _rechecked(find: Find, checks: int = CHECKS) -> set[int]:
-    for _ in range(checks - 1):
+def _rechecked(find: Find) -> set[int]:
+    for _ in range(CHECKS - 1):
         if pids := find():
             return pids
         time.sleep(0.03)

@@ -11,6 +11,7 @@ AGENT = "it runs on the machine that is measured, in the folder of its own outpu
 WRITES = {
     "base/project_files.py": "the one place",
     "backends/local/limits.py": "cgroups, which are the kernel's and named by itself",
+    "backends/local/launcher.py": "cgroups and maps of user ids, which are the kernel's and named by itself",
     "backends/skypilot/secrets_file.py": "a new file of a machine's launch in the runtime directory, for its owner alone",
     "backends/skypilot/client.py": "what the worker prints, in a file without a name",
     "base/git.py": "what git complains of, in a file without a name",
@@ -25,7 +26,8 @@ WRITES = {
 STARTS = {
     "base/git.py": "git, by base/child.py",
     "backends/skypilot/client.py": "the worker, by base/child.py",
-    "backends/local/limits.py": "the launcher, isolated, which starts the workload in the spec's folder",
+    "backends/local/limits.py": "the launcher, isolated",
+    "backends/local/launcher.py": "the workload, in the spec's folder",
     "backends/images/credentials.py": "docker's helper, by base/child.py",
     "deploy/link.py": "bash, by base/child.py",
     "evaluation/campaign.py": "processes of the standard library, with the environment of base/child.py",
