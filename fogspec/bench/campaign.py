@@ -197,7 +197,7 @@ class Campaign:
     def _stop_what_does_not_fit(self) -> None:
         """If the budget was lowered since they were started, stop the most expensive machines first."""
         state, budget = self.journal.state, self.config.budget_usd
-        if budget is None or not overdrawn(self._bound_usd(), budget):
+        if budget is None:
             return
         left = budget - state.spent_usd - self._outlived_usd()
         # What has just been found may be done: its results are fetched first.

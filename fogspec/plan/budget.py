@@ -97,7 +97,7 @@ def _lower(name: str, old_s: float, new_s: float) -> str:
 
 def _round_down(seconds: float) -> float:
     """Round to whole minutes, tens of seconds or seconds, the coarsest that takes off at most a tenth."""
-    steps = (step for step in (60, 10, 1) if seconds > 0 and seconds // step * step >= 0.9 * seconds)
+    steps = (step for step in (60, 10, 1) if seconds // step * step >= 0.9 * seconds)
     return float(seconds // (step := next(steps, 1)) * step)
 
 

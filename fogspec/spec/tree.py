@@ -89,8 +89,7 @@ class Tree:
                     found[path], size = _file(Path(entry.path), to, left)
                     left -= size
             except OSError as problem:
-                where = problem.filename or entry.path
-                raise InvalidInput(f"{where}: cannot be sent: {problem.strerror or problem}", FIX) from None
+                raise InvalidInput(f"{entry.path}: cannot be sent: {problem.strerror or problem}", FIX) from None
             except OverflowError:
                 raise InvalidInput(
                     f"{self.folder}: more than {MOST_BYTES >> 30} GiB would be sent to each machine",

@@ -147,7 +147,7 @@ class _NoCredentialsElsewhere(urllib.request.HTTPRedirectHandler):
         self, req: urllib.request.Request, fp: object, code: int, msg: str, headers: HTTPMessage, newurl: str
     ) -> urllib.request.Request | None:
         before, after = urllib.parse.urlsplit(req.full_url), urllib.parse.urlsplit(newurl)
-        local = before.scheme == after.scheme == "http" and _is_loopback(before.netloc) and _is_loopback(after.netloc)
+        local = before.scheme == after.scheme == "http" and _is_loopback(after.netloc)
         if after.scheme != "https" and not local:
             raise ValueError(f"it redirects to {newurl[:200]}, which is not https")
         if req.data is not None:

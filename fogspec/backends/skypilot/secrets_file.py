@@ -37,9 +37,9 @@ def write(name: str, secrets: Mapping[str, str]) -> Path:
     """Write the secrets as lines of shell; return the file."""
     forget(name)
     path = place(name)
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-    with open(descriptor, "w", encoding="utf-8", errors="surrogateescape") as file:
-        file.writelines(f"export {one}={shlex.quote(value)}\n" for one, value in secrets.items())
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with open(descriptor, "wb") as file:
+        file.writelines(os.fsencode(f"export {one}={shlex.quote(value)}\n") for one, value in secrets.items())
     return path
 
 

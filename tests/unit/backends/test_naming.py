@@ -35,6 +35,10 @@ def test_a_name_belongs_to_one_application_of_one_repository(owner: Owner) -> No
     )
 
 
+def test_the_labels_name_is_that_of_machines_of_earlier_versions() -> None:
+    assert {"fogspec-owner": OWNER.digest}.items() <= OWNER.labels.items()
+
+
 def test_a_label_of_another_owner_outweighs_the_name() -> None:
     name = OWNER.deployment_name(DIGEST, "0123ab")
     assert OWNER.has(name, OWNER.labels)

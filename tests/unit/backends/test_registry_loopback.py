@@ -30,6 +30,7 @@ class Server:
 
     answer: Callable[[Any], Answer] = lambda _request: (200, {}, BODY)
     seen: list[tuple[str, str, str | None, bytes]] = field(default_factory=list)
+    accepted: list[str] = field(default_factory=list)
     address: str = ""
 
     @property
@@ -49,6 +50,7 @@ def servers() -> Iterator[Callable[[], Server]]:
             def do(self) -> None:
                 body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
                 server.seen.append((self.command, self.path, self.headers.get("Authorization"), body))
+                server.accepted.append(self.headers.get("Accept", ""))
                 code, headers, content = server.answer(self)
                 self.send_response(code)
                 for name, value in {"Content-Length": str(len(content)), **headers}.items():
@@ -100,6 +102,15 @@ def test_credentials_are_sent_only_when_they_are_asked_for(servers: Any, docker:
     assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
     assert one.given == [BASIC]
     assert [path for _, path, *_ in one.seen] == ["/v2/robot/manifests/v1"] * 3
+
+
+def test_images_and_lists_of_images_for_several_processors_are_asked_for(servers: Any) -> None:
+    one = servers()
+    Registry().digest(f"{one.address}/robot:v1")
+    kinds = ("oci.image.{}.v1+json", "docker.distribution.manifest.{}v2+json")
+    wanted = {f"application/vnd.{kinds[0].format(what)}" for what in ("index", "manifest")}
+    wanted |= {f"application/vnd.{kinds[1].format(what)}" for what in ("list.", "")}
+    assert {word.strip() for word in one.accepted[0].split(",")} == wanted
 
 
 @pytest.mark.parametrize("code", [301, 302, 303, 307, 308])

@@ -23,6 +23,7 @@ MACHINES = {
     "spot": Machine(infra="aws/r1", instance="c6i.large", cpus=2, memory="4GiB", price="$0.03/h", spot=True),
     "gpu": Machine(infra="gcp/r1", instance="n1-4", cpus=4, memory="16GiB", price="$0.7/h", gpu=Gpu(name="T4")),
     "partition": Machine(infra="slurm/lab/small", instance="s", cpus=2, memory="4GiB", price="$0.1/h"),
+    "preempted": Machine(infra="slurm/lab/spare", instance="s", cpus=2, memory="4GiB", price="$0.1/h", spot=True),
 }
 # What selects no machine, has no price and moves no file is compared by the commands that compile.
 FREE = {"name", "setup", "run", "workdir", "resources.labels.fogspec-application"}
@@ -79,7 +80,7 @@ def job(root: Path, machine: Machine, sample: bool, task: Mapping[str, Any] | No
         "name": "demo",
         "resources": {
             **resources(machine, lifetime_s),
-            **({"use_spot": True} if machine.spot else {}),
+            **({"use_spot": True} if machine.spot and not machine.infra.startswith("slurm/") else {}),
             **({"accelerators": machine.gpu.key} if machine.gpu else {}),
             "labels": {"fogspec-application": "demo"},
         },

@@ -30,7 +30,8 @@ PARSERS = {
         ("duration", "1e-3s", 0.001), ("memory", "512MiB", 0.5), ("memory", "1TiB", 1024.0), ("memory", "16GB", 16e9 / 2**30),
         ("money", "$2.50", 2.5), ("money", "40 cent", 0.4), ("cost", "$0.001/request", 0.001),
         ("cost", "$2/1000 requests", 0.002), ("cost", "0.01 cent/request", 0.0001), ("price", "$0.526/h", 0.526),
-        ("rate", "2Hz", 2.0), ("rate", "6/min", 0.1), ("percent", "5%", 0.05), ("count", 16, 16.0), ("count", "0.5", 0.5),
+        ("rate", "1/week", 1 / 604_800), ("rate", "2Hz", 2.0), ("rate", "6/min", 0.1),
+        ("percent", "5%", 0.05), ("count", 16, 16.0), ("count", "0.5", 0.5),
     ],
 )  # fmt: skip
 def test_reads(kind: str, text: Any, value: float) -> None:
@@ -165,6 +166,7 @@ def test_ranges_hold_their_ends(value: float, low: float | None, high: float | N
     ("value", "write", "text"),
     [
         (10.0, units.format_rate, "10/s"), (1 / 3600, units.format_rate, "1/h"), (0.5, units.format_rate, "0.5/s"),
+        (251 / 604_800, units.format_rate, "35.857142857142854/day"),  # 1.4940476190476188/h is shorter, and another number
         (512 / 1024, units.format_memory, "0.5GiB"), (64.0, units.format_memory, "64GiB"), (0.0, units.format_memory, "0GiB"),
         (1e-6, units.format_duration, "1us"), (1e-9, units.format_duration, "0.001us"), (86400.0, units.format_duration, "1d"),
         (5400.0, units.format_duration, "1.5h"), (0.05, units.format_percent, "5%"), (1.0, units.format_percent, "100%"),

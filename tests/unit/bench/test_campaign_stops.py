@@ -4,6 +4,7 @@ import pytest
 
 from fogspec.backends.protocol import SampleStatus, Unreachable
 from fogspec.bench.campaign import Campaign
+from fogspec.bench.progress import FINAL
 from fogspec.bench.types import Event, EventKind, Queued
 from fogspec.results.schema import Measured
 from tests.faults.controllers import COMMITMENT, campaign_of, samples
@@ -241,6 +242,33 @@ def test_a_machine_of_another_spec_is_ended_and_paid_and_is_no_sample(told):
     assert campaign.journal.state.spent_usd > 0
     assert world.disk.get("samples", {}) == {}
     assert events[-1].kind is EventKind.UNWANTED
+
+
+def test_what_is_tried_again_is_reported_so(told, monkeypatch):
+    campaign, events, _ = told
+    poll, lost = FaultyBackend.poll, []
+
+    def once_preempted(self, job):
+        if not lost:
+            lost.append(job.name)
+            return SampleStatus(running=False, lost=True, detail="preempted")
+        return poll(self, job)
+
+    monkeypatch.setattr(FaultyBackend, "poll", once_preempted)
+    campaign.run(samples(1))
+    ends = [(one.kind, one.detail) for one in events if one.kind in FINAL]
+    assert ends[0] == (EventKind.RETRIED, "preempted")
+    assert [kind for kind, _ in ends] == [EventKind.RETRIED, EventKind.DONE]
+
+
+def test_parts_of_a_machine_are_put_with_it(told, monkeypatch):
+    campaign, _, world = told
+    record = Measured(
+        id="s0", machine=samples(1)[0].machine, measured_on="sim", state="ok", requests=0, duration="10s", spent="$0.1"
+    )
+    monkeypatch.setattr(Campaign, "_parts", lambda *_: iter([record.model_copy(update={"id": "s0-half"})]))
+    campaign.run(samples(1))
+    assert set(world.disk["samples"]) == {"s0", "s0-half"}
 
 
 @pytest.mark.parametrize(("state", "kept"), [("ok", ["one-half"]), ("failed", [])])

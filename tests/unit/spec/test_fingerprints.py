@@ -20,6 +20,12 @@ def test_empty_fields_count_and_fields_that_came_later_do_not_while_they_are_not
     assert fingerprints.measured_digest(APPLICATION) == f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
+def test_what_plans_read_of_the_benchmark_is_what_they_first_read_while_nothing_else_is_set() -> None:
+    assert set(fingerprints.planned_part(APPLICATION)["benchmark"]) == {
+        "machines", "min_success_rate", "sampler", "scenarios", "setup_timeout", "stop", "warmup", "workload",
+    }  # fmt: skip
+
+
 def test_parts_are_named_by_short_digests_of_their_own() -> None:
     found = fingerprints.measured_fields(APPLICATION)
     assert found["secrets"] == hashlib.sha256(b"[]").hexdigest()[:12]

@@ -228,3 +228,8 @@ def test_drift_is_what_differs_from_the_lock_and_nothing_without_one() -> None:
     assert lock_drift(pins, dict(pins.files)) == []
     assert lock_drift(None, {"a": "1"}) == []
     assert some(["a", "b"]) == "a, b"
+
+
+def test_a_list_of_names_ends_after_six() -> None:
+    assert some("abcdef") == "a, b, c, d, e, f"
+    assert some("abcdefg") == "a, b, c, d, e, f and 1 more"

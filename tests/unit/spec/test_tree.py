@@ -121,6 +121,14 @@ def test_a_link_that_leads_outside_is_refused_and_never_followed(folder: Path, t
         Tree(folder, ("up",)).snapshot(tmp_path / "copy")
 
 
+def test_a_link_that_leads_out_and_in_again_is_refused_since_the_folder_has_another_name_on_a_machine(
+    folder: Path,
+) -> None:
+    (folder / "back").symlink_to(f"../{folder.name}/work.py")
+    with pytest.raises(InvalidInput, match="leads outside"):
+        Tree(folder, ()).digests()
+
+
 def test_a_directory_reached_by_a_link_is_still_inside(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(folder)
     assert Tree(tmp_path / "link", ()).digests() == Tree(folder, ()).digests()
@@ -180,8 +188,10 @@ def test_limits_on_files_bytes_and_depth(folder: Path, tmp_path: Path, monkeypat
     deep = folder
     for _ in range(module.MOST_DEEP + 1):
         deep = deep / "d"
-    deep.mkdir(parents=True)
-    with pytest.raises(InvalidInput, match="directories deep"):
+    deep.parent.mkdir(parents=True)
+    tree.digests()
+    deep.mkdir()
+    with pytest.raises(InvalidInput, match="more than 64 directories deep"):
         tree.digests()
 
 
