@@ -3,7 +3,6 @@
 PYTHON ?= python3
 BIN := .venv/bin
 FOGSPEC := $(BIN)/fogspec
-DEMO := specs/lidar-odometry.yaml
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
@@ -66,12 +65,8 @@ ros-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## every ROS 2 probe against t
 link-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## what a link costs, as root
 	$(BIN)/python -m tests.ros.links_figures
 
-demo: .venv/run.stamp  ## the main job, here and now: real measurements, no account, no cloud
-	$(FOGSPEC) validate $(DEMO)
-	$(FOGSPEC) compile $(DEMO)
-	$(FOGSPEC) bench $(DEMO) --runner local
-	$(FOGSPEC) compile $(DEMO)
-	$(FOGSPEC) explain $(DEMO)
+demo: .venv/run.stamp  ## benchmark on this host and choose a machine, in about a minute: real measurements, no account, no cloud
+	@$(BIN)/python -m tools.demo
 
 check: lint types layers  ## what to run before each commit: lint, format, types, layers and the fast unit tests (under a minute)
 	$(BIN)/python -m pytest -q $(TEST_ARGS) -m 'not slow' tests/unit

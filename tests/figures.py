@@ -1,4 +1,4 @@
-"""Every figure that README quotes: `make figures` prints them, `python -m tests.figures --write` writes those of README anew.
+"""Every figure that the docs quote: `make figures` prints them, `python -m tests.figures --write` writes some of them.
 
 Whole processes are timed from outside, one warm-up and then the median of several runs, with its range. Figures
 depend on the machine; ratios within one run are what to compare.
@@ -24,7 +24,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAPER_SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
 RUNS = 9
-QUOTED = ("machine:", "validate specs/grasp", "compile specs/grasp", "fit and choose, 50,000", "install:")  # in README
+QUOTED = (
+    "machine:",
+    "validate specs/grasp",
+    "compile specs/grasp",
+    "fit and choose, 50,000",
+    "install:",
+)  # in how-good.md
 BLOCK = re.compile(r"(tests\.figures --write`:\n\n```text\n).*?(```\n)", re.DOTALL)
 
 
@@ -35,7 +41,7 @@ def main(write: bool) -> None:
         _measure()
     if write:
         quoted = "".join(line for line in printed.getvalue().splitlines(keepends=True) if line.startswith(QUOTED))
-        readme = ROOT / "README.md"
+        readme = ROOT / "docs" / "explanation" / "how-good.md"
         text = BLOCK.sub(lambda block: block[1] + quoted + block[2], readme.read_text("utf-8"))
         readme.write_text(text, "utf-8")
         print(quoted, end="")

@@ -66,6 +66,15 @@ def test_the_readme_shows_the_spec_that_is_shipped() -> None:
     assert within(data(block), shipped)
 
 
+def test_the_readme_shows_pictures_that_the_check_guards() -> None:
+    """`make generated` compiles specs/*-recorded.yaml and compares: a picture of them cannot differ from its data."""
+    shown = re.findall(r"!\[[^]]+\]\(([^)]+)\)", (ROOT / "README.md").read_text("utf-8"))
+    assert shown
+    for path in shown:
+        assert re.fullmatch(r"compiled/[\w-]+-recorded/\w+\.svg", path)
+        assert (ROOT / path).is_file()
+
+
 def within(part: Any, whole: Any) -> bool:
     """Whether every value that is shown is that of the file; maps may show less."""
     if isinstance(part, dict) and isinstance(whole, dict):
