@@ -166,9 +166,9 @@ def _number(text: str) -> float | None:
 def _why(status: Status, manifest: Mapping[str, Any] | None) -> Iterator[str]:
     """Yield the changed inputs, by stage, from the first stage that is not fresh."""
     for stage in status.stages:
-        if stage.name in ("plan", "results") and (stage.state != "fresh" or stage.notes):
+        if stage.name in ("plan", "results") and (not status.settled(stage) or stage.notes):
             yield from (f"{stage.name}: {text}" for text in (*stage.reasons, *stage.notes))
-    if any(stage.state != "fresh" for stage in status.stages):
+    if not all(map(status.settled, status.stages)):
         yield from _changed_inputs(status.inputs, manifest)
 
 
@@ -203,7 +203,8 @@ def _mapping(value: Any) -> Mapping[str, Any]:
 def _no_manifest(compiled: Artifacts) -> str | None:
     if compiled.decision is None:
         return compiled.stale or "nothing is measured yet: there is no manifest"
-    return None if compiled.decision.manifest is not None else "no machine meets the limits"
+    refusal = compiled.decision.refusal
+    return None if refusal is None else refusal.message.removeprefix(f"{compiled.layout.name}: ")
 
 
 def measuring_text(one: Difference) -> str:

@@ -17,8 +17,8 @@ from fogspec.base.text import shell_command
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.inputs import Inputs
-from fogspec.plan.reuse import covers
 from fogspec.plan.schema import Plan, PlanBody, TaskRef
+from fogspec.results.progress import unfinished
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
 from fogspec.spec.lockfile import changed_pins, differing, listed, pins_of_measurement
@@ -77,8 +77,23 @@ class Status:
 
     @property
     def fresh(self) -> bool:
-        """True if the files are current and every stage is fresh, so that nothing is left to measure."""
-        return self.current and all(stage.state == "fresh" for stage in self.stages)
+        """True if the files are current and every stage is, so that nothing is left to do before `apply`.
+
+        Results of a part of the plan are enough for a manifest that says so (`compile --partial`).
+        """
+        return self.current and all(map(self.settled, self.stages))
+
+    def settled(self, stage: Stage) -> bool:
+        """Return whether nothing is left to do for a stage."""
+        return stage.state == "fresh" or (stage.state == "partial" and self.partial is not None)
+
+    @property
+    def partial(self) -> str | None:
+        """How much of the plan the manifest rests on, if that is not all of it; None without such a manifest."""
+        decision = None if self.artifacts is None else self.artifacts.decision
+        if decision is None or decision.manifest is None or decision.unfinished is None:
+            return None
+        return decision.unfinished.count
 
 
 def status(inputs: Inputs, compiled: Artifacts | FogspecError) -> Status:
@@ -163,24 +178,15 @@ def _changed_pins(before: Mapping[str, str] | None, now: Mapping[str, str]) -> l
 
 def _results(compiled: Artifacts) -> Stage:
     inputs, path = compiled.inputs, compiled.layout.results
-    samples = {sample.id for sample in compiled.plan.spec.samples}
     if inputs.results is None:
-        return Stage("results", path, "missing", (f"{len(samples)} samples to measure",))
+        return Stage("results", path, "missing", (f"{len(compiled.plan.spec.samples)} samples to measure",))
     if compiled.results is None:
         return Stage("results", path, "stale", tuple(_changed_since(inputs, inputs.results)))
     body = compiled.results.spec
     unlocked = () if body.pins or not compiled.plan.spec.pins else ("measured before anything was locked",)
-    left = samples - completed(compiled.results)
-    sampling = body.sampling if compiled.plan.spec.sampler == "adaptive" else None
-    why = None
-    if left:
-        why = f"{len(left)} of {len(samples)} samples to measure: {', '.join(sorted(left)[:NAMED])}"
-    elif sampling is not None and sampling.stop_reason is None:
-        why = "the next machines are to be asked for"
-    elif sampling is not None and not covers(inputs.application, sampling):
-        why = "the search box has grown since machines were asked for"
-    if why is not None:
-        return Stage("results", path, "partial", (why,), unlocked)
+    left = unfinished(inputs.application, compiled.plan, compiled.results)
+    if left is not None:
+        return Stage("results", path, "partial", (f"{left.count} are measured; {left.why}",), unlocked)
     return Stage("results", path, "fresh", (), unlocked)
 
 
@@ -200,8 +206,8 @@ def _derived(compiled: Artifacts, differing: Sequence[Path], measured: Stage) ->
     layout = compiled.layout
     paths = {"models": layout.models, "menu": layout.menu, "manifest": layout.manifest}
     for name, path in paths.items():
-        expected = compiled.decision is None or path in compiled.files or path in compiled.inputs.on_disk
-        if name != "manifest" or expected:
+        infeasible = compiled.decision is not None and compiled.decision.choice.chosen is None
+        if name != "manifest" or not infeasible or path in compiled.inputs.on_disk:
             mine = [one for one in differing if stage_of(one, layout) == name]
             yield _derived_stage(compiled, name, path, mine, measured)
 

@@ -48,7 +48,7 @@ def judge(inputs: Inputs, policies: Policies, repository: Repository | None, com
     found = status(inputs, compiled)
     problems = [] if found.refused is None else [f"cannot be compiled: {found.refused}"]
     if layout.manifest in inputs.on_disk:
-        what = "manifest verified"
+        what = "manifest verified" + (f": partial, {found.partial} are measured" if found.partial else "")
         problems += _manifest(inputs, compiled, found)
     else:
         what = "not compiled: nothing to deploy"
@@ -85,7 +85,7 @@ def _stale(found: Status) -> Iterator[str]:
     measured = found.layout.manifest in found.inputs.on_disk or found.inputs.results_file is not None
     for stage in found.stages:
         early = not measured and stage.name != "plan"
-        if stage.state != "fresh" and not early:
+        if not found.settled(stage) and not early:
             yield f"{stage.name} {'are' if stage.name in ('results', 'models') else 'is'} {stage.state}" + (
                 f": {'; '.join(stage.reasons[:SHOWN])}" if stage.reasons else ""
             )

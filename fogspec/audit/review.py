@@ -197,6 +197,9 @@ def _choice(manifest: Mapping[str, Any] | None) -> Iterator[str]:
     interval = latency.get("interval")
     within = f" [{', '.join(map(str, interval))}]" if isinstance(interval, list) else ""
     limit = f", limit {latency['limit']}" if latency.get("limit") else ""
+    partial = _part(manifest, "provenance", "partial")
+    if partial:
+        yield f"partial: {partial.get('measured')} of {partial.get('planned')} planned samples are measured"
     sure = f", met with probability {latency['probability_met']}" if latency.get("probability_met") is not None else ""
     expected = f"expected {latency.get('statistic')} latency {latency.get('predicted')}{within}{limit}{sure}"
     yield f"{expected}; {cost.get('predicted')}"

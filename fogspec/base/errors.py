@@ -48,6 +48,12 @@ class CloudError(FogspecError):
     exit_code = 6
 
 
+class NotMeasured(FogspecError):
+    """Nothing that was measured counts, or not all that is planned was measured: there is no new manifest."""
+
+    exit_code = 7
+
+
 class Interrupted(FogspecError):
     """The user stopped it: safe to run again."""
 

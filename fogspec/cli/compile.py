@@ -5,9 +5,19 @@ from pathlib import Path
 import click
 
 from fogspec.base.console import say, say_json, say_text
-from fogspec.base.errors import Infeasible, OutOfDate
+from fogspec.base.errors import OutOfDate
 from fogspec.base.text import shell_command
-from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, PRIORS, SPECS, echo_notes, load_inputs, require_named
+from fogspec.cli.options import (
+    CATALOG,
+    OUTPUT,
+    POLICIES,
+    PRIORS,
+    SPECS,
+    echo_notes,
+    load_inputs,
+    raise_together,
+    require_named,
+)
 
 
 @click.command()
@@ -16,6 +26,7 @@ from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, PRIORS, SPECS, echo_n
 @PRIORS
 @POLICIES
 @OUTPUT
+@click.option("--partial", is_flag=True, help="a manifest also where the plan was not carried out, which it says")
 @click.option("--check", is_flag=True, help="write nothing; exit 3 when something differs from what would be written")
 def command(
     specs: tuple[str, ...],
@@ -23,6 +34,7 @@ def command(
     priors: Path | None,
     policies: tuple[str, ...],
     output: str,
+    partial: bool,
     check: bool,
 ) -> None:
     """Write all that can be derived now from SPECS, and say what is missing for the rest. SPECS are those in specs/."""
@@ -36,7 +48,7 @@ def command(
     require_named([one.spec for one in inputs])
     echo_notes(note for one in inputs for note in one.catalog_notes)
     rules.require_specs([one.spec for one in inputs])
-    compiled = [compile_application(one) for one in inputs]
+    compiled = [compile_application(one, partial) for one in inputs]
     changed = [path for one in compiled for path in (one.compare() if check else one.write())]
     for path in () if check else (path for one in compiled for path in one.removed):
         say(f"{path}: removed: it no longer follows from its inputs", err=True)
@@ -53,14 +65,15 @@ def command(
         rules.require_manifests([one.spec for one in inputs], Manifest, known)
     if check and changed:
         again = shell_command("fogspec", "compile", *specs)
+        stale = [f"{one.layout.manifest} is stale: it stays until there is a new one" for one in compiled if one.kept]
         raise OutOfDate(
-            f"{len(changed)} files differ from what compile would write", *map(str, changed), f"write them: {again}"
+            f"{len(changed)} files differ from what compile would write",
+            *map(str, changed),
+            *(stale or [f"write them: {again}"]),
         )
     if drifted := list(dict.fromkeys(name for one in inputs for name in one.drifted)):
         lock = shell_command("fogspec", "lock", *specs)
         if check:
             raise OutOfDate(f"{some(drifted)}: not what the lock says", lock)
         say(f"{some(drifted)}: not what the lock says, so that bench and apply refuse it: {lock}", err=True)
-    if infeasible := [one for one in compiled if one.decision is not None and one.decision.manifest is None]:
-        names = ", ".join(one.layout.name for one in infeasible)
-        raise Infeasible(f"{names}: no machine meets the limits", *(f"see {one.layout.menu}" for one in infeasible))
+    raise_together(None if one.decision is None else one.decision.refusal for one in compiled)

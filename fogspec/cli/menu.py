@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from fogspec.base.console import has_color, say_json, say_text
-from fogspec.base.errors import Infeasible, UsageError
+from fogspec.base.errors import UsageError
 from fogspec.base.units import parse_cost_usd_per_request, parse_duration_s
-from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named, quantity
+from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named, quantity, raise_together
 
 
 @click.command()
@@ -49,6 +49,7 @@ def command(
 
     Nothing is measured anew and nothing is written.
     """
+    from fogspec.compile.decision import no_choice
     from fogspec.report.menu import NO_LIMIT, Changes, menu_view, show
 
     for option, text, parse in (("--latency", latency, parse_duration_s), ("--cost", cost, parse_cost_usd_per_request)):
@@ -65,8 +66,7 @@ def command(
         if color is None:
             color = has_color()
         say_text("\n\n".join(show(one.menu, one.plot(width, color)) for one in views), color=color)
-    if infeasible := [menu.metadata.name for menu in menus if menu.spec.balanced is None]:
-        raise Infeasible(f"{', '.join(infeasible)}: no machine meets the limits")
+    raise_together(map(no_choice, menus))
 
 
 def _bound(text: str) -> tuple[str, float | None]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.console import say
-from fogspec.base.errors import UsageError
+from fogspec.base.errors import FogspecError, UsageError
 from fogspec.base.text import shell
 from fogspec.base.units import UnitError
 
@@ -148,6 +148,14 @@ def echo_notes(notes: Iterable[str]) -> None:
     """Print notes for the user, each once."""
     for note in dict.fromkeys(notes):
         say(note, err=True)
+
+
+def raise_together(refusals: Iterable[FogspecError | None]) -> None:
+    """Raise one error for those of applications that have no choice: the first of a kind that ends with the lowest code."""
+    found = sorted((one for one in refusals if one is not None), key=lambda one: one.exit_code)
+    if found:
+        texts = dict.fromkeys(one.message for one in found)
+        raise type(found[0])("; ".join(texts), *dict.fromkeys(hint for one in found for hint in one.hints))
 
 
 def named(what: str, name: str | None = None) -> tuple[str, str | None]:

@@ -46,14 +46,27 @@ class Artifacts:
         return self.inputs.catalog
 
     @property
+    def kept(self) -> tuple[Path, ...]:
+        """The manifest on disk and the files of its choice, if no new manifest follows: stale, and kept until one does."""
+        layout, on_disk = self.layout, self.inputs.on_disk
+        if layout.manifest in self.files or layout.manifest not in on_disk:
+            return ()
+        planned = (layout.tasks, layout.former_agent)
+        return tuple(path for path in self._unfollowed() if path.parent not in planned)
+
+    @property
     def removed(self) -> tuple[Path, ...]:
-        """Compiled files on disk that no longer follow from the inputs, as far as fogspec wrote them."""
+        """Compiled files on disk that no longer follow from the inputs, as far as fogspec wrote them, and are not kept."""
+        kept = set(self.kept)
+        return tuple(path for path in self._unfollowed() if path not in kept)
+
+    def _unfollowed(self) -> tuple[Path, ...]:
         return tuple(path for path in self.inputs.on_disk if path not in self.files and self.inputs.wrote(path))
 
     def compare(self) -> list[Path]:
-        """Return the files that differ from what compile would write, and those to remove."""
+        """Return the files on disk that differ from what follows from the inputs: to write, to remove, or kept though stale."""
         changed = (path for path, content in self.files.items() if self.inputs.content(path) != content)
-        return sorted([*changed, *self.removed])
+        return sorted([*changed, *self._unfollowed()])
 
     def written(self) -> dict[Path, SourceFile]:
         """Return the compiled files as they are on disk after writing."""
@@ -65,7 +78,8 @@ class Artifacts:
 
     def write(self) -> list[Path]:
         """Write the files that differ, remove those that no longer follow from the inputs, and return both."""
-        differing = self.compare()
+        kept = set(self.kept)
+        differing = [path for path in self.compare() if path not in kept]
         for path in differing:
             if path in self.files:
                 self.layout.files.write(path, self.files[path])

@@ -16,7 +16,7 @@ from fogspec.compile.plan_files import plan_file, substitute_tasks, with_substit
 from fogspec.plan.budget import ceil_cents, cheapest_options, estimate_cost, within_budget
 from fogspec.plan.design import make_plan
 from fogspec.plan.reuse import plan_from_campaign, reuse_plan
-from fogspec.plan.schema import Plan, digest_without_budget
+from fogspec.plan.schema import Plan
 from fogspec.results.schema import Results, completed
 from fogspec.spec import fingerprints
 from fogspec.spec.lockfile import changed_pins, pinned, pins_of_measurement, some
@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from fogspec.compile.decision import Decision
 
 
-def compile_application(inputs: Inputs) -> Artifacts:
+def compile_application(inputs: Inputs, partial: bool = False) -> Artifacts:
     """Return every file that follows from the inputs, and what they say.
+
+    With `partial`, there is a manifest also if the plan was not carried out.
 
     Raise DiagnosticError for damaged results, InvalidInput for a listed machine that is not on offer, Infeasible if no
     machine is admissible, Refused if the plan may cost more than the budget.
@@ -36,7 +38,7 @@ def compile_application(inputs: Inputs) -> Artifacts:
     exact = pinned(application, inputs.pins)
     results, stale = usable_results(inputs)
     admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
-    bare = _plan(inputs, admissible, results)
+    bare = plan_for(inputs, admissible, results)
     check_budget(application, bare, admissible, results)
     plan, tasks = with_tasks(exact, with_substitutes(exact, bare, admissible), layout)
     files = {**inputs.agent, **tasks, **substitute_tasks(exact, plan, layout, results)}
@@ -45,7 +47,7 @@ def compile_application(inputs: Inputs) -> Artifacts:
     if results is not None:
         from fogspec.compile.decision import decide
 
-        decision = decide(inputs, exact, admissible, results, digest_without_budget(plan))
+        decision = decide(inputs, exact, admissible, results, plan, partial)
         files |= decision.files
     return Artifacts(
         inputs=inputs,
@@ -107,8 +109,8 @@ def check_budget(application: Application, plan: Plan, admissible: Filtered, res
     )
 
 
-def _plan(inputs: Inputs, admissible: Filtered, results: Results | None) -> Plan:
-    """Return the plan: of a campaign that has begun, else the one on disk if it can be reused, else a new one."""
+def plan_for(inputs: Inputs, admissible: Filtered, results: Results | None) -> Plan:
+    """Return the plan without its tasks: of a campaign that has begun, else the one on disk if it serves, else a new one."""
     application = inputs.application
     pins = pins_of_measurement(application, inputs.pins)
     plan = None

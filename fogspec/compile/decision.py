@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fogspec.base import digest
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import FogspecError, Infeasible, NotMeasured
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
@@ -17,11 +19,12 @@ from fogspec.choice.relaxed import Relaxed, chosen_by_relaxing, relaxed_optimum
 from fogspec.compile.deploy_files import Deployable, deployable
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.links import link_of
-from fogspec.compile.manifest import FileRef, Manifest, Sources, make_manifest
+from fogspec.compile.manifest import FileRef, Manifest, Partial, Sources, make_manifest
 from fogspec.model.fit import Models, fit, targets
 from fogspec.model.predict import PredictionSet, predict
 from fogspec.numerics.observations import DEFAULT_NOISE
-from fogspec.plan.schema import ApplicationRef, CatalogRef
+from fogspec.plan.schema import ApplicationRef, CatalogRef, Plan, digest_without_budget
+from fogspec.results.progress import Unfinished, unfinished
 from fogspec.results.schema import Results, other_servers
 from fogspec.spec import fingerprints
 from fogspec.spec.lockfile import image_named, is_pinned, sent_files
@@ -43,7 +46,11 @@ class Selection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
-    """A choice and its files by path; there is a manifest if and only if some machine meets the limits."""
+    """A choice and its files by path.
+
+    There is a manifest if and only if some machine meets the limits, and the plan was carried out or what is `unfinished`
+    of it was accepted.
+    """
 
     models: Models
     predicted: PredictionSet
@@ -51,6 +58,30 @@ class Decision:
     menu: Menu
     manifest: Manifest | None
     files: Mapping[Path, bytes]
+    unfinished: Unfinished | None
+
+    @property
+    def refusal(self) -> FogspecError | None:
+        """Why there is no manifest; None if there is one."""
+        if self.manifest is not None:
+            return None
+        refusal = no_choice(self.menu)
+        if refusal is None and self.unfinished is not None:
+            refusal = NotMeasured(
+                f"{self.menu.metadata.name}: {self.unfinished.count} are measured: no manifest",
+                "measure the others with fogspec bench, or accept what there is with fogspec compile --partial",
+            )
+        return refusal
+
+
+def no_choice(menu: Menu) -> FogspecError | None:
+    """Return why a menu has no machine to choose: nothing measured, or none that meets the limits; None if it has one."""
+    name = menu.metadata.name
+    if menu.spec.balanced is not None:
+        return None
+    if not menu.spec.predicted:
+        return NotMeasured(f"{name}: nothing is measured: no sample counts, or each admissible machine failed")
+    return Infeasible(f"{name}: no machine meets the limits")
 
 
 def select(inputs: Inputs, application: Application, admissible: Filtered, results: Results) -> Selection:
@@ -74,17 +105,21 @@ def select_from(application: Application, models: Models, predicted: PredictionS
 
 
 def decide(
-    inputs: Inputs, application: Application, admissible: Filtered, results: Results, plan_digest: str
+    inputs: Inputs, application: Application, admissible: Filtered, results: Results, plan: Plan, partial: bool
 ) -> Decision:
-    """Select a machine and make the files of that choice; `application` has its image pinned."""
+    """Select a machine and make the files of that choice; `application` has its image pinned.
+
+    `partial` accepts that the plan was not carried out, as does the manifest on disk for the same plan.
+    """
+    plan_digest, left = digest_without_budget(plan), unfinished(application, plan, results)
     selection = select(inputs, application, admissible, results)
     models, choice, layout = selection.models, selection.choice, inputs.layout
-    warnings = warnings_for(application, models, choice, results)
+    warnings = warnings_for(application, models, choice, results, left)
     menu = make_menu(application, choice, warnings)
     files = {layout.models: _yaml(models, layout), layout.menu: _yaml(menu, layout)}
     files |= _charts(application, choice, models, layout)
     manifest = None
-    if choice.chosen is not None:
+    if choice.chosen is not None and (left is None or partial or _accepted(inputs, left, plan_digest)):
         deployed = deployable(
             application,
             layout,
@@ -109,6 +144,9 @@ def decide(
             sources,
             warnings=warnings,
             relaxed=selection.relaxed,
+            partial=None
+            if left is None
+            else Partial(measured=left.measured, planned=left.planned, missing=list(left.missing)),
         )
         files[layout.manifest] = _yaml(manifest, layout)
     return Decision(
@@ -118,7 +156,21 @@ def decide(
         menu=menu,
         manifest=manifest,
         files=files,
+        unfinished=left,
     )
+
+
+def _accepted(inputs: Inputs, left: Unfinished, plan_digest: str) -> bool:
+    """Return whether the manifest on disk was made from this plan with no less measured, and says that it is partial."""
+    file = inputs.on_disk.get(inputs.layout.manifest)
+    if file is None:
+        return False
+    try:
+        provenance = file.document(Manifest).provenance
+    except DiagnosticError:
+        return False
+    partial = provenance.partial
+    return partial is not None and provenance.plan.digest == plan_digest and set(left.missing) <= set(partial.missing)
 
 
 def _sources(
@@ -153,9 +205,12 @@ def _sources(
     )
 
 
-def warnings_for(application: Application, models: Models, choice: Choice, results: Results) -> list[str]:
-    """Return the warnings for reviewers about the predictions, most important first."""
-    found, row = [*caveats(models, choice), *_calibration(models, choice)], choice.chosen
+def warnings_for(
+    application: Application, models: Models, choice: Choice, results: Results, left: Unfinished | None
+) -> list[str]:
+    """Return the warnings for reviewers about the predictions, most important first; `left` of the plan is unmeasured."""
+    partial = [] if left is None else [left.warning]
+    found, row = [*partial, *caveats(models, choice), *_calibration(models, choice)], choice.chosen
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""
         found += [f"curve of {model.target}{beside}: {text}" for text in model.warnings]

@@ -207,10 +207,19 @@ class BestOfAll(Strict):
     objective: float
 
 
-class Provenance(Strict):
+class Partial(Strict):
+    """How much of a plan that was not carried out is measured, and the ids of the samples that are missing."""
+
+    measured: int
+    planned: int
+    missing: list[str]
+
+
+class Provenance(Lean):
     """Where every figure came from; `application.field_digests` has a short digest of each field that choosing depends on.
 
-    `relaxed` and `exhaustive` say where these methods end if they end at different machines.
+    `relaxed` and `exhaustive` say where these methods end if they end at different machines. `partial` is there if the
+    plan was not carried out, which `compile --partial` accepted.
     """
 
     application: ApplicationRef
@@ -221,7 +230,10 @@ class Provenance(Strict):
     method: Literal["exhaustive", "relaxed"]
     relaxed: PaperChoice | None
     exhaustive: BestOfAll | None
+    partial: Partial | None = None
     builder: Builder
+
+    ADDED = frozenset({"partial"})
 
 
 class Manifest(Strict):
@@ -262,8 +274,11 @@ def make_manifest(
     *,
     warnings: list[str],
     relaxed: Relaxed | None = None,
+    partial: Partial | None = None,
 ) -> Manifest:
     """Return the manifest of the chosen machine, with the optimum of `relaxed` if it differs.
+
+    `partial` says how much of the plan is measured if that is not all.
 
     Raise ValueError if no machine is chosen.
     """
@@ -286,6 +301,7 @@ def make_manifest(
             method=application.spec.objective.method,
             relaxed=None if relaxed is None or relaxed.row == choice.best else _paper_choice(choice, relaxed),
             exhaustive=None if choice.best in (None, row) else _best_of_all(choice, choice.best),
+            partial=partial,
             builder=Builder(version=__version__),
         ),
     )

@@ -131,6 +131,8 @@ def as_text(plan: LaunchPlan) -> list[str]:
         f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}"
         f"{interval_text(latency.interval)}{limit}; {units.format_cost(rounded(manifest.expected.cost.predicted))}",
     ]
+    if (partial := manifest.provenance.partial) is not None:
+        lines.append(f"  partial   {partial.measured} of {partial.planned} planned samples are measured")
     if plan.image is not None:
         lines.append(f"  image     {plan.image}")
     lines += [

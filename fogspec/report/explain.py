@@ -24,6 +24,7 @@ from fogspec.choice.sensitivity import (
 from fogspec.choice.shortlist import shortlist
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision
+from fogspec.compile.manifest import alternatives
 from fogspec.model.fit import Model, targets
 from fogspec.numerics.servers import OTHER, SHIFTS
 from fogspec.report.summary import billing_text, entry_text, infeasible_text, metrics_text
@@ -120,7 +121,9 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         ],
         "next_sample": None if analysis.next is None else _next_sample_dict(choice, analysis.next),
         "models": [model.model_dump(mode="json") for model in decision.models.spec.models],
-        "alternatives": [] if decision.manifest is None else decision.manifest.model_dump(mode="json")["alternatives"],
+        "alternatives": []
+        if choice.chosen is None
+        else [one.model_dump(mode="json") for one in alternatives(choice, choice.chosen)],
     }
 
 
@@ -352,14 +355,14 @@ def _model_text(model: Model) -> str:
 
 
 def _others(compiled: Artifacts, decision: Decision) -> list[str]:
-    if decision.manifest is None:
+    if decision.choice.chosen is None:
         nearest = decision.choice.least_infeasible
         return [] if nearest is None else [f"  nearest   {entry_text(entry_of(decision.choice, nearest))}"]
     rows = shortlist(decision.choice)
     return [
         f"  {a.role:<9} {a.instance} in {a.infra}, {units.format_price(a.price)}: {units.format_duration(a.latency)}, "
         f"{metrics_text(a.metrics)}{units.format_cost(a.cost)}; {a.why_not}{_difference_text(compiled, decision, rows[a.role])}"
-        for a in decision.manifest.alternatives
+        for a in alternatives(decision.choice, decision.choice.chosen)
     ]
 
 

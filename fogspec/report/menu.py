@@ -5,17 +5,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fogspec.base import units
-from fogspec.base.errors import OutOfDate, UsageError
+from fogspec.base.errors import NotMeasured, OutOfDate, UsageError
 from fogspec.base.text import paragraph, shell_command
 from fogspec.catalog.filters import filter_offers
 from fogspec.charts.menu_svg import menu_chart
 from fogspec.charts.terminal import plot
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL, Entry, Menu, MenuBody, make_menu, metric_text
-from fogspec.compile.compiler import usable_results
+from fogspec.compile.compiler import plan_for, usable_results
 from fogspec.compile.decision import select, warnings_for
 from fogspec.compile.inputs import Inputs
 from fogspec.report.summary import billing_text, entry_text, infeasible_text
+from fogspec.results.progress import unfinished
 from fogspec.spec.lockfile import pinned
 from fogspec.spec.schema import Application
 
@@ -55,18 +56,21 @@ class Changes:
 def menu_view(inputs: Inputs, changes: Changes) -> MenuView:
     """Return the menu of a measured application under other limits.
 
-    Raise OutOfDate if it has no current results, DiagnosticError for damaged results, UnitError for a wrong quantity,
-    UsageError for a metric that the spec does not have.
+    Raise NotMeasured if it has no results, OutOfDate if they are stale, DiagnosticError for damaged results, UnitError for
+    a wrong quantity, UsageError for a metric that the spec does not have.
     """
     layout = inputs.layout
     results, stale = usable_results(inputs)
     if results is None:
-        what = "was not measured yet" if stale is None else "has changed since it was measured"
-        raise OutOfDate(f"{layout.name} {what}: there is no menu", shell_command("fogspec", "bench", layout.spec))
+        bench = shell_command("fogspec", "bench", layout.spec)
+        if stale is None:
+            raise NotMeasured(f"{layout.name} was not measured yet: there is no menu", bench)
+        raise OutOfDate(f"{layout.name} has changed since it was measured: there is no menu", bench)
     application = pinned(changed(inputs.application, changes), inputs.pins)
     admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
     found = select(inputs, application, admissible, results)
-    menu = make_menu(application, found.choice, warnings_for(application, found.models, found.choice, results))
+    left = unfinished(inputs.application, plan_for(inputs, admissible, results), results)
+    menu = make_menu(application, found.choice, warnings_for(application, found.models, found.choice, results, left))
     return MenuView(application, found.choice, menu)
 
 

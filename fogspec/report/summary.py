@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from fogspec.choice.menu import Entry, Menu, MetricValue
     from fogspec.choice.payoff import Payoff
+    from fogspec.compile.decision import Decision
     from fogspec.spec.schema import Application
 
 NOTES = 3
@@ -41,23 +42,47 @@ def summary(compiled: Artifacts, given: "Sequence[str]" = ()) -> str:
     if decision is None or results is None:
         return paragraph([*lines, *_unmeasured(compiled, given)])
     own = own_records(results.spec.samples)
-    usable, all_of = sum(one.nested_in is None for one in decision.models.spec.observations), len(own)
+    left = decision.unfinished
+    usable = sum(one.nested_in is None for one in decision.models.spec.observations)
+    all_of = len({one.id for one in own} | set(() if left is None else left.missing))
     parts = len(results.spec.samples) - len(own)
     beside = f", beside {parts} measured on parts of these machines" if parts else ""
     spent = dollars(results.spec.spent)
-    lines.append(_row("results", str(layout.results), f"{usable} of {all_of} samples count{beside}; {spent} spent"))
+    count = f"{usable} of {all_of} {'' if left is None else 'planned '}samples count"
+    lines.append(_row("results", str(layout.results), f"{count}{beside}; {spent} spent"))
     lines.append(_row("models", str(layout.models), f"{len(decision.models.spec.models)} fitted"))
     beside = f" and {layout.picture.name}" if layout.picture in compiled.files else ""
     lines.append(_row("menu", f"{layout.menu}{beside}", _menu_text(decision.menu)))
     lines += [f"  warning: {text}" for text in decision.menu.spec.warnings]
-    entry = decision.menu.spec.balanced
-    if decision.manifest is None or entry is None:
-        return paragraph([*lines, *infeasible_text(decision.menu)])
-    lines.append(_row("manifest", str(layout.manifest), f"with {layout.deploy.name}"))
-    lines += choice_card(entry, compiled.application)
-    return paragraph(
-        [*lines, f"next: {shell_command('fogspec', 'explain', layout.spec, *given)}, then review {layout.manifest}"]
-    )
+    return paragraph([*lines, *_outcome(compiled, decision, given)])
+
+
+def _outcome(compiled: Artifacts, decision: "Decision", given: "Sequence[str]") -> list[str]:
+    """Return the lines about the choice, the manifest, and the next command."""
+    layout, left, entry = compiled.layout, decision.unfinished, decision.menu.spec.balanced
+    if entry is None:
+        return [*infeasible_text(decision.menu), *_kept(compiled)]
+    card = choice_card(entry, compiled.application)
+    if decision.manifest is None:
+        again = shell_command("fogspec", "compile", layout.spec, "--partial", *given)
+        measure = _with(compiled.plan.bench_command(layout.spec), given)
+        none = _kept(compiled) or ["  no manifest: the plan was not carried out"]
+        return [*card, *none, f"next: {measure}, or {again}"]
+    partial = "" if left is None else f", partial: {left.count} are measured"
+    manifest = _row("manifest", str(layout.manifest), f"with {layout.deploy.name}{partial}")
+    why = shell_command("fogspec", "explain", layout.spec, *given)
+    return [manifest, *card, f"next: {why}, then review {layout.manifest}"]
+
+
+def _with(command: str, given: "Sequence[str]") -> str:
+    return f"{command} {shell_command(*given)}" if given else command
+
+
+def _kept(compiled: Artifacts) -> list[str]:
+    """Return that the manifest is stale, if one is on disk and none follows."""
+    path = str(compiled.layout.manifest)
+    words = "stale: it stays, and apply refuses it, until there is a new one"
+    return [_row("manifest", path, words)] if compiled.kept else []
 
 
 def _row(name: str, what: str, words: str) -> str:
@@ -88,7 +113,7 @@ def payoff(compiled: Artifacts) -> "Payoff | None":
 
 
 def _unmeasured(compiled: Artifacts, given: "Sequence[str]") -> list[str]:
-    command = " ".join([compiled.plan.bench_command(compiled.layout.spec), *([shell_command(*given)] if given else [])])
+    command = _with(compiled.plan.bench_command(compiled.layout.spec), given)
     expected = payoff(compiled)
     worth = [] if expected is None else [_row("worth", "", expected.line())]
     return [*worth, *_next(compiled, command)]
@@ -96,7 +121,7 @@ def _unmeasured(compiled: Artifacts, given: "Sequence[str]") -> list[str]:
 
 def _next(compiled: Artifacts, command: str) -> list[str]:
     if compiled.stale:
-        return [f"  stale: {compiled.stale}", f"next: {command}"]
+        return [f"  stale: {compiled.stale}", *_kept(compiled), f"next: {command}"]
     body = compiled.plan.spec
     machines = [sample.machine for sample in body.samples]
     beware = [_row("", "", text) for text in unattended(machines, body.commitment, compiled.layout.name)]
@@ -183,7 +208,7 @@ def infeasible_text(menu: "Menu") -> list[str]:
     """Return the lines that explain why no machine meets the limits."""
     body = menu.spec
     if not body.predicted:
-        return ["  nothing can be said of any machine: no sample counts, or each admissible machine failed"]
+        return ["  nothing is measured: no sample counts, or each admissible machine failed"]
     lines = ["  no machine meets the limits:"]
     for miss in body.missed:
         beside = "of those that meet the other limits, " if miss.alone and len(body.limits) > 1 else ""
@@ -215,6 +240,8 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         "budget_usd": body.budget,
         "payoff_usd": None if expected is None else {"spends": expected.spends_usd, "saves": expected.saves_usd},
         "stale": compiled.stale,
+        "kept": sorted(str(path) for path in compiled.kept),
+        "partial": None if chosen is None or chosen.unfinished is None else chosen.unfinished.count,
         "menu": None if chosen is None else chosen.menu.spec.model_dump(mode="json"),
         "manifest": None if chosen is None or chosen.manifest is None else str(layout.manifest),
     }
