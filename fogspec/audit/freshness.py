@@ -93,7 +93,7 @@ class Status:
         decision = None if self.artifacts is None else self.artifacts.decision
         if decision is None or decision.manifest is None or decision.unfinished is None:
             return None
-        return decision.unfinished.count
+        return decision.unfinished.state
 
 
 def status(inputs: Inputs, compiled: Artifacts | FogspecError) -> Status:
@@ -186,7 +186,7 @@ def _results(compiled: Artifacts) -> Stage:
     unlocked = () if body.pins or not compiled.plan.spec.pins else ("measured before anything was locked",)
     left = unfinished(inputs.application, compiled.plan, compiled.results)
     if left is not None:
-        return Stage("results", path, "partial", (f"{left.count} are measured; {left.why}",), unlocked)
+        return Stage("results", path, "partial", (f"{left.state}; {left.why}",), unlocked)
     return Stage("results", path, "fresh", (), unlocked)
 
 

@@ -18,15 +18,17 @@ from fogspec.base.errors import FogspecError
 from fogspec.base.git import tracked_state
 from fogspec.base.layout import Layout
 from fogspec.base.text import paragraph
+from fogspec.base.workers import processes
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.compiler import try_compile
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
-from fogspec.spec.loader import LoadedSpec
+from fogspec.spec.loader import LoadedSpec, load
 from fogspec.spec.rules.policies import Policies
 
 SHOWN = 3
+PER_WORKER = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,45 @@ class Verdict:
     name: str
     what: str
     problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """What all applications are judged by; a process that helps is told it."""
+
+    catalog: str | None = None
+    policies: tuple[str, ...] = ()
+    commit: str | None = None
+
+    def judge(self, loaded: Sequence[LoadedSpec], workers: int) -> list[Verdict]:
+        """Return a verdict on each of these applications, by as many processes as there are workers.
+
+        Raise the errors of `Inputs.load`.
+        """
+        if workers == 1:
+            return self._judge(loaded)
+        with processes(workers) as pool:
+            # By turns: those of one file, which are alike, are shared out.
+            parts = [[(one.path, one.document) for one in loaded[first::workers]] for first in range(workers)]
+            found = [verdict for part in pool.map(self.judge_files, parts) for verdict in part]
+        order = {one.application.metadata.name: place for place, one in enumerate(loaded)}
+        return sorted(found, key=lambda one: order[one.name])
+
+    def judge_files(self, documents: Sequence[tuple[str, int]]) -> list[Verdict]:
+        """Return a verdict on each of these documents: the path of a spec, and the document's number in it."""
+        loaded = load(list(dict.fromkeys(path for path, _ in documents)))
+        return self._judge([one for one in loaded if (one.path, one.document) in set(documents)])
+
+    def _judge(self, loaded: Sequence[LoadedSpec]) -> list[Verdict]:
+        repository = None if self.commit is None else Repository()
+        inputs = Inputs.load([], catalog=self.catalog, audit=True, loaded=loaded)
+        rules = Policies(self.policies)
+        return [judge(one, rules, repository, self.commit) for one in inputs]
+
+
+def useful_workers(applications: int) -> int:
+    """Return how many processes judge that many applications fastest: to start one takes as long as several of them."""
+    return max(1, min(os.cpu_count() or 1, applications // PER_WORKER))
 
 
 def judge(inputs: Inputs, policies: Policies, repository: Repository | None, commit: str | None) -> Verdict:
@@ -48,7 +89,7 @@ def judge(inputs: Inputs, policies: Policies, repository: Repository | None, com
     found = status(inputs, compiled)
     problems = [] if found.refused is None else [f"cannot be compiled: {found.refused}"]
     if layout.manifest in inputs.on_disk:
-        what = "manifest verified" + (f": partial, {found.partial} are measured" if found.partial else "")
+        what = "manifest verified" + (f": partial, {found.partial}" if found.partial else "")
         problems += _manifest(inputs, compiled, found)
     else:
         what = "not compiled: nothing to deploy"

@@ -134,6 +134,7 @@ def _levels(choice: Choice, rows: np.ndarray) -> list[Level]:
 
     The interval of a single machine would be narrow where few machines were measured, and exclude the others.
     """
+    choice.latency.intervals(_each_once(choice, rows), LEVEL)  # together, and each from there
     found = []
     for vcpus in np.unique(choice.offers.vcpus[rows]).tolist():
         here = rows[choice.offers.vcpus[rows] == vcpus]

@@ -111,6 +111,7 @@ class Menu(Strict):
 def make_menu(application: Application, choice: Choice, warnings: list[str]) -> Menu:
     """Return the menu of a choice."""
     spec = application.spec
+    _solve_intervals(choice)
 
     def entry(row: int | None) -> Entry | None:
         return None if row is None else entry_of(choice, row)
@@ -138,6 +139,14 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
         warnings=warnings,
     )
     return Menu(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+
+
+def _solve_intervals(choice: Choice) -> None:
+    """Solve the intervals of all entries together, from which each is then read."""
+    named = (choice.chosen, choice.cheapest, choice.fastest, choice.least, choice.least_infeasible)
+    rows = [row for row in named if row is not None] + thinned(choice.front) + thinned(choice.hourly_front)
+    for predictions in (choice.latency, *choice.metrics.values()):
+        predictions.intervals(rows, LEVEL)
 
 
 def thinned(rows: NDArray[np.intp]) -> list[int]:

@@ -14,11 +14,17 @@ from fogspec.cli.options import CATALOG, OUTPUT, POLICIES
 @click.command()
 @click.argument("specs", nargs=-1, type=click.Path(path_type=str))
 @click.option("--since", metavar="BASE", help="only applications that changed since this commit, and what it took away")
+@click.option("-j", "--workers", type=click.IntRange(1, 64), help="processes [default: as many as are worth starting]")
 @CATALOG
 @POLICIES
 @OUTPUT
 def command(
-    specs: tuple[str, ...], since: str | None, catalog_path: str | None, policies: tuple[str, ...], output: str
+    specs: tuple[str, ...],
+    since: str | None,
+    workers: int | None,
+    catalog_path: str | None,
+    policies: tuple[str, ...],
+    output: str,
 ) -> None:
     """Say whether apply would deploy exactly what is committed: one line per application. SPECS are those in specs/.
 
@@ -31,11 +37,9 @@ def command(
     from fogspec.audit.git import Repository
     from fogspec.audit.review import removed
     from fogspec.base.layout import Layout
-    from fogspec.compile.inputs import Inputs
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import check_file
-    from fogspec.spec.rules.policies import Policies
 
     repository, commit = None, None
     try:
@@ -57,10 +61,9 @@ def command(
     wanted = names
     if since is not None and repository is not None and commit is not None:
         wanted = gate.changed(loaded, repository.changed(commit))
-    paths = dict.fromkeys(one.path for one in loaded if one.application.metadata.name in wanted)
-    inputs = Inputs.load(list(paths), catalog=catalog_path, audit=True)
-    rules = Policies(policies)
-    verdicts = [gate.judge(one, rules, repository, commit) for one in inputs if one.layout.name in wanted]
+    chosen = [one for one in loaded if one.application.metadata.name in wanted]
+    judged_by = gate.Gate(catalog_path, policies, commit)
+    verdicts = judged_by.judge(chosen, min(workers or gate.useful_workers(len(chosen)), max(1, len(chosen))))
     whole = not broken and all(map(os.path.isdir, specs))
     roots = {Layout.of(one.path, one.application.metadata.name).root for one in loaded} or {Path()}
     others = [text for root in sorted(roots) for text in gate.leftovers(root, names)] if whole else []

@@ -68,7 +68,7 @@ class Decision:
         refusal = no_choice(self.menu)
         if refusal is None and self.unfinished is not None:
             refusal = NotMeasured(
-                f"{self.menu.metadata.name}: {self.unfinished.count} are measured: no manifest",
+                f"{self.menu.metadata.name}: {self.unfinished.state}: no manifest",
                 "measure the others with fogspec bench, or accept what there is with fogspec compile --partial",
             )
         return refusal

@@ -81,16 +81,18 @@ class Inputs:
         name: str | None = None,
         audit: bool = False,
         known: Mapping[Path, SourceFile] | None = None,
+        loaded: Sequence[LoadedSpec] | None = None,
     ) -> list["Inputs"]:
         """Read the inputs of the applications in these specs, or of the application `name`.
 
         `catalog` and `priors` override those in the lock. For an `audit`, compare the files next to the specs with the
-        lock. `known` are files that were read before.
+        lock. `known` are files that were read before, `loaded` the valid applications of the specs if they were.
 
         Raise DiagnosticError or InvalidInput for an invalid file, OutOfDate for a catalog or machine library that differs
         from the locked one.
         """
-        loaded = [one for one in load(specs) if name in (None, one.application.metadata.name)]
+        every = load(specs) if loaded is None else loaded
+        loaded = [one for one in every if name in (None, one.application.metadata.name)]
         reader = _Reader(files=dict(known or {}), catalog_path=catalog, priors=priors)
         return [reader.inputs(one, audit) for one in loaded]
 

@@ -17,6 +17,7 @@ from fogspec.compile.manifest import Fallback, Pinned
 from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
 from fogspec.plan.schema import TaskRef
+from fogspec.results.progress import state_text
 from fogspec.spec.lock_io import check_files
 
 
@@ -132,7 +133,7 @@ def as_text(plan: LaunchPlan) -> list[str]:
         f"{interval_text(latency.interval)}{limit}; {units.format_cost(rounded(manifest.expected.cost.predicted))}",
     ]
     if (partial := manifest.provenance.partial) is not None:
-        lines.append(f"  partial   {partial.measured} of {partial.planned} planned samples are measured")
+        lines.append(f"  partial   {state_text(partial.measured, partial.planned)}")
     if plan.image is not None:
         lines.append(f"  image     {plan.image}")
     lines += [

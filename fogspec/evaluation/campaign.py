@@ -1,19 +1,15 @@
 """Campaigns over problems: every setting once, scored, in a few processes, and summed up by kind."""
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from fogspec.base import child
 from fogspec.base.errors import UsageError
+from fogspec.base.workers import processes
 from fogspec.evaluation.methods import METHODS, OWN_METHOD
 from fogspec.evaluation.replay import Case, Noise
 from fogspec.evaluation.samplers import SAMPLERS
@@ -25,9 +21,6 @@ from fogspec.model.priors import read_priors
 from fogspec.model.tables import Table
 from fogspec.numerics.kernels import Floats
 from fogspec.numerics.priors import PriorData, prior_for
-
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-OWN = {*ONE_THREAD, *child.SEARCHED, "PYTHONSAFEPATH"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +216,7 @@ def _in_processes(
     jobs = [(campaign, i) for campaign in campaigns for i in order]
     if not jobs:
         return [[] for _ in campaigns]
-    with _one_thread(), ProcessPoolExecutor(workers, get_context("spawn"), _start, (suite, priors)) as pool:
+    with processes(workers, _start, (suite, priors)) as pool:
         found = dict(zip(jobs, pool.map(partial(_run, job), *zip(*jobs, strict=True)), strict=True))
     return [[found[campaign, i] for i in wanted] for campaign in campaigns]
 
@@ -250,19 +243,3 @@ def _start(suite: Path, priors: Path | None) -> None:
 def _run(job: Job[T], campaign: Campaign, index: int) -> list[T]:
     (data,) = _data
     return job(data.suite.problems[index], data.suite.table, data.library, campaign)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    # The interpreters are started by the standard library: PYTHONSAFEPATH keeps the working folder out of them.
-    own = {name: value for name, value in child.environment(**ONE_THREAD, PYTHONSAFEPATH="1").items() if name in OWN}
-    before = {name: os.environ.get(name) for name in own}
-    os.environ.update(own)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

@@ -68,7 +68,7 @@ def _outcome(compiled: Artifacts, decision: "Decision", given: "Sequence[str]") 
         measure = _with(compiled.plan.bench_command(layout.spec), given)
         none = _kept(compiled) or ["  no manifest: the plan was not carried out"]
         return [*card, *none, f"next: {measure}, or {again}"]
-    partial = "" if left is None else f", partial: {left.count} are measured"
+    partial = "" if left is None else f", partial: {left.state}"
     manifest = _row("manifest", str(layout.manifest), f"with {layout.deploy.name}{partial}")
     why = shell_command("fogspec", "explain", layout.spec, *given)
     return [manifest, *card, f"next: {why}, then review {layout.manifest}"]
@@ -241,7 +241,7 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         "payoff_usd": None if expected is None else {"spends": expected.spends_usd, "saves": expected.saves_usd},
         "stale": compiled.stale,
         "kept": sorted(str(path) for path in compiled.kept),
-        "partial": None if chosen is None or chosen.unfinished is None else chosen.unfinished.count,
+        "partial": None if chosen is None or chosen.unfinished is None else chosen.unfinished.state,
         "menu": None if chosen is None else chosen.menu.spec.model_dump(mode="json"),
         "manifest": None if chosen is None or chosen.manifest is None else str(layout.manifest),
     }

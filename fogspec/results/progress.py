@@ -20,14 +20,21 @@ class Unfinished:
     why: str
 
     @property
-    def count(self) -> str:
+    def state(self) -> str:
         """Return how much of the plan was measured, for people."""
-        return f"{self.measured} of {self.planned} planned samples"
+        return state_text(self.measured, self.planned)
 
     @property
     def warning(self) -> str:
         """Return what a reviewer should know of a choice that was made before the plan was carried out."""
-        return f"partial: {self.count} are measured; {self.why}"
+        return f"partial: {self.state}; {self.why}"
+
+
+def state_text(measured: int, planned: int) -> str:
+    """Return how much of a plan that was not carried out was measured, for people."""
+    if measured < planned:
+        return f"{measured} of {planned} planned samples are measured"
+    return f"sampling did not end after {planned} samples"
 
 
 def unfinished(application: Application, plan: Plan, results: Results) -> Unfinished | None:

@@ -1,5 +1,6 @@
 """Load specs and fogspec's own files: the typed documents, or every error at once, each with its span."""
 
+import copy
 import dataclasses
 import os
 import shlex
@@ -9,13 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
 from fogspec.base.files import read_file
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell, shell_command
+from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import Node, key_span, plain, span_of, spans
 from fogspec.base.yaml.positions import Path as Steps
 from fogspec.spec import rules
@@ -28,7 +30,7 @@ from fogspec.spec.validate import Validation, validate
 
 M = TypeVar("M", bound=BaseModel)
 
-MOST_BYTES_OF_OUR_OWN = 64 << 20
+MOST_BYTES_OF_OUR_OWN = reader.MOST_BYTES_OF_CANONICAL
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +185,7 @@ class SourceFile:
 
     def document(self, model: type[M]) -> M:
         """Return the file's one document as `model`; raise DiagnosticError if it was edited or cut short."""
-        known = self._documents.get(model)
+        known = self._documents.get(model) or self._canonical_document(model)
         if isinstance(known, model):
             return known
         nodes, texts, problems = self._parsed
@@ -197,8 +199,26 @@ class SourceFile:
         self._documents[model] = checked.value
         return checked.value
 
+    @cached_property
+    def _canonical(self) -> dict[str, Any] | None:
+        """The values of the file if it is what fogspec writes, byte for byte."""
+        return None if self.problem is not None else reader.canonical(self.content)
+
+    def _canonical_document(self, model: type[M]) -> M | None:
+        """Return the document of a file that fogspec wrote and that is valid; None for one whose mistakes are to be located."""
+        if self._canonical is None:
+            return None
+        try:
+            found = model.model_validate(self._canonical, strict=False)
+        except ValidationError:
+            return None
+        self._documents[model] = found
+        return found
+
     def plain(self) -> Any:
         """Return the first document in plain values, None without one; raise DiagnosticError if it is no YAML."""
+        if self._canonical is not None:
+            return copy.deepcopy(self._canonical)
         nodes, texts, wrong = self._parsed
         if wrong:
             raise DiagnosticError(texts.shown(wrong))

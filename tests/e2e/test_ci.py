@@ -146,3 +146,19 @@ def test_policies_and_committed_live_state_fail_it(repo: Shell) -> None:
     repo.write(".fogspec/demo/deployment.yaml", "machines: []\n")
     git(repo, "add", "-f", ".fogspec")
     assert "git tracks live state" in repo("ci", *AT, code=3).out
+
+
+def test_several_processes_say_what_one_says(repo: Shell) -> None:
+    for name in ("second", "third"):
+        repo.write(f"specs/{name}.yaml", repo.read("specs/demo.yaml").replace("name: demo", f"name: {name}"))
+    replaced(MANIFEST, "instance: .*", "instance: a.huge")(repo)
+    one, two = (repo("ci", "-j", number, *AT, code=3) for number in ("1", "2"))
+    assert (one.out, one.err) == (two.out, two.err)
+    assert [line.split()[1] for line in one.out.splitlines() if line[:4] in ("ok  ", "FAIL")] == [
+        "demo",
+        "second",
+        "third",
+    ]
+    repo.write("offers.csv", repo.read("offers.csv").replace("0.10", "0.11"))
+    one, two = (repo("ci", "-j", number, code=3) for number in ("1", "2"))
+    assert (one.out, one.err) == (two.out, two.err), "an error of a process is this command's"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fogspec.base.units import Range
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import plain
-from fogspec.base.yaml.writer import block, flow
+from fogspec.base.yaml.writer import block, flow, yaml_text
 from fogspec.spec.loader import check_text
 from fogspec.spec.render import render_document
 from fogspec.spec.schema import (
@@ -141,3 +141,66 @@ def test_types_and_schema_accept_the_same_documents(data: st.DataObject) -> None
     by_schema = list(SCHEMA.iter_errors(document))
     if target[last] != "$1/0 requests":
         assert bool(by_types) == bool(by_schema), (by_types, by_schema)
+
+
+def read(content: bytes) -> Any:
+    """What the reader that knows places makes of a file of one document; None for one that it refuses."""
+    text, wrong = reader.decode(content, "a file", 64 << 20)
+    nodes, more = ([], []) if wrong else reader.documents(text, "a file")
+    return None if wrong or more or len(nodes) != 1 else plain(nodes[0])
+
+
+def same_types(one: Any, other: Any) -> bool:
+    """Whether two values are equal and of the same types, which `==` does not tell of 1, 1.0 and True."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, dict):
+        return [*one] == [*other] and all(same_types(value, other[key]) for key, value in one.items())
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(same_types, one, other))
+    return bool(one == other)
+
+
+PIECES = [
+    "",
+    " ",
+    "\n",
+    ": ",
+    "- ",
+    "&a ",
+    "*a",
+    "!!str ",
+    "0",
+    "on",
+    "1:30",
+    "#",
+    "'",
+    '"',
+    "{",
+    "}",
+    "\t",
+    "\r",
+    "---\n",
+]
+PIECES += ["? ", "<<: ", "~", "|", ">", "%", "\u2028"]
+generated = st.dictionaries(texts.filter(bool), values | st.text(max_size=12).map("a\n{}".format), max_size=4)
+
+
+@given(generated)
+def test_what_is_generated_is_read_fast_and_the_same(data: dict[str, Any]) -> None:
+    content = yaml_text(data, "a test").encode()
+    slow = read(content)
+    assert same_types(reader.canonical(content), slow), "also where both refuse it"
+
+
+@settings(max_examples=300)
+@given(generated, st.data())
+def test_what_was_edited_is_never_read_otherwise(data: dict[str, Any], draw: st.DataObject) -> None:
+    content = yaml_text(data, "a test").encode()
+    for _ in range(draw.draw(st.integers(1, 3))):
+        start = draw.draw(st.integers(0, len(content)))
+        end = draw.draw(st.integers(start, min(len(content), start + 3)))
+        piece = draw.draw(st.sampled_from(PIECES))
+        content = content[:start] + piece.encode() + content[end:]
+    fast = reader.canonical(content)
+    assert fast is None or same_types(fast, read(content))

@@ -30,7 +30,7 @@ STARTS = {
     "backends/local/launcher.py": "the workload, in the spec's folder",
     "backends/images/credentials.py": "docker's helper, by base/child.py",
     "deploy/link.py": "bash, by base/child.py",
-    "evaluation/campaign.py": "processes of the standard library, with the environment of base/child.py",
+    "base/workers.py": "processes of the standard library, with the environment of base/child.py",
     "cli/init_graph.py": "the agent's watcher, by base/child.py",
     "ros/description.py": "part of the user's own launch on the robot",
     "agent": AGENT,
