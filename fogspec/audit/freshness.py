@@ -118,7 +118,7 @@ def stage_of(path: Path, layout: Layout) -> str:
         return "plan"
     if path == layout.models:
         return "models"
-    return "menu" if path in (layout.menu, layout.picture, layout.latencies) else "manifest"
+    return "menu" if path in (layout.menu, layout.picture, layout.latencies, layout.metric_picture) else "manifest"
 
 
 def _plan(compiled: Artifacts, differing: Sequence[Path]) -> Stage:

@@ -81,8 +81,13 @@ class Layout:
 
     @property
     def latencies(self) -> Path:
-        """The latency models as a picture."""
+        """The latency by vCPUs as a picture."""
         return self.compiled / "latency.svg"
+
+    @property
+    def metric_picture(self) -> Path:
+        """The objective's metric by vCPUs as a picture."""
+        return self.compiled / "metric.svg"
 
     @property
     def page(self) -> Path:

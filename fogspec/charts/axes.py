@@ -5,9 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from fogspec.charts.text import width
+
 STEPS = ((1, 1.5, 2, 3, 4, 5, 7), (1, 2, 5), (1, 3), (1,))
 LEAST_SPAN = 0.32  # decades: about a factor of two, so that one machine alone still has ticks around it
-CHARACTER = 7.4  # px, of the widest font in the style's list at 13 px
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,31 +59,47 @@ def axis(values: Sequence[float], start: float, end: float) -> Axis:
 
 
 def wide(text: str) -> float:
-    """Estimate the width of a text on a horizontal axis, in px."""
-    return CHARACTER * len(text) + 12
+    """Return the room that a tick's text takes on a horizontal axis, in px."""
+    return width(text) + 14
 
 
 def tall(_text: str) -> float:
     """Return the height of a line of text on a vertical axis, in px."""
-    return 18.0
+    return 20.0
 
 
 def seconds(value: float) -> str:
-    """Format a duration, such as `12 ms` or `1.5 s`."""
+    """Format a duration with three significant digits, such as `12 ms` or `1.65 s`."""
     if value < 0.0009995:
         return f"{value * 1e6:.3g} µs"
-    return f"{value * 1000:.3g} ms" if value < 0.9995 else f"{value:.4g} s"
+    return f"{value * 1000:.3g} ms" if value < 0.9995 else f"{_three(value)} s"
 
 
 def number(value: float) -> str:
-    """Format the value of an application's metric, such as `12.5`."""
-    return f"{value:.4g}"
+    """Format the value of an application's metric with three significant digits, such as `12.5`."""
+    return _three(value)
+
+
+def money(usd: float) -> str:
+    """Format an amount with three significant digits, and cents if it is below $100: `$0.526`, `$2.40`, `$385`."""
+    if usd == 0:
+        return "$0"
+    places = max(0 if abs(usd) >= 99.95 else 2, 2 - math.floor(math.log10(abs(usd))))
+    text = f"{usd:,.{places}f}"
+    while "." in text and text.endswith("0") and len(text.partition(".")[2]) > 2:
+        text = text[:-1]
+    return f"${text}"
+
+
+def _three(value: float) -> str:
+    """Return three significant digits without an exponent where that is short."""
+    return f"{value:,.0f}" if 999.5 <= abs(value) < 1e9 else f"{value:.3g}"
 
 
 def requests_unit(costs: Sequence[float]) -> tuple[float, str]:
-    """Return the number of requests whose cost has short figures, and its name."""
+    """Return the number of requests whose cost has short figures, and its name behind "per"."""
     middle = sorted(costs)[len(costs) // 2]
-    for factor, words in ((1, "one request"), (1000, "1,000 requests"), (10**6, "a million requests")):
+    for factor, words in ((1, "request"), (1000, "1,000 requests")):
         if middle * factor >= 0.01:
             return factor, words
-    return 10**6, "a million requests"
+    return 10**6, "million requests"

@@ -1,323 +1,304 @@
-"""Draw the menu as SVG: latency against cost per request and price per hour, Pareto staircases and limits.
+"""Draw the menu as SVG: latency against cost per request, the limits, and the machines that meet them."""
 
-`menu_chart` selects the machines that are drawn individually and their texts; `draw` renders the SVG.
-"""
-
-import textwrap
-from collections.abc import Callable, Sequence
-from itertools import pairwise
+import math
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fogspec.base import units
 from fogspec.base.templates import render
-from fogspec.base.units import short_dollars
-from fogspec.charts.axes import CHARACTER, number, requests_unit, seconds
-from fogspec.charts.chart import (
-    Chart,
-    Crowd,
-    Floats,
-    PlottedMachine,
-    View,
-    interval_of,
-    per_hour,
-    per_request,
-    y_axis,
-    y_words,
+from fogspec.base.text import line
+from fogspec.charts.axes import Axis, money
+from fogspec.charts.chart import Chart, PlottedMachine, View, per_request, ranged, y_range, y_words
+from fogspec.charts.frame import (
+    Frame,
+    LimitLine,
+    Mark,
+    Obstacles,
+    Segment,
+    below,
+    clipped,
+    corners,
+    edge,
+    frame,
+    path,
+    place_labels,
+    place_limits,
+    segments,
 )
-from fogspec.charts.frame import Dot, Frame, frame, place_labels
-from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LEVEL, floored, limit_text, thinned, usage_text, weights
-from fogspec.choice.rule import latency_limit_s
-from fogspec.choice.shortlist import shortlist
-from fogspec.spec.schema import Application
+from fogspec.charts.text import HEAD, LABEL, shortened, width, wrapped
 
-ALTERNATIVES = 2
-WORDS = 92
-WIDTH, LEFT, RIGHT = 760, 84, 18
-TOP, FRAME_HEIGHT, GAP = 62, 238, 72
-ROW = 20
+WIDTH, LEFT, RIGHT, MARGIN = 720, 66, 16, 16
+HIGH = 302  # px, of the panel
+ROW = 18
 FINE, COARSE, MANY = 2, 4, 3000
-
-
-def menu_chart(application: Application, choice: Choice, doubts: Sequence[str]) -> Chart:
-    """Return the menu chart of a choice that has at least one predicted machine."""
-    spec = application.spec
-    metric = spec.objective.metric
-    rows = np.flatnonzero(choice.eligible & (choice.metric_value > 0) & (choice.cost_usd_per_request > 0))
-    costs = choice.rule.costs
-    limit = spec.constraints.metrics.get(metric) if metric else _latency_limit(application)
-    return Chart(
-        title=application.metadata.name,
-        subtitle=_subtitle(application, choice),
-        y_label=f"{metric} in {spec.metrics[metric].unit or 'its unit'}"
-        if metric
-        else f"{spec.constraints.statistic} latency",
-        machines=_machines(choice, metric),
-        y_is="number" if metric else "duration",
-        crowd=Crowd(
-            choice.metric_value[rows],
-            choice.cost_usd_per_request[rows],
-            choice.offers.price_usd_per_hour[rows],
-            choice.feasible[rows],
-        ),
-        y_limit=limit,
-        cost_limit_usd_per_request=spec.constraints.cost,
-        price_limit_usd_per_hour=spec.constraints.price,
-        requests_per_hour=costs.requests_per_s and costs.requests_per_s * 3600 * costs.used / costs.up,
-        level=LEVEL,
-        notes=[*_none(choice), *doubts[:1]],
-    )
-
-
-def named(choice: Choice) -> dict[str, int]:
-    """Return the labelled rows by role: the choice and two alternatives, or the nearest if no machine meets the limits."""
-    if choice.chosen is None:
-        found = {} if choice.least_infeasible is None else {"nearest": choice.least_infeasible}
-        for miss in choice.violations:
-            if miss.row not in found.values():
-                found[f"nearest in {miss.limit}"] = miss.row
-        return dict(list(found.items())[: ALTERNATIVES + 1])
-    others = [(role, row) for role, row in shortlist(choice).items()]
-    return {"chosen": choice.chosen, **dict(others[:ALTERNATIVES])}
-
-
-def _none(choice: Choice) -> list[str]:
-    """Return a note that no machine meets the limits and how far the nearest is off; no note if one does."""
-    if choice.feasible.any():
-        return []
-    far = [f"{miss.limit}: the best machine needs {miss.factor:.3g} times the limit" for miss in choice.violations]
-    either = " or " if all(miss.alone for miss in choice.violations) else " and "
-    return [": ".join(["no machine meets the limits", *([either.join(far)] if far else [])])]
-
-
-def _latency_limit(application: Application) -> float | None:
-    objective, limit = application.spec.objective, latency_limit_s(application)
-    if objective.billing == "provisioned" and objective.rate:
-        return min(1 / objective.rate, limit or np.inf)
-    return limit
-
-
-def _subtitle(application: Application, choice: Choice) -> str:
-    limits = ", ".join(
-        f"{name} at most {limit_text(name, bound, choice.rule.unit_of(name))}" for name, bound in choice.bounds.items()
-    )
-    objective = application.spec.objective
-    billing = "" if objective.billing == "busy" else f", {usage_text(objective.usage) or 'whole hours are paid'}"
-    surely = f"; met with probability {choice.level:g}" if choice.bounds and choice.level is not None else ""
-    return f"{weights(application)}{billing}; limits: {limits or 'none'}{surely}"
-
-
-def _machines(choice: Choice, metric: str | None) -> list[PlottedMachine]:
-    """Return the highlighted machines, the measured ones, and the Pareto fronts."""
-    roles = {row: role for role, row in reversed(named(choice).items())}
-    fronts = set(thinned(choice.front)), set(thinned(choice.hourly_front))
-    measured = _measured_types(choice)
-    predictions = choice.metrics[metric] if metric else choice.latency
-    rows = [
-        row
-        for row in {*roles, *measured, *fronts[0], *fronts[1]}
-        if choice.metric_value[row] > 0 and choice.cost_usd_per_request[row] > 0
-    ]
-    factor, unit = requests_unit([float(choice.cost_usd_per_request[row]) for row in rows] or [1.0])
-    order = {role: at for at, role in enumerate(named(choice))}
-    found = []
-    for row in sorted(rows, key=lambda row: (order.get(roles.get(row, ""), len(order)), row)):
-        shown = row in roles or row in measured
-        low, high = (interval_of(predictions, row) if shown else None) or (None, None)
-        name = str(choice.offers.instance[row]) + (" spot" if choice.offers.spot[row] else "")
-        found.append(
-            PlottedMachine(
-                name=name,
-                y=float(choice.metric_value[row]),
-                cost_usd_per_request=float(choice.cost_usd_per_request[row]),
-                price_usd_per_hour=float(choice.offers.price_usd_per_hour[row]),
-                low=low,
-                high=high,
-                measured=bool(predictions.measured[row]),
-                nested_in=predictions.where_nested(row),
-                on_front=row in fronts[0],
-                on_hourly_front=row in fronts[1],
-                role=roles.get(row, ""),
-                words=_described(choice=choice, row=row, name=name, metric=metric, factor=factor, unit=unit)
-                if row in roles
-                else "",
-            )
-        )
-    return found
-
-
-def _measured_types(choice: Choice) -> set[int]:
-    """Return one row for each measured instance type: the offer with the best objective."""
-    best: dict[tuple[str, str, str], int] = {}
-    rows: NDArray[np.intp] = np.flatnonzero(choice.latency.measured & choice.eligible)
-    offers = choice.offers
-    for row in rows[np.argsort(choice.objective[rows], kind="stable")].tolist():
-        best.setdefault((str(offers.cloud[row]), str(offers.instance[row]), str(offers.gpu[row])), row)
-    return set(best.values())
-
-
-def _described(choice: Choice, row: int, name: str, metric: str | None, factor: float, unit: str) -> str:
-    machine = choice.offers.machine(row)
-    gpu = f" {machine.gpu.label}" if machine.gpu else ""
-    shape = f", {machine.cpus:g} vCPU {units.format_number(machine.memory)} GiB{gpu}"
-    metric_value = float(choice.metric_value[row])
-    unit_of_metric = choice.rule.units.get(metric, "") if metric else ""
-    value = f"{metric} {number(metric_value)} {unit_of_metric}".rstrip() if metric else seconds(metric_value)
-    per = "request" if factor == 1 else unit.removeprefix("a ")
-    cost = short_dollars(float(choice.cost_usd_per_request[row]) * factor)
-    rest = f"{value}, {cost} per {per}, {short_dollars(machine.price)}/h"
-    within = all(choice.values[limit][row] <= bound for limit, bound in choice.bounds.items())
-    if within and not choice.feasible[row] and (probability := choice.probability(row)) is not None:
-        rest += f"; met with probability {floored(probability):g}"
-    ways = (f"{name}{shape}, {machine.infra}: {rest}", f"{name}, {machine.infra}: {rest}", f"{name}: {rest}")
-    return next((words for words in ways if len(words) <= WORDS), ways[-1])
+ISO_POINTS = 48
+LABELLED = 190.0  # px that a name takes at its mark
 
 
 def draw(chart: Chart) -> str:
     """Return the chart as SVG text. Raise ValueError if there is no machine to draw."""
     if not chart.machines and not len(chart.crowd.y):
         raise ValueError("a menu without machines cannot be drawn")
-    named = [machine for machine in chart.machines if machine.role]
-    subtitle = textwrap.wrap(chart.subtitle, 108)[:3]
-    rows_at = TOP + 17 * (len(subtitle) - 1)
-    top = rows_at + ROW * len(named) + 34
-    second = top + FRAME_HEIGHT + GAP
-    bottom = second + FRAME_HEIGHT
-    notes = [line for note in chart.notes for line in textwrap.wrap(note, 112)][:3]
+    room = WIDTH - 2 * MARGIN
+    title = wrapped(chart.title, room, HEAD, bold=True, most=3)
+    facts = wrapped(chart.facts, room, most=3)
+    roles = 8 + max((width(role, bold=True) for role, _ in chart.rows), default=0.0)
+    rows = [
+        (role if i == 0 else "", words)
+        for role, text in chart.rows
+        for i, words in enumerate(wrapped(text, room - roles, most=2))
+    ]
+    at = 28 + 22 * (len(title) - 1)
+    lead_at = at + 23 if chart.lead else at
+    facts_at = lead_at + 20
+    rows_at = facts_at + ROW * (len(facts) - 1) + 23
+    top = rows_at + ROW * len(rows) + 30
+    notes = [text for note in chart.notes for text in wrapped(f"⚠ {note}", room, most=3)]
+    view = per_request(chart)
+    found = _frame(chart, view, *view.near(chart), top)
+    legend, legend_y = _legend(chart, found), top + HIGH + 58
+    source_at = legend_y + 22 * (1 + max((row for *_, row in legend), default=0))
     return render(
         "picture.svg.j2",
-        title=chart.title,
-        subtitle=subtitle,
+        title=title,
+        lead=chart.lead,
+        lead_at=lead_at,
+        facts=[(facts_at + ROW * i, text) for i, text in enumerate(facts)],
         summary=_summary(chart),
         width=WIDTH,
-        height=bottom + 88 + 15 * len(notes),
-        left=18,
-        rows=[(rows_at + 14 + ROW * i, m.role, m.words) for i, m in enumerate(named)],
-        words_left=18 + max([86.0, *(CHARACTER * len(m.role) + 14 for m in named)]),
-        frames=[_frame(chart, per_request(chart), top), _frame(chart, per_hour(chart), second)],
-        legend=_legend(chart),
-        legend_y=bottom + 66,
+        height=source_at + 16 + ROW * len(notes),
+        left=MARGIN,
+        rows=[(rows_at + ROW * i, role, words) for i, (role, words) in enumerate(rows)],
+        words_left=round(MARGIN + roles, 1),
+        frames=[found],
+        broken=chart.broken,
+        legend=legend,
+        legend_y=legend_y,
+        source=chart.source,
+        source_y=source_at,
         notes=notes,
     )
 
 
-def _frame(chart: Chart, view: View, top: float) -> Frame:
+def panel(chart: Chart, view: View, *, near: bool, id: str) -> str:
+    """Return one coordinate system of the chart as SVG to put into a page, whose marks, limits and iso line have names."""
+    ranges = view.near(chart) if near else (view.everything(chart)[0], y_range(chart))
+    found = _frame(chart, view, *ranges, 34, labelled=False)
+    return render("panel.svg.j2", frame=found, id=id, width=WIDTH, height=34 + HIGH + 46, summary=_summary(chart))
+
+
+def _frame(
+    chart: Chart,
+    view: View,
+    x_range: tuple[float, float],
+    y_range: tuple[float, float],
+    top: float,
+    *,
+    labelled: bool = True,
+) -> Frame:
     words = y_words(chart)
+    x, y = ranged(x_range, LEFT, WIDTH - RIGHT), ranged(y_range, top + HIGH, top)
     found = frame(
-        x=view.x_axis(chart, LEFT, WIDTH - RIGHT),
-        y=y_axis(chart, top + FRAME_HEIGHT, top),
-        x_label=f"{view.x_label} (log scale)",
-        y_label=f"{chart.y_label} (log scale)",
+        x=x,
+        y=y,
+        x_label=f"{view.x_label} (log scale) →",
+        y_label=f"↑ {shortened(chart.y_label, 230)} (log scale)",
         x_words=view.x_words,
         y_words=words,
-        heading=view.heading,
     )
-    for a, b, limit in view.forbidden:
-        found.forbid(a, b, limit)
-    found.specks = _specks(found, view.column(chart), chart.crowd)
-    ordered = sorted(chart.machines, key=lambda m: (_rank(m, view), getattr(m, view.x), m.y, m.name))
-    dots = [(machine, _dot(found, machine, view, words)) for machine in ordered]
-    found.dots = [dot for _, dot in dots]
-    front = view.steps(chart)
-    if front:
-        found.lines.insert(0, ("stairs", _staircase(found, front)))
-    named = sorted(
-        (one for one in dots if one[0].role), key=lambda one: (one[0].role != "chosen", one[0].role, one[0].name)
-    )
-    labels = [(dot, f"{m.role}: {m.name}", "chosen" if m.role == "chosen" else "named") for m, dot in named]
-    place_labels(found, labels, _levels(found, front))
+    found.remark = _off_scale(chart, view, found)
+    if view.bounds:
+        inside = corners(found)
+        for one in view.bounds:
+            inside = below(inside, one.a, one.b, one.most)
+        if len(inside) > 2:
+            found.areas.append(("feasible", path((x.place(p), y.place(q)) for p, q in inside) + "Z"))
+    for one in view.bounds:
+        segment = edge(found, one.a, one.b, one.most)
+        if segment is not None:
+            found.limits.append(LimitLine(name=one.name, segment=segment, words=one.words))
+    inside_iso = _iso_line(chart, view, found)
+    if inside_iso:
+        found.lines.append(("iso", path(inside_iso)))
+    found.marks = _marks(chart, view, found)
+    found.specks = _specks(chart, view, found)
+    if labelled:
+        obstacles = Obstacles.of(found, segments(inside_iso))
+        place_limits(found, obstacles)
+        place_labels(found, _wanted(chart, view, found), obstacles)
     return found
 
 
-def _levels(found: Frame, front: Sequence[tuple[float, float]]) -> list[tuple[float, float, float, float]]:
-    """Return boxes around the horizontal segments of the staircase, which labels should avoid."""
-    corners = [(found.x.at(x), found.y.at(y)) for x, y in front]
-    return [(x, y - 1, end, y + 1) for (x, y), (end, _) in pairwise([*corners, (found.x.end, 0.0)])]
+def _iso_line(chart: Chart, view: View, found: Frame) -> list[tuple[float, float]]:
+    """Return the points in the frame at which a machine would be as good as the choice."""
+    if chart.iso is None or view.x != "cost_usd_per_request":
+        return []
+    of_y, of_cost = chart.iso
+    points = []
+    for i in range(ISO_POINTS + 1):
+        cost = 10 ** (found.x.low + (found.x.high - found.x.low) * i / ISO_POINTS)
+        rest = 1 - cost / of_cost
+        if rest > 0 and math.isfinite(of_y):
+            points.append((found.x.at(cost), found.y.at(max(of_y * rest, 1e-300))))
+    if not math.isfinite(of_y):
+        points = [(found.x.at(of_cost), found.y.start), (found.x.at(of_cost), found.y.end)]
+    inside = [one for pair in segments(points) if (one := clipped(pair, found.box))]
+    return [*[(a, b) for a, b, _, _ in inside], *[(c, d) for _, _, c, d in inside[-1:]]]
 
 
-def _rank(machine: PlottedMachine, view: View) -> int:
-    """Return the drawing order; a machine of higher rank covers the others."""
-    return 3 if machine.role == "chosen" else 2 if machine.role else 1 if getattr(machine, view.front) else 0
-
-
-def _dot(found: Frame, machine: PlottedMachine, view: View, words: Callable[[float], str]) -> Dot:
-    front = getattr(machine, view.front)
-    kind = (
-        "chosen" if machine.role == "chosen" else "measured" if machine.measured else "front" if front else "predicted"
-    )
-    bar = (found.y.clipped(machine.low), found.y.clipped(machine.high)) if machine.low and machine.high else None
-    title = (
-        f"{machine.name}: {words(machine.y)}, {short_dollars(machine.cost_usd_per_request)} per request, "
-        f"{short_dollars(machine.price_usd_per_hour)} per hour"
-        + (
-            ", measured"
-            if machine.measured
-            else ""
-            if machine.nested_in is None
-            else f", measured on {machine.nested_in}"
-        )
-    )
-    return Dot(
-        x=found.x.at(getattr(machine, view.x)),
-        y=found.y.at(machine.y),
-        kind=kind,
-        radius=6.5 if kind == "chosen" else 4.2,
-        title=title,
-        bar=bar,
-    )
-
-
-def _specks(found: Frame, column: Floats, crowd: Crowd) -> list[tuple[str, str]]:
-    """Return all machines as faint points; machines that would coincide are drawn once."""
-    cells: dict[int, list[int]] = {}
-    grain = FINE
-    for grain in (FINE, COARSE):
-        px, py = (
-            np.rint((axis.start + (np.log10(v) - axis.low) / (axis.high - axis.low) * (axis.end - axis.start)) / grain)
-            for v, axis in ((column, found.x), (crowd.y, found.y))
-        )
-        key = np.unique((crowd.meets * 4096 + px.astype(np.int64)) * 4096 + py.astype(np.int64))
-        cells = {meets: key[key // 4096**2 == meets].tolist() for meets in (0, 1)}
-        if len(key) <= MANY:
-            break
+def _marks(chart: Chart, view: View, found: Frame) -> list[Mark]:
+    """Return the marks inside the frame, the less important ones first."""
+    ordered = sorted(chart.machines, key=lambda m: (m.role == "chosen", bool(m.role), m.meets, m.measured, m.y, m.name))
     return [
-        (kind, "".join(f"M{cell // 4096 % 4096 * grain} {cell % 4096 * grain}h0" for cell in cells[meets]))
-        for meets, kind in ((0, "out"), (1, "in"))
-        if cells[meets]
+        mark for machine in ordered if _inside(machine, view, found) for mark in [_mark(chart, machine, view, found)]
     ]
 
 
-def _staircase(found: Frame, front: Sequence[tuple[float, float]]) -> str:
-    path: list[str] = []
-    for x, y in front:
-        px, py = found.x.at(x), found.y.at(y)
-        path.append(f"H{px:g}V{py:g}" if path else f"M{px:g} {found.y.end:g}V{py:g}")
-    return "".join([*path, f"H{found.x.end:g}"])
+def _inside(machine: PlottedMachine, view: View, found: Frame) -> bool:
+    x, y = math.log10(getattr(machine, view.x)), math.log10(machine.y)
+    return found.x.low <= x <= found.x.high and found.y.low <= y <= found.y.high
 
 
-def _legend(chart: Chart) -> list[tuple[str, str]]:
-    found = [("measured", "measured")] if any(m.measured for m in chart.machines) else []
-    if any(m.on_front or m.on_hourly_front for m in chart.machines):
-        found.append(("front", "Pareto front"))
-    if any(m.low for m in chart.machines):
-        found.append(("bar", f"{chart.level:.0%} interval"))
-    limited = any(bool(view.forbidden) for view in (per_request(chart), per_hour(chart)))
-    if bool(chart.crowd.meets.any()):
-        found.append(("in", "meets the limits" if limited else "any other machine"))
-    if not bool(chart.crowd.meets.all()):
-        found += [("out", "does not"), ("no", "over a limit")]
-    return found
+def _mark(chart: Chart, machine: PlottedMachine, view: View, found: Frame) -> Mark:
+    words = y_words(chart)
+    where = "" if machine.nested_in is None else f" on {line(machine.nested_in)}"
+    title = (
+        f"{machine.name}: {words(machine.y)} ({'measured' if machine.measured or where else 'predicted'}{where}), "
+        f"{money(machine.cost_usd_per_request)} per request, {money(machine.price_usd_per_hour)}/h"
+        + ("" if machine.meets else "; misses a limit")
+    )
+    chosen = machine.role == "chosen"
+    kinds = [
+        "measured" if machine.measured else "predicted",
+        "meets" if machine.meets else "misses",
+        *(["broken" if chart.broken else "chosen"] if chosen else []),
+    ]
+    return Mark(
+        x=found.x.at(getattr(machine, view.x)),
+        y=found.y.at(machine.y),
+        kind=" ".join(kinds),
+        radius=7.0 if chosen else 4.8,
+        title=title,
+        diamond=machine.gpu,
+        bar=_bar(machine, view, found),
+        row=machine.row,
+    )
+
+
+def _bar(machine: PlottedMachine, view: View, found: Frame) -> Segment | None:
+    """Return the interval in the frame: along cost ∝ latency where a request pays for its time, upright elsewhere."""
+    if not machine.low or not machine.high:
+        return None
+    ends = machine.low_cost, machine.high_cost
+    if view.x != "cost_usd_per_request" or not ends[0] or not ends[1] or not math.isfinite(ends[1]):
+        ends = getattr(machine, view.x), getattr(machine, view.x)
+    (one, other) = ends
+    return clipped(
+        (_at(found.x, one), _at(found.y, machine.low), _at(found.x, other), _at(found.y, machine.high)), found.box
+    )
+
+
+def _at(one: Axis, value: float | None) -> float:
+    return one.at(min(max(value or 0.0, 1e-300), 1e300))
+
+
+def _specks(chart: Chart, view: View, found: Frame) -> list[tuple[str, str]]:
+    """Return the machines that have no mark as small points; machines that would coincide are drawn once."""
+    cells: dict[int, list[int]] = {}
+    taken = {(round(mark.x / FINE), round(mark.y / FINE)) for mark in found.marks}
+    grain, crowd = FINE, chart.crowd
+    for grain in (FINE, COARSE):
+        px, py = (
+            np.rint((one.start + (np.log10(v) - one.low) / (one.high - one.low) * (one.end - one.start)) / grain)
+            for v, one in ((view.column(chart), found.x), (crowd.y, found.y))
+        )
+        left, top, right, bottom = found.box
+        seen = (px * grain >= left) & (px * grain <= right) & (py * grain >= top) & (py * grain <= bottom)
+        key = np.unique((crowd.meets[seen] * 4096 + px[seen].astype(np.int64)) * 4096 + py[seen].astype(np.int64))
+        cells = {meets: key[key // 4096**2 == meets].tolist() for meets in (0, 1)}
+        if len(key) <= MANY:
+            break
+    drawn = []
+    for meets, kind in ((0, "misses"), (1, "meets")):
+        places = [(cell // 4096 % 4096, cell % 4096) for cell in cells[meets]]
+        if grain == FINE:
+            places = [place for place in places if not _covered(place, taken)]
+        if places:
+            drawn.append((kind, "".join(f"M{px * grain} {py * grain}h0" for px, py in places)))
+    return drawn
+
+
+def _covered(place: tuple[int, int], taken: set[tuple[int, int]]) -> bool:
+    return any((place[0] + dx, place[1] + dy) in taken for dx in (-1, 0, 1) for dy in (-1, 0, 1))
+
+
+def _wanted(chart: Chart, view: View, found: Frame) -> list[tuple[Mark, str, str]]:
+    """Return the labels of the highlighted machines in the frame, the choice first."""
+    wanted = []
+    by_row = {mark.row: mark for mark in found.marks}
+    for machine in sorted((m for m in chart.machines if m.role), key=lambda m: (m.role != "chosen", m.role, m.name)):
+        mark = by_row.get(machine.row) if machine.row is not None else _same(machine, view, found)
+        if mark is not None:
+            kind = "broken" if "broken" in mark.kind else "chosen" if "chosen" in mark.kind else "named"
+            wanted.append((mark, shortened(machine.name, LABELLED, LABEL, bold=True), kind))
+    return wanted
+
+
+def _same(machine: PlottedMachine, view: View, found: Frame) -> Mark | None:
+    at = found.x.at(getattr(machine, view.x)), found.y.at(machine.y)
+    return next((mark for mark in found.marks if (mark.x, mark.y) == at), None)
+
+
+def _off_scale(chart: Chart, view: View, found: Frame) -> str:
+    """Return what the axes leave out, counted."""
+    x, y = np.log10(view.column(chart)), np.log10(chart.crowd.y)
+    above, right = y > found.y.high, (x > found.x.high) & (y <= found.y.high)
+    rest = ((x < found.x.low) | (y < found.y.low)) & ~above & ~right
+    words, metric = y_words(chart), chart.y_is == "number"
+    parts = []
+    if above.any():
+        what = "above" if metric else "slower"
+        parts.append(f"{int(above.sum()):,} {what} (up to {words(float(chart.crowd.y.max()))})")
+    if right.any():
+        parts.append(f"{int(right.sum()):,} more expensive")
+    if rest.any():
+        parts.append(f"{int(rest.sum()):,} below")
+    parts += [one.words for one in view.bounds if edge(found, one.a, one.b, one.most) is None]
+    return f"off scale: {', '.join(parts)}" if parts else ""
+
+
+def _legend(chart: Chart, found: Frame) -> list[tuple[str, str, float, int]]:
+    """Return the keys that the picture uses: kind, words, position and row."""
+    marks = found.marks
+    kinds = Counter(kind for mark in marks for kind in mark.kind.split())
+    items = [("measured meets", "measured")] if kinds["measured"] else []
+    items += [("predicted meets", "predicted")] if kinds["predicted"] else []
+    items += [("diamond", "with GPU")] if any(mark.diamond for mark in marks) else []
+    if kinds["misses"] or any(kind == "misses" for kind, _ in found.specks):
+        items.append(("measured misses", "misses a limit"))
+    items += [("bar", f"{chart.level:.0%} interval")] if any(mark.bar for mark in marks) else []
+    items += [("iso", "as good as the choice")] if found.lines else []
+    return laid_out(items, WIDTH - 2 * MARGIN)
+
+
+def laid_out(items: Sequence[tuple[str, str]], room: float) -> list[tuple[str, str, float, int]]:
+    """Return the keys of a legend with their positions in px, in as many rows as they need."""
+    at, row, placed = 0.0, 0, []
+    for kind, words in items:
+        sign = 30.0 if kind in ("iso", "curve", "paper") else 16.0
+        long = sign + width(words)
+        if at and at + long > room:
+            at, row = 0.0, row + 1
+        placed.append((kind, words, round(at, 1), row))
+        at += long + 14
+    return placed
 
 
 def _summary(chart: Chart) -> str:
+    """Return the text alternative of the chart."""
     count = len(chart.crowd.y)
-    machines = "1 machine" if count == 1 else f"{count:,} machines"
-    chosen = next((m for m in chart.machines if m.role == "chosen"), None)
-    if chosen is None:
-        return f"{machines}, none is chosen"
-    return (
-        f"{machines}; chosen: {chosen.name}, {y_words(chart)(chosen.y)}, {short_dollars(chosen.cost_usd_per_request)} "
-        f"per request, {short_dollars(chosen.price_usd_per_hour)} per hour"
-    )
+    lead = "".join(words for words, _ in chart.lead)
+    rows = [f"{role}: {words}" for role, words in chart.rows]
+    total = f"{count:,} machine{'' if count == 1 else 's'} drawn"
+    return ". ".join(part for part in (chart.title, lead, chart.facts, *rows, total, *chart.notes) if part)

@@ -1,166 +1,203 @@
-"""Draw latency by vCPUs, one coordinate system for each GPU type: samples, predictions and their intervals."""
+"""Draw the latency, or a metric of the application, by vCPUs: every machine with its interval, a line for each GPU type."""
 
 import math
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from statistics import NormalDist
+from itertools import pairwise
+from statistics import NormalDist, geometric_mean
 
 import numpy as np
 
 from fogspec.base.templates import render
+from fogspec.base.text import line
 from fogspec.catalog.machine import Machine
-from fogspec.catalog.table import Floats
-from fogspec.charts.axes import axis, seconds
+from fogspec.charts.axes import Axis, axis, number, seconds, wide
 from fogspec.charts.chart import interval_of
-from fogspec.charts.frame import Dot, Frame, frame
+from fogspec.charts.frame import (
+    Frame,
+    LimitLine,
+    Mark,
+    Obstacles,
+    Segment,
+    frame,
+    path,
+    place_labels,
+    place_limits,
+    segments,
+)
+from fogspec.charts.menu_chart import source_of
+from fogspec.charts.menu_svg import LABELLED, LEFT, MARGIN, RIGHT, ROW, WIDTH, laid_out
+from fogspec.charts.text import HEAD, LABEL, shortened, wrapped
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL
+from fogspec.choice.rule import latency_limit_s
 from fogspec.model.fit import Models, Observation
 from fogspec.numerics import families
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.spec.schema import Application
 
-WIDTH, LEFT, RIGHT = 760, 84, 18
-TOP, FRAME_HEIGHT, GAP = 88, 230, 72
+HIGH = 268  # px, of the panel
+MARKS = 80  # machines that are drawn individually
+APART = 11.0  # px, between machines with equally many vCPUs
+SIDE = 100.0  # px, that these take at most to either side
+HUES = 3  # accelerators with a colour of their own
 CURVE_POINTS = 60
+FLAT, LESS = 1.1, 1.05  # ratios of latencies: as good as equal, and worth saying
 
 Point = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Level:
-    """The prediction at a number of vCPUs: the median latency in seconds, and the span of all machines' intervals."""
-
-    vcpus: float
-    latency_s: float
-    low_s: float | None = None
-    high_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """A machine that was measured."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sized:
+    """A machine: its vCPUs and its value with the ends of its interval."""
 
     name: str
     vcpus: float
-    latency_s: float
-    low_s: float | None = None
-    high_s: float | None = None
+    value: float
+    low: float | None = None
+    high: float | None = None
+    measured: bool = False
     nested_in: str | None = None
+    chosen: bool = False
+    row: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Panel:
-    """One GPU type: `others` are (vCPUs, latency in seconds) of every admissible machine; `curve` is the paper's fit."""
+class Series:
+    """The machines with one accelerator, or without one; `curve` is the paper's fit."""
 
-    heading: str
-    levels: Sequence[Level]
-    samples: Sequence[Sample]
-    others: Sequence[tuple[float, float]] = ()
-    curve: Sequence[tuple[float, float]] = ()
-    curve_words: str = ""
+    name: str
+    has_gpu: bool
+    machines: Sequence[Sized]
+    curve: Sequence[Point] = ()
+
+    @property
+    def levels(self) -> list[Point]:
+        """The geometric mean of the values for each number of vCPUs, in their order."""
+        counts = sorted({one.vcpus for one in self.machines})
+        return [(n, geometric_mean([one.value for one in self.machines if one.vcpus == n])) for n in counts]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LatencyChart:
-    """A chart with one panel for each GPU type; `level` is the level of the intervals."""
+class SizeChart:
+    """A chart by vCPUs; `what` is the drawn quantity in words, `limit` its upper bound."""
 
-    title: str
-    subtitle: str
+    what: str
     y_label: str
-    panels: Sequence[Panel]
-    level: float = 0.9
+    series: Sequence[Series]
+    words: Callable[[float], str]
+    facts: str = ""
+    limit: float | None = None
     notes: Sequence[str] = field(default_factory=tuple)
+    source: str = ""
+    level: float = 0.9
+    on_one_host: bool = False
 
 
-def latency_chart(application: Application, choice: Choice, models: Models, caveats: Sequence[str]) -> LatencyChart:
-    """Return the chart of latency by vCPUs for each sampled GPU type; the first caveat is printed below it.
-
-    Caveats about the chosen machine alone belong to the menu: they are left out unless all samples are extrapolated.
-    """
-    statistic = application.spec.constraints.statistic
+def size_chart(
+    application: Application, choice: Choice, models: Models, doubts: Sequence[str], metric: str | None = None
+) -> SizeChart:
+    """Return the chart of the latency, or of a metric, by vCPUs, with a series for each sampled GPU type."""
+    spec = application.spec
     gpus = sorted({_gpu_of(one.machine) for one in models.spec.observations}, key=lambda gpu: gpu or ("", 0.0))
-    panels = [_panel(choice, models, gpu) for gpu in gpus]
-    how = "shapes of one host" if models.spec.measured_on_local else "machines"
-    return LatencyChart(
-        title=f"{application.metadata.name}: latency by vCPUs",
-        subtitle=f"{statistic} latency of one request; {len(models.spec.observations)} {how} measured",
-        y_label=f"{statistic} latency",
-        panels=panels,
+    series = [one for gpu in gpus if (one := _series(choice, models, gpu, metric)).machines]
+    machines = [machine for one in series for machine in one.machines]
+    measured = sum(one.measured for one in machines)
+    statistic = spec.constraints.statistic
+    unit = line(spec.metrics[metric].unit or "") if metric else ""
+    what = line(metric) if metric else f"{statistic} latency"
+    return SizeChart(
+        what=line(metric) if metric else "latency",
+        y_label=f"{what} in {unit}" if unit else what,
+        series=series,
+        words=number if metric else seconds,
+        facts=f"{_upper(what)} of one request by vCPUs: {measured} "
+        f"{'shapes of this host' if models.spec.measured_on_local else 'machines'} measured, "
+        f"{len(machines) - measured} {'machines ' if models.spec.measured_on_local else ''}predicted",
+        limit=spec.constraints.metrics.get(metric) if metric else latency_limit_s(application),
+        notes=doubts,
+        source=source_of(choice, prices=False),
         level=LEVEL,
-        notes=textwrap.wrap(caveats[0], 112) if caveats and models.spec.measured_on_local else (),
+        on_one_host=models.spec.measured_on_local,
     )
 
 
-def _panel(choice: Choice, models: Models, gpu: tuple[str, float] | None) -> Panel:
-    offers, value = choice.offers, choice.latency.value
+def _series(choice: Choice, models: Models, gpu: tuple[str, float] | None, metric: str | None) -> Series:
+    offers = choice.offers
+    predictions = choice.metrics[metric] if metric else choice.latency
     name, count = gpu or ("", 0.0)
-    rows = np.flatnonzero((offers.gpu == name) & (offers.gpu_count == count) & choice.eligible)
-    samples = [
-        _sample(one) for one in models.spec.observations if _gpu_of(one.machine) == gpu and "latency" in one.values
+    rows = np.flatnonzero(
+        (offers.gpu == name) & (offers.gpu_count == count) & choice.eligible & (predictions.value > 0)
+    )
+    # Neither depends on the region: one row of each instance type.
+    _, first = (
+        np.unique(predictions.type_index[rows], return_index=True) if predictions.posterior else (None, slice(None))
+    )
+    chosen = None if choice.chosen is None else str(offers.instance[choice.chosen])
+    found, many = [], len(rows[first]) > MARKS
+    for row in rows[first].tolist():
+        own, is_chosen = str(offers.instance[row]), str(offers.instance[row]) == chosen
+        measured = bool(predictions.measured[row])
+        low, high = (interval_of(predictions, row) if measured or is_chosen or not many else None) or (None, None)
+        found.append(
+            Sized(
+                name=line(own),
+                vcpus=float(offers.vcpus[row]),
+                value=float(predictions.value[row]),
+                low=low,
+                high=high,
+                measured=measured,
+                nested_in=predictions.where_nested(row),
+                chosen=is_chosen,
+                row=row,
+            )
+        )
+    known = {one.name for one in found if one.measured or one.nested_in}
+    found += [
+        _sample(one, metric)
+        for one in models.spec.observations
+        if _gpu_of(one.machine) == gpu
+        and (metric or "latency") in one.values
+        and line(one.machine.instance) not in known
     ]
-    others = np.unique(np.column_stack([offers.vcpus[rows], value[rows]]), axis=0).tolist()
-    heading = "machines without GPU" if gpu is None else f"machines with {count:g} {name}"
-    curve, words = _curve(models, gpu, offers.vcpus[rows], offers.memory_gib[rows])
-    return Panel(
-        heading=heading,
-        levels=_levels(choice, rows),
-        samples=samples,
-        others=[(v, latency) for v, latency in others],
+    curve = [] if metric else _curve(models, gpu, offers.vcpus[rows], offers.memory_gib[rows])
+    return Series(
+        name="no GPU" if gpu is None else f"{count:g} {line(name)}",
+        has_gpu=gpu is not None,
+        machines=found,
         curve=curve,
-        curve_words=words,
     )
 
 
-def _curve(models: Models, gpu: tuple[str, float] | None, vcpus: Floats, memory: Floats) -> tuple[list[Point], str]:
-    """Return the curve of the family with the best leave-one-out error (paper, section 2.C) and its formula.
+def _curve(models: Models, gpu: tuple[str, float] | None, vcpus: np.ndarray, memory: np.ndarray) -> list[Point]:
+    """Return the curve of the family with the best leave-one-out error (paper, section 2.C).
 
     Memory is the median memory per vCPU.
     """
     key = None if gpu is None else f"{gpu[0]}:{gpu[1]:g}"
     model = next((one for one in models.spec.models if one.gpu == key and one.target == "latency"), None)
     if model is None or not len(vcpus):
-        return [], ""
+        return []
     at = np.geomspace(vcpus.min(), vcpus.max(), CURVE_POINTS)
-    ratio = float(np.median(memory / vcpus))
-    latency = families.predict(model.shape, list(model.coefficients.values()), at, at * ratio)
-    r2 = "" if model.r2 is None else f", R² {model.r2:.3f}"
-    return list(zip(at.tolist(), latency.tolist(), strict=True)), f"paper's families: {model.formula}{r2}"
+    latency = families.predict(
+        model.shape, list(model.coefficients.values()), at, at * float(np.median(memory / vcpus))
+    )
+    return list(zip(at.tolist(), latency.tolist(), strict=True))
 
 
-def _levels(choice: Choice, rows: np.ndarray) -> list[Level]:
-    """Return the median prediction for each number of vCPUs, and the span of all machines' intervals.
-
-    The interval of a single machine would be narrow where few machines were measured, and exclude the others.
-    """
-    choice.latency.intervals(_each_once(choice, rows), LEVEL)  # together, and each from there
-    found = []
-    for vcpus in np.unique(choice.offers.vcpus[rows]).tolist():
-        here = rows[choice.offers.vcpus[rows] == vcpus]
-        intervals = [one for row in _each_once(choice, here) if (one := interval_of(choice.latency, row))]
-        low, high = (min(a for a, _ in intervals), max(b for _, b in intervals)) if intervals else (None, None)
-        found.append(Level(vcpus, float(np.median(choice.latency.value[here])), low, high))
-    return found
-
-
-def _each_once(choice: Choice, rows: np.ndarray) -> list[int]:
-    """Return one row of each instance type, because latency does not depend on the region."""
-    _, first = np.unique(choice.latency.type_index[rows], return_index=True)
-    found: list[int] = rows[first].tolist()
-    return found
-
-
-def _sample(one: Observation) -> Sample:
-    latency, t = one.values["latency"], NormalDist().inv_cdf((1 + LEVEL) / 2)
+def _sample(one: Observation, metric: str | None) -> Sized:
+    """Return a measured machine that is not a candidate."""
+    value, t = one.values[metric or "latency"], NormalDist().inv_cdf((1 + LEVEL) / 2)
     error = DEFAULT_NOISE if one.error is None else one.error
-    return Sample(
-        one.machine.instance,
-        one.machine.cpus,
-        latency,
-        latency * math.exp(-t * error),
-        latency * math.exp(t * error),
-        one.nested_in,
+    ends = (None, None) if metric else (value * math.exp(-t * error), value * math.exp(t * error))
+    return Sized(
+        name=line(one.machine.instance),
+        vcpus=one.machine.cpus,
+        value=value,
+        low=ends[0],
+        high=ends[1],
+        measured=one.nested_in is None,
+        nested_in=one.nested_in,
     )
 
 
@@ -168,93 +205,235 @@ def _gpu_of(machine: Machine) -> tuple[str, float] | None:
     return None if machine.gpu is None else (machine.gpu.name, float(machine.gpu.count))
 
 
-def draw(chart: LatencyChart) -> str:
-    """Return the chart as SVG text. Raise ValueError if there is no panel to draw."""
-    if not chart.panels:
-        raise ValueError("no model, no picture of one")
-    step = FRAME_HEIGHT + GAP
-    frames = [_frame(panel, TOP + step * i, chart.y_label) for i, panel in enumerate(chart.panels)]
-    bottom = TOP + step * len(frames) - GAP
+def title_of(chart: SizeChart) -> str:
+    """Return the finding: what an accelerator or more vCPUs do."""
+    if chart.on_one_host:
+        return f"{_upper(chart.what)} by vCPUs, extrapolated from one host"
+    plain = [one for one in chart.series if not one.has_gpu]
+    gpus = [one for one in chart.series if one.has_gpu]
+    if plain and gpus and (said := _accelerated(plain[0], gpus)):
+        return said
+    levels = (plain or gpus)[0].levels
+    if len(levels) < 2:
+        return f"{_upper(chart.what)} of machines with {levels[0][0]:g} vCPUs"
+    best_at, best = min(levels, key=lambda level: level[1])
+    if max(value for _, value in levels) < FLAT * best:
+        return f"More vCPUs do not change the {chart.what}"
+    if best_at == levels[0][0]:
+        return f"More vCPUs make the {chart.what} larger"
+    if levels[-1][1] > LESS * best:
+        return (
+            f"More than {best_at:g} vCPUs make this application slower"
+            if chart.what == "latency"
+            else f"{_upper(chart.what)} is smallest with {best_at:g} vCPUs"
+        )
+    until = levels[0][0]
+    for (a, one), (b, other) in pairwise(levels):
+        if one / other < FLAT ** math.log2(b / a):
+            break
+        until = b
+    if until == levels[0][0]:
+        return f"{_upper(chart.what)} hardly falls with more vCPUs"
+    fall = (levels[0][1] / dict(levels)[until]) ** (1 / math.log2(until / levels[0][0]))
+    end = "" if until == levels[-1][0] else f", up to {until:g}"
+    return f"{_upper(chart.what)} falls {fall:.1f} × with each doubling of vCPUs{end}"
+
+
+def _accelerated(plain: Series, gpus: Sequence[Series]) -> str | None:
+    """Return which few vCPUs with an accelerator are as fast as the best machine without one; None if none are."""
+    best = min(plain.machines, key=lambda one: one.value)
+    for one in gpus:
+        fast = [m for m in one.machines if m.value <= (best.high or best.value)]
+        least = min(fast, key=lambda m: m.vcpus, default=None)
+        if least is not None and least.vcpus < best.vcpus:
+            kind = one.name.removeprefix("1 ")
+            article = "an" if kind[:1] in "AEFHILMNORSX8" else "a"
+            with_one = f"With {one.name}" if kind == one.name else f"With {article} {kind}"
+            return f"{with_one}, {least.vcpus:g} vCPUs are as fast as any CPU-only machine"
+    return None
+
+
+def _upper(what: str) -> str:
+    """Return what begins a sentence; the name of a metric stays as it is written."""
+    return what[:1].upper() + what[1:] if what.endswith("latency") else what
+
+
+def draw(chart: SizeChart) -> str:
+    """Return the chart as SVG text. Raise ValueError if there is no machine to draw."""
+    if not any(one.machines for one in chart.series):
+        raise ValueError("no model, no chart of one")
+    room = WIDTH - 2 * MARGIN
+    title = wrapped(title_of(chart), room, HEAD, bold=True, most=3)
+    facts = wrapped(chart.facts, room, most=3)
+    facts_at = 28 + 22 * (len(title) - 1) + 22
+    top = facts_at + ROW * (len(facts) - 1) + 44
+    found = _frame(chart, top)
+    legend, legend_y = laid_out(_legend(chart), room), top + HIGH + 58
+    source_at = legend_y + 22
+    notes = [text for note in chart.notes for text in wrapped(f"⚠ {note}", room, most=3)]
     return render(
         "picture.svg.j2",
-        title=chart.title,
-        subtitle=[chart.subtitle],
+        title=title,
+        lead=[],
+        facts=[(facts_at + ROW * i, text) for i, text in enumerate(facts)],
+        summary=_summary(chart),
         width=WIDTH,
-        height=bottom + 88 + 15 * len(chart.notes),
-        left=18,
+        height=source_at + 16 + ROW * len(notes),
+        left=MARGIN,
         rows=[],
-        frames=frames,
-        legend=_legend(chart),
-        legend_y=bottom + 66,
-        notes=chart.notes,
-        summary="; ".join(f"{p.heading}: {len(p.samples)} samples" for p in chart.panels),
+        words_left=MARGIN,
+        frames=[found],
+        broken=False,
+        legend=legend,
+        legend_y=legend_y,
+        source=chart.source,
+        source_y=source_at,
+        notes=notes,
     )
 
 
-def _frame(panel: Panel, top: float, y_label: str) -> Frame:
-    x_values = [*(v for v, _ in panel.others), *(a.vcpus for a in panel.levels), *(b.vcpus for b in panel.samples)]
-    x = axis(x_values, LEFT, WIDTH - RIGHT)
+def panel(chart: SizeChart, id: str) -> str:
+    """Return the chart as SVG to put into a page, with the paper's curves."""
+    found = _frame(chart, 34)
+    for one in chart.series:
+        inside = [(found.x.at(v), found.y.at(value)) for v, value in one.curve if value > 0]
+        inside = [(px, py) for px, py in inside if found.y.end <= py <= found.y.start]
+        if len(inside) > 1:
+            found.lines.append(("paper", path(inside)))
+    return render("panel.svg.j2", frame=found, id=id, width=WIDTH, height=34 + HIGH + 46, summary=_summary(chart))
+
+
+def _frame(chart: SizeChart, top: float) -> Frame:
+    counts = sorted({machine.vcpus for one in chart.series for machine in one.machines})
+    x, y = _x_axis(chart, counts), axis(_heights(chart), top + HIGH, top)
     found = frame(
         x=x,
-        y=axis(_heights(panel), top + FRAME_HEIGHT, top),
-        x_label="vCPUs (log scale)",
-        y_label=f"{y_label} (log scale)",
+        y=y,
+        x_label="vCPUs (log scale) →",
+        y_label=f"↑ {shortened(chart.y_label, 260)} (log scale)",
         x_words=lambda v: f"{v:g}",
-        y_words=seconds,
-        heading=panel.heading,
+        y_words=chart.words,
     )
-    found.x_ticks = [
-        (x.at(2.0**e), f"{2**e}" if e >= 0 else f"{2.0**e:g}")
-        for e in range(-2, 12)
-        if x.low <= x.high and x.start <= x.at(2.0**e) <= x.end
+    found.x_ticks = _ticks(x, counts)
+    places = _beside(chart, x)
+    shown: list[tuple[Series, str, Sized, float]] = []
+    crowd = sum(len(one.machines) for one in chart.series) > MARKS
+    reading: list[Segment] = []
+    for at, one in enumerate(chart.series):
+        hue = f" gpu-{(at - (not chart.series[0].has_gpu)) % HUES + 1}" if one.has_gpu else ""
+        if len(levels := one.levels) > 1:
+            points = [(x.at(v), y.clipped(value)) for v, value in levels]
+            found.lines.append((f"curve{hue}", path(points)))
+            reading += segments(points)
+        specks = [m for m in one.machines if crowd and not (m.measured or m.chosen)]
+        if specks:
+            cells = sorted({(round(x.at(m.vcpus)), round(y.clipped(m.value))) for m in specks})
+            found.specks.append((f"meets{hue}", "".join(f"M{px} {py}h0" for px, py in cells)))
+        shown += [(one, hue, m, places[id(m)]) for m in one.machines if not crowd or m.measured or m.chosen]
+    marks = {id(m): _mark(chart, m, hue, at, y) for _, hue, m, at in shown}
+    order = sorted(shown, key=lambda item: (item[2].chosen, item[2].measured, item[2].vcpus, item[2].name))
+    found.marks = [marks[id(m)] for _, _, m, _ in order]
+    if chart.limit is not None and chart.limit > 0 and y.end < (at_limit := y.at(chart.limit)) < y.start:
+        found.areas.append(("feasible", f"M{x.start:g} {at_limit:g}H{x.end:g}V{y.start:g}H{x.start:g}Z"))
+        words = f"{shortened(chart.what, 150)} limit {chart.words(chart.limit)}"
+        found.limits.append(LimitLine(name=chart.what, segment=(x.start, at_limit, x.end, at_limit), words=words))
+    elif chart.limit is not None:
+        found.remark = f"off scale: {shortened(chart.what, 150)} limit {chart.words(chart.limit)}"
+    obstacles = Obstacles.of(found, reading)
+    place_limits(found, obstacles)
+    wanted = [
+        (marks[id(m)], shortened(m.name, LABELLED, LABEL, bold=True), "chosen") for _, _, m, _ in shown if m.chosen
+    ][:1]
+    if len(chart.series) > 1 or chart.series[0].has_gpu:
+        for one in chart.series:
+            own = [(m, hue) for series, hue, m, _ in shown if series is one]
+            if own:
+                last, hue = max(own, key=lambda item: (item[0].vcpus, not item[0].chosen, item[0].value))
+                wanted.append((marks[id(last)], shortened(one.name, 140, LABEL, bold=True), hue.strip() or "plain"))
+    place_labels(found, wanted, obstacles)
+    return found
+
+
+def _x_axis(chart: SizeChart, counts: Sequence[float]) -> Axis:
+    """Return the axis of vCPUs, with room at its ends for the machines that are side by side there."""
+    found = axis(counts, LEFT, WIDTH - RIGHT)
+    most = max(sum(one.vcpus == count for one in series.machines) for series in chart.series for count in counts)
+    side = min(APART * most / 2, SIDE) + 8
+    least = min(found.at(counts[0]) - found.start, found.end - found.at(counts[-1]))
+    if least >= side or len(counts) < 2:
+        return found
+    scale = math.log10(counts[-1] / counts[0]) / (found.end - found.start - 2 * side)
+    pad = side * scale
+    return Axis(math.log10(counts[0]) - pad, math.log10(counts[-1]) + pad, found.start, found.end)
+
+
+def _ticks(x: Axis, counts: Sequence[float]) -> list[tuple[float, str]]:
+    """Return the numbers of vCPUs that machines have, powers of two first, as far as they do not overlap."""
+    found: list[tuple[float, str]] = []
+    for count in sorted(counts, key=lambda n: (not math.log2(n).is_integer(), n)):
+        at, words = x.at(count), f"{count:g}"
+        if all(abs(at - other) >= (wide(words) + wide(text)) / 2 - 4 for other, text in found):
+            found.append((at, words))
+    return sorted(found)
+
+
+def _beside(chart: SizeChart, x: Axis) -> dict[int, float]:
+    """Return the position of each machine: those with equally many vCPUs of a series side by side."""
+    counts = sorted({machine.vcpus for one in chart.series for machine in one.machines})
+    gaps = [x.at(b) - x.at(a) for a, b in pairwise(counts)] or [120.0]
+    found = {}
+    for one in chart.series:
+        for count in counts:
+            here = sorted((m for m in one.machines if m.vcpus == count), key=lambda m: m.name)
+            near = [gap for (a, b), gap in zip(pairwise(counts), gaps, strict=False) if count in (a, b)] or [120.0]
+            step = min(APART, 0.8 * min(near) / max(len(here), 1), 2 * SIDE / max(len(here), 1))
+            for i, machine in enumerate(here):
+                found[id(machine)] = round(x.at(count) + (i - (len(here) - 1) / 2) * step, 1)
+    return found
+
+
+def _mark(chart: SizeChart, one: Sized, hue: str, at: float, y: Axis) -> Mark:
+    bar = None
+    if one.low and one.high:
+        bar = (at, y.clipped(one.low), at, y.clipped(one.high))
+    where = "" if one.nested_in is None else f" on {line(one.nested_in)}, not itself"
+    how = "measured" if one.measured or where else "predicted"
+    return Mark(
+        x=at,
+        y=y.clipped(one.value),
+        kind=f"{'measured' if one.measured else 'predicted'} {'chosen' if one.chosen else hue.strip() or 'meets'}",
+        radius=7.0 if one.chosen else 4.4,
+        title=f"{one.name}: {one.vcpus:g} vCPUs, {chart.words(one.value)}, {how}{where}",
+        diamond=bool(hue),
+        bar=bar,
+        row=one.row,
+    )
+
+
+def _heights(chart: SizeChart) -> list[float]:
+    """Return the values on the axis: all machines, interval ends within a factor of four, and a limit near them."""
+    values = [machine.value for one in chart.series for machine in one.machines]
+    ends = [
+        end
+        for one in chart.series
+        for m in one.machines
+        for end in (m.low, m.high)
+        if end and m.value / 4 < end < 4 * m.value
     ]
-    band = [one for one in panel.levels if one.low_s and one.high_s]
-    if len(band) > 1:
-        upper = [(x.at(one.vcpus), found.y.clipped(one.high_s or 0)) for one in band]
-        lower = [(x.at(one.vcpus), found.y.clipped(one.low_s or 0)) for one in reversed(band)]
-        found.areas.append(("band", _path([*upper, *lower]) + "Z"))
-    if panel.others:
-        cells = sorted({(round(x.at(v)), round(found.y.clipped(latency))) for v, latency in panel.others})
-        found.specks.append(("out", "".join(f"M{px} {py}h0" for px, py in cells)))
-    if panel.curve:
-        visible = [(x.at(v), found.y.at(latency)) for v, latency in panel.curve if latency > 0]
-        inside = [(px, py) for px, py in visible if found.y.end <= py <= found.y.start]
-        if len(inside) > 1:
-            found.lines.append(("paper", _path(inside)))
-    if len(panel.levels) > 1:
-        found.lines.append(
-            ("curve", _path([(x.at(one.vcpus), found.y.clipped(one.latency_s)) for one in panel.levels]))
-        )
-    for one in sorted(panel.samples, key=lambda s: (s.vcpus, s.latency_s, s.name)):
-        bar = (found.y.clipped(one.low_s), found.y.clipped(one.high_s)) if one.low_s and one.high_s else None
-        title = f"{one.name}: {one.vcpus:g} vCPUs, {seconds(one.latency_s)}, measured"
-        title += "" if one.nested_in is None else f" on {one.nested_in}, not itself"
-        kind = "measured" if one.nested_in is None else "predicted"
-        found.dots.append(
-            Dot(x=x.at(one.vcpus), y=found.y.at(one.latency_s), kind=kind, radius=4.2, title=title, bar=bar)
-        )
-    found.remark = panel.curve_words
-    return found
+    found = [value for value in (*values, *ends) if value > 0]
+    limit = chart.limit
+    return [*found, limit] if limit and min(found) / 4 < limit < 4 * max(found) else found
 
 
-def _heights(panel: Panel) -> list[float]:
-    """Return the values on the axis: all latencies, and interval ends within a factor of six of their latency."""
-    drawn = [(one.latency_s, one.low_s, one.high_s) for one in panel.levels]
-    drawn += [(one.latency_s, one.low_s, one.high_s) for one in panel.samples]
-    values = [latency for latency, _, _ in drawn] + [latency for _, latency in panel.others]
-    ends = [end for at, low, high in drawn for end in (low, high) if end and at / 6 < end < at * 6]
-    return [value for value in (*values, *ends) if value > 0]
+def _legend(chart: SizeChart) -> list[tuple[str, str]]:
+    machines = [machine for one in chart.series for machine in one.machines]
+    found = [("measured meets", "measured")] if any(one.measured for one in machines) else []
+    found += [("predicted meets", "predicted")] if not all(one.measured for one in machines) else []
+    found += [("diamond", "with GPU")] if any(one.has_gpu for one in chart.series) else []
+    found += [("upright", f"{chart.level:.0%} interval")] if any(one.low for one in machines) else []
+    return [*found, ("curve", "geometric mean")] if any(len(one.levels) > 1 for one in chart.series) else found
 
 
-def _path(points: Sequence[tuple[float, float]]) -> str:
-    return "M" + "L".join(f"{x:g} {y:g}" for x, y in points)
-
-
-def _legend(chart: LatencyChart) -> list[tuple[str, str]]:
-    found = [("measured", "measured"), ("curve", "predicted (median)")]
-    if any(one.low_s for panel in chart.panels for one in panel.levels):
-        found.append(("band", f"{chart.level:.0%} intervals of all machines"))
-    found.append(("out", "a machine"))
-    if any(panel.curve for panel in chart.panels):
-        found.append(("paper", "paper's families"))
-    return found
+def _summary(chart: SizeChart) -> str:
+    counted = "; ".join(f"{one.name}: {len(one.machines)} machines" for one in chart.series)
+    return ". ".join([title_of(chart), chart.facts, counted, *chart.notes])

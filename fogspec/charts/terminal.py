@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fogspec.base.console import styled
-from fogspec.charts.axes import Axis
+from fogspec.charts.axes import Axis, axis
 from fogspec.charts.chart import Chart, View, per_hour, per_request, y_axis, y_words
 
 ROWS = 13
@@ -44,7 +44,7 @@ def plot(chart: Chart, width: int, color: bool = False) -> list[str]:
 
 def _view(chart: Chart, view: View, width: int, color: bool) -> list[str]:
     columns = width - SIDE
-    x, y = view.x_axis(chart, 0, columns - 1), y_axis(chart, ROWS - 1, 0)
+    x, y = axis(view.everything(chart)[0], 0, columns - 1), y_axis(chart, ROWS - 1, 0)
     grid: Grid = [[" "] * columns for _ in range(ROWS)]
     _crowd(grid, x, y, chart, view)
     _limits(grid, x, y, view)
@@ -85,7 +85,7 @@ def _limits(grid: Grid, x: Axis, y: Axis, view: View) -> None:
     def over(row: int, column: int) -> bool:
         log_x = x.low + (column - x.start) / (x.end - x.start) * (x.high - x.low)
         log_y = y.low + (row - y.start) / (y.end - y.start) * (y.high - y.low)
-        return any(a * log_x + b * log_y > limit for a, b, limit in view.forbidden)
+        return any(one.a * log_x + one.b * log_y > one.most for one in view.bounds)
 
     rows, columns = len(grid), len(grid[0])
     for row in range(rows):
@@ -140,7 +140,7 @@ def _key(chart: Chart) -> list[str]:
     signs = [f"{sign} {role}" for role, sign in _signs(chart).items() if any(m.role == role for m in chart.machines)]
     if any(machine.measured for machine in chart.machines):
         signs.append("o measured")
-    limited = any(bool(view.forbidden) for view in (per_request(chart), per_hour(chart)))
+    limited = any(bool(view.bounds) for view in (per_request(chart), per_hour(chart)))
     signs += ["# Pareto front", ": meets the limits" if limited else ": any other machine"]
     if limited:
         signs += [". does not", "% edge of a limit"]

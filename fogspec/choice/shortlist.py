@@ -9,8 +9,8 @@ def shortlist(choice: Choice) -> dict[str, int]:
         "cheapest": choice.cheapest,
         "fastest": choice.fastest,
         f"least {choice.rule.metric}": choice.least,
-        "runner-up": _second(choice),
-        "ruled out": _ruled_out(choice),
+        "runner-up": runner_up(choice),
+        "ruled out": ruled_out(choice),
     }
     found: dict[str, int] = {}
     for role, row in named.items():
@@ -29,7 +29,7 @@ def fallback_rows(choice: Choice, count: int) -> list[int]:
     return rows[:count]
 
 
-def _second(choice: Choice) -> int | None:
+def runner_up(choice: Choice) -> int | None:
     """Return the best feasible machine of another instance type than the chosen one."""
     if choice.chosen is None:
         return None
@@ -38,7 +38,7 @@ def _second(choice: Choice) -> int | None:
     return int(rows[choice.objective[rows].argmin()]) if len(rows) else None
 
 
-def _ruled_out(choice: Choice) -> int | None:
+def ruled_out(choice: Choice) -> int | None:
     """Return the machine with the best objective among those that violate a limit."""
     rows = (choice.eligible & ~choice.feasible).nonzero()[0]
     return int(rows[choice.objective[rows].argmin()]) if len(rows) else None

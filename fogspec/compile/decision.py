@@ -12,7 +12,7 @@ from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.filters import Filtered
-from fogspec.charts import menu_svg, model_svg
+from fogspec.charts import menu_chart, menu_svg, model_svg
 from fogspec.choice.choose import Choice, choose
 from fogspec.choice.menu import LEVEL, Menu, floored, make_menu
 from fogspec.choice.relaxed import Relaxed, chosen_by_relaxing, relaxed_optimum
@@ -305,9 +305,12 @@ def _charts(application: Application, choice: Choice, models: Models, layout: La
     """Return the chart files; none if no machine can be predicted."""
     if not len(choice.front):
         return {}
-    menu = menu_svg.menu_chart(application, choice, caveats(models, choice))
-    found = {layout.picture: menu_svg.draw(menu).encode()}
-    latencies = model_svg.latency_chart(application, choice, models, caveats(models, choice))
-    if latencies.panels:
-        found[layout.latencies] = model_svg.draw(latencies).encode()
+    doubts = caveats(models, choice)
+    found = {layout.picture: menu_svg.draw(menu_chart.menu_chart(application, choice, doubts)).encode()}
+    sized = {layout.latencies: None, layout.metric_picture: application.spec.objective.metric}
+    for path, metric in sized.items():
+        if path == layout.latencies or metric is not None:
+            chart = model_svg.size_chart(application, choice, models, doubts, metric)
+            if chart.series:
+                found[path] = model_svg.draw(chart).encode()
     return found

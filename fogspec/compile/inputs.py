@@ -280,6 +280,7 @@ def _ours(layout: Layout) -> Iterator[Path]:
         layout.menu,
         layout.picture,
         layout.latencies,
+        layout.metric_picture,
         layout.manifest,
         layout.deploy,
         layout.robot,

@@ -8,7 +8,7 @@ from fogspec.base import units
 from fogspec.base.errors import NotMeasured, OutOfDate, UsageError
 from fogspec.base.text import paragraph, shell_command
 from fogspec.catalog.filters import filter_offers
-from fogspec.charts.menu_svg import menu_chart
+from fogspec.charts.menu_chart import menu_chart
 from fogspec.charts.terminal import plot
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL, Entry, Menu, MenuBody, make_menu, metric_text

@@ -123,7 +123,7 @@ def test_results_are_a_sweep_and_every_sampler_is_replayed(tmp_path):
     assert len(found) == len(rows)
     assert {one["best"] for one in found} == {"aws/c6i.4xlarge"}
     svg = chart.read_text("utf-8")
-    assert "quality against money" in svg
+    assert "Quality against money" in svg
     assert "price per hour" in svg
 
 

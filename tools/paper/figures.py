@@ -1,4 +1,4 @@
-"""The charts in docs/figures/: what the paper's Figures 3 to 5 show, from its own samples, and a menu.
+"""The charts in docs/figures/: what the paper's Figures 3 to 5 show, from its own samples, and the menu of one application.
 
 For each of the four applications: the latency models, the cost models, and the Pareto frontiers in latency and price per hour.
 """
@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from fogspec.base.templates import render
-from fogspec.base.units import short_dollars
-from fogspec.charts import menu_svg
-from fogspec.charts.axes import axis, number, seconds
-from fogspec.charts.frame import Dot, Frame, frame
+from fogspec.charts.axes import axis, money, number, seconds
+from fogspec.charts.frame import Frame, Mark, frame
+from fogspec.charts.menu_svg import laid_out
 from fogspec.numerics import families
 from fogspec.numerics.families import fit_all
 from fogspec.numerics.pareto import pareto
@@ -19,41 +18,47 @@ from tools.generated import ROOT
 from tools.paper.cases import TITLES, Case, OwnRun, cases, own_runs
 
 FOLDER = ROOT / "docs" / "figures"
-SHOWN = "motion-planning-cubicles-recorded"
-WIDTH, HEIGHT, WIDE, HIGH = 760, 654, 286, 196
-SOURCE = "samples: Chen et al., ICRA 2024, arXiv 2311.05600; AWS on-demand, us-east-1; both axes logarithmic"
+MENU = ROOT / "compiled" / "grasp-planning-recorded" / "menu.svg"  # the one in README, shown by the site as well
+WIDTH, LEFT, WIDE, HIGH = 760, 18, 286, 190
+TOP, STEP = 112, 286
+SOURCE = "Samples: Chen et al., ICRA 2024, arXiv 2311.05600; AWS on-demand, us-east-1; both axes logarithmic"
 
 
 def charts() -> dict[Path, str]:
     """Return every chart by path."""
     four, runs = cases(), own_runs()
-    shown = next(one for one in four if one.application.metadata.name == SHOWN)
     return {
         FOLDER / "paper-latency.svg": _page(
-            "Latency models", [_by_vcpus(one, *_corner(i), of_cost=False) for i, one in enumerate(four)],
-            [("measured", "measured"), ("front", "measured, with a T4"), ("curve", "the paper's curve")],
+            "Latency by vCPUs, in the four applications of the paper",
+            [_by_vcpus(one, *_corner(i), of_cost=False) for i, one in enumerate(four)],
+            [("measured meets", "measured"), ("gpu", "measured, with a T4"), ("curve", "paper's curve")],
         ),
         FOLDER / "paper-cost.svg": _page(
-            "Cost models", [_by_vcpus(one, *_corner(i), of_cost=True) for i, one in enumerate(four)],
-            [("measured", "measured"), ("front", "measured, with a T4"), ("curve", "the paper's curve")],
+            "Cost by vCPUs, in the four applications of the paper",
+            [_by_vcpus(one, *_corner(i), of_cost=True) for i, one in enumerate(four)],
+            [("measured meets", "measured"), ("gpu", "measured, with a T4"), ("curve", "paper's curve")],
         ),
         FOLDER / "paper-frontiers.svg": _page(
-            "Pareto frontiers", [_frontier(one, *_corner(i)) for i, one in enumerate(four)],
-            [("measured", "measured, frontier dotted"), ("in", "predicted"), ("curve", "frontier of all machines")],
+            "Pareto frontiers, measured and of all machines",
+            [_frontier(one, *_corner(i)) for i, one in enumerate(four)],
+            [("measured meets", "measured"), ("predicted misses", "predicted"), ("curve", "frontier of all machines"),
+             ("paper", "frontier of the measured ones")],
         ),
         **({FOLDER / "paper-path-length.svg": _path_lengths(runs)} if runs else {}),
-        FOLDER / "menu.svg": menu_svg.draw(menu_svg.menu_chart(shown.application, shown.choice, [])),
+        FOLDER / "menu.svg": MENU.read_text("utf-8"),
     }  # fmt: skip
 
 
 def _corner(i: int) -> tuple[float, float]:
-    return 74 + (i % 2) * (WIDE + 96), 96 + (i // 2) * (HIGH + 80)
+    return 74 + (i % 2) * (WIDE + 96), TOP + (i // 2) * STEP
 
 
-def _page(title: str, frames: list[Frame], legend: list[tuple[str, str]]) -> str:
+def _page(title: str, frames: list[Frame], legend: list[tuple[str, str]], source: str = SOURCE, rows: int = 2) -> str:
+    bottom = TOP + (rows - 1) * STEP + HIGH
     return render(
-        "picture.svg.j2", title=title, subtitle=[SOURCE], summary=f"{title} of {', '.join(TITLES.values())}",
-        width=WIDTH, height=HEIGHT, left=18, rows=[], frames=frames, legend=legend, legend_y=HEIGHT - 18, notes=[],
+        "picture.svg.j2", title=[title], lead=[], facts=[(50, source)], summary=f"{title}: {', '.join(TITLES.values())}",
+        width=WIDTH, height=bottom + 76, left=LEFT, rows=[], words_left=LEFT, frames=frames, broken=False,
+        legend=laid_out(legend, WIDTH - 2 * LEFT), legend_y=bottom + 60, source="", source_y=0, notes=[],
     )  # fmt: skip
 
 
@@ -61,7 +66,7 @@ def _path_lengths(runs: tuple[OwnRun, ...]) -> str:
     """Draw the latency and the path length of every sample by vCPUs, a row for each of our own applications."""
     frames = []
     for i, run in enumerate(runs):
-        top = 96 + i * (HIGH + 80)
+        top = TOP + i * STEP
         for column, (label, words, at) in enumerate((("mean latency", seconds, 2), ("path length", number, 3))):
             left = 74 + column * (WIDE + 96)
             vcpus, values = [one[1] for one in run.samples], [float(one[at]) for one in run.samples]
@@ -70,42 +75,40 @@ def _path_lengths(runs: tuple[OwnRun, ...]) -> str:
             found = frame(
                 x=x,
                 y=y,
-                x_label="vCPUs",
-                y_label=label + unit,
+                x_label="vCPUs →",
+                y_label=f"↑ {label}{unit}",
                 x_words=lambda v: f"{v:g}",
                 y_words=words,
                 heading=run.name.removeprefix("motion-planning-"),
             )
-            found.dots = [
-                Dot(x=x.at(one[1]), y=y.at(float(one[at])), kind="measured", radius=4.2, title=one[0])
+            found.x_ticks = [(x.at(count), f"{count:g}") for count in sorted(set(vcpus))]
+            found.marks = [
+                Mark(x=x.at(one[1]), y=y.at(float(one[at])), kind="measured meets", radius=4.4, title=one[0])
                 for one in run.samples
             ]
             frames.append(found)
-    bottom = 96 + len(runs) * (HIGH + 80)
-    source = f"our own runs, on {', '.join(dict.fromkeys(run.where for run in runs))}; both axes logarithmic"
-    return render(
-        "picture.svg.j2", title="Latency and path length", subtitle=[source],
-        summary=f"latency and path length of {', '.join(run.name for run in runs)}", width=WIDTH, height=bottom + 12, left=18,
-        rows=[], frames=frames, legend=[("measured", "measured")], legend_y=bottom - 6, notes=[],
-    )  # fmt: skip
+    source = f"Our own runs, on {', '.join(dict.fromkeys(run.where for run in runs))}; both axes logarithmic"
+    return _page(
+        "Latency and path length, in our own runs", frames, [("measured meets", "measured")], source, len(runs)
+    )
 
 
 def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
     """Latency or cost of every sample by vCPUs, and the family with the largest R² for each GPU type (2.C, 2.D)."""
     known = case.models.spec.observations
-    factor = 1e6 / 3600 if of_cost else 1.0
+    factor = 1000 / 3600 if of_cost else 1.0
     values = np.array([k.values["latency"] * (k.machine.price * factor if of_cost else 1) for k in known])
     vcpus, memory = (np.array([getattr(k.machine, name) for k in known]) for name in ("cpus", "memory"))
     gpu = np.array([k.machine.gpu is not None for k in known])
-    x, y = axis(vcpus.tolist(), left, left + WIDE), axis(values.tolist(), top + HIGH, top)
-    label = "USD per million requests" if of_cost else "mean latency"
+    x, y = axis([2.0, 64.0], left, left + WIDE), axis(values.tolist(), top + HIGH, top)
+    label = "cost per 1,000 requests" if of_cost else "mean latency"
     found = frame(
         x=x,
         y=y,
-        x_label="vCPUs",
-        y_label=label,
+        x_label="vCPUs →",
+        y_label=f"↑ {label}",
         x_words=lambda v: f"{v:g}",
-        y_words=short_dollars if of_cost else seconds,
+        y_words=money if of_cost else seconds,
         heading=case.title,
     )
     found.x_ticks = [(x.at(2.0**e), str(2**e)) for e in range(1, 7)]
@@ -117,10 +120,17 @@ def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:
             path = "L".join(
                 f"{x.at(a):g} {y.clipped(b):g}" for a, b in zip(at.tolist(), curve.tolist(), strict=True) if b > 0
             )
-            found.lines.append(("curve", "M" + path))
+            found.lines.append(("curve gpu-1" if mine is gpu else "curve", "M" + path))
             found.remark = found.remark or f"R² {best.r2:.4f}"
-    found.dots = [
-        Dot(x=x.at(v), y=y.at(value), kind="front" if has else "measured", radius=4.2, title=k.machine.instance)
+    found.marks = [
+        Mark(
+            x=x.at(v),
+            y=y.at(value),
+            kind="measured gpu-1" if has else "measured meets",
+            radius=4.4,
+            diamond=has,
+            title=k.machine.instance,
+        )
         for k, v, value, has in zip(known, vcpus.tolist(), values.tolist(), gpu.tolist(), strict=True)
     ]
     return found
@@ -134,9 +144,9 @@ def _frontier(case: Case, left: float, top: float) -> Frame:
     found = frame(
         x=x,
         y=y,
-        x_label="price per hour",
-        y_label="mean latency",
-        x_words=short_dollars,
+        x_label="price per hour →",
+        y_label="↑ mean latency",
+        x_words=money,
         y_words=seconds,
         heading=case.title,
     )
@@ -147,15 +157,16 @@ def _frontier(case: Case, left: float, top: float) -> Frame:
         steps = "".join(f"H{a:g}V{b:g}" for a, b in corners[1:])
         found.lines.append((kind, f"M{corners[0][0]:g} {y.end:g}V{corners[0][1]:g}{steps}H{x.end:g}"))
     others = np.flatnonzero(~choice.latency.measured)
-    found.specks.append(("in", "".join(f"M{x.at(price[row]):g} {y.at(latency[row]):g}h0" for row in others)))
-    found.dots = [
-        Dot(
+    found.marks = [
+        Mark(
             x=x.at(price[row]),
             y=y.at(latency[row]),
-            kind="measured",
-            radius=4.2,
+            kind=kind,
+            radius=4.4,
             title=str(choice.offers.instance[row]),
+            diamond=bool(choice.offers.gpu[row]),
         )
-        for row in measured
+        for kind, rows in (("predicted misses", others), ("measured meets", measured))
+        for row in rows
     ]
     return found
