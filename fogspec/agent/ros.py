@@ -32,10 +32,13 @@ def need_rclpy(module: str, arguments: Sequence[str]) -> None:
 
 
 def type_of(kind: str) -> Any:
-    """Return the class of `package/msg/Name` or `package/srv/Name`; exit if it is not installed."""
+    """Return the class of `package/msg/Name`, `package/srv/Name` or `package/srv/Name_Event`; exit if it is not installed."""
     package, _, name = kind.rpartition("/")
     try:
-        return getattr(importlib.import_module(package.replace("/", ".")), name)
+        module = importlib.import_module(package.replace("/", "."))
+        if package.endswith("/srv") and name.endswith("_Event"):
+            return getattr(module, name[: -len("_Event")]).Event
+        return getattr(module, name)
     except (ImportError, AttributeError):
         sys.exit(f"the type {kind} is not installed here")
 

@@ -6,7 +6,8 @@
 It needs the standard library and rclpy. It subscribes to serialised messages with best effort, so that no publisher waits for
 it, and takes them from the middleware 50 times per second: times are those at which messages were sent, which the middleware
 keeps. If it uses more than a part of one core, it drops its largest topics. It reads the nodes' parameters by their own
-services, and their command lines, CPU time and memory from /proc where they run on this computer.
+services, and their command lines, CPU time and memory from /proc where they run on this computer. Goals of actions are timed by
+their status topics, calls of services by their events, where a node publishes them.
 """
 
 import argparse
@@ -24,7 +25,7 @@ from .graph import Graph, full_name, parameters
 from .matching import stamp_of
 from .recording import Bag
 from .robot_processes import Processes
-from .ros import listening_qos, message_of, need_rclpy
+from .ros import listening_qos, message_of, need_rclpy, type_of
 
 VERSION = 1
 NAME = "fogspec_watch"
@@ -38,7 +39,8 @@ SILENT_S = 2.5  # then a reliable subscription replaces one that got nothing
 SKEW_NS = 200_000_000  # a message that was sent so long before it came was sent by another clock
 ALWAYS = ("/parameter_events", "/rosout", "/clock")
 ENDED = {4: "succeeded", 5: "canceled", 6: "aborted"}  # action_msgs/msg/GoalStatus
-STATUS = "/_action/status"
+STATUS, EVENT = "/_action/status", "/_service_event"
+SENT, RECEIVED, REPLIED, GOT = range(4)  # service_msgs/msg/ServiceEventInfo
 
 Taken = Callable[[str, bool, bytes, int], None]  # topic, whether it has headers, a serialised message, when sent in ns
 
@@ -159,6 +161,7 @@ class Observations:
         self.counts: dict[str, int] = {}
         self.sizes: dict[str, int] = {}
         self.goals: dict[str, dict[bytes, list[Any]]] = {}
+        self.calls: dict[str, dict[tuple[bytes, int], dict[int, int]]] = {}
         self.total = 0
 
     def hear(self, topic: str, has_header: bool, data: bytes, at_ns: int) -> None:
@@ -186,6 +189,26 @@ class Observations:
             if one.status in ENDED and goal[1] is None:
                 # One that had ended before the watch has no known beginning.
                 goal[1:] = [at_ns, ENDED[one.status]]
+
+    def hear_calls(self, topic: str, kind: Any, data: bytes) -> None:
+        """Keep the times of a call, as its server and its caller wrote them down."""
+        from rclpy.serialization import deserialize_message
+
+        info = deserialize_message(data, kind).info
+        calls = self.calls.setdefault(topic[: -len(EVENT)], {})
+        key = bytes(info.client_gid), int(info.sequence_number)
+        if key in calls or len(calls) < MOST_OF_TOPIC:
+            calls.setdefault(key, {})[int(info.event_type)] = info.stamp.sec * 10**9 + info.stamp.nanosec
+
+    def calls_of(self, service: str) -> list[list[int]]:
+        """Return begin and end of each whole call in ns: at its server, or else at its caller."""
+        found = []
+        for times in self.calls.get(service, {}).values():
+            for begin, end in ((RECEIVED, REPLIED), (SENT, GOT)):
+                if begin in times and end in times:
+                    found.append([times[begin], times[end]])
+                    break
+        return found
 
 
 def watch(seconds: float) -> dict[str, Any]:
@@ -236,9 +259,12 @@ def watch(seconds: float) -> dict[str, Any]:
                 "dropped": topic in listener.dropped,
             }
             for topic, entry in topics.items()
-            if STATUS not in topic
+            if not topic.endswith((STATUS, EVENT))
         },
-        "services": services,
+        "services": {
+            name: {**entry, "introspected": f"{name}{EVENT}" in listener.subscriptions, "calls": heard.calls_of(name)}
+            for name, entry in services.items()
+        },
         "actions": {
             name: {**entry, "goals": [*heard.goals.get(name, {}).values()]} for name, entry in actions.items()
         },
@@ -265,18 +291,25 @@ def subscribe(
         if len(entry["types"]) != 1:
             failed[topic] = "it is published with more than one type"
             continue
-        goals = topic.endswith(STATUS)
-        if "/_action/" in topic and not goals:
+        kind = entry["types"][0]
+        taken: Taken = heard.hear
+        timed = topic.endswith((STATUS, EVENT))
+        if "/_action/" in topic and not timed:
             continue
         try:
-            has_header = listener.want(
-                topic, entry["types"][0], heard.hear_goals if goals else heard.hear, entry["reliable"] and not goals
-            )
-            if not goals:
+            if timed:
+                taken = heard.hear_goals if topic.endswith(STATUS) else _hears_calls(heard, kind)
+            has_header = listener.want(topic, kind, taken, entry["reliable"] and not timed)
+            if not timed:
                 headers[topic] = has_header
         except SystemExit as problem:
             failed[topic] = str(problem)
     return headers
+
+
+def _hears_calls(heard: Observations, kind: str) -> Taken:
+    event = type_of(kind)
+    return lambda topic, _has_header, data, _at_ns: heard.hear_calls(topic, event, data)
 
 
 def record(options: argparse.Namespace) -> None:

@@ -2,9 +2,11 @@
 
 For each graph: the pairs of request and response that exist, how many were found, how many were proposed that do not exist,
 the error of the median latency against what the nodes wrote down themselves, and the part of a core that watching took.
+`--keep` writes what was seen and what was true to tests/cases/graph, where a test judges it without any node or clock.
 """
 
 import argparse
+import gzip
 import json
 import statistics
 import tempfile
@@ -15,12 +17,14 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.spec.graph_import.observed import Observed, read_observed
+from fogspec.spec.graph_import.offers import timed_calls
 from fogspec.spec.graph_import.pairs import Pair, find_pairs
 from tests.ros.namespaces import Net, lacking, network
 from tests.ros.quoting import host
 from tests.support.agent import AGENT
 
 NODES = Path(__file__).parent / "nodes"
+RECORDED = Path(__file__).parents[1] / "cases" / "graph" / "recorded.json.gz"
 
 
 def source(topic: str, kind: str, rate: float, **more: Any) -> dict[str, Any]:
@@ -109,6 +113,9 @@ GRAPHS: dict[str, Graph] = {
          {"node": "planner", "serves": [{"service": "/plan", "busy": 0.1}]},
          {"node": "mission", "calls": [{"action": "/navigate", "every": 1.0}, {"service": "/plan", "every": 0.7}]}],
         {("/navigate", "/navigate")}),
+    "a service that publishes its calls": (
+        [{"node": "planner", "serves": [{"service": "/plan", "busy": 0.1, "introspected": True}]},
+         {"node": "mission", "calls": [{"service": "/plan", "every": 0.4}]}], {("/plan", "/plan")}),
     "nothing but timers": (
         [source("/a", "text", 10), source("/b", "pose", 10), ticker({"/a": "text", "/b": "pose"}, "/c", "pose", 10)], set()),
 }  # fmt: skip
@@ -135,8 +142,11 @@ class Score:
         return self.proposed - self.expected
 
 
-def observe(net: Net, graph: list[dict[str, Any]], seconds: float) -> tuple[Observed, list[list[Any]]]:
-    """Run the graph and watch it; returns what was seen, and the nodes' own times."""
+True_s = dict[tuple[str, str], float]  # median latency of each pair, by the nodes' own times
+
+
+def observe(net: Net, graph: list[dict[str, Any]], seconds: float) -> tuple[Observed, True_s]:
+    """Run the graph and watch it; returns what was seen, and what was true in that time."""
     truth, out = net.folder / "truth", net.folder / "robot.json"
     robot = net.python("robot", str(NODES / "graph.py"), json.dumps(graph), str(truth))
     time.sleep(2.0)
@@ -144,45 +154,62 @@ def observe(net: Net, graph: list[dict[str, Any]], seconds: float) -> tuple[Obse
     assert watched.returncode == 0, watched.stderr + robot.said()
     robot.stop()
     assert out.exists(), watched.stderr
-    lines = truth.read_text().splitlines() if truth.exists() else []
-    return read_observed(out), [json.loads(line) for line in lines[:-1]]
+    seen, told = read_observed(out), truth.read_text().splitlines() if truth.exists() else []
+    since = min((at for topic in seen.topics.values() for at, *_ in topic.messages[:1]), default=0)
+    took: dict[tuple[str, str], list[float]] = {}
+    for request, response, begun, ended in map(json.loads, told[:-1]):
+        if begun >= since:
+            took.setdefault((request, response), []).append((ended - begun) * 1e-9)
+    return seen, {pair: statistics.median(times) for pair, times in took.items()}
 
 
-def score(seen: Observed, truth: list[list[Any]], expected: set[tuple[str, str]]) -> Score:
-    """Compare what is proposed with what exists."""
-    from fogspec.spec.graph_import.proposal import find_goals
+def kept(seen: Observed, true_s: True_s) -> dict[str, Any]:
+    """Return a run as data for `recorded`, without what it says of this computer."""
+    data = seen.model_dump(mode="json", exclude={"machine": True, "nodes": {"__all__": {"process"}}})
+    return {"seen": data, "true_s": {" ".join(pair): round(value, 9) for pair, value in sorted(true_s.items())}}
 
-    found, acted = find_pairs(seen), find_goals(seen)
-    read = {(one.request, one.response): one.p50_s for one in found} | {
-        (one.action, one.action): one.p50_s for one in acted
+
+def recorded() -> dict[str, tuple[Observed, True_s]]:
+    """Return the runs that are kept in the repository, by the graph's name."""
+    found = json.loads(gzip.decompress(RECORDED.read_bytes()))
+    return {
+        name: (Observed.model_validate(one["seen"]), {tuple(k.split()): v for k, v in one["true_s"].items()})
+        for name, one in found.items()
     }
-    errors = {}
-    for pair in set(read) & expected:
-        sent = [at for topic in seen.topics.values() for at, *_ in topic.messages[:1]] or [0]
-        true = [(b - a) * 1e-9 for request, response, a, b in truth if (request, response) == pair and a >= min(sent)]
-        errors[pair] = read[pair] / statistics.median(true) - 1
+
+
+def score(seen: Observed, true_s: True_s, expected: set[tuple[str, str]]) -> Score:
+    """Compare what is proposed with what exists."""
+    found = find_pairs(seen)
+    read = {(one.request, one.response): one.p50_s for one in found}
+    read |= {(one.name, one.name): one.p50_s for one in timed_calls(seen)}
+    errors = {pair: read[pair] / true_s[pair] - 1 for pair in set(read) & expected}
     return Score(expected, found, set(read), errors, seen.overhead.cpu)
 
 
-def lines(names: list[str], seconds: float) -> Iterator[tuple[str, Score]]:
+def runs(names: list[str], seconds: float) -> Iterator[tuple[str, Observed, True_s]]:
     """Watch each graph in a network of its own."""
     for name in names:
-        graph, expected = GRAPHS[name]
         with tempfile.TemporaryDirectory() as folder, network(Path(folder)) as net:
-            yield name, score(*observe(net, graph, seconds), expected)
+            yield name, *observe(net, GRAPHS[name][0], seconds)
 
 
 def main() -> None:
     """Print one line for each graph, and the sums."""
     parser = argparse.ArgumentParser(prog="python -m tests.ros.graphs")
     parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument("--keep", action="store_true", help="keep the runs in the repository, in place of those there")
     parser.add_argument("graphs", nargs="*", metavar="GRAPH", help="; ".join(GRAPHS))
     options = parser.parse_args()
     if reason := lacking():
         raise SystemExit(reason)
     print(host(), f"{'graph':<40}{'right':>7}{'wrong':>7}{'error %':>9}{'CPU %':>7}", sep="\n")
-    scores = []
-    for name, one in lines(options.graphs or [*GRAPHS], options.seconds):
+    scores, all_kept = [], json.loads(gzip.decompress(RECORDED.read_bytes())) if RECORDED.exists() else {}
+    for name, seen, true_s in runs(options.graphs or [*GRAPHS], options.seconds):
+        one = score(seen, true_s, GRAPHS[name][1])
+        if options.keep:
+            all_kept[name] = kept(seen, true_s)
+            RECORDED.write_bytes(gzip.compress(json.dumps(all_kept, separators=(",", ":")).encode(), 9, mtime=0))
         worst = max(one.errors.values(), key=abs, default=0.0)
         print(
             f"{name:<40}{len(one.right):>4}/{len(one.expected)}{len(one.wrong):>7}{100 * worst:>9.2f}{100 * one.cpu:>7.1f}",

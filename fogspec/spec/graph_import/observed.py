@@ -67,12 +67,17 @@ class Topic(Part):
 
 
 class Offer(Part):
-    """A service or an action; `goals` are [accepted, ended, how], times in ns."""
+    """A service or an action; `goals` are [accepted, ended, how] and `calls` [begun, ended], times in ns.
+
+    `introspected`: some node publishes the events of its calls.
+    """
 
     type: str
     servers: Names = []
     callers: Names = []
     goals: list[tuple[int, int | None, str | None]] = []
+    introspected: bool = False
+    calls: list[tuple[int, int]] = []
 
 
 class Overhead(Part):

@@ -5,13 +5,14 @@ for it, and the notes say so.
 """
 
 import math
-import statistics
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, get_args
 
 from fogspec.base.units import format_duration
 from fogspec.spec.graph_import.observed import Node, Observed, Process
+from fogspec.spec.graph_import.offers import Calls, Untimed, timed_calls, untimed
+from fogspec.spec.graph_import.offload import Member, cores, left, members, merged, stays
 from fogspec.spec.graph_import.pairs import Pair, find_pairs
 from fogspec.spec.schema import Ros
 
@@ -19,7 +20,6 @@ ROUND_TRIP_S = 0.04
 TO_CLOUD_BITS_PER_S = 20e6
 FROM_CLOUD_BITS_PER_S = 50e6
 PRICE = "$0.09/GiB"  # AWS's list price for the first 10 TB per month to the internet
-NS = 1e-9
 MOST_LINES = 20
 LONGEST_VALUE = 4000  # characters of a parameter: a robot's description is not written into a spec
 OWN_PARAMETERS = ("qos_overrides.", "start_type_description_service")
@@ -28,37 +28,11 @@ SYSTEM = "/opt/ros/"
 DISTROS = get_args(Ros.model_fields["distro"].annotation)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Goals:
-    """An action, where it is offered, and how long its goals took."""
-
-    action: str
-    node: str
-    accepted: int
-    latencies_s: tuple[float, ...]
-    rate: float
-
-    @property
-    def p50_s(self) -> float:
-        """Median of the latencies."""
-        return statistics.median(self.latencies_s)
-
-    @property
-    def p95_s(self) -> float:
-        """Their 95 % quantile."""
-        return sorted(self.latencies_s)[math.ceil(0.95 * len(self.latencies_s)) - 1]
-
-    def evidence(self) -> str:
-        """Return what was seen, as a line of text."""
-        ended = f"{len(self.latencies_s)} of {self.accepted} goals ended"
-        return f"{self.action}: action, {ended}, p50 {1e3 * self.p50_s:.3g} ms, p95 {1e3 * self.p95_s:.3g} ms"
-
-
 @dataclass(kw_only=True)
 class Proposal:
     """Values for `spec`, lines for the head of the file, and what the user should know besides.
 
-    `record` are topics to record as the workload; `load` is the process of the chosen node.
+    `record` are topics to record as the workload; `cores` and `memory_gib` are what the nodes to offload used.
     """
 
     spec: dict[str, Any]
@@ -70,63 +44,83 @@ class Proposal:
     memory_gib: float | None = None
 
 
-def find_goals(seen: Observed) -> list[Goals]:
-    """Return the actions with goals that were accepted and ended while the robot was watched."""
-    found = []
-    for name, offer in sorted(seen.actions.items()):
-        took = tuple((end - begin) * NS for begin, end, _ in offer.goals if end is not None and end > begin)
-        accepted = sum(end is None or end > begin for begin, end, _ in offer.goals)
-        if took and offer.servers:
-            rate = accepted / max(seen.seconds, 1e-9)
-            found.append(
-                Goals(action=name, node=offer.servers[0], accepted=accepted, latencies_s=took, rate=rate)
-            )  # fmt: skip
-    return found
-
-
 def propose(seen: Observed) -> Proposal:
-    """Return a first spec: the node that works most is the one to offload."""
-    pairs, acted = find_pairs(seen), find_goals(seen)
-    timed: list[Pair | Goals] = [*(one for one in pairs if one.match is not None), *acted]
-    # What a node works per second, at most all of it.
-    chosen = max(timed, key=lambda one: min(1.0, one.p50_s * one.rate), default=None)
-    called = [name for name, offer in sorted(seen.services.items()) if offer.servers and offer.callers]
+    """Return a first spec: the node that works most is the one to offload, with those that work on its requests too."""
+    pairs, called = find_pairs(seen), timed_calls(seen)
+    timed: list[Pair | Calls] = [*(one for one in pairs if one.match is not None), *called]
+    away = [one for one in timed if one.node in seen.nodes and stays(seen.nodes[one.node]) is None]
+    chosen = max(away or timed, key=_load, default=None)
+    unknown = untimed(seen)
     proposal = Proposal(spec={})
-    proposal.lines += _evidence(seen, pairs, acted, called)
+    found: list[Pair | Calls | Untimed] = [*pairs, *called, *unknown]
+    proposal.lines.append(
+        f"{_count(len(seen.nodes), 'node')} and {_count(len(seen.topics), 'topic')}, watched for {seen.seconds:.0f} s."
+    )
+    proposal.lines += _bounded([one.evidence() for one in found])
     proposal.warnings += _doubts(seen, pairs)
-    node = chosen.node if chosen else seen.services[called[0]].servers[0] if called else None
+    asked = chosen or (unknown[0].what if unknown else None)
+    node = asked.node if asked else None
     if node is None:
         proposal.warnings.append(
             "no request and response were found: name them under probe, and move the node to offload to cloud"
         )
-    _nodes(proposal, seen, node)
+    whole, together = seen, [] if asked is None else [Member(asked.node, f"answers {_name(asked)}")]
+    if chosen is not None:
+        whole, together, chosen = _together(seen, chosen, together[0], pairs)
+    _nodes(proposal, seen, together)
+    if together:
+        proposal.lines += _bounded([*left(seen, [one.name for one in together], pairs)])
     if isinstance(chosen, Pair):
         order = {} if chosen.match == "stamp" else {"match": chosen.match}
         proposal.spec["probe"] = {"request": chosen.request, "response": chosen.response, **order}
         proposal.record = [chosen.request]
     elif chosen is not None:
-        proposal.spec["probe"] = {"action": chosen.action}
-    elif called:
-        proposal.spec["probe"] = {"service": called[0]}
-        proposal.warnings.append(
-            f"{called[0]}: calls are visible inside its node only, so its latency is not known yet"
-        )
+        proposal.spec["probe"] = {chosen.kind: chosen.name}
+    elif unknown:
+        proposal.spec["probe"] = {unknown[0].what.kind: unknown[0].what.name}
+        proposal.warnings.append(f"{unknown[0].what.name}: {unknown[0].why}")
     if chosen is not None:
         proposal.latency_s = chosen.p50_s
         proposal.spec["probe"]["timeout"] = format_duration(_rounded_up(max(10 * chosen.p95_s, 1.0)))
     if node is not None:
-        _link(proposal, seen, node, chosen)
+        _link(proposal, whole, node, chosen)
     return proposal
 
 
-def _evidence(seen: Observed, pairs: list[Pair], acted: list[Goals], called: list[str]) -> Iterator[str]:
-    yield f"{_count(len(seen.nodes), 'node')} and {_count(len(seen.topics), 'topic')}, watched for {seen.seconds:.0f} s."
-    found = [*(one.evidence() for one in pairs), *(one.evidence() for one in acted)]
-    found += [f"{name}: service of {seen.services[name].servers[0]}, called by {', '.join(seen.services[name].callers)}"
-              for name in called]  # fmt: skip
-    yield from found[:MOST_LINES]
-    if len(found) > MOST_LINES:
-        yield f"... and {len(found) - MOST_LINES} more"
+def _load(one: Pair | Calls) -> float:
+    """Return what a node works per second, at most all of it."""
+    return min(1.0, one.p50_s * one.rate)
+
+
+def _name(one: Pair | Calls) -> str:
+    return one.request if isinstance(one, Pair) else one.name
+
+
+def _together(
+    seen: Observed, chosen: Pair | Calls, first: Member, pairs: list[Pair]
+) -> tuple[Observed, list[Member], Pair | Calls]:
+    """Return what is seen of the nodes to offload as one, these nodes, and the request and response that they have as one.
+
+    If those cannot be told, the node that works most goes alone.
+    """
+    together = members(seen, first, pairs)
+    if len(together) == 1:
+        return seen, together, chosen
+    whole = merged(seen, [one.name for one in together])
+    if isinstance(chosen, Calls):
+        return whole, together, chosen
+    inside = [pair for pair in pairs if pair.node in {one.name for one in together}]
+    last = {pair.response for pair in inside} - {pair.request for pair in inside}
+    outer = [one for one in find_pairs(whole) if one.node == first.name and one.response in last and one.match]
+    best = max(outer, key=lambda one: (one.p50_s, one.request), default=None)
+    if best is None or best.p50_s < chosen.p50_s:
+        return seen, [first], chosen
+    return whole, together, best
+
+
+def _bounded(lines: list[str]) -> list[str]:
+    more = [f"... and {len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
+    return [*lines[:MOST_LINES], *more]
 
 
 def _doubts(seen: Observed, pairs: list[Pair]) -> Iterator[str]:
@@ -154,39 +148,21 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
-def _nodes(proposal: Proposal, seen: Observed, chosen: str | None) -> None:
-    """Divide the nodes: the chosen one to the cloud, the others stay; those without a known program are named."""
-    unknown, together, apt = [], [], set()
-    entries: dict[str, dict[str, Any]] = {}
-    for name, node in seen.nodes.items():
-        if node.gone and name != chosen:
-            continue
-        if node.process is None or not node.process.argv:
-            unknown.append(name)
-        elif node.process.shared:
-            together.append(name)
-        entries[name] = _node(name, node, proposal)
-        if name == chosen and node.process is not None and node.process.package:
-            path = next((word for word in node.process.argv if word.endswith(f"/{node.process.executable}")), "")
-            if path.startswith(SYSTEM):
-                distro = path.removeprefix(SYSTEM).partition("/")[0]
-                apt.add(f"ros-{distro}-{node.process.package.replace('_', '-')}")
-    cloud = [entries.pop(chosen)] if chosen in entries else []
+def _nodes(proposal: Proposal, seen: Observed, chosen: list[Member]) -> None:
+    """Divide the nodes: those chosen to the cloud, the others stay; those without a known program are named."""
+    away = {one.name for one in chosen}
+    visible = {name: node for name, node in seen.nodes.items() if not node.gone or name in away}
+    unknown = [name for name, node in visible.items() if node.process is None or not node.process.argv]
+    together = [name for name, node in visible.items() if node.process is not None and node.process.shared]
+    entries = {name: _node(name, node, proposal) for name, node in visible.items()}
+    cloud = [entries.pop(one.name) for one in chosen if one.name in entries]
     known = [entry for name, entry in entries.items() if name not in unknown and name not in together]
     proposal.spec |= {"cloud": cloud or [{"package": "my_package", "executable": "my_node"}]}
     if known:
         proposal.spec["robot"] = known
-    known_distro = seen.distro if seen.distro in DISTROS else "jazzy"
-    if "package" in proposal.spec["cloud"][0]:
-        proposal.spec["ros"] = {"distro": known_distro, **({"apt": sorted(apt)} if apt else {"workspace": "ros2_ws"})}
-    process = seen.nodes[chosen].process if chosen is not None and not seen.nodes[chosen].gone else None
-    if process is not None and not process.shared and seen.seconds > 0:
-        proposal.cores = process.cpu_s / seen.seconds
-        proposal.memory_gib = process.memory_bytes / 2**30 if process.memory_bytes else None
-        proposal.lines.append(
-            f"{chosen} used {proposal.cores:.2f} cores"
-            + (f" and {proposal.memory_gib:.2f} GiB of memory" if proposal.memory_gib else "")
-        )
+    if any("package" in entry for entry in proposal.spec["cloud"]):
+        proposal.spec["ros"] = _ros(seen, [visible[one.name] for one in chosen if one.name in visible])
+    _used(proposal, seen, chosen)
     if unknown:
         proposal.warnings.append(
             f"{_some(unknown)}: how it was started is not visible from here: write it into the spec"
@@ -194,6 +170,33 @@ def _nodes(proposal: Proposal, seen: Observed, chosen: str | None) -> None:
     if together:
         what = f"{_some(together)} share a process: a node container is written as a whole"
         proposal.warnings.append(f"{what}, and what starts them is left for you")
+
+
+def _ros(seen: Observed, nodes: list[Node]) -> dict[str, Any]:
+    """Return where the packages of nodes come from: the distribution's packages, and a workspace for all others."""
+    apt, others = set(), not nodes
+    for process in (node.process or Process() for node in nodes):
+        path = next((word for word in process.argv if word.endswith(f"/{process.executable}")), "")
+        if process.package and path.startswith(SYSTEM):
+            installed = path.removeprefix(SYSTEM).partition("/")[0]
+            apt.add(f"ros-{installed}-{process.package.replace('_', '-')}")
+        else:
+            others = True
+    distro = seen.distro if seen.distro in DISTROS else "jazzy"
+    return {"distro": distro, **({"workspace": "ros2_ws"} if others else {}), **({"apt": sorted(apt)} if apt else {})}
+
+
+def _used(proposal: Proposal, seen: Observed, chosen: list[Member]) -> None:
+    """Say why each node is to be offloaded, and what it used; add up what is known of all."""
+    for one in chosen:
+        used, memory_gib = cores(seen, one.name), None
+        process = seen.nodes[one.name].process if one.name in seen.nodes else None
+        if used is not None and process is not None:
+            memory_gib = process.memory_bytes / 2**30 if process.memory_bytes else None
+            proposal.cores = (proposal.cores or 0.0) + used
+            proposal.memory_gib = (proposal.memory_gib or 0.0) + memory_gib if memory_gib else proposal.memory_gib
+        what = ("" if used is None else f", {used:.2f} cores") + (f", {memory_gib:.2f} GiB" if memory_gib else "")
+        proposal.lines.append(f"cloud: {one.name}{what}: {one.why}")
 
 
 def _node(name: str, node: Node, proposal: Proposal) -> dict[str, Any]:
@@ -233,7 +236,7 @@ def _parameters(name: str, node: Node, proposal: Proposal) -> dict[str, Any]:
     return kept
 
 
-def _link(proposal: Proposal, seen: Observed, node: str, chosen: Pair | Goals | None) -> None:
+def _link(proposal: Proposal, seen: Observed, node: str, chosen: Pair | Calls | None) -> None:
     """Propose limits for machine and network, from what passes between the node and the others."""
     to_cloud, from_cloud = _passing(seen, node)
     seconds = max(seen.seconds, 1e-9)

@@ -115,8 +115,20 @@ def latched(node, part):
 
 
 def serves(node, part):
-    """Offer a service."""
-    node.create_service(Trigger, part["service"], lambda _request, response: (time.sleep(part["busy"]), response)[1])
+    """Offer a service, and if asked publish the events of its calls."""
+    from rclpy.qos import qos_profile_services_default
+    from rclpy.service_introspection import ServiceIntrospectionState
+
+    def serve(_request, response):
+        begun = time.time_ns()
+        time.sleep(part["busy"])
+        truth.write(json.dumps([part["service"], part["service"], begun, time.time_ns()]) + "\n")
+        return response
+
+    service = node.create_service(Trigger, part["service"], serve)
+    if part.get("introspected"):
+        state = ServiceIntrospectionState.METADATA
+        service.configure_introspection(node.get_clock(), qos_profile_services_default, state)
 
 
 def acts(node, part):

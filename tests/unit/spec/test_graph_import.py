@@ -1,4 +1,4 @@
-"""A spec from a robot that runs, on simulated observations; tests/ros/test_graph.py does the same on real nodes."""
+"""A spec from a robot that runs, on simulated observations, and on runs of real nodes that were kept (tests/ros/graphs.py)."""
 
 import json
 import random
@@ -11,6 +11,7 @@ from fogspec.spec.graph_import.observed import Observed
 from fogspec.spec.graph_import.pairs import Pair, find_pairs
 from fogspec.spec.graph_import.proposal import propose
 from tests.conftest import ROOT
+from tests.ros.graphs import GRAPHS, recorded, score
 from tests.support.running import Shell, shell  # noqa: F401
 
 BEGUN = 1_795_000_000_000_000_000
@@ -289,3 +290,131 @@ def test_without_ros_2_it_says_how_and_writes_nothing(shell: Shell, tmp_path: Pa
     assert "no python3 on PATH has rclpy" in ended.err
     assert "agent.pyz watch --out robot.json" in ended.err
     assert list(shell.folder.iterdir()) == []
+
+
+RUNS = recorded()
+
+
+def test_each_graph_has_a_run_that_was_kept() -> None:
+    assert set(RUNS) == set(GRAPHS)
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_in_what_was_seen_of_real_nodes_the_pairs_that_exist_are_found_with_their_latencies(name: str) -> None:
+    found = score(*RUNS[name], GRAPHS[name][1])
+    assert (found.right, found.wrong) == (found.expected, set())
+    assert max(map(abs, found.errors.values()), default=0.0) < 0.03
+
+
+def works(robot: Robot, node: str, cpu_s: float, package: str = "arm", **more: Any) -> None:
+    """Give a node a process of its own, with what it used in the 15 s of the watch."""
+    argv = [f"/home/ws/install/{package}/lib/{package}/{node[1:]}"]
+    process = {"argv": argv, "package": package, "executable": node[1:], "cpu_s": cpu_s, "memory_bytes": 2**29}
+    robot.nodes[node] = {"process": {**process, **more}}
+
+
+def pipeline() -> Robot:
+    """A camera, three nodes on the way from its image to a path, and a recorder that hears all of it."""
+    robot = Robot()
+    robot.timer("/camera", "/raw", 10, size=500_000)
+    robot.answers("/rectify", "/raw", "/rgb", 0.02, size=500_000)
+    robot.answers("/detect", "/rgb", "/boxes", 0.05, size=300)
+    robot.answers("/grasp", "/boxes", "/path", 0.02, size=900)
+    robot.hears("/driver", "/path")
+    robot.hears("/recorder", "/raw", "/rgb", "/boxes", "/path")
+    for node, cpu_s, package in (("/camera", 6.0, "usb_cam"), ("/rectify", 3.0, "image_proc"), ("/detect", 7.5, "arm"),
+                                 ("/grasp", 4.5, "arm"), ("/driver", 0.3, "arm"), ("/recorder", 9.0, "rosbag2")):  # fmt: skip
+        works(robot, node, cpu_s, package)
+    return robot
+
+
+def test_the_nodes_that_work_on_the_way_of_a_request_go_together(shell: Shell) -> None:
+    shell.write("robot.json", json.dumps(pipeline().data()))
+    said = shell("init", "arm", "--observed", "robot.json").out
+    written = shell.read("specs/arm.yaml")
+    for line in (
+        "cloud: /detect, 0.50 cores, 0.50 GiB: answers /rgb",
+        "cloud: /rectify, 0.20 cores, 0.50 GiB: on the way, /raw -> /rgb",
+        "cloud: /grasp, 0.30 cores, 0.50 GiB: on the way, /boxes -> /path",
+        "robot: /camera, 0.40 cores: drives a camera or depth sensor of the robot",
+        "robot: /recorder, 0.60 cores: not on the way from a request to its response",
+        "link: 5 MB/s to the cloud, most of it /raw, 5 MB/s",
+    ):
+        assert line in said.splitlines(), line
+        assert f"# {line}" in written.splitlines(), line
+    assert "/driver" not in said
+    cloud, robot = written.partition("  robot:")[::2]
+    assert [name for name in ("rectify", "detect", "grasp") if f"executable: {name}" in cloud] == [
+        "rectify",
+        "detect",
+        "grasp",
+    ]
+    assert "executable: recorder" in robot
+    assert ("request: /raw" in robot, "response: /path" in robot) == (True, True)
+    shell("validate")
+
+
+def test_a_node_that_works_little_or_whose_process_others_share_stays_and_ends_the_way() -> None:
+    robot = pipeline()
+    works(robot, "/rectify", 0.6, "image_proc")
+    works(robot, "/grasp", 4.5, shared=True)
+    proposal = propose(robot.seen())
+    assert [node["executable"] for node in proposal.spec["cloud"]] == ["detect"]
+    assert proposal.spec["probe"]["request"] == "/rgb"
+    assert "robot: /rectify, 0.04 cores: works too little to gain by a larger machine" in proposal.lines
+    assert "robot: /grasp: it shares its process with other nodes" in proposal.lines
+
+
+def test_without_a_request_and_response_of_all_of_them_the_one_that_works_most_goes_alone() -> None:
+    robot = pipeline()
+    del robot.topics["/path"]
+    robot.answers("/grasp", "/boxes", "/path", 0.02, loss=0.3, stamp="new")
+    robot.hears("/driver", "/path")
+    proposal = propose(robot.seen())
+    assert [node["executable"] for node in proposal.spec["cloud"]] == ["detect"]
+    assert (proposal.spec["probe"]["request"], proposal.spec["probe"]["response"]) == ("/rgb", "/boxes")
+
+
+def test_what_stays_on_the_robot_is_not_what_works_most() -> None:
+    robot = Robot()
+    robot.timer("/encoders", "/joint_states", 50, count=750)
+    robot.answers("/state", "/joint_states", "/tf", 0.018)
+    robot.timer("/camera", "/rgb", 2, count=30)
+    robot.answers("/detect", "/rgb", "/boxes", 0.05)
+    works(robot, "/state", 12.0, "robot_state_publisher")
+    works(robot, "/detect", 1.5)
+    proposal = propose(robot.seen())
+    assert [node["executable"] for node in proposal.spec["cloud"]] == ["detect"]
+    assert any(line.startswith("robot: /state, 0.80 cores: publishes the robot's state") for line in proposal.lines)
+
+
+def test_a_service_whose_calls_are_published_is_timed_and_one_that_it_calls_goes_with_it() -> None:
+    robot = Robot()
+    for node, cpu_s in (("/planner", 6.0), ("/costs", 3.0), ("/mission", 0.1)):
+        works(robot, node, cpu_s)
+    calls = [[BEGUN + i * S, BEGUN + i * S + (40 + i) * S // 1000] for i in range(15)]
+    robot.more["services"] = {
+        "/plan": {
+            "type": "a/srv/P",
+            "servers": ["/planner"],
+            "callers": ["/mission"],
+            "introspected": True,
+            "calls": calls,
+        },
+        "/cost": {"type": "a/srv/C", "servers": ["/costs"], "callers": ["/planner"]},
+        "/reset": {"type": "a/srv/R", "servers": ["/costs"], "callers": []},
+        "/save": {"type": "a/srv/R", "servers": ["/costs"], "callers": ["/mission"], "introspected": True},
+    }
+    robot.more["actions"] = {"/go": {"type": "a/action/G", "servers": ["/mission"], "callers": ["/ui"]}}
+    proposal = propose(robot.seen())
+    assert proposal.spec["probe"] == {"service": "/plan", "timeout": "1s"}
+    assert [node["executable"] for node in proposal.spec["cloud"]] == ["planner", "costs"]
+    assert proposal.latency_s == pytest.approx(0.047)
+    said = "\n".join(proposal.lines)
+    assert "/plan: service, 15 of 15 calls answered, p50 47 ms, p95 54 ms, 1/s, called by /mission" in said
+    assert "cloud: /costs, 0.20 cores, 0.50 GiB: on the way, service /cost for /planner" in said
+    assert "/cost: service of /costs, called by /planner; its calls are not visible" in said
+    assert "configure_introspection(clock, qos, METADATA) at its server shows them" in said
+    assert "/save: service of /costs, called by /mission; no call was answered while it was watched" in said
+    assert "/go: action of /mission, called by /ui; no goal began and ended while it was watched" in said
+    assert "/reset" not in said
