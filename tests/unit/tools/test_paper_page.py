@@ -29,7 +29,7 @@ def test_every_run_is_drawn_by_its_latency_and_its_path_length() -> None:
     drawn = figures._path_lengths((RUN,))
     assert drawn.count("<circle") == 2 * len(RUN.samples) + 1  # and the legend
     assert "path length in m" in drawn
-    assert "our own runs, on shapes of one host" in drawn
+    assert "Our own runs, on shapes of one host" in drawn
 
 
 def test_no_line_of_the_page_is_broken_inside_a_word() -> None:
