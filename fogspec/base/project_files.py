@@ -278,7 +278,7 @@ def _remove_tree(folder: int, name: str) -> None:
     """Remove a folder of any depth, whatever the permissions in it: each folder below is moved up before it is emptied."""
     top = _made_writable(folder, name)
     try:
-        waiting, moved = os.listdir(top), 0
+        waiting = os.listdir(top)
         while waiting:
             one = waiting.pop()
             if not _is_folder(top, one):
@@ -291,8 +291,7 @@ def _remove_tree(folder: int, name: str) -> None:
                         os.unlink(inner, dir_fd=below)
                         continue
                     os.close(_made_writable(below, inner))
-                    moved += 1
-                    waiting.append(f".{os.urandom(8).hex()}-{moved}")
+                    waiting.append(f".{os.urandom(8).hex()}")
                     os.rename(inner, waiting[-1], src_dir_fd=below, dst_dir_fd=top)
             finally:
                 os.close(below)

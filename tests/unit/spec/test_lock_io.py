@@ -116,6 +116,8 @@ def test_a_named_file_that_is_not_sent_is_said_before_a_machine_is_paid(project:
         with pytest.raises(InvalidInput, match="which is not sent to machines"):
             check_files(application(cloud=cloud), project, measured=False)
     check_files(application(cloud=[{"cmd": ["./work.py", ".venv/absent", "--flag", "/etc/passwd"]}]), project, False)
+    # A path from the root is one on the machine, whatever is there on this host.
+    check_files(application(cloud=[{"cmd": ["./work.py", str(project.spec.parent / ".env")]}]), project, False)
     named = application(cloud=[{"cmd": ["./work.py"], "parameter_files": ["absent.yaml"]}])
     with pytest.raises(InvalidInput, match="which is not there"):
         check_files(named, project, measured=False)
