@@ -65,7 +65,13 @@ def cheapest_options(
     application: Application, plan: Plan, due: CostEstimate, admissible: Filtered
 ) -> list[BudgetOption]:
     """Return the `OPTIONS` changes with the least loss, least first: less time, fewer machines, a narrower search space."""
-    found = [*_less_time(plan, due), *_fewer_machines(plan, due), *_narrower_space(application, plan, due, admissible)]
+    if (budget := plan.spec.budget) is None:
+        return []
+    found = [
+        *_less_time(plan, due, budget),
+        *_fewer_machines(plan, due, budget),
+        *_narrower_space(application, budget, due, admissible),
+    ]
     return sorted(found, key=lambda option: (option.loss, option.change))[:OPTIONS]
 
 
@@ -74,10 +80,10 @@ def ceil_cents(usd: float) -> float:
     return math.ceil(round(usd * 100, 6)) / 100
 
 
-def _less_time(plan: Plan, due: CostEstimate) -> Iterator[BudgetOption]:
+def _less_time(plan: Plan, due: CostEstimate, budget: float) -> Iterator[BudgetOption]:
     body = plan.spec
     usd_per_hour = math.fsum(sample.machine.price for sample in due.todo)
-    left_s = room_s(((body.budget or 0.0) - due.spent_usd) * 3600 / usd_per_hour)
+    left_s = room_s((budget - due.spent_usd) * 3600 / usd_per_hour)
     shorter = _round_down(left_s - body.setup_timeout)
     if MIN_MEASURING_S <= shorter < body.duration:
         change = _lower("spec.benchmark.stop.duration", body.duration, shorter)
@@ -101,12 +107,12 @@ def _round_down(seconds: float) -> float:
     return float(seconds // (step := next(steps, 1)) * step)
 
 
-def _fewer_machines(plan: Plan, due: CostEstimate) -> Iterator[BudgetOption]:
+def _fewer_machines(plan: Plan, due: CostEstimate, budget: float) -> Iterator[BudgetOption]:
     """Leave out the most expensive samples, as few as it takes."""
     kept = sorted(due.todo, key=lambda sample: (sample.machine.price, sample.id))
     lost: list[Sample] = []
     body = plan.spec
-    while kept and due.spent_usd + estimate(kept, body.commitment).total > (body.budget or 0.0):
+    while kept and due.spent_usd + estimate(kept, body.commitment).total > budget:
         lost.append(kept.pop())
     if kept:
         total = due.spent_usd + estimate(kept, body.commitment).total
@@ -123,7 +129,7 @@ def _named(words: Sequence[str]) -> str:
 
 
 def _narrower_space(
-    application: Application, plan: Plan, due: CostEstimate, admissible: Filtered
+    application: Application, budget: float, due: CostEstimate, admissible: Filtered
 ) -> Iterator[BudgetOption]:
     """Lower the limit on vCPUs to the highest that fits, or leave out one GPU type."""
     if application.spec.benchmark.machines:
@@ -135,7 +141,7 @@ def _narrower_space(
     while low < high:
         middle = (low + high) // 2
         total = _total_usd(application, offers, due, _with_cpus(hardware, sizes[middle]))
-        if total is not None and total <= (plan.spec.budget or 0.0):
+        if total is not None and total <= budget:
             best, low = (sizes[middle], total), middle + 1
         else:
             high = middle
@@ -146,7 +152,7 @@ def _narrower_space(
     for gpu in hardware.gpus if len(hardware.gpus) > 1 else ():
         others = [one for one in hardware.gpus if one != gpu]
         total = _total_usd(application, offers, due, hardware.model_copy(update={"gpus": others}))
-        if total is not None and total <= (plan.spec.budget or 0.0):
+        if total is not None and total <= budget:
             lost = float((offers.gpu == ("" if gpu == "none" else gpu.partition(":")[0])).mean())
             what = "machines without a GPU" if gpu == "none" else f"machines with {gpu}"
             words = f"take {gpu} out of spec.hardware.gpus"

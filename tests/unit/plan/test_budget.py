@@ -48,6 +48,13 @@ def test_whole_cents_are_rounded_up_and_never_down(cents: int, hundredths: int) 
     assert round(ceil_cents(float(exact / 100)) * 100) == ceil(exact)
 
 
+def test_a_budget_of_nothing_buys_nothing_and_none_needs_no_change() -> None:
+    assert options(0.0) == []
+    app, plan = planned(None)
+    offers = filter_offers(CATALOG, app.spec.hardware, app.spec.infra)  # type: ignore[attr-defined]
+    assert cheapest_options(app, plan, estimate_cost(plan), offers) == []  # type: ignore[arg-type]
+
+
 def test_the_cost_is_what_is_left_to_do_and_what_was_spent() -> None:
     _, plan = planned(1.0)
     samples = plan.spec.samples
