@@ -98,7 +98,7 @@ class Attempt:
         return min(passed_s - since_gone_s, self.started.paid_s + TEARDOWN_S) + since_gone_s
 
     def _latest(self) -> SampleStatus:
-        return replace(self.last or SampleStatus(running=False), running=False)
+        return SampleStatus(running=False) if self.last is None else replace(self.last, running=False)
 
 
 def outlived(seconds: float) -> str:

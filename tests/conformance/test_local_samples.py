@@ -235,25 +235,36 @@ def test_chains_of_processes_that_drop_everything_are_ended(tmp_path, backend, m
         end_chains(word, lock)
 
 
-@pytest.mark.parametrize("by", ["cgroup", "launcher"])
-@pytest.mark.parametrize("then", ["", KILLS_THE_AGENT], ids=["supervisor", "no-supervisor"])
-def test_chains_of_a_deployment_are_ended_by_its_name_alone(tmp_path, monkeypatch, by, then):
+@pytest.mark.parametrize(
+    ("kind", "by"),
+    [
+        (LocalDeployments, "cgroup"),
+        (LocalDeployments, "launcher"),
+        (LocalSamples, "namespace"),
+        (LocalSamples, "launcher"),
+    ],
+    ids=lambda one: one if isinstance(one, str) else one.__name__,
+)
+@pytest.mark.parametrize("then", ["", KILLS_THE_AGENT], ids=["agent", "no-agent"])
+def test_chains_are_ended_by_the_jobs_name_alone(tmp_path, monkeypatch, kind, by, then):
     if by != "cgroup":
         monkeypatch.setattr(limits, "_new_group", lambda _name, _bytes: (None, False))
+    if by == "launcher":
+        monkeypatch.setattr(limits, "has_namespaces", lambda: False)
     word = f"fogspec-test-{time.monotonic_ns()}"
     (tmp_path / "chain.py").write_text(CHAIN)
     for name in ("beats", "lock"):
         (tmp_path / name).touch()
     run = f"""exec python3 "$FOGSPEC_AGENT" supervisor --out "$FOGSPEC_OUT" --process '["python3", "{tmp_path}/workload.py"]'"""
     asked = job(tmp_path, script=DROPS_ITS_NAME.format(word=word, then=then), run=run)
-    lock = tmp_path / "lock"
-    LocalDeployments().start(asked)
+    lock, starter = tmp_path / "lock", kind()
+    starter.start(asked)
     try:
         until_s = time.monotonic() + 120
         while (tmp_path / "beats").stat().st_size <= 30:
             assert time.monotonic() < until_s
             time.sleep(0.05)
-        LocalDeployments().stop(asked)
+        kind().stop(asked)
         assert not is_locked(lock), "a process of the chains runs"
         assert processes.marked(MARK, mark_of(asked)) == []
         assert not Path("/dev/shm", word).exists()

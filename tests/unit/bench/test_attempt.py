@@ -65,7 +65,8 @@ def test_what_is_said_of_a_sample_that_takes_too_long():
     attempt = made()
     assert attempt.overdue(399.9, DEADLINE_S) is None
     silent = attempt.overdue(400.0, DEADLINE_S)
-    assert (silent.reason, silent.detail) == ("no_response", "nothing was heard of the machine for 300 s")
+    assert (silent.running, silent.reason) == (False, "no_response")
+    assert silent.detail == "nothing was heard of the machine for 300 s"
     attempt.reached(SampleStatus(running=True, ready=False))
     late = attempt.overdue(400.0, DEADLINE_S)
     assert (late.reason, late.detail) == ("setup", "not ready after 300 s")

@@ -129,6 +129,13 @@ def test_a_link_that_leads_out_and_in_again_is_refused_since_the_folder_has_anot
         Tree(folder, ()).digests()
 
 
+def test_a_hard_link_is_the_file_that_it_is(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "other").write_text("not mine")
+    os.link(tmp_path / "other", folder / "other")
+    assert Tree(folder, ()).digests() == found_by_the_system(folder)
+    assert "other" in Tree(folder, ()).digests()
+
+
 def test_a_directory_reached_by_a_link_is_still_inside(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(folder)
     assert Tree(tmp_path / "link", ()).digests() == Tree(folder, ()).digests()
