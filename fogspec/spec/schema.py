@@ -388,7 +388,7 @@ class Volume(Strict):
 
     requests_per_month: float = Field(gt=0, le=1e15, description="requests in a month of use", examples=[1000000])
     months: float = Field(
-        12.0, gt=0, description="months of use that the benchmark has to pay for itself", examples=[6]
+        12.0, gt=0, le=1200, description="months of use that the benchmark has to pay for itself", examples=[6]
     )
 
     @property
