@@ -39,7 +39,7 @@ spec:
         ("shapes: nested", ", gpus: [T4]", "a T4 cannot be halved"),
     ],
 )
-def test_what_cannot_be_is_an_error_at_its_place(shell: Shell, field: str, gpus: str, said: str) -> None:  # noqa: F811
+def test_what_cannot_be_is_an_error_at_its_place(shell: Shell, field: str, gpus: str, said: str) -> None:
     shell.write("offers.csv", CATALOG)
     shell.write("specs/demo.yaml", SPEC.format(field=field, gpus=gpus))
     for command in ("validate", "compile"):
