@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fogspec.spec.launch_import.found import LaunchImport
+from fogspec.spec.launch_import.found import LaunchImport, merged
 
 
 def read_launch(
@@ -26,4 +26,5 @@ def read_launch(
     packages = Packages(Path(name), [Path(one) for one in package_paths])
     Service(found, packages, dict(arguments or {})).play(name)
     propose(found, packages, dict(arguments or {}))
+    found.notes = merged(found.notes)
     return found

@@ -1,7 +1,8 @@
 """What a launch file starts, in the words of the spec, and what of it could not be read."""
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
@@ -11,6 +12,7 @@ MOST_DATA_BYTES = 1 << 20  # of a file that one reads
 MOST_WORK = 20_000_000  # steps and characters that are handled to read one launch file and those that it includes
 MOST_FILES = 100
 DEEPEST = 50
+MOST_NAMED = 8  # things or lines in one note
 SHARE = re.compile(r"\$\(find-pkg-share ([A-Za-z0-9_.-]+)\)")
 
 
@@ -107,6 +109,34 @@ class LaunchImport:
             width = max(1, len(source.rstrip()) - column + 1)
         span = Span(place.path, place.line, column, width)
         self.notes.append(Diagnostic("FS802", message, span, severity="warning", source_line=source))
+
+
+NOT_TAKEN = re.compile(r"(?P<what>.*?) (?:is|are) not taken over: (?P<why>.*)", re.DOTALL)
+
+
+def merged(notes: Sequence[Diagnostic]) -> list[Diagnostic]:
+    """Return one note for all that one reason keeps out of one file, at the first of its lines."""
+    groups: dict[tuple[str, str, bool], list[Diagnostic]] = {}
+    for note in notes:
+        match = NOT_TAKEN.fullmatch(note.message)
+        groups.setdefault((note.span.path, match["why"] if match else note.message, match is not None), []).append(note)
+    return [_one(group, why if is_taken else None) for (_, why, is_taken), group in groups.items()]
+
+
+def _one(notes: Sequence[Diagnostic], why: str | None) -> Diagnostic:
+    first = notes[0]
+    lines = list(dict.fromkeys(str(note.span.line) for note in notes))[1:]
+    also = f" (also in line{'s' * (len(lines) > 1)} {_listed(lines)})" if lines else ""
+    named = (NOT_TAKEN.fullmatch(note.message) for note in notes)
+    what = list(dict.fromkeys(match["what"] for match in named if match))
+    message = first.message if why is None or len(what) == 1 else f"{_listed(what)} are not taken over: {why}"
+    return replace(first, message=f"{message}{also}")
+
+
+def _listed(words: Sequence[str]) -> str:
+    if len(words) > MOST_NAMED + 1:
+        return f"{', '.join(words[:MOST_NAMED])} and {len(words) - MOST_NAMED} more"
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]
 
 
 def refuse(message: str, place: Place, fix: str | None = None) -> DiagnosticError:

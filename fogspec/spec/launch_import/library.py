@@ -21,6 +21,7 @@ TYPES: dict[str, type] = {
     "dict": dict,
     "tuple": tuple,
 }
+BUILDERS = {"MoveItConfigsBuilder": 1, "ParameterBuilder": 0}  # the place of the package among their arguments
 QUIET = ("print", "logging", "sys", "warnings", "super", "lifecycle")
 Args = list[Any]
 Do = Callable[["Library", Interpreter, Args, dict[str, Any], Place], Any]
@@ -34,6 +35,8 @@ class Library:
 
     def __call__(self, at: Interpreter, name: str, args: Args, words: dict[str, Any], place: Place) -> Any:
         """Return what the function of this dotted name returns."""
+        if args and isinstance(args[0], Made) and args[0].kind in BUILDERS:
+            return _built(args[0])
         do = CALLS.get(name) or CALLS.get(name.removeprefix("builtins.")) or CALLS.get(f"*.{name.rpartition('.')[2]}")
         if do is None:
             what = name.removeprefix("builtins.").lstrip(".")
@@ -75,6 +78,16 @@ class Library:
         if self.context.read(text) is not None:
             return True
         return folder is not None and match is not None and (folder / text[match.end() :].lstrip("/")).exists()
+
+
+def _built(made: Made) -> Unknown:
+    """Return what a builder of parameters makes: a package's files, which it reads while it launches."""
+    package = made.word("package_name", BUILDERS[made.kind])
+    if package is None and isinstance(robot := made.word("robot_name", 0), str):
+        package = f"{robot}_moveit_config"
+    of = f"the package {package}" if isinstance(package, str) else "a package"
+    why = f"{made.kind} reads them from {of} while it launches; 'cmd: [ros2, launch, ...]' of this file keeps them"
+    return Unknown(made.place, why)
 
 
 def _path(function: Callable[..., Any]) -> Do:

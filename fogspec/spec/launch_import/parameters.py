@@ -150,7 +150,8 @@ def take(context: Context, items: Any, place: Place, node: str | None = None) ->
         else:
             text = context.perform(one, place)
             if isinstance(text, Unknown):
-                context.found.note(text.place, f"a parameter file is not taken over: {text.why}")
+                what = "parameters are" if isinstance(one, Unknown) else "a parameter file is"
+                context.found.note(text.place, f"{what} not taken over: {text.why}")
             elif (path := _path(context, text, place)) is not None:
                 if _overlap(context, path, values, node) is None:
                     context.found.note(place, f"{PurePosixPath(path).name} is given after parameters that it may set as well; "

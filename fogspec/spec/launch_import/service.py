@@ -358,12 +358,12 @@ class Service:
             else:
                 argv.append(f"{name}:={value}")
         for key, what in (
-            ("ros_namespace", "namespace"),
-            ("ros_remaps", "remappings"),
-            ("global_params", "parameters"),
+            ("ros_namespace", "the namespace around this included file is"),
+            ("ros_remaps", "the remappings around this included file are"),
+            ("global_params", "the parameters around this included file are"),
         ):
             if self.context.configurations.get(key):
-                self.found.note(place, f"the {what} around this included file are not taken over: the file is not here, and "
+                self.found.note(place, f"{what} not taken over: the file is not here, and "
                                        "`ros2 launch` starts it; --package-path says where its package is")  # fmt: skip
         env = {key: value for key, value in self.context.environment.items() if isinstance(value, str)}
         self.take(nodes.tidy({"cmd": argv, "env": env}), place)

@@ -187,6 +187,44 @@ def test_what_is_not_known_is_named_once(tmp_path: Path) -> None:
     ) or "mine.load()" in note.message  # fmt: skip
 
 
+def test_what_one_reason_keeps_out_is_one_note_with_its_lines(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        "import mine\nrate = mine.fps()\nreturn LaunchDescription([\n"
+        "    Node(package='a', executable='b', parameters=[{'v': rate, 'w': rate}], remappings=[('x', rate)]),\n"
+        "    TimerAction(period=2.0, actions=[Node(package='a', executable='c')]),\n"
+        "    TimerAction(period=2.0, actions=[Node(package='a', executable='d')])])",
+    )
+    assert messages(read_launch(path)) == [
+        "the parameter v, the parameter w and a remapping are not taken over: only a launch determines what mine.fps() returns",
+        "a timer starts this 2.0 s after the launch: in the spec it starts with the rest (also in line 17)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        ("MoveItConfigsBuilder('panda', package_name='mine').joint_limits().to_moveit_configs()", "the package mine"),
+        ("MoveItConfigsBuilder('panda').to_moveit_configs()", "the package panda_moveit_config"),
+        ("MoveItConfigsBuilder(robot_name=LaunchConfiguration('r')).to_moveit_configs()", "a package"),
+    ],
+)  # fmt: skip
+def test_moveits_builder_is_named_in_one_line(made: str, says: str, tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        f"from moveit_configs_utils import MoveItConfigsBuilder\nconfig = {made}\nreturn LaunchDescription([\n"
+        "    Node(package='moveit_ros_move_group', executable='move_group', parameters=[config.to_dict()]),\n"
+        "    Node(package='a', executable='b', parameters=[config.robot_description, config.joint_limits])])",
+    )
+    found = read_launch(path)
+    assert len(nodes(found)) == 2
+    (said,) = messages(found)
+    assert said.startswith(
+        f"parameters are not taken over: MoveItConfigsBuilder reads them from {says} while it launches"
+    )
+    assert "'cmd: [ros2, launch, ...]'" in said
+
+
 def test_where_nothing_can_be_read_the_spec_starts_the_launch_file(tmp_path: Path) -> None:
     (tmp_path / "package.xml").write_text("<package><name>mine</name></package>")
     path = written(tmp_path, "import mine\nreturn mine.describe()")
