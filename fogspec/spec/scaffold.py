@@ -48,8 +48,10 @@ def first_data(name: str, found: LaunchImport | None = None) -> dict[str, Any]:
 
 def _over(spec: dict[str, Any], found: LaunchImport) -> None:
     """Replace what a first spec proposes by what the launch file has."""
-    if found.constraints:
+    if found.constrained:
         spec["constraints"] = found.constraints
+    if not spec["constraints"]:
+        del spec["constraints"]
     spec["objective"] |= found.objective
     spec["hardware"] |= found.hardware
     spec["benchmark"]["stop"] |= found.stop

@@ -29,11 +29,26 @@ BOUND = re.compile(r"(min|max)(imum)?(num)?v?(cpus?|memory|mem|ram)(gib|gb)?")
 RATIO = re.compile(r"(min|max)(imum)?(memory|mem|ram)(per|to)?v?cpu(ratio)?")
 GPUS = ("gpu", "gpus", "gputype", "gputypes", "accelerators")
 MACHINES = ("machine", "machines", "machinetype", "machinetypes", "instancetype", "instancetypes")
+# What a constraint of another name may be about.
+ABOUT = {
+    r"lat|time|delay|deadline|second": ("constraints", "latency"),
+    r"cost|price|budget|usd|dollar|cent": ("constraints", "cost"),
+    r"cpu|core": ("hardware", "cpus"),
+    r"mem|ram|gib|gb": ("hardware", "memory"),
+    r"gpu|accel|cuda": ("hardware", "gpus"),
+    r"machine|instance": ("hardware", "machines"),
+}
+LIMITS = [("constraints", "latency"), ("constraints", "cost")]
 
 
 def is_constraint(key: str) -> bool:
     """Return whether a keyword of SkyLaunchDescription is a constraint: Listing 1 writes them bare."""
     return _field_of(_plain(key)) is not None
+
+
+def may_be_constraint(key: str) -> bool:
+    """Return whether a keyword that nobody knows may be meant as a constraint."""
+    return any(re.search(words, _plain(key)) for words in ABOUT)
 
 
 def take_constraint(found: Taken, key: str, value: Any) -> str | None:
@@ -44,7 +59,11 @@ def take_constraint(found: Taken, key: str, value: Any) -> str | None:
     name = _plain(key)
     where = _field_of(name)
     if where is None:
-        return f"constraint {key} is not known to fogspec"
+        about = [field for words, field in ABOUT.items() if re.search(words, name)] or LIMITS
+        for part, field in about:
+            getattr(found, part).setdefault(field)
+        names = " and ".join(field for _, field in about)
+        return f"constraint {key} is not known to fogspec: {names}, where nothing else says it, is left empty: write it there"
     part, field = where
     words = _words(value) if field in ("gpus", "machines") else None
     if words is None and (field in ("gpus", "machines") or not _is_plain(value)):

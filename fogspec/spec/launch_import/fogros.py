@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from fogspec.spec.launch_import.constraints import UNREAD, is_constraint, take_constraint
+from fogspec.spec.launch_import.constraints import UNREAD, is_constraint, may_be_constraint, take_constraint
 from fogspec.spec.launch_import.found import LaunchImport, Made, Place, Unknown
 from fogspec.spec.launch_import.nodes import split
 from fogspec.spec.launch_import.program import Named
@@ -142,11 +142,14 @@ def description(service: "Service", made: Made) -> None:
             TAKEN[name](service, value, place)
         elif name == "ami":
             found.note(place, "ami is not taken over: ros.image is a container image")
+        elif name not in UNUSED and may_be_constraint(name):
+            _constraint(service, name, value, place)
         elif name not in UNUSED:
             found.note(place, f"{name} of SkyLaunchDescription is not taken over")
 
 
 def _constraints(service: "Service", value: Any, place: Place) -> None:
+    service.found.constrained = True
     if not isinstance(value, dict):
         why = "the constraints cannot be read: latency and cost are left empty, write them into the spec"
         service.found.note(place, why)
@@ -158,6 +161,7 @@ def _constraints(service: "Service", value: Any, place: Place) -> None:
 
 def _constraint(service: "Service", name: str, value: Any, place: Place) -> None:
     """Take over one constraint, or leave its field empty and report it where it is written."""
+    service.found.constrained = True
     report = take_constraint(service.found, name, UNREAD if isinstance(value, Unknown) else value)
     if report:
         service.found.note(place, report)

@@ -58,9 +58,9 @@ class Made:
 class LaunchImport:
     """What the spec can take over, and warnings about the rest.
 
-    `files` are parameter files that the launch file writes while it is played, by their names beside the spec. `defaults` are
-    the launch arguments whose default was taken, with the value. `origins` and `reasons` are by the id() of a node: where it
-    is written, and why it is proposed for the robot.
+    `constrained` says whether it has constraints, so that none is proposed. `files` are parameter files that the launch file
+    writes while it is played, by their names beside the spec. `defaults` are the launch arguments whose default was taken, with
+    the value. `origins` and `reasons` are by the id() of a node: where it is written, and why it is proposed for the robot.
     """
 
     path: str
@@ -69,6 +69,7 @@ class LaunchImport:
     said_cloud: bool = False
     reasons: dict[int, str] = field(default_factory=dict)
     origins: dict[int, Place] = field(default_factory=dict)
+    constrained: bool = False
     constraints: dict[str, Any] = field(default_factory=dict)
     objective: dict[str, Any] = field(default_factory=dict)
     hardware: dict[str, Any] = field(default_factory=dict)

@@ -51,6 +51,9 @@ def test_listing_1_reads_without_loss_and_its_cent_is_said(tmp_path: Path) -> No
         ('constraint={"max_latency": 0.01, "max_cost": [1]},', "constraints.cost"),
         ('constraint={"max_latency": 0.01, "alpha": compute()},', "objective.alpha"),
         ("gpus=3,", "hardware.gpus"),
+        ('constraint={"latnecy": 0.01},', "constraints.latency"),
+        ('constraint={"rate": 30, "latency": 0.01},', "constraints.cost"),
+        ("cpu_number=4,", "hardware.cpus"),
         ('constraint=os.environ["CONSTRAINT"],', "constraints.latency"),
     ],
 )
@@ -60,3 +63,14 @@ def test_a_constraint_that_cannot_be_read_leaves_its_field_empty(shell: Shell, c
     assert "a.launch.py:11:" in ended.err
     assert f"error[FS115]: spec.{field} has no value" in ended.err
     assert f"{field.rpartition('.')[2]}:" in shell.read("specs/a.yaml")
+
+
+@pytest.mark.parametrize("constraints", ['constraint={"min_cpu": 4},', "constraint={},", "alpha=0.7,"])
+def test_limits_that_a_launch_file_with_constraints_does_not_have_are_not_made_up(
+    shell: Shell, constraints: str
+) -> None:
+    shell.write("a.launch.py", LAUNCH.format(constraints=constraints))
+    shell("init", "specs/a.yaml", "--from-launch", "a.launch.py")
+    assert not {"latency", "cost"} & {
+        line.strip().partition(":")[0] for line in shell.read("specs/a.yaml").splitlines()
+    }
