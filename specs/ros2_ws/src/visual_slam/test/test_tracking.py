@@ -16,6 +16,15 @@ def test_a_camera_is_tracked_and_a_view_without_features_is_lost():
     assert slam.track(np.full_like(image, 90), depth).lost
 
 
+def test_features_that_are_all_at_one_place_recognise_nothing():
+    slam = Slam(CAMERA, 1, 7)
+    slam.track(*Room(7).view(trajectory(120)[0]))
+    key = slam.keyframes[0]
+    key.points[:] = np.array([0.1, 0.2, 2.0]) + np.random.default_rng(1).normal(0, 1e-5, key.points.shape)
+    seen = key.points @ CAMERA.T
+    assert slam._against(0, key.descriptors, seen[:, :2] / seen[:, 2:]) is None
+
+
 def test_the_depth_of_a_view_is_that_of_the_room():
     image, depth = Room(1).view(trajectory(4)[0])
     assert image.shape == depth.shape

@@ -93,9 +93,12 @@ class Slam:
             return None
         points = frame.points[[one.trainIdx for one in good]]
         at = pixels[[one.queryIdx for one in good]]
-        ok, turn, move, inliers = cv2.solvePnPRansac(
-            points, at, self.camera, None, iterationsCount=200, reprojectionError=2.0, flags=cv2.SOLVEPNP_SQPNP
-        )
+        try:
+            ok, turn, move, inliers = cv2.solvePnPRansac(
+                points, at, self.camera, None, iterationsCount=200, reprojectionError=2.0, flags=cv2.SOLVEPNP_SQPNP
+            )
+        except cv2.error:  # the drawn points are all at one place
+            return None
         if not ok or inliers is None or len(inliers) < LEAST_INLIERS:
             return None
         points, at = points[inliers[:, 0]], at[inliers[:, 0]]
