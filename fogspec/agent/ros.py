@@ -3,16 +3,21 @@
 import contextlib
 import importlib
 import os
+import random
 import shutil
+import socket
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from .matching import HEADER
 
 RESTARTED = "FOGSPEC_LOOKED_FOR_RCLPY"
+DOMAINS = range(1, 102)  # those whose ports are below Linux's ephemeral ones
+FIRST_PORT, PORTS_A_DOMAIN, FIRST_UNICAST = 7400, 250, 10  # RTPS 2.5, 9.6.2.3: what discovery listens on
+PARTICIPANTS = 10
 
 
 def need_rclpy(module: str, arguments: Sequence[str]) -> None:
@@ -29,6 +34,33 @@ def need_rclpy(module: str, arguments: Sequence[str]) -> None:
             if python and subprocess.run([python, "-c", "import rclpy"], capture_output=True).returncode == 0:
                 os.execve(python, [python, "-m", f"{__package__}.{module}", *arguments], environment)  # noqa: S606
     sys.exit("no python3 on PATH has rclpy: ROS 2 is not there, or its environment was not sourced (spec.ros)")
+
+
+def alone(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment with a ROS graph of this sample's own, unless it says otherwise.
+
+    Machines of one network, and other programs on this one, would be heard by the measured nodes, and answered.
+    """
+    humble = environment.get("ROS_DISTRO") == "humble"
+    local = {"ROS_LOCALHOST_ONLY": "1"} if humble else {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return {"ROS_DOMAIN_ID": str(_unused_domain()), **local, **environment}
+
+
+def _unused_domain() -> int:
+    """Return a DDS domain in which nobody on this machine listens; they are tried in random order."""
+    domains = random.sample(DOMAINS, len(DOMAINS))
+    return next(filter(_is_unused, domains), domains[0])
+
+
+def _is_unused(domain: int) -> bool:
+    first = FIRST_PORT + PORTS_A_DOMAIN * domain
+    try:
+        for port in (first, *(first + FIRST_UNICAST + 2 * i for i in range(PARTICIPANTS))):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+                one.bind(("", port))
+    except OSError:
+        return False
+    return True
 
 
 def type_of(kind: str) -> Any:

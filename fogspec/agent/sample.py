@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from . import machine_facts, processes, redaction
+from . import machine_facts, processes, redaction, ros
 from .confinement import Confinement
 from .files import open_plain, read_tail, truncate
 from .shared_memory import SharedMemory
@@ -219,7 +219,7 @@ class SampleRun:
         return None
 
     def _environment(self) -> dict[str, str]:
-        return processes.environment(self.out, self.timings.path)
+        return ros.alone(processes.environment(self.out, self.timings.path))
 
     def _read_afterwards(
         self, state: str, reason: str | None, detail: str | None

@@ -4,6 +4,7 @@ import json
 import os
 import random
 import signal
+import socket
 import statistics
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.agent import processes, sample, stopping
+from fogspec.agent import processes, ros, sample, stopping
 from tests.support.agent import AGENT
 
 SAMPLE = [sys.executable, str(AGENT), "sample"]
@@ -45,6 +46,35 @@ def test_stops_by_steps_warm_up_not_counted(tmp_path):
     assert (outcome["state"], outcome["stopped_by"]) == ("ok", "steps")
     assert outcome["requests"] >= 23
     assert 0 < outcome["setup_s"] < outcome["duration_s"]
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"ROS_DISTRO": "jazzy"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}),
+        ({"ROS_DISTRO": "humble"}, {"ROS_LOCALHOST_ONLY": "1"}),
+        (
+            {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
+            {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
+        ),
+    ],
+)
+def test_a_sample_has_a_ros_graph_of_its_own_unless_it_is_said(tmp_path, given, expected):
+    tell = f"json.dump(dict(os.environ), open({str(tmp_path / 'environment')!r}, 'w'))\n{FOREVER}"
+    run(tmp_path, tell, environment={"PATH": "/usr/bin:/bin", **given})
+    found = json.loads((tmp_path / "environment").read_text())
+    assert 1 <= int(found.pop("ROS_DOMAIN_ID")) <= 101
+    assert {name: found[name] for name in found if name.startswith("ROS_")} == {
+        name: value for name, value in {**given, **expected}.items() if name != "ROS_DOMAIN_ID"
+    }
+
+
+def test_a_domain_in_which_somebody_listens_is_used():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listens:
+        domain = next(one for one in ros.DOMAINS if ros._is_unused(one))
+        listens.bind(("127.0.0.1", ros.FIRST_PORT + ros.PORTS_A_DOMAIN * domain))
+        assert not ros._is_unused(domain)
+        assert ros._unused_domain() != domain
 
 
 @pytest.mark.slow
