@@ -198,7 +198,9 @@ class BagTimer:
             for lost in self.matcher.take_request(stamp, message.at_s):
                 self.writer.request(lost)
         if message.topic == options.response:
-            self._respond(message, self.matcher.take_response(stamp, message.at_s))
+            done = self.matcher.take_response(stamp, message.at_s)
+            if done is not None or not self.matcher.was_sent_before(stamp):
+                self._respond(message, done)
         if self.decoder is not None and (paths := self.metrics.get(message.topic)):
             decoded = self.decoder.decode(message)
             values = {name: float(field_of(decoded, path)) for name, path in paths.items()}

@@ -21,7 +21,8 @@ class Matcher:
     """Take requests and responses in the order of their times, and return the requests that are finished.
 
     A request without a response after `timeout_s` seconds, or after `PENDING` later requests, is lost. Requests before the
-    first answered one do not count: the node was not ready, or discovery was not complete.
+    first answered one do not count: the node was not ready, or discovery was not complete. Nor do responses to requests that
+    were sent before the first that was heard.
     """
 
     def __init__(self, match: str, timeout_s: float | None = None) -> None:
@@ -29,10 +30,12 @@ class Matcher:
         self.open: OrderedDict[Any, float] = OrderedDict()
         self.count = self.answered = self.outside = 0
         self.departed_s = float("-inf")
+        self.first: Stamp | None = None
 
     def take_request(self, stamp: Stamp | None, now_s: float) -> list[Done]:
         """Take a request; return those that are lost by now."""
         self.count += 1
+        self.first = self.first or stamp
         lost = self.expire(now_s)
         # If each response answers one request, the node was idle since the last one.
         self.outside += self.match == "last_response" and self.answered == self.count - 1 and self.answered > 0
@@ -55,6 +58,10 @@ class Matcher:
         else:
             start_s = self.open.popitem(last=False)[1] if self.open else None
         return None if start_s is None else self._done(start_s, now_s, stamp)
+
+    def was_sent_before(self, stamp: Stamp | None) -> bool:
+        """Return whether a response without a request answers one from before the first that was heard."""
+        return self.count == 0 or (stamp is not None and self.first is not None and stamp < self.first)
 
     def expire(self, now_s: float) -> list[Done]:
         """Return the requests that are lost by now."""

@@ -100,9 +100,11 @@ class Latencies:
             now_s = time.monotonic()
             if not self._settled(now_s):
                 return
-            done = self.matcher.take_response(self._stamp(message), now_s)
+            stamp = self._stamp(message)
+            done = self.matcher.take_response(stamp, now_s)
             if done is None:
-                self.writer.unmatched(now_s)
+                if not self.matcher.was_sent_before(stamp):
+                    self.writer.unmatched(now_s)
             else:
                 self.writer.request(done, failure(self.options.success, message, message_type))
 

@@ -33,6 +33,14 @@ def test_a_foreign_response_belongs_to_nobody():
     assert Matcher("order").take_response(None, 1) is None
 
 
+def test_responses_to_requests_from_before_the_first_that_was_heard_are_not_foreign():
+    for match in ("stamp", "order"):
+        matcher = Matcher(match)
+        assert matcher.was_sent_before((5, 0) if match == "stamp" else None), "nothing was heard so far"
+        matcher.take_request((5, 0) if match == "stamp" else None, 0)
+        assert [matcher.was_sent_before((second, 0)) for second in (4, 5, 6)] == [match == "stamp", False, False]
+
+
 def test_by_order_responses_go_to_the_oldest_open_request_and_waiting_is_not_service():
     assert played(Matcher("order"), (">", 0), (">", 1), ("<", 2), ("<", 5)) == [(0, 2, 2), (1, 4, 3)]
 
