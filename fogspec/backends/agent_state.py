@@ -29,9 +29,11 @@ OUTCOME_BYTES = 64 * 2**10
 TAIL_BYTES = 2**20
 LOG_BYTES = 16384
 TEXT_LIMIT = 500
-# SkyPilot's prefix of each line of a job, and its own lines about the job's end.
+# SkyPilot's prefix of each line of a job, and its own and Slurm's lines that a job ended, without a reason.
 PREFIX = re.compile(r"^\([^()]*pid=\d+[^()]*\) ")
-PLATFORM = ("ERROR: Job ", "✓ Job finished", "⚙︎ ", "├── ", "└── ", "srun: ")
+PLATFORM = re.compile(
+    r"ERROR: Job |✓ Job finished|⚙︎ |├── |└── |srun: |slurmstepd\S*: error: .* CANCELLED AT \S+ \*\*\*$"
+)
 STATE_LINE = re.compile(rb"=== fogspec state (\{.*\}) ===")
 
 
@@ -157,10 +159,10 @@ def with_last_line(status: DeploymentStatus, log: bytes) -> DeploymentStatus:
 
 
 def last_line(log: bytes) -> str | None:
-    """Return the last line that the nodes printed, without the supervisor's and SkyPilot's own lines."""
+    """Return the last line that the job printed, without the supervisor's and SkyPilot's own lines."""
     for line in reversed(log[-LOG_BYTES:].decode("utf-8", "replace").splitlines()):
         text = PREFIX.sub("", plain(line)).strip()
-        if text and "=== fogspec state " not in text and not text.startswith(PLATFORM):
+        if text and "=== fogspec state " not in text and not PLATFORM.match(text):
             return text[:300]
     return None
 

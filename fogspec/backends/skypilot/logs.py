@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from fogspec.backends import agent_state
 from fogspec.backends.protocol import Partial
-from fogspec.backends.skypilot.errors import plain
 from fogspec.base.project_files import ProjectFiles
 from fogspec.plan.schema import Part
 
@@ -27,7 +27,7 @@ TIMINGS = b"timings.jsonl"
 MEASURES = b"=== fogspec measures ==="
 SO_FAR = re.compile(rb"=== fogspec so far: (\d{1,12}) requests(?:, mean ([0-9.e+-]{1,24}) s)? ===")
 READ_BYTES = 2**20
-OOM = re.compile(r"oom[-_ ]kill|out of memory", re.IGNORECASE)
+OOM = re.compile(rb"oom[-_ ]kill|out of memory", re.IGNORECASE)
 TAIL_BYTES = 16 * 2**10
 
 
@@ -101,22 +101,17 @@ def _lines(files: ProjectFiles, log: Path) -> Iterator[bytes]:
 
 
 def last_line(files: ProjectFiles, log: Path) -> str:
-    """Return the job's last line that is not blank."""
-    lines = [line.strip() for line in _tail(files, log) if line.strip()]
-    return lines[-1][:300] if lines else ""
+    """Return the last line that tells why the job ended; empty if there is none."""
+    return agent_state.last_line(_tail(files, log)) or ""
 
 
 def out_of_memory(files: ProjectFiles, log: Path) -> bool:
     """Return whether the log ends with a process that was killed for lack of memory."""
-    return any(OOM.search(line) for line in _tail(files, log))
+    return OOM.search(_tail(files, log)) is not None
 
 
-def _tail(files: ProjectFiles, log: Path) -> list[str]:
-    try:
-        with files.open(log) as file:
-            file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
-            raw = file.read(TAIL_BYTES)
-    except OSError:
-        return []
-    lines = [PREFIX.sub(b"", line) for line in raw.split(b"\n")]
-    return plain(b"\n".join(lines).decode("utf-8", "replace")).splitlines()
+def _tail(files: ProjectFiles, log: Path) -> bytes:
+    with contextlib.suppress(OSError), files.open(log) as file:
+        file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
+        return file.read(TAIL_BYTES)
+    return b""

@@ -106,6 +106,12 @@ def test_last_words_are_the_jobs_own_without_colours(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     log.write_bytes(PREFIX + b"\x1b[31mno such\x07 package\x1b[0m\n\n")
     assert logs.last_line(ProjectFiles(tmp_path), log) == "no such package"
+    ended = b"srun: error: s-1x2: task 0: Exited with exit code 1\n\x1b[0mERROR: \x1b[31mJob 1's setup failed\n"
+    cancelled = b"slurmstepd-s-1x2: error: *** STEP 3.15 ON s-1x2 CANCELLED AT 2026-11-22T16:54:00"
+    log.write_bytes(PREFIX + b"no such package\n" + ended + cancelled + b" ***\n")
+    assert logs.last_line(ProjectFiles(tmp_path), log) == "no such package"
+    log.write_bytes(PREFIX + b"busy\n" + cancelled + b" DUE TO TIME LIMIT ***\n")
+    assert "DUE TO TIME LIMIT" in logs.last_line(ProjectFiles(tmp_path), log), "it tells why"
     assert logs.last_line(ProjectFiles(tmp_path), tmp_path / "none") == ""
 
 
