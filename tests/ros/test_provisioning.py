@@ -59,6 +59,7 @@ version: 2
 KEYS = """\
 python3-numpy: {ubuntu: [python3-numpy]}
 python3-opencv: {ubuntu: [python3-opencv]}
+python3-pip: {ubuntu: [python3-pip]}
 python3-pytest: {ubuntu: [python3-pytest]}
 """
 

@@ -359,7 +359,33 @@ def test_nothing_is_asked_of_root_where_all_is_there_and_who_cannot_be_root_is_t
                          env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
     assert run.returncode == code
     assert not (tmp_path / "said").exists()
-    assert ("only root can do this here" in (tmp_path / ".fogspec" / "setup.log").read_text()) == bool(code)
+    named = "only root can install packages here, and this user is not: ros-jazzy-x"
+    assert (named in (tmp_path / ".fogspec" / "setup.log").read_text()) == bool(code)
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_who_is_not_root_builds_the_workspace_with_what_is_there(tmp_path, there):
+    """Neither rosdep nor apt is asked, for both want root; without colcon it ends with what is missing."""
+    tools, ros = tmp_path / "bin", tmp_path / "ros"
+    for folder in (tools, tmp_path / "ws" / "src", ros / "jazzy"):
+        folder.mkdir(parents=True)
+    (ros / "jazzy" / "setup.bash").write_text("")
+    for name, body in (FAKES | {"id": "echo 1000", "sudo": "exit 1"}).items():
+        if there or name != "colcon":
+            (tools / name).write_text(f"#!/bin/sh\n{body}\n")
+            (tools / name).chmod(0o755)
+    script = render("setup_ros2.sh.j2", **ros_environment(application(ros={"workspace": "ws"}).spec))
+    script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:")
+    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+                         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
+    log = (tmp_path / ".fogspec" / "setup.log").read_text()
+    if there:
+        assert (run.returncode, (tmp_path / "said").read_text().count("colcon build")) == (0, 1)
+        assert "rosdep installs nothing, for this user is not root" in log
+        assert "rosdep" not in (tmp_path / "said").read_text()
+    else:
+        assert run.returncode == 1
+        assert "this user is not: python3-colcon-common-extensions" in log
 
 
 @pytest.mark.parametrize(
