@@ -25,7 +25,7 @@ SPEC = """apiVersion: fogspec.dev/v1alpha1
 kind: Application
 metadata: {name: big}
 spec:
-  cloud: [{cmd: [./node]}]
+  cloud: [{cmd: [node]}]
   probe: {callback: x}
   hardware: {cpus: 2..64, gpus: [none, T4]}
   infra: [aws, azure, gcp, lambda, vast]

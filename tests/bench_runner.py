@@ -62,6 +62,7 @@ def parallel(folder: Path) -> str:
     (folder / "specs").mkdir(parents=True)
     spec = folder / "specs/nine.yaml"
     spec.write_text(CLOUD)
+    (folder / "specs/work.py").touch()
     fogspec = [sys.executable, "-m", "fogspec"]
     subprocess.run([*fogspec, "compile", "specs/nine.yaml"], cwd=folder, check=True, capture_output=True)
     plan = read_document(folder / "compiled/nine/plan.yaml", Plan)

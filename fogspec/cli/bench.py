@@ -10,7 +10,7 @@ import click
 from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
 from fogspec.base.text import shell_command
-from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from, require_named
+from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from, require_ready
 
 if TYPE_CHECKING:
     from fogspec.backends.protocol import SampleBackend
@@ -97,7 +97,7 @@ def command(
     unusable = []
     known: dict[Path, SourceFile] = {}
     applications = applications_of(spec)
-    require_named(applications, files=False)
+    require_ready(applications, started=True, files=recorded is None)
     for one in applications:
         prepared = prepare(one.application, one.path, names, known)
         backend = _backend(prepared, runner_name, recorded, pace)
@@ -169,12 +169,12 @@ def _check_place(prepared: "Prepared", backend: "SampleBackend") -> None:
 
 
 def _check_needed(prepared: "Prepared", backend: "SampleBackend") -> None:
-    """Raise FogspecError for missing files and secrets of a sample before a machine is paid for."""
+    """Raise FogspecError for files that are not sent and missing secrets, before a machine is paid for."""
     from fogspec.base.redaction import check_set
-    from fogspec.spec.lock_io import check_files
+    from fogspec.spec.lock_io import check_sent
 
     if backend.costs != "recorded":
-        check_files(prepared.application, prepared.layout, measured=True)
+        check_sent(prepared.application, prepared.layout, measured=True)
         check_set(prepared.application.spec.secrets if prepared.todo else ())
 
 

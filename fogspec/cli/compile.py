@@ -16,7 +16,7 @@ from fogspec.cli.options import (
     echo_notes,
     load_inputs,
     raise_together,
-    require_named,
+    require_ready,
 )
 
 
@@ -45,7 +45,7 @@ def command(
     from fogspec.spec.rules.policies import Policies
 
     inputs, rules = load_inputs(find_specs(specs), catalog_path, priors, audit=True), Policies(policies)
-    require_named([one.spec for one in inputs])
+    require_ready([one.spec for one in inputs])
     echo_notes(note for one in inputs for note in one.catalog_notes)
     rules.require_specs([one.spec for one in inputs])
     compiled = [compile_application(one, partial) for one in inputs]

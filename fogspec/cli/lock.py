@@ -7,7 +7,7 @@ import click
 
 from fogspec.base.console import say, say_json
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from, require_named
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from, require_ready
 
 SHOWN = 40
 
@@ -46,7 +46,7 @@ def command(
     library = library_from(priors)
     wanted = []
     loaded = load(find_specs(specs))
-    require_named(loaded)
+    require_ready(loaded)
     for one in loaded:
         layout = Layout.of(one.path, one.application.metadata.name)
         pins = read_pins(layout)

@@ -96,22 +96,24 @@ def load_inputs(
     return Inputs.load(specs, catalog=catalog, priors=priors, name=name, audit=audit)
 
 
-def require_named(loaded: "Sequence[LoadedSpec]", files: bool = True) -> None:
-    """Raise DiagnosticError if specs still have the names that `init` made up.
+def require_ready(loaded: "Sequence[LoadedSpec]", started: bool = False, files: bool = True) -> None:
+    """Raise DiagnosticError if specs still have the names that `init` made up, or, with `files`, name what is not there.
 
-    With `files`, warn about missing ones; without, as before machines are started, of specs in which nothing sends requests.
+    Before machines are `started`, warn of specs in which nothing sends requests.
     """
     import dataclasses
 
     from fogspec.base.diagnostics import DiagnosticError
     from fogspec.report.diagnostics import show_diagnostics
-    from fogspec.spec.files_there import CODE
     from fogspec.spec.rules.benchmark import NO_SENDER, PLACEHOLDERS
 
     said = list(dict.fromkeys(warning for one in loaded for warning in one.warnings))
-    if made_up := [dataclasses.replace(one, severity="error") for one in said if one.code == PLACEHOLDERS]:
-        raise DiagnosticError(made_up)
-    show_diagnostics([one for one in said if one.code == (CODE if files else NO_SENDER)])
+    wrong = [dataclasses.replace(one, severity="error") for one in said if one.code == PLACEHOLDERS]
+    if files:
+        wrong += [absent for one in loaded for absent in one.absent()]
+    if wrong:
+        raise DiagnosticError(list(dict.fromkeys(wrong)))
+    show_diagnostics([one for one in said if started and one.code == NO_SENDER])
 
 
 def load_named(what: str, name: str | None, catalog: str | None, priors: Path | None) -> "list[Inputs]":

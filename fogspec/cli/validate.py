@@ -33,8 +33,9 @@ def command(
 
     paths = find_specs(files)
     loaded, diagnostics = check_file(paths, overlays)
+    absent = dict.fromkeys(error for one in loaded for error in one.absent())
     strange = [said for one in loaded for said in unknown_names(one, partial(_catalog, one))]
-    diagnostics = [*diagnostics, *strange, *Policies(policies).check_specs(loaded)]
+    diagnostics = [*diagnostics, *absent, *strange, *Policies(policies).check_specs(loaded)]
     show_diagnostics(diagnostics, output, color)
     if any(one.severity == "error" for one in diagnostics):
         raise click.exceptions.Exit(1)

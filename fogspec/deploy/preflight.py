@@ -7,6 +7,7 @@ from typing import Any
 from fogspec.audit.status import interval_text
 from fogspec.audit.verify import remedy, verify
 from fogspec.base import digest, units
+from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate
 from fogspec.base.units import rounded
 from fogspec.catalog.filters import price_now
@@ -18,7 +19,7 @@ from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
 from fogspec.plan.schema import TaskRef
 from fogspec.results.progress import state_text
-from fogspec.spec.lock_io import check_files
+from fogspec.spec.lock_io import check_sent
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +51,12 @@ def launch_plan(
 ) -> LaunchPlan:
     """Return the candidates at their prices now; fallbacks that became too expensive are left out.
 
-    Raise InvalidInput if a file to send is missing, Refused if the chosen machine costs more than is allowed,
-    or for an image that is not pinned.
+    Raise DiagnosticError if a file to send is missing, InvalidInput if one is not sent, Refused if the chosen machine
+    costs more than is allowed, or for an image that is not pinned.
     """
-    check_files(opened.loaded.application, opened.layout, measured=False)
+    if absent := opened.loaded.absent(measured=False):
+        raise DiagnosticError(absent)
+    check_sent(opened.loaded.application, opened.layout, measured=False)
     spec, limit = opened.manifest.spec, opened.loaded.application.spec.constraints.price
     peer = link.environment(opened.loaded.application, opened.layout)
     reviewed: list[Pinned | Fallback] = [spec, *spec.fallbacks]

@@ -1,8 +1,4 @@
-"""What a spec names beside itself and is not there: said as soon as the spec is read, before anything is planned or paid for.
-
-These are warnings: a spec may be written, and its plan compiled, on a computer without the workspace or the bags. Commands that
-start machines refuse; see `lock_io.check_files`.
-"""
+"""What a spec names beside itself and is not there: an error of every command that plans, pins or starts something with it."""
 
 import os
 import re
@@ -12,6 +8,7 @@ from pathlib import Path
 from fogspec.base.files import read_file
 from fogspec.base.yaml.positions import Path as FieldPath
 from fogspec.base.yaml.positions import dotted
+from fogspec.spec.launch_text import STARTS
 from fogspec.spec.rules.finding import Finding
 from fogspec.spec.rules.nodes import all_nodes
 from fogspec.spec.schema import Application, Node, Spec
@@ -26,24 +23,38 @@ NO_PACKAGES = ("build", "install", "log")
 MARKERS = ("COLCON_IGNORE", "AMENT_IGNORE")
 
 
-def missing_files(application: Application, folder: Path) -> Iterator[Finding]:
-    """Find what is not in `folder`, the spec's own, and must be there when a machine is started."""
+def missing_files(application: Application, folder: Path, measured: bool) -> Iterator[Finding]:
+    """Find what is not in `folder`, the spec's own, and must be there when a machine is started.
+
+    `measured` says whether requests are sent to it too.
+    """
     spec = application.spec
-    measured = [(path, node) for path, node in all_nodes(spec) if path[1] != "robot"]
+    nodes = [(path, node) for path, node in all_nodes(spec) if path[1] == "cloud" or (measured and path[1] != "robot")]
     named: list[tuple[FieldPath, str]] = []
     if spec.ros is not None and spec.ros.workspace is not None:
         named.append((("spec", "ros", "workspace"), spec.ros.workspace))
-    if spec.benchmark.workload.bag is not None:
+    if measured and spec.benchmark.workload.bag is not None:
         named.append((("spec", "benchmark", "workload", "bag"), spec.benchmark.workload.bag))
-    for path, node in measured:
-        named += [((*path, "parameter_files", i), file) for i, file in enumerate(node.parameter_files)]
+    for path, node in nodes:
+        named += _parameter_files(path, node)
         if (at := program(node)) is not None and node.cmd is not None:
             named.append(((*path, "cmd", at), node.cmd[at]))
     for path, name in named:
         if not os.path.isabs(name) and not _exists(folder / name):
             message = f"{dotted(path)} names {name}, which is not there"
-            yield Finding(CODE, path, message, "paths are relative to the spec's folder", severity="warning")
-    yield from _packages(spec, folder, measured)
+            yield Finding(CODE, path, message, "paths are relative to the spec's folder")
+    yield from _packages(spec, folder, nodes)
+
+
+def _parameter_files(path: FieldPath, node: Node) -> Iterator[tuple[FieldPath, str]]:
+    """Return the parameter files of a node and its components that are beside the spec; others are in packages there."""
+    parts = [(path, node.parameter_files)]
+    parts += [
+        ((*path, "composable_node_descriptions", i), one.parameter_files)
+        for i, one in enumerate(node.composable_node_descriptions)
+    ]
+    for at, files in parts:
+        yield from (((*at, "parameter_files", i), file) for i, file in enumerate(files) if not file.startswith(STARTS))
 
 
 def program(node: Node) -> int | None:
@@ -79,7 +90,7 @@ def _packages(spec: Spec, folder: Path, nodes: list[tuple[FieldPath, Node]]) -> 
         message = f"{dotted((*path, 'package'))} {node.package} is not in {spec.ros.workspace}/src"
         apt = f"ros-{spec.ros.distro}-{str(node.package).replace('_', '-')}"
         fix = f"write '{near}'" if near else f"add it there, or {apt} to spec.ros.apt"
-        yield Finding(CODE, (*path, "package"), message, fix, (("spec", "ros"),), severity="warning")
+        yield Finding(CODE, (*path, "package"), message, fix, (("spec", "ros"),))
 
 
 def packages_of(folder: Path) -> set[str]:

@@ -24,7 +24,7 @@ from fogspec.spec import rules
 from fogspec.spec.documents import SourceMap, documents_in, documents_of, unreadable
 from fogspec.spec.files_there import missing_files
 from fogspec.spec.overlays import merge
-from fogspec.spec.rules.benchmark import sender
+from fogspec.spec.rules.benchmark import PLACEHOLDERS, sender
 from fogspec.spec.schema import Application
 from fogspec.spec.validate import Validation, validate
 
@@ -59,6 +59,16 @@ class LoadedSpec:
         """Return an error at a path of this document that was found after loading."""
         span = (key_span(self.node, path) if at_key else None) or span_of(self.node, path)
         return self.texts.shown([Diagnostic(code, message, span, fix)])[0]
+
+    def absent(self, measured: bool = True) -> list[Diagnostic]:
+        """Return an error for each file and package beside the spec that it names and that is not there.
+
+        `measured` says whether what sends requests counts too.
+        """
+        if any(one.code == PLACEHOLDERS for one in self.warnings):
+            return []  # what `init` made up is not there, and is said itself
+        found = missing_files(self.application, Path(self.path).parent, measured)
+        return [self.diagnostic(one.code, one.path, one.message, one.fix) for one in found]
 
 
 def load(paths: Sequence[str | os.PathLike[str]], overlays: Sequence[str | os.PathLike[str]] = ()) -> list[LoadedSpec]:
@@ -104,7 +114,7 @@ def _checked(
             merged = merge(node, layers)
             checked = validate(Application, merged)
             found_wrong = [*checked.wrong, *rules.run_rules(checked)]
-            found_wrong += _missing(checked, path, found_wrong) if on_disk else ()
+            found_wrong += _sender(checked, found_wrong) if on_disk else ()
             said = [one for one in found_wrong if one.span not in refused]
             wrong.extend(texts.at_the_cut(said) if index == len(nodes) - 1 else said)
             found.append((path, index, merged, checked))
@@ -132,12 +142,11 @@ def _nothing_in(path: str, line: int) -> Diagnostic:
     return Diagnostic("FS114", "the file is empty: it has no YAML document", Span(path, line, 1), fix)
 
 
-def _missing(checked: Validation[Application], path: str, wrong: Sequence[Diagnostic]) -> Iterator[Diagnostic]:
-    """Yield what the spec at `path` names beside itself and is not there, and of one that is right, what it lacks."""
-    if checked.value is None:
+def _sender(checked: Validation[Application], wrong: Sequence[Diagnostic]) -> Iterator[Diagnostic]:
+    """Yield that nothing sends requests, of a spec that is right."""
+    if checked.value is None or any(one.severity == "error" for one in wrong):
         return
-    right = all(one.severity == "warning" for one in wrong)
-    for one in (*missing_files(checked.value, Path(path).parent), *(sender(checked.value) if right else ())):
+    for one in sender(checked.value):
         yield Diagnostic(one.code, one.message, span_of(checked.node, one.path), one.fix, severity=one.severity)
 
 

@@ -82,17 +82,10 @@ def snapshot(application: Application, layout: Layout, target: Path, expected: M
     return target
 
 
-def check_files(application: Application, layout: Layout, measured: bool) -> None:
-    """Raise InvalidInput if something that the spec names is missing or not sent, before a machine is paid for."""
+def check_sent(application: Application, layout: Layout, measured: bool) -> None:
+    """Raise InvalidInput if something that the spec names is there and not sent, before a machine is paid for."""
     folder, tree = layout.spec.parent, sent_tree(application, layout)
-    needed = list(files_needed(application, measured))
-    if absent := [(field, name) for field, name in needed if not (folder / name).exists()]:
-        raise InvalidInput(
-            f"{layout.spec}: {absent[0][0]} names {absent[0][1]}, which is not there",
-            *(f"{field} names {name}, which is not there either" for field, name in absent[1:]),
-            f"paths are relative to the spec's folder: {folder}",
-        )
-    named = [*needed, *((field, word) for field, word in words_of_commands(application, measured))]
+    named = [*files_needed(application, measured), *words_of_commands(application, measured)]
     for field, name in named:
         path = os.path.normpath(name)
         if tree is not None and tree.excludes(path) and (folder / path).exists():

@@ -221,7 +221,7 @@ def measurement_sends_files(spec: Spec) -> bool:
 
 
 def files_needed(application: Application, measured: bool) -> Iterator[tuple[str, str]]:
-    """Return what must exist next to the spec before a machine is started: the field and what it names.
+    """Return what is next to the spec and must be sent to a machine: the field and what it names.
 
     `measured` says whether requests are sent to it too.
     """

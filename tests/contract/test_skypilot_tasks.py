@@ -55,6 +55,8 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for folder in ("specs", "results"):
         shutil.copytree(ROOT / folder, project / folder, ignore=shutil.ignore_patterns("lidar*"))
     (project / "specs" / "everywhere.yaml").write_text(EVERYWHERE)
+    (project / "specs" / "my ws" / "src" / "p").mkdir(parents=True)
+    (project / "specs" / "my ws" / "src" / "p" / "package.xml").write_text("<package><name>p</name></package>")
     for cloud, text in (("gcp", GCP), ("azure", AZURE), ("slurm", SLURM), ("kubernetes", KUBERNETES),
                         ("aws", snapshot())):  # fmt: skip
         (tables / cloud).mkdir(parents=True)
@@ -100,7 +102,6 @@ def understood(request: pytest.FixtureRequest, project: Path) -> dict[str, dict]
     environment = os.environ | {"HOME": str(project.parent / "home"), "SKYPILOT_DISABLE_LOCAL_API_SERVER": "1",
                                 "SKYPILOT_DISABLE_USAGE_COLLECTION": "1"}  # fmt: skip
     environment.pop("SKY_RUNTIME_DIR", None)
-    (project / "specs" / "my ws").mkdir(exist_ok=True)
     ended = subprocess.run([request.param, str(Path(__file__).with_name("sky_reads_tasks.py")), *tasks], cwd=project,
                            env=environment, capture_output=True, text=True, timeout=200)  # fmt: skip
     assert ended.returncode == 0, ended.stderr[-3000:]

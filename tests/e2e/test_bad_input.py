@@ -47,12 +47,16 @@ def test_a_wrong_spec_is_an_error_at_its_place(scene, verb, old, new, place, wor
 def test_a_file_that_the_spec_names_is_missed_before_a_machine_is_paid_to_miss_it(scene):
     node = "cloud:\n    - {package: arm, executable: plan, parameter_files: [p.yaml]}"
     scene.spec.write_text(SPEC.replace("infra:", "ros: {workspace: arm_ws}\n  infra:").replace("cloud:", node))
-    assert scene.run("compile").returncode == 0
+    (scene.folder / "specs" / "work.py").unlink()
     before = tree(scene.folder)
-    ended = scene.bench()
-    assert ended.returncode == 1
-    assert "specs/tiny.yaml: spec.ros.workspace names arm_ws, which is not there" in ended.stderr
-    assert "spec.cloud[0].parameter_files names p.yaml, which is not there either" in ended.stderr
+    for ended in (scene.run("validate"), scene.run("compile"), scene.bench()):
+        assert ended.returncode == 1
+        for missing in (
+            "spec.ros.workspace names arm_ws",
+            "spec.cloud[0].parameter_files[0] names p.yaml",
+            "spec.cloud[1].cmd[1] names work.py",
+        ):
+            assert f"error[FS545]: {missing}, which is not there\n --> specs/tiny.yaml:" in ended.stderr
     assert tree(scene.folder) == before
 
 
@@ -125,7 +129,6 @@ def test_what_is_reviewed_is_what_runs(scene):
         ("import time; time.sleep(60)", "failed", "no_response", "no timed request within 2 s"),
         ("pass", "failed", "no_response", "without one timed request"),
         ("import os; os.kill(os.getpid(), 11)", "failed", "crash", "ended by"),
-        (None, "failed", "crash", "No such file"),
         (WORK.replace('stop("work")', 'stop("work", ok=False, reason="no path")'), "failed", "check", "no path"),
         (WORK.replace('"work"', '"other"').replace("while True", "for _ in range(20)"), "failed", "no_response",
          "only 'other'"),
@@ -135,7 +138,7 @@ def test_what_is_reviewed_is_what_runs(scene):
         ("import fogspec_probe as p, time\np.start('work'); p.stop('work'); p.start('work'); time.sleep(60)",
          "timeout", None, "warm-up"),
     ],
-    ids=["crash", "hang", "silence", "signal", "missing", "check", "other", "garbage", "hang later", "hang in warm-up"],
+    ids=["crash", "hang", "silence", "signal", "check", "other", "garbage", "hang later", "hang in warm-up"],
 )  # fmt: skip
 def test_a_workload_that_goes_wrong_is_a_record_that_says_so(tmp_path, request, work, state, reason, words):
     short = SHORT.get(request.node.callspec.id)
@@ -149,7 +152,7 @@ def test_a_workload_that_goes_wrong_is_a_record_that_says_so(tmp_path, request, 
 
 
 def test_a_program_that_is_not_there(tmp_path):
-    scene = Scene.made(tmp_path / "scene", None, SPEC.replace("[python3, work.py]", "[no-such-program]"))
+    scene = Scene.made(tmp_path / "scene", spec=SPEC.replace("[python3, work.py]", "[no-such-program]"))
     assert scene.bench(*SAMPLE).returncode == 1
     record = scene.records()[FIRST]
     assert (record["reason"], "no-such-program" in record["detail"]) == ("setup", True)

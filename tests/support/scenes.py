@@ -63,18 +63,18 @@ class Scene:
     name: str = "tiny"
 
     @classmethod
-    def made(cls, folder: Path, work: str | None = WORK, spec: str = SPEC) -> "Scene":
+    def made(cls, folder: Path, work: str = WORK, spec: str = SPEC) -> "Scene":
         """Spec, compiled, and workload; what was compiled before is copied, for it is the same in every folder."""
         if spec not in COMPILED:
             first = cls(Path(tempfile.mkdtemp(prefix="fogspec-scene-")))
             atexit.register(shutil.rmtree, first.folder, ignore_errors=True)
             (first.folder / "specs").mkdir()
             first.spec.write_text(spec)
+            (first.folder / "specs" / "work.py").touch()
             assert first.run("compile").returncode == 0
             COMPILED[spec] = first.folder
         shutil.copytree(COMPILED[spec], folder)
-        if work is not None:
-            (folder / "specs" / "work.py").write_text(work)
+        (folder / "specs" / "work.py").write_text(work)
         return cls(folder)
 
     @property

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.spec.loader import check_file
+from fogspec.spec.loader import load
 from tests.support.running import Shell, shell  # noqa: F401
 
 SPEC = """\
@@ -22,8 +22,8 @@ spec:
 """
 
 
-def warned(folder: Path, node: str) -> list[str]:
-    """Line and message of each warning; no errors."""
+def absent(folder: Path, node: str) -> list[str]:
+    """Line, message and fix of each error."""
     path = folder / "spec.yaml"
     path.write_text(SPEC.replace("{NODE}", node), "utf-8")
     (folder / "ws" / "src" / "deep" / "arm_planner").mkdir(parents=True, exist_ok=True)
@@ -31,8 +31,8 @@ def warned(folder: Path, node: str) -> list[str]:
     (folder / "ws" / "src" / "off").mkdir(exist_ok=True)
     (folder / "ws/src/off/package.xml").write_text("<package><name>left_out</name></package>")
     (folder / "ws/src/off/COLCON_IGNORE").touch()
-    found = check_file([path])[1]
-    assert all((one.severity, one.code) == ("warning", "FS545") for one in found), found
+    found = load([path])[0].absent()
+    assert all((one.severity, one.code) == ("error", "FS545") for one in found), found
     return [f"{one.span.line}: {one.message}; {one.fix}" for one in found]
 
 
@@ -46,10 +46,11 @@ def warned(folder: Path, node: str) -> list[str]:
         "{ cmd: [plan] }",
         "{ package: arm_planner, executable: x }",
         "{ package: nav2_planner, executable: x }",
+        "{ package: arm_planner, executable: x, parameter_files: ['$(find-pkg-share a)/p.yaml'] }",
     ],
 )
 def test_what_is_elsewhere_or_there_is_not_missed(tmp_path: Path, node: str) -> None:
-    assert warned(tmp_path, node) == []
+    assert absent(tmp_path, node) == []
 
 
 @pytest.mark.parametrize(
@@ -62,6 +63,11 @@ def test_what_is_elsewhere_or_there_is_not_missed(tmp_path: Path, node: str) -> 
             "{ package: arm_planner, executable: x, parameter_files: [p.yaml] }",
             "spec.cloud[0].parameter_files[0] names p.yaml, which is not there",
         ),
+        (
+            "{ package: arm_planner, executable: x, composable_node_descriptions: "
+            "[{ package: arm_planner, plugin: A, parameter_files: [p.yaml] }] }",
+            "spec.cloud[0].composable_node_descriptions[0].parameter_files[0] names p.yaml, which is not there",
+        ),
         ("{ package: arm_planer, executable: x }", "spec.cloud[0].package arm_planer is not in ws/src; write 'arm_planner'"),
         (
             "{ package: left_out, executable: x }",
@@ -70,7 +76,7 @@ def test_what_is_elsewhere_or_there_is_not_missed(tmp_path: Path, node: str) -> 
     ],
 )  # fmt: skip
 def test_what_is_not_there_is_said_at_its_place(tmp_path: Path, node: str, says: str) -> None:
-    [found] = warned(tmp_path, node)
+    [found] = absent(tmp_path, node)
     assert found.startswith(f"6: {says}")
 
 
@@ -79,17 +85,44 @@ def test_a_command_in_one_text_gets_the_list_as_its_fix(shell: Shell) -> None:
     assert "^ write [python3, stitch.py]" in shell("validate", code=1).err
 
 
-def test_compile_and_lock_say_it_and_bench_refuses(shell: Shell) -> None:
-    shell.write("specs/arm.yaml", SPEC.replace("{NODE}", "{ cmd: [python3, plam.py] }").replace("ws, apt", "gone, apt"))
-    for words in (["validate", "specs/arm.yaml"], ["compile", "specs/arm.yaml"], ["lock", "specs/arm.yaml"]):
-        said = shell(*words).err
-        assert "warning[FS545]: spec.ros.workspace names gone, which is not there\n --> specs/arm.yaml:8:" in said, (
-            words
-        )
-        assert "names plam.py, which is not there" in said, words
-    assert (
-        "spec.ros.workspace names gone" in shell("bench", "specs/arm.yaml", "--runner", "skypilot", "--yes", code=1).err
-    )
+KINDS = {
+    "workspace": ("ros: {distro: jazzy, workspace: ws}", "spec.ros.workspace names ws"),
+    "parameter file": (
+        "cloud: [{package: a, executable: b, parameter_files: [p.yaml]}]", "spec.cloud[0].parameter_files[0] names p.yaml"
+    ),
+    "program": ("cloud: [{cmd: [./plan]}]", "spec.cloud[0].cmd[0] names ./plan"),
+    "script": ("cloud: [{cmd: [python3, plan.py]}]", "spec.cloud[0].cmd[1] names plan.py"),
+    "bag": ("benchmark: {budget: $2.50, workload: {bag: run1}}", "spec.benchmark.workload.bag names run1"),
+    "client": (
+        "benchmark: {budget: $2.50, workload: {node: {cmd: [./ask]}}}", "spec.benchmark.workload.node.cmd[0] names ./ask"
+    ),
+}  # fmt: skip
+VERBS = (
+    ["validate", "specs/arm.yaml"],
+    ["compile", "specs/arm.yaml"],
+    ["compile", "specs/arm.yaml", "--check"],
+    ["lock", "specs/arm.yaml"],
+    ["bench", "specs/arm.yaml", "--runner", "skypilot", "--dry-run"],
+    ["bench", "specs/arm.yaml", "--runner", "skypilot", "--yes"],
+)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_command_that_plans_pins_or_starts_says_the_same_and_writes_nothing(kind: str, shell: Shell) -> None:
+    field, says = KINDS[kind]
+    whole = {
+        "cloud": "[{cmd: [/bin/true]}]", "probe": "{request: /a, response: /b}", "ros": "{distro: jazzy}",
+        "infra": "[aws/us-east-1]", "benchmark": "{budget: $2.50}",
+    }  # fmt: skip
+    key, _, value = field.partition(": ")
+    lines = "".join(f"  {name}: {value if name == key else usual}\n" for name, usual in whole.items())
+    shell.write("specs/arm.yaml", SPEC.partition("  cloud:")[0] + lines)
+    at = 6 + list(whole).index(key) - 1
+    for words in VERBS:
+        said = shell(*words, code=1).err
+        assert f"error[FS545]: {says}, which is not there\n --> specs/arm.yaml:{at}:" in said, (words, said)
+        assert "^ paths are relative to the spec's folder" in said
+    assert [path.name for path in shell.folder.iterdir()] == ["specs"]
 
 
 def test_names_that_init_made_up_are_refused(shell: Shell) -> None:
