@@ -159,12 +159,14 @@ def with_last_line(status: DeploymentStatus, log: bytes) -> DeploymentStatus:
 
 
 def last_line(log: bytes) -> str | None:
-    """Return the last line that the job printed, without the supervisor's and SkyPilot's own lines."""
-    for line in reversed(log[-LOG_BYTES:].decode("utf-8", "replace").splitlines()):
-        text = PREFIX.sub("", plain(line)).strip()
-        if text and "=== fogspec state " not in text and not PLATFORM.match(text):
-            return text[:300]
-    return None
+    """Return the last line that the nodes printed that is not blank, cut at 300 characters."""
+    return next((text.strip()[:300] for text in reversed(printed(log[-LOG_BYTES:])) if text.strip()), None)
+
+
+def printed(log: bytes) -> list[str]:
+    """Return the lines that the nodes printed, without the supervisor's and SkyPilot's own lines."""
+    lines = (PREFIX.sub("", plain(line)).rstrip() for line in log.decode("utf-8", "replace").splitlines())
+    return [text for text in lines if "=== fogspec state " not in text and not PLATFORM.match(text.lstrip())]
 
 
 def tail(timings: bytes) -> bytes:

@@ -218,4 +218,12 @@ class SampleBackend(Backend[SampleStatus], Protocol):
     notes: tuple[str, ...]
 
 
-DeploymentBackend = Backend[DeploymentStatus]
+class DeploymentBackend(Backend[DeploymentStatus], Protocol):
+    """Keeps deployments running."""
+
+    def read_log(self, job: Job) -> bytes:
+        """Return the end of what the job has printed, as its machine keeps it; raise Unreachable.
+
+        Nothing where nothing was printed yet, or where the machine is gone.
+        """
+        ...

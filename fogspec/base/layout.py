@@ -164,6 +164,11 @@ class Layout:
         return self.state / "deployment.yaml"
 
     @property
+    def last_words(self) -> Path:
+        """What the nodes of the last machine printed that was started and never answered."""
+        return self.state / "last-words.log"
+
+    @property
     def deployed(self) -> Path:
         """Folder of what belongs to machines that run."""
         return self.state / "deployed"

@@ -25,6 +25,8 @@ VERBS = {
     "menu": "the choices on offer, also under other constraints",
     "report": "one self-contained page: spec, samples, models, a menu to weigh anew, costs",
     "apply": "run what a manifest says, idempotent",
+    "ps": "what runs of all applications, also of those without a spec, and what it costs",
+    "logs": "what an application's nodes print, and the last words of those that never answered",
     "down": "end everything of an application, and verify it",
     "diff": "what compile would write now against what is committed, and against what runs",
     "review": "what a change deploys, in Markdown for a pull request",

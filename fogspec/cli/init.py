@@ -11,9 +11,15 @@ from fogspec.base.errors import UsageError
 from fogspec.base.text import shell_command
 
 if TYPE_CHECKING:
+    from fogspec.base.project_files import ProjectFiles
     from fogspec.spec.launch_import.found import LaunchImport
 
 MOST_DEFAULTS = 20
+# What git should know of a project, by file.
+FOR_GIT = {
+    ".gitignore": ".fogspec/\n",
+    ".gitattributes": "compiled/** linguist-generated\ncompiled/**/*.svg -diff\ncompiled/agent.pyz binary\n",
+}
 
 
 @click.command()
@@ -117,6 +123,7 @@ def command(
     if not files.exists(schema):
         files.write(schema, (shipped("schemas") / "Application.json").read_bytes())
         say(f"{schema}: the language for your editor")
+    _for_git(root, files)
     for path, content in written.items():
         files.write(path, content.encode())
         say(f"{path}: the parameter file that the launch file makes of its own")
@@ -128,6 +135,25 @@ def command(
     if wrong:
         show_diagnostics(wrong)
         raise click.exceptions.Exit(1)
+
+
+def _for_git(root: Path, files: "ProjectFiles") -> None:
+    """Write what git should know of a project, where it has no such files yet."""
+    if not (root / ".git").exists():
+        return
+    for name, text in FOR_GIT.items():
+        path = root / name
+        if not files.exists(path):
+            files.write(path, text.encode())
+            say(
+                f"{path}: live state is ignored"
+                if name == ".gitignore"
+                else f"{path}: what compile writes is generated"
+            )
+            continue
+        has = files.read(path).decode("utf-8", "replace").splitlines()
+        if lacking := [one for one in text.splitlines() if one not in has]:
+            say(f"{path}: is there already, and lacks: {'; '.join(lacking)}")
 
 
 def _launch_arguments(arguments: tuple[str, ...], launch: str | None) -> dict[str, str]:

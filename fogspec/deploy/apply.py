@@ -212,6 +212,7 @@ class Rollout:
         """Return the machine's record, on disk before anything is started."""
         times = self.live.times
         name = self.live.owner.deployment_name(self.digest, secrets.token_hex(3))
+        self.live.layout.files.remove(self.live.layout.last_words)
         self.send(self.live.folder(name) / SENT)
         machine = DeployedMachine(
             name=name,
@@ -277,16 +278,19 @@ class Rollout:
             if status.state == "ready" and (why := self.link_check(machine, status)) is None:
                 return machine.model_copy(update={"state": "serving", "address": status.address})
             if status.state == "ended":
+                self._keep_last_words(machine)
                 self._stop(machine)
                 raise InvalidInput(
                     f"{machine.name}: the nodes do not run: {status.detail or 'they ended without a word'}"
                 )
             if status.state == "gone":
+                self._keep_last_words(machine)
                 raise _MachineLost(status.detail or "nobody said why")
             if why and why != reported:
                 reported = why
                 self.report(f"{machine.name}: {reported}")
             if self.live.up_s(machine) > self.ready_timeout_s:
+                self._keep_last_words(machine)
                 self._stop(machine)
                 last = f": {reported}" if reported else ""
                 raise CloudError(
@@ -300,6 +304,14 @@ class Rollout:
 
     def _stop(self, machine: DeployedMachine) -> None:
         stop_machine(self.live, machine, self._backend(machine), self.report)
+
+    def _keep_last_words(self, machine: DeployedMachine) -> None:
+        """Keep what a machine's nodes printed that never answered, for `fogspec logs`: its directory goes with it."""
+        layout = self.live.layout
+        with contextlib.suppress(Unreachable, InvalidInput, OSError):
+            if log := self._backend(machine).read_log(self.live.job(machine)):
+                layout.files.write(layout.last_words, log)
+                self.report(f"{machine.name}: its last words: {shell_command('fogspec', 'logs', layout.name)}")
 
     def _poll(self, machine: DeployedMachine) -> DeploymentStatus:
         try:

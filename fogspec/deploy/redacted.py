@@ -32,6 +32,11 @@ class RedactingBackend:
             status = self._backend.poll(job)
         return status if status.detail is None else replace(status, detail=self._secrets.redact(status.detail))
 
+    def read_log(self, job: Job) -> bytes:
+        """Return what it has printed, from which its machine took the secrets."""
+        with self._redacted():
+            return self._backend.read_log(job)
+
     def stop(self, job: Job) -> None:
         """Stop it."""
         with self._redacted():

@@ -135,7 +135,8 @@ class DeploymentState:
         # A process that was killed in the middle of a write leaves a part.
         layout, files = self.layout, self.layout.files
         parts = [name for name in files.names(layout.state) if name.startswith(f".{layout.live.name}.")]
-        yield from (path for path in (layout.live, *(layout.state / name for name in parts)) if files.remove(path))
+        ours = (layout.live, layout.last_words, *(layout.state / name for name in parts))
+        yield from (path for path in ours if files.remove(path))
         folders = [self.folder(name) for name in files.names(layout.deployed) if self.owner.has(name)]
         yield from (path for path in folders if files.remove_tree(path))
         files.remove_folder(layout.deployed)

@@ -162,3 +162,27 @@ def test_several_processes_say_what_one_says(repo: Shell) -> None:
     repo.write("offers.csv", repo.read("offers.csv").replace("0.10", "0.11"))
     one, two = (repo("ci", "-j", number, code=3) for number in ("1", "2"))
     assert (one.out, one.err) == (two.out, two.err), "an error of a process is this command's"
+
+
+def test_what_git_could_not_merge_is_said(repo: Shell) -> None:
+    text = repo.read("results/demo.yaml")
+    line = next(one for one in text.splitlines() if one.startswith("  spent"))
+    repo.write("results/demo.yaml", text.replace(line, f"<<<<<<< HEAD\n{line}\n=======\n{line}1\n>>>>>>> other"))
+    assert "a merge conflict must be resolved" in repo("ci", *AT, code=3).out
+
+
+def test_parameter_files_beside_specs_are_no_specs(repo: Shell) -> None:
+    repo.write("specs/planner.params.yaml", "planner:\n  ros__parameters: {rate: 10}\n")
+    repo("validate", "specs")
+
+
+def test_init_tells_git_what_is_generated_and_overwrites_nothing(shell: Shell) -> None:
+    shell("init", "first")
+    assert not (shell.folder / ".gitignore").exists(), "no repository"
+    git(shell, "init", "-q")
+    shell.write(".gitignore", "build/\n")
+    said = shell("init", "second").out
+    assert shell.read(".gitignore") == "build/\n"
+    assert ".gitignore: is there already, and lacks: .fogspec/" in said
+    assert "compiled/** linguist-generated" in shell.read(".gitattributes")
+    assert "linguist" not in shell("init", "third").out

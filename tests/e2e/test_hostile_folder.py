@@ -165,6 +165,8 @@ LIFE = (
     ("ci", "specs/tiny.yaml"),
     ("apply", "tiny", "--yes"),
     ("status", "specs/tiny.yaml"),
+    ("ps",),
+    ("logs", "tiny"),
     ("diff", "specs/tiny.yaml"),
     ("down", "tiny"),
 )

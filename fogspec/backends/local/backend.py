@@ -274,6 +274,10 @@ class LocalDeployments(LocalBackend):
         ended = status.state == "ended"
         return DeploymentStatus(state="ended" if ended else "gone", detail=status.detail or _last_detail(log))
 
+    def read_log(self, job: Job) -> bytes:
+        """Return the end of its log."""
+        return _read(job, "run.log")
+
 
 def mark_of(job: Job) -> str:
     """Return what every process of the job has in its environment: its name and directory."""

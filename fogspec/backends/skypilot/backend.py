@@ -347,6 +347,18 @@ class SkyPilotDeployments(SkyPilotBackend):
             raise Unreachable(str(problem)) from None
         self._jobs.pop(job.name, None)
 
+    def read_log(self, job: Job) -> bytes:
+        """Return the last lines of the job's log; raise Unreachable."""
+        try:
+            number = self._jobs.get(job.name) or self._job_number(job.name)
+            if isinstance(number, DeploymentStatus):
+                return b""
+            with tempfile.TemporaryDirectory(prefix="fogspec-") as folder:
+                begun = self._begin_log(job.name, number, TAIL_LINES, Path(folder))
+                return self._read_log(begun, Path(folder))
+        except (CloudProblem, LaunchRefused) as problem:
+            raise Unreachable(problem.detail) from None
+
     def _job_number(self, name: str) -> int | DeploymentStatus:
         """Return the job's number once the machine is up; raise LaunchRefused if the machine is unavailable."""
         try:

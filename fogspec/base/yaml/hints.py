@@ -19,6 +19,7 @@ SYNTAX = (
     (re.compile(r"expected <block end>"), "the line must be indented like its neighbours", "align it with the lines above"),
     (re.compile(r"undefined alias"), "the anchor must be defined before it is used", None),
 )  # fmt: skip
+CONFLICT = ("<" * 7, "=" * 7, ">" * 7)
 MISPLACED = ("mapping values are not allowed", "expected <block end>", "could not find expected ':'")
 
 
@@ -34,8 +35,28 @@ class SyntaxHint:
     code: str = "FS104"
 
 
+def _conflict(lines: Sequence[str]) -> SyntaxHint | None:
+    """Return what to do about lines that git left of two changes that it could not merge; None without them."""
+    marks = {
+        mark: i for i, line in enumerate(lines) for mark in CONFLICT if line == mark or line.startswith(f"{mark} ")
+    }
+    if len(marks) < len(CONFLICT):
+        return None
+    first = next(i for i, line in enumerate(lines) if line.startswith(CONFLICT[0]))
+    return SyntaxHint(
+        line=first,
+        column=0,
+        width=len(lines[first]),
+        message="a merge conflict must be resolved",
+        fix=f"keep one side, and remove the lines {', '.join(CONFLICT[:-1])} and {CONFLICT[-1]}",
+        code="FS117",
+    )
+
+
 def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
     """Return the most likely cause of the parser's error (ruamel.yaml's MarkedYAMLError)."""
+    if (conflict := _conflict(lines)) is not None:
+        return conflict
     problem, context = str(wrong.problem or wrong.context or ""), str(wrong.context or "")
     mark = wrong.problem_mark or wrong.context_mark
     if mark is None:

@@ -174,5 +174,5 @@ def test_the_hook_and_the_action_call_verbs_that_are_there() -> None:
     (hooks,), wrong = reader.documents((ROOT / ".pre-commit-hooks.yaml").read_text("utf-8"), "hooks")
     (action,), also_wrong = reader.documents((ROOT / "action.yml").read_text("utf-8"), "action")
     assert (wrong, also_wrong) == ([], [])
-    assert plain(hooks)[0]["entry"] == "fogspec validate"
+    assert plain(hooks)[0]["entry"] == "fogspec validate specs"
     assert any("fogspec validate -o github" in step.get("run", "") for step in plain(action)["runs"]["steps"])

@@ -63,6 +63,9 @@ class FakeBackend:
             answer if isinstance(answer, DeploymentStatus) else DeploymentStatus(state=str(answer), address="192.0.2.1")
         )  # type: ignore[arg-type]
 
+    def read_log(self, job: Job) -> bytes:
+        return f"printed by {self.up[job.name]}\n".encode()
+
     def stop(self, job: Job) -> None:
         self.log.append(f"end {self.up.pop(job.name, 'nothing')}")
 

@@ -1,0 +1,70 @@
+"""Implement `fogspec ps`: what runs of all applications."""
+
+from pathlib import Path
+
+import click
+
+from fogspec.base.console import say, say_json, say_text
+from fogspec.cli.options import OUTPUT
+
+
+@click.command()
+@OUTPUT
+def command(output: str) -> None:
+    """List every machine in this project's live state: what its nodes say, since when it is up, what it cost.
+
+    Applications without a spec are listed too: what was deleted or renamed may still run. Nothing is written.
+    """
+    from functools import cache
+
+    from fogspec.backends.registry import deployment_backend
+    from fogspec.base.errors import InvalidInput
+    from fogspec.base.units import dollars, format_duration, format_price, rounded
+    from fogspec.deploy.running import running
+    from fogspec.deploy.state import SystemWallClock
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import check_file
+
+    try:
+        loaded, _ = check_file(find_specs(()))
+    except InvalidInput:
+        loaded = []
+    names = [one.application.metadata.name for one in loaded]
+    found, problems = running(Path(), names, SystemWallClock(), cache(deployment_backend))
+    say(*problems, err=True)
+    if output == "json":
+        say_json(
+            [
+                {
+                    "application": one.application,
+                    "has_spec": one.has_spec,
+                    "answers": one.answers,
+                    "up_s": one.up_s,
+                    "spent_usd": round(one.spent_usd, 6),
+                    **one.machine.model_dump(mode="json"),
+                }
+                for one in found
+            ]
+        )
+        return
+    if not found:
+        say("nothing runs")
+        return
+    rows = [("application", "machine", "instance", "infra", "record", "nodes", "up", "price", "spent")]
+    for one in found:
+        machine = one.machine.machine
+        rows.append(
+            (
+                one.application + ("" if one.has_spec else " (no spec)"),
+                one.machine.name,
+                machine.instance,
+                machine.infra,
+                one.machine.state,
+                one.answers,
+                format_duration(rounded(one.up_s, 2)),
+                format_price(machine.price),
+                dollars(one.spent_usd),
+            )
+        )
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    say_text("\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows))

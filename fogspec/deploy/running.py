@@ -1,0 +1,116 @@
+"""What runs of all applications of a project, by their live state, and what their nodes print."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fogspec.backends.agent_state import printed
+from fogspec.backends.protocol import DeploymentBackend, LaunchRefused, Unreachable
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import CloudError, InvalidInput
+from fogspec.base.layout import Layout
+from fogspec.base.text import shell_command
+from fogspec.deploy.schema import DeployedMachine
+from fogspec.deploy.state import DeploymentState, WallClock
+
+FOLLOW_EVERY_S = 1.0
+
+Backends = Callable[[str], DeploymentBackend]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Running:
+    """A machine of an application; `answers` is what its nodes say now, `has_spec` whether the spec is still there."""
+
+    application: str
+    machine: DeployedMachine
+    answers: str
+    up_s: float
+    spent_usd: float
+    has_spec: bool
+
+
+def running(
+    root: Path, names: Sequence[str], times: WallClock, backend_for: Backends
+) -> tuple[list[Running], list[str]]:
+    """Return the machines in the live state of all applications below a root, and what cannot be read.
+
+    `names` are the applications that have a spec. Nothing is written.
+    """
+    found, problems = list[Running](), list[str]()
+    for layout in _layouts(root):
+        try:
+            live = DeploymentState.look(layout, times)
+        except DiagnosticError as damaged:
+            problems.append(
+                f"{layout.live}: {damaged.diagnostics[0].message}; fogspec down {layout.name} ends what runs"
+            )
+            continue
+        problems += [f"{layout.live}: {one.name} is a machine of another application" for one in live.foreign]
+        found += [
+            Running(
+                application=layout.name,
+                machine=one,
+                answers=_answers(live, one, backend_for),
+                up_s=live.up_s(one),
+                spent_usd=live.spent(one),
+                has_spec=layout.name in names,
+            )
+            for one in live.machines
+        ]
+    return found, problems
+
+
+def _layouts(root: Path) -> Iterator[Layout]:
+    """Yield the layout of each application with live state."""
+    files = Layout(root, root / "specs" / "any.yaml", "any").files
+    for name in files.names(root / ".fogspec"):
+        layout = Layout(root, root / "specs" / f"{name}.yaml", name)
+        if files.is_file(layout.live):
+            yield layout
+
+
+def _answers(live: DeploymentState, machine: DeployedMachine, backend_for: Backends) -> str:
+    try:
+        return backend_for(machine.machine.infra).poll(live.job(machine)).state
+    except (Unreachable, LaunchRefused, CloudError):
+        return "no contact"
+
+
+def log_lines(layout: Layout, times: WallClock, backend_for: Backends) -> tuple[DeployedMachine | None, list[str]]:
+    """Return the lines that the newest machine of an application printed, or the last words of one that never answered.
+
+    Raise InvalidInput if nothing runs and nothing is kept, CloudError for a machine that cannot be asked now, DiagnosticError
+    for damaged live state.
+    """
+    live = DeploymentState.look(layout, times)
+    live.check_owned()
+    if not live.machines:
+        if not layout.files.is_file(layout.last_words):
+            apply = shell_command("fogspec", "apply", layout.manifest)
+            raise InvalidInput(f"{layout.name}: nothing runs, and no start that failed is on record", apply)
+        return None, printed(layout.files.read(layout.last_words))
+    machine = live.machines[-1]
+    try:
+        return machine, printed(backend_for(machine.machine.infra).read_log(live.job(machine)))
+    except Unreachable as lost:
+        raise CloudError(f"{machine.name}: no contact just now: {lost}", "safe to run again") from None
+
+
+def followed(layout: Layout, times: WallClock, backend_for: Backends) -> Iterator[list[str]]:
+    """Yield the lines so far and then each time those that are new, until no machine is left or its nodes have ended."""
+    before: list[str] = []
+    while True:
+        machine, lines = log_lines(layout, times, backend_for)
+        yield lines[_common(before, lines) :]
+        if machine is None:
+            return
+        before, live = lines, DeploymentState.look(layout, times)
+        if _answers(live, machine, backend_for) in ("ended", "gone"):
+            return
+        times.sleep(max(FOLLOW_EVERY_S, backend_for(machine.machine.infra).poll_s))
+
+
+def _common(before: Sequence[str], now: Sequence[str]) -> int:
+    """Return how many of the first lines now are the last ones of before."""
+    return next((size for size in range(min(len(before), len(now)), 0, -1) if before[-size:] == now[:size]), 0)
