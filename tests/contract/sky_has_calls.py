@@ -11,6 +11,7 @@ from sky.utils import registry
 CALLS = (
     (sky.launch, ("task",), {"cluster_name": "c"}),
     (sky.get, ("request",), {}),
+    (sky.stream_and_get, ("request",), {"follow": False, "output_stream": None}),
     (sky.api_status, (["request"],), {"all_status": True}),
     (sky.api_status, (), {"cluster_name": "c", "all_status": False}),
     (sky.api_cancel, (["request"],), {"silent": True}),

@@ -4,6 +4,7 @@ https://docs.skypilot.co/en/latest/reference/api.html. No operation touches a ma
 """
 
 import contextlib
+import io
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +16,7 @@ from sky import exceptions
 from sky.client import sdk  # `sky.check` is a module
 
 from fogspec.backends.skypilot import secrets_file
-from fogspec.backends.skypilot.errors import CloudProblem
+from fogspec.backends.skypilot.errors import CloudProblem, classify
 from fogspec.backends.skypilot.power_off import power_off_armed
 from fogspec.backends.skypilot.teardown import await_gone
 from fogspec.base.project_files import ProjectFiles
@@ -114,8 +115,19 @@ def launched(request: str, name: str) -> dict[str, Any] | None:
     if _word(found[0].status) in UNFINISHED:
         return None
     secrets_file.forget(name)
-    answer: Any = sky.get(cast(Any, request))
+    try:
+        answer: Any = sky.get(cast(Any, request))
+    except Exception as problem:
+        raise classify(problem, _log_of(request)) from problem
     return {"job": answer[0]}
+
+
+def _log_of(request: str) -> str:
+    """Return what SkyPilot logged of a request; nothing if it cannot be read."""
+    file = io.StringIO()
+    with contextlib.suppress(Exception):  # the request has failed, and with what is known without its log
+        sky.stream_and_get(cast(Any, request), follow=False, output_stream=file)
+    return file.getvalue()
 
 
 def find(name: str) -> dict[str, Any] | None:

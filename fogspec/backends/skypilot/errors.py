@@ -1,7 +1,8 @@
 """Classification of SkyPilot's exceptions: a reason for the results, and whether a retry can help soon.
 
 Providers' error codes are searched in the text of the exception and of all its causes, because SkyPilot collects the
-refusals of every zone that it tried in `failover_history` and reports them all as unavailable resources. Error codes:
+refusals of every zone that it tried in `failover_history` and reports them all as unavailable resources. On AWS the causes
+do not reach the client (0.14.1: "Failed to launch instances. Max attempts exceeded."); its log of the request has them. Codes:
 docs.aws.amazon.com/AWSEC2/latest/APIReference/errors-overview.html; cloud.google.com/compute/docs/troubleshooting;
 learn.microsoft.com/azure/azure-resource-manager/troubleshooting/common-deployment-errors.
 """
@@ -16,10 +17,16 @@ DETAIL_LIMIT = 500
 FORGOTTEN = "SkyPilot knows of no launch of it: none was asked for, or its API server has begun anew since"
 # The traceback of an API server that failed: nothing in it is about the machine.
 SERVER_TRACEBACK = re.compile(r"[\s+|]*Exception Group Traceback \(most recent call last\):.*", re.DOTALL)
+# botocore.exceptions.ClientError.MSG_TEMPLATE
+REFUSAL = re.compile(
+    r"An error occurred \((?P<code>[\w.]+)\) when calling the \w+ operation(?: \([^)]*\))?: (?P<why>.*)"
+)
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
-# The first match decides: a quota is often reported as a lack of capacity, never the other way round.
+# The first match decides: a quota is often reported as a lack of capacity, never the other way round. Too many requests
+# at once are no quota: they are answered soon.
 WORDS: tuple[tuple[Reason, bool, str], ...] = (
+    ("capacity", True, r"RequestLimitExceeded|Throttling"),
     ("quota", False, r"quota|LimitExceeded|MaxSpotInstanceCount|limit of .{0,40}(instances|vcpus)|exceeded.{0,20}limit"
                      r"|EnforcePartLimits|AssocGrp|QOSMax|QOSGrp"),
     ("image", False, r"pull access denied|manifest unknown|manifest for .{0,200} not found|ErrImagePull|ImagePullBackOff"
@@ -74,12 +81,16 @@ class CloudProblem(Exception):
         return cls(reason, str(values.get("detail", "")), **flags)
 
 
-def classify(problem: BaseException) -> CloudProblem:
-    """Return the problem that an exception of SkyPilot, or of the network below it, stands for."""
+def classify(problem: BaseException, log: str = "") -> CloudProblem:
+    """Return the problem that an exception of SkyPilot, or of the network below it, stands for.
+
+    `log` is what SkyPilot logged of the request that failed; what the provider answered to it comes first in the detail.
+    """
     if isinstance(problem, CloudProblem):
         return problem
     kinds = {kind.__name__ for one in _causes(problem) for kind in type(one).__mro__}
-    text = "\n".join(dict.fromkeys(plain(str(one)) for one in _causes(problem)))
+    refusals = [f"{found['code']}: {found['why'].strip()}" for found in REFUSAL.finditer(plain(log))]
+    text = "\n".join(dict.fromkeys([*refusals, *(plain(str(one)) for one in _causes(problem))]))
     detail = _detail(problem, text)
     if kinds & GONE:
         return CloudProblem("capacity", detail, gone=True)

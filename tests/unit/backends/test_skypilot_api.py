@@ -387,6 +387,32 @@ def test_a_launch_is_followed_to_its_job_and_its_secrets_go(api: Any, sky: Sky, 
     assert not secret.exists()
 
 
+@pytest.mark.parametrize("readable", [True, False])
+def test_a_launch_that_failed_is_told_in_the_providers_words(api: Any, sky: Sky, readable: bool) -> None:
+    one = sky.request("FAILED")
+
+    def logged(request: str, *, follow: bool, output_stream: Any) -> None:
+        assert (request, follow) == (one.request_id, False)
+        if not readable:
+            raise OSError("no answer")
+        output_stream.write("An error occurred (VcpuLimitExceeded) when calling the RunInstances operation: too many\n")
+
+    def failed(value: Any) -> Any:
+        if value == one.request_id:
+            raise RuntimeError("Max attempts exceeded.")
+        return value
+
+    api.sky.stream_and_get, api.sky.get = logged, failed
+    with pytest.raises(CloudProblem) as found:
+        api.launched(one.request_id, NAME)
+    said = (
+        ("quota", "VcpuLimitExceeded: too many | Max attempts exceeded.")
+        if readable
+        else ("setup", "Max attempts exceeded.")
+    )
+    assert (found.value.reason, found.value.detail) == said
+
+
 def test_a_launch_that_the_server_forgot_is_found_by_its_job_or_gone(api: Any, sky: Sky, tmp_path: Path) -> None:
     secret = tmp_path / f"{NAME}.secrets"
     secret.write_text("export A=b\n")

@@ -40,6 +40,8 @@ ALL_FAILED = "Failed to provision all possible launchable resources. Relax the t
          "access", False),
         (raised("ResourcesUnavailableError", ALL_FAILED, ("UnauthorizedOperation: You are not authorized",)),
          "access", False),
+        (raised("ResourcesUnavailableError", ALL_FAILED, ("RequestLimitExceeded: Request limit exceeded.",)),
+         "capacity", True),
         (raised("NotSupportedError", "Spot instances are not supported in Slurm."), "setup", False),
         (raised("ValueError", "Invalid instance type 'c6i.larg' for cloud AWS."), "setup", False),
     ],
@@ -63,6 +65,25 @@ def test_the_cause_speaks_too_and_details_are_short_and_plain() -> None:
     assert found.reason == "quota"
     assert len(found.detail) <= 500
     assert "\x1b" not in found.detail
+
+
+LOST = "Failed to acquire resources in all zones in us-east-1 for {AWS(c6i.4xlarge, mem=32.0)}."
+LOG = (
+    "\x1b[2mW 11-22 17:41:03.831 PID=1557 instance.py:415] create_instances: Attempt failed with An error occurred "
+    "(VcpuLimitExceeded) when calling the RunInstances operation (reached max retries: 0): You have requested more vCPU "
+    "capacity than your current vCPU limit of 16 allows.\x1b[0m\n"
+)
+
+
+def test_what_the_provider_answered_is_told_where_only_the_log_has_it() -> None:
+    """Recorded: SkyPilot 0.14.1 on AWS's API."""
+    found = classify(raised("ResourcesUnavailableError", LOST, (LOST,)), LOG * 2)
+    assert (found.reason, found.again) == ("quota", False)
+    assert found.detail.startswith(
+        "VcpuLimitExceeded: You have requested more vCPU capacity than your current vCPU limit"
+    )
+    assert found.detail.count("VcpuLimitExceeded") == 1
+    assert classify(raised("ResourcesUnavailableError", LOST, (LOST,))).reason == "capacity"
 
 
 def test_a_problem_survives_the_pipe() -> None:
