@@ -13,7 +13,8 @@ from fogspec.backends.skypilot.client import Client
 from tests.slurm import robot
 from tests.slurm.looking import Looking
 from tests.slurm.site import Site
-from tests.tools.slurm import apart, engine
+from tests.tools import apart
+from tests.tools.slurm import engine
 from tests.tools.slurm.__main__ import missing
 
 ABANDONED = "fogspec-abandoned"

@@ -22,7 +22,8 @@ from fogspec.results.schema import Results, is_final
 from fogspec.spec.loader import read_document
 from tests.slurm import breaking
 from tests.slurm.site import Site
-from tests.tools.slurm import apart, daemons, engine
+from tests.tools import apart
+from tests.tools.slurm import daemons, engine
 
 MACHINES = {"s-1x2": "1CPU--2GB", "c-2x4": "2CPU--4GB", "c-16x32": "16CPU--32GB"}
 ROUNDS = 8
@@ -81,8 +82,7 @@ class Storm:
 
     def run(self, name: str, steps: int = 100) -> int:
         """How many controllers it took."""
-        spec = self.site.write(name, list(MACHINES.values()), steps, WORK)
-        (self.site.project / "specs" / "faults.json").write_text(json.dumps(self.nodes))
+        spec = self.written(name, steps)
         self.site.compile(spec)
         begun, waiting = time.monotonic(), list(self.faults)
         for number in range(1, ROUNDS + 1):
@@ -97,6 +97,12 @@ class Storm:
             if bench.process.returncode in (0, 1):
                 return number
         raise AssertionError(f"it is never done: {self.site.project}")
+
+    def written(self, name: str, steps: int) -> str:
+        """The spec, and workloads that fail as the nodes' faults say."""
+        spec = self.site.write(name, list(MACHINES.values()), steps, WORK)
+        (self.site.project / "specs" / "faults.json").write_text(json.dumps(self.nodes))
+        return spec
 
     @property
     def events(self) -> Path:
@@ -142,7 +148,9 @@ OUTSIDE = ("machine", "node", "server", "worker", "network", "controller", "inte
 INSIDE = ("crash", "memory", "stuck", "garbage", "noise")
 
 
-def judge(site: Site, name: str, budget_usd: float = 10.0, spare: str | None = None) -> collections.Counter[str]:
+def judge(
+    site: Site, name: str, budget_usd: float = 10.0, spare: str | None = None, machines: int = len(MACHINES)
+) -> collections.Counter[str]:
     """What must never happen, and what became of the samples."""
     tally: collections.Counter[str] = collections.Counter()
     tally["machines leaked"] += len(site.left(spare=spare))
@@ -151,7 +159,7 @@ def judge(site: Site, name: str, budget_usd: float = 10.0, spare: str | None = N
     book = Journal(journal).state
     tally["budgets exceeded"] += max(results.spent, book.spent_usd) > budget_usd
     tally["machines not accounted for"] += len(book.open)
-    tally["samples lost"] += len(MACHINES) - len({one.machine.instance for one in results.samples})
+    tally["samples lost"] += machines - len({one.machine.instance for one in results.samples})
     entries = [json.loads(line) for line in journal.read_text().splitlines()]
     ended = [entry["record"] for entry in entries if entry["do"] == "end" and entry["record"] is not None]
     counts = collections.Counter(one["id"] for one in ended if one["state"] != "failed")

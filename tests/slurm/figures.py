@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from tests.slurm.site import Site, recorded
-from tests.tools.slurm import apart
+from tests.tools import apart
 
 SHAPES = ("2CPU--4GB", "2CPU--16GB", "16CPU--32GB", "64CPU--128GB")
 

@@ -25,7 +25,7 @@ from tests.slurm import breaking, leftovers, robot
 from tests.slurm.clock import Clock
 from tests.slurm.fates import FAULTS, LANES, OF_A_COMMAND, Fault, drawn
 from tests.slurm.site import Site, recorded
-from tests.tools.slurm import apart
+from tests.tools import apart
 from tests.tools.slurm.shapes import SHAPES
 
 COMMAND_S = 600.0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tests.ros.namespaces import ROOT, Net
 from tests.slurm.site import Site
-from tests.tools.slurm import network
+from tests.tools import network
 
 NODES = ROOT / "tests" / "ros" / "nodes"
 LINKED = """\

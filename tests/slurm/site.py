@@ -116,13 +116,11 @@ class Site:
 
     def compile(self, spec: str) -> None:
         """Compile with the cluster's prices."""
-        self.run("compile", spec, "--catalog", self.prices)
+        self.run("compile", spec, *self.at)
 
     def bench(self, spec: str, *words: str, log: Path | None = None) -> Bench:
         """Start a bench on the cluster; its events go to `log` where one is given."""
-        argv = self._argv(
-            ("bench", spec, "--runner", "skypilot", "--yes", "--catalog", self.prices, "-o", "json", *words)
-        )
+        argv = self._argv(("bench", spec, "--runner", "skypilot", "--yes", *self.at, "-o", "json", *words))
         with open(self.project / "bench.log", "ab") as said, open(log or os.devnull, "ab") as events:
             out = subprocess.PIPE if log is None else events
             return Bench(subprocess.Popen(argv, cwd=self.project, env=self._env(), stdout=out, stderr=said, text=True))
@@ -139,6 +137,11 @@ class Site:
             if re.sub("[^a-z0-9]+", "-", instance.lower()) in path.name:
                 return dict(task)
         raise KeyError(instance)
+
+    @property
+    def at(self) -> tuple[str, ...]:
+        """Where the prices are."""
+        return ("--catalog", self.prices)
 
     @property
     def prices(self) -> str:
@@ -167,7 +170,11 @@ class Site:
         end = time.monotonic() + patience_s
         while (found := self._running(spare)) and time.monotonic() < end:
             time.sleep(0.5)
-        return found + _others(engine.clusters(self.cluster), spare)
+        return found + _others(self._known(), spare)
+
+    def _known(self) -> list[str]:
+        """What SkyPilot has a record of."""
+        return engine.clusters(self.cluster)
 
     def _running(self, spare: str | None) -> list[str]:
         """Jobs, and where there is none at all, processes of their user: its connections from outside stay a while."""

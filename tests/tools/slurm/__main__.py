@@ -9,7 +9,8 @@ import signal
 import sys
 from pathlib import Path
 
-from tests.tools.slurm import apart, daemons, engine, login, network, nodes, shapes
+from tests.tools import apart, network
+from tests.tools.slurm import daemons, engine, login, nodes, shapes
 
 PROGRAMS = ("slurmctld", "slurmd", "munged", "sshd", "ssh", "rsync", "useradd", "unshare", "nsenter", "ip")
 PACKAGES = "slurm-wlm munge openssh-server openssh-client rsync iproute2"

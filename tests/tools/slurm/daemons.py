@@ -8,7 +8,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from tests.tools.slurm import network
+from tests.tools import network
 from tests.tools.slurm.shapes import CLUSTER, SHAPES
 
 CTLD_PORT = 16917
@@ -109,7 +109,7 @@ def start(folder: Path) -> None:
         f"--seed-file={folder}/munge/seed")  # fmt: skip
     run(folder, "slurmctld", "-c", "-f", str(folder / "slurm.conf"))
     for number, one in enumerate(SHAPES):
-        network.on_node(number, ["slurmd", "-c", "-f", str(folder / "slurm.conf"), "-N", one.name])
+        network.on_node(one.name, number, ["slurmd", "-c", "-f", str(folder / "slurm.conf"), "-N", one.name])
 
 
 def run(folder: Path, *words: str) -> str:

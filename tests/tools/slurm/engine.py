@@ -64,10 +64,13 @@ print(json.dumps([one["name"] for one in sky.get(sky.status(refresh=mode, all_us
 
 def clusters(folder: Path, refresh: bool = False) -> list[str]:
     """Names of the clusters that SkyPilot has, as it believes, or as their cloud says."""
+    return known(environment(folder), refresh)
+
+
+def known(environment: dict[str, str], refresh: bool = False) -> list[str]:
+    """The same, for the engine of this environment."""
     code = KNOWN % ("FORCE" if refresh else "NONE")
-    ended = subprocess.run(
-        [sys.executable, "-c", code], env=environment(folder), capture_output=True, text=True, timeout=300
-    )
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
     names: list[str] = json.loads(ended.stdout.splitlines()[-1])
     return names
 

@@ -7,7 +7,7 @@ import shutil
 import socket
 from pathlib import Path
 
-from tests.tools.slurm import network
+from tests.tools import network
 from tests.tools.slurm.daemons import run
 from tests.tools.slurm.shapes import SHAPES
 

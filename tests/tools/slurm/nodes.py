@@ -22,7 +22,7 @@ words=() before=
 for word in "$@"; do [ "$before" = --python ] && [ "$word" = 3.10 ] && word={python}; words+=("$word"); before=$word; done
 export UV_CACHE_DIR={folder}/uv-cache UV_NO_PROGRESS=1 UV_PYTHON_DOWNLOADS=never UV_OFFLINE=1
 umask 000
-exec {folder}/bin/uv-real "${{words[@]}}"
+exec {uv} "${{words[@]}}"
 """
 
 # Slurm runs it as root on the node, before the job's first process. SkyPilot's job is called <cluster>-<user hash>.
@@ -64,13 +64,13 @@ def prepare(folder: Path) -> None:
         (folder / name).chmod(0o1777)
     uv = Path(sysconfig.get_path("scripts")) / "uv"
     shutil.copy(uv, folder / "bin" / "uv-real")
-    words = {"folder": folder, "python": PYTHON, "user": USER}
-    _script(folder / "bin" / "uv", UV.format(**words))
-    _script(folder / "prolog.sh", PROLOG.format(**words))
+    words = {"folder": folder, "python": PYTHON, "user": USER, "uv": folder / "bin" / "uv-real"}
+    script(folder / "bin" / "uv", UV.format(**words))
+    script(folder / "prolog.sh", PROLOG.format(**words))
     packages = folder / "packages"
     _packages(packages)
     for name in ("runtime", "user"):
-        _environment(folder / "env" / name, packages if name == "runtime" else None, folder / "bin" / "uv-real")
+        environment(folder / "env" / name, packages if name == "runtime" else None, folder / "bin" / "uv-real")
 
 
 def _packages(packages: Path) -> None:
@@ -87,18 +87,18 @@ def _packages(packages: Path) -> None:
     constants.write_text(text + PORTS)
 
 
-def _environment(path: Path, packages: Path | None, uv: Path) -> None:
+def environment(path: Path, packages: Path | None, uv: Path) -> None:
     if path.exists():
         return
     words = ["venv", "-q", "--relocatable", "--python", str(PYTHON), *([] if packages else ["--system-site-packages"])]
     subprocess.run([uv, *words, str(path)], check=True, env=os.environ | {"UV_PYTHON_DOWNLOADS": "never"})
-    _script(path / "bin" / "pip", PIP)
+    script(path / "bin" / "pip", PIP)
     if packages is not None:
         site = next(path.glob("lib/python3.*/site-packages"))
         shutil.rmtree(site)
         site.symlink_to(packages)
 
 
-def _script(path: Path, text: str) -> None:
+def script(path: Path, text: str) -> None:
     path.write_text(text)
     path.chmod(0o755)

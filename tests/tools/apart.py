@@ -17,11 +17,12 @@ from pathlib import Path
 from tests.tools.slurm import nodes, ros
 
 UNSHARE = ("unshare", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc")
-FOLDER = "FOGSPEC_SLURM"
+FOLDER = "FOGSPEC_APART"
 # Short, as sockets' names must be; after it comes the process that the namespaces end with.
-STATE = Path(tempfile.gettempdir(), "fog-slurm-")
+STATE = Path(tempfile.gettempdir(), "fog-lab-")
 OPT = Path("/opt")
-CGROUPS = tuple(Path("/sys/fs/cgroup", one) for one in ("memory", "freezer"))
+SHARES = "16384"  # of CPU time; a group has no more than one process by itself, however many are in it
+CGROUPS = tuple(Path("/sys/fs/cgroup", one) for one in ("memory", "freezer", "cpu"))
 
 
 def enter(module: str, words: Sequence[str]) -> None:
@@ -58,6 +59,8 @@ def furnished() -> Iterator[Path]:
             _run("mount", "--bind", f"{folder}/opt/ros", f"{OPT}/ros")
         for group in groups:
             group.mkdir()
+            if (shares := group / "cpu.shares").exists():
+                shares.write_text(SHARES)
         with _bound(groups):
             yield folder
     finally:

@@ -1,9 +1,7 @@
-"""The cluster's network: a bridge with the controller's address, and for each node a network of its own with a cable to it."""
+"""A bridge with the controller's address, and for each node or machine a network of its own with a cable to it."""
 
 import subprocess
 from collections.abc import Sequence
-
-from tests.tools.slurm.shapes import SHAPES
 
 BRIDGE, CABLE = "lab", "eth0"
 CONTROLLER = "10.88.0.1"
@@ -31,18 +29,18 @@ def attach(holder: str, name: str, address: str) -> None:
         subprocess.run(["nsenter", "--target", holder, "--net", "ip", *words], check=True)
 
 
-def on_node(number: int, command: Sequence[str]) -> None:
+def on_node(name: str, number: int, command: Sequence[str]) -> None:
     """Run a command with a node's name, network and shared memory; returns when it did, as daemons do at once."""
-    words = ["unshare", "--net", "--mount", "--uts", "sh", "-c", READY, SHAPES[number].name, *command]
+    words = ["unshare", "--net", "--mount", "--uts", "sh", "-c", READY, name, *command]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         if process.stdout.readline() != b"up\n":
             raise SystemExit("a network namespace does not come up")
-        attach(str(process.pid), SHAPES[number].name, address(number))
+        attach(str(process.pid), name, address(number))
         process.communicate(b"\n")
         if process.returncode:
-            raise SystemExit(f"{command[0]} of {SHAPES[number].name} ends with {process.returncode}")
+            raise SystemExit(f"{command[0]} of {name} ends with {process.returncode}")
 
 
 def _ip(*words: str) -> None:
