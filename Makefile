@@ -6,7 +6,7 @@ FOGSPEC := $(BIN)/fogspec
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
+.PHONY: help demo check test aws-env aws-shell aws-test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -59,6 +59,23 @@ slurm-lives: .venv/dev.stamp  ## 50 deployments on the real engine, each with fa
 slurm-figures: .venv/dev.stamp  ## wall time and overhead of the SkyPilot runner on that cluster
 	$(SLURM) $(BIN)/python -m tests.slurm.figures
 
+# What SkyPilot installs on a machine of AWS, which in tests has no internet to take it from.
+.venv-aws/aws.stamp: requirements/aws-node.txt .venv/dev.stamp
+	@if test -x /usr/bin/python3.11; then \
+	  $(BIN)/uv venv -q --clear --relocatable --python /usr/bin/python3.11 .venv-aws && \
+	  $(BIN)/uv pip install -q --python .venv-aws/bin/python --require-hashes -r requirements/aws-node.txt && touch $@; \
+	else echo "no /usr/bin/python3.11, which SkyPilot's Ray needs: tests/aws skip (with CI=true they fail)"; fi
+
+aws-env: .venv-aws/aws.stamp  ## what the machines of tests/aws have before SkyPilot comes (700 MB)
+
+# Each beside an AWS account that is moto's, with a SkyPilot of its own, in namespaces that end with the command.
+AWS := $(BIN)/python -m tests.tools.aws
+aws-shell: .venv/dev.stamp .venv-aws/aws.stamp  ## a shell beside an AWS account that costs nothing, as root, for trying out
+	@$(AWS)
+
+aws-test: .venv/dev.stamp .venv-aws/aws.stamp  ## benches and deployments through SkyPilot's own AWS provisioner, with faults at the API, as root
+	$(AWS) $(BIN)/python -m pytest tests/aws
+
 ros-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## every ROS 2 probe against the truth, idle and saturated
 	$(BIN)/python -m tests.ros.figures
 
@@ -71,7 +88,7 @@ demo: .venv/run.stamp  ## benchmark on this host and choose a machine, in about 
 check: lint types layers  ## what to run before each commit: lint, format, types, layers and the fast unit tests (under a minute)
 	$(BIN)/python -m pytest -q $(TEST_ARGS) -m 'not slow' tests/unit
 
-test: lint types layers generated docs unit slurm-test  ## everything that CI checks
+test: lint types layers generated docs unit slurm-test aws-test  ## everything that CI checks
 
 lint: .venv/dev.stamp  ## style and common mistakes
 	$(BIN)/ruff check .
@@ -95,11 +112,11 @@ generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled spec
 tests/editor/node_modules/.stamp: tests/editor/package-lock.json
 	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@ || echo "npm ci failed: tests/editor skip (with CI=true they fail)"; fi
 
-unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## all tests but those that need a Slurm cluster
-	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm
+unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## all tests but those that need a Slurm cluster or an AWS account
+	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws
 
 coverage: .venv/dev.stamp tests/editor/node_modules/.stamp  ## which lines those tests reach
-	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --cov --cov-report=term:skip-covered
+	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws --cov --cov-report=term:skip-covered
 
 faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere; adaptive ones killed at every write; 50 deployments (minutes)
 	$(BIN)/python -m tests.faults.campaign
@@ -139,6 +156,7 @@ lock: .venv/dev.stamp  ## regenerate the lock files from pyproject.toml
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --extra local -c requirements/dev.lock pyproject.toml -o requirements/run.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/ros.in -o requirements/ros.txt
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes -c requirements/dev.lock requirements/build.in -o requirements/build.txt
+	$(BIN)/uv pip compile -q --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/aws-node.in -o requirements/aws-node.txt
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/skypilot-oldest.in -o requirements/skypilot-oldest.txt
 
 clean:  ## remove what was set up here; measured and compiled files stay

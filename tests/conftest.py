@@ -24,7 +24,7 @@ PUBLIC_SUITE = ROOT / "tests" / "data" / "suite"
 SHARED = Path(os.environ.get("FOGSPEC_SHARED", ROOT.parent / "shared"))
 
 # What has one cluster, browser or laid-out project for all its tests runs in one worker.
-TOGETHER = ("tests/slurm/", "tests/browser/", "tests/contract/")
+TOGETHER = ("tests/aws/", "tests/slurm/", "tests/browser/", "tests/contract/")
 
 
 class Together(LoadScopeScheduling):

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from ruamel.yaml import YAML
 
@@ -97,6 +97,7 @@ class Site:
 
     cluster: Path
     project: Path
+    patience_s: ClassVar[float] = 400.0
 
     def write(self, name: str, machines: list[str], steps: int = 20, work: str = WORK) -> str:
         """A spec, whose path is returned, and its workload."""
@@ -110,7 +111,7 @@ class Site:
     def run(self, *words: str, code: int = 0) -> "subprocess.CompletedProcess[str]":
         """fogspec's command line."""
         ended = subprocess.run(self._argv(words), cwd=self.project, env=self._env(), capture_output=True, text=True,
-                               timeout=400)  # fmt: skip
+                               timeout=self.patience_s)  # fmt: skip
         assert ended.returncode == code, f"{words}: {ended.returncode}\n{ended.stdout}\n{ended.stderr}"
         return ended
 

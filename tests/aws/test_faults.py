@@ -1,0 +1,35 @@
+"""Faults at AWS's API, where they really happen: the reason in AWS's words, no machine, no cost."""
+
+import pytest
+
+from tests.aws.site import AwsSite
+from tests.tools.aws import engine
+
+MACHINE = "c6i.4xlarge"
+# What AWS answers: docs.aws.amazon.com/AWSEC2/latest/APIReference/errors-overview.html
+REFUSED = {
+    "InsufficientInstanceCapacity": (
+        "capacity",
+        f"We currently do not have sufficient {MACHINE} capacity in the zone.",
+    ),
+    "VcpuLimitExceeded": ("quota", "You have requested more vCPU capacity than your current vCPU limit of 16 allows."),
+    "UnauthorizedOperation": ("access", "You are not authorized to perform this operation."),
+}
+
+
+@pytest.mark.parametrize("code", [*REFUSED])
+def test_a_refused_launch_is_told_in_awss_words_and_costs_nothing(site: AwsSite, code: str) -> None:
+    reason, message = REFUSED[code]
+    engine.ask("/_fault", action="RunInstances", match=MACHINE, code=code, message=message, times=10_000)
+    spec = site.write(name := f"refused-{reason}", [MACHINE])
+    site.compile(spec)
+    bench = site.bench(spec)
+    ended = bench.ended()
+    said = (site.project / "bench.log").read_text() + str(bench.events)
+    assert ended != 0
+    assert f"{code}: {message}" in said
+    if (site.project / "results" / f"{name}.yaml").exists():
+        (record,) = site.results(name).values()
+        assert (record.state, record.reason, record.spent) == ("failed", reason, 0)
+    assert site.instances() == []
+    assert site.left() == []
