@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 KEYED = re.compile(r"^\s*(- )?\s*[^\s#][^#]*?:(\s|$)|^\s*-\s")
-MERGE = re.compile(r"<{7}( |$)")
 
 SYNTAX = (
     (re.compile(r"unexpected end of stream"), "the quote must be closed", "add the closing quote at the end of this line"),
@@ -48,7 +47,7 @@ def _conflict(lines: Sequence[str]) -> SyntaxHint | None:
         column=0,
         width=len(lines[first]),
         message="a merge conflict must be resolved",
-        fix=f"keep one side, and remove the lines {', '.join(CONFLICT[:-1])} and {CONFLICT[-1]}",
+        fix=f"keep the lines of one side; remove those of the other and the lines {', '.join(CONFLICT)}",
         code="FS117",
     )
 
@@ -62,15 +61,6 @@ def syntax_hint(lines: Sequence[str], wrong: Any) -> SyntaxHint:
     if mark is None:
         return SyntaxHint(line=0, column=0, width=1, message=f"the text must be YAML: {problem}", fix=None)
     stop = min(mark.line, len(lines) - 1)
-    conflict = next((number for number, line in enumerate(lines) if MERGE.match(line)), None)
-    if conflict is not None:
-        return SyntaxHint(
-            line=conflict,
-            column=0,
-            width=len(lines[conflict].rstrip()),
-            message="a merge conflict is not resolved",
-            fix="keep the lines of one side; remove those of the other and the lines <<<<<<<, =======, >>>>>>>",
-        )
     lead = lines[stop][: len(lines[stop]) - len(lines[stop].lstrip())]
     if "\t" in lead:
         column = lead.index("\t")

@@ -351,6 +351,8 @@ def test_the_nodes_that_work_on_the_way_of_a_request_go_together(shell: Shell) -
     ]
     assert "executable: recorder" in robot
     assert ("request: /raw" in robot, "response: /path" in robot) == (True, True)
+    for package in ("image_proc", "arm"):
+        shell.write(f"specs/ros2_ws/src/{package}/package.xml", f"<package><name>{package}</name></package>")
     shell("validate")
 
 
