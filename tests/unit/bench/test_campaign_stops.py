@@ -2,7 +2,7 @@
 
 import pytest
 
-from fogspec.backends.protocol import SampleStatus, Unreachable
+from fogspec.backends.protocol import LaunchRefused, SampleStatus, Unreachable
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.progress import FINAL
 from fogspec.bench.types import Event, EventKind, Queued
@@ -259,6 +259,23 @@ def test_what_is_tried_again_is_reported_so(told, monkeypatch):
     ends = [(one.kind, one.detail) for one in events if one.kind in FINAL]
     assert ends[0] == (EventKind.RETRIED, "preempted")
     assert [kind for kind, _ in ends] == [EventKind.RETRIED, EventKind.DONE]
+
+
+def test_where_no_machine_can_be_had_only_one_is_asked_for_and_nothing_is_recorded(told, monkeypatch):
+    campaign, events, world = told
+    asked = []
+
+    def start(self, job):
+        asked.append(job.name)
+        raise LaunchRefused("access", "log in first")
+
+    monkeypatch.setattr(FaultyBackend, "start", start)
+    monkeypatch.setattr(campaign.backend, "at_once", 1)
+    campaign.run(samples(3))
+    assert len(asked) == 1
+    assert campaign.denied == "log in first"
+    assert world.disk.get("samples", {}) == {}
+    assert not [one for one in events if one.kind in FINAL]
 
 
 def test_parts_of_a_machine_are_put_with_it(told, monkeypatch):
