@@ -47,8 +47,8 @@ def test_a_machine_that_never_goes_is_given_up_and_stays_in_the_books(told, monk
 
 
 def test_what_is_reported_of_a_sample(told, monkeypatch):
-    campaign, events, _ = told
-    poll, lost = FaultyBackend.poll, []
+    campaign, events, world = told
+    poll, lost, begun_s = FaultyBackend.poll, [], world.now
 
     def once_lost(self, job):
         if not lost:
@@ -59,6 +59,7 @@ def test_what_is_reported_of_a_sample(told, monkeypatch):
     monkeypatch.setattr(FaultyBackend, "poll", once_lost)
     campaign.run(samples(1))
     assert events[0].kind is EventKind.STARTS
+    assert events[0].ends_s == begun_s + COMMITMENT.deadline_s
     (silence,) = [one for one in events if one.kind is EventKind.LOST_CONTACT]
     assert silence.detail == "no route to host"
     seen = [one for one in events if one.kind in (EventKind.MEASURES, EventKind.SETS_UP)]
