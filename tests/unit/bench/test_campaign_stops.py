@@ -86,6 +86,15 @@ def test_samples_that_do_not_fit_are_recorded_with_what_they_would_cost(told):
     assert len(world.machines) == 1
 
 
+def test_a_machine_in_anothers_place_that_does_not_fit_is_recorded_for_it(told):
+    campaign, _, world = told
+    object.__setattr__(campaign.config, "budget_usd", 0.0)
+    campaign.queue.append(Queued(samples(1)[0], substitute_for="s9"))
+    campaign.run([])
+    kept = world.disk["samples"]["s0"]
+    assert (kept.reason, kept.substitute_for) == ("budget", "s9")
+
+
 def test_machines_that_outlive_their_bill_leave_less_for_the_others(told, monkeypatch):
     campaign, _, _ = told
     campaign.queue += [Queued(one) for one in samples(2)]
