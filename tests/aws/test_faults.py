@@ -8,10 +8,6 @@ from tests.tools.aws import engine
 MACHINE = "c6i.4xlarge"
 # What AWS answers: docs.aws.amazon.com/AWSEC2/latest/APIReference/errors-overview.html
 REFUSED = {
-    "InsufficientInstanceCapacity": (
-        "capacity",
-        f"We currently do not have sufficient {MACHINE} capacity in the zone.",
-    ),
     "VcpuLimitExceeded": ("quota", "You have requested more vCPU capacity than your current vCPU limit of 16 allows."),
     "UnauthorizedOperation": ("access", "You are not authorized to perform this operation."),
 }
