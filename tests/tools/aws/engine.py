@@ -36,9 +36,9 @@ def configure(folder: Path) -> None:
     shapes.write(home / ".sky" / "catalogs" / "v8")
 
 
-def clusters(folder: Path) -> list[str]:
-    """Names of the clusters that SkyPilot has a record of."""
-    return engine.known(environment(folder))
+def clusters(folder: Path, refresh: bool = False) -> list[str]:
+    """Names of the clusters that SkyPilot has, as it believes, or as AWS says."""
+    return engine.known(environment(folder), refresh)
 
 
 def client(service: str = "ec2") -> Any:
