@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from fogspec.base.units import shown
 from fogspec.charts.text import width
 
 STEPS = ((1, 1.5, 2, 3, 4, 5, 7), (1, 2, 5), (1, 3), (1,))
@@ -71,13 +72,13 @@ def tall(_text: str) -> float:
 def seconds(value: float) -> str:
     """Format a duration with three significant digits, such as `12 ms` or `1.65 s`."""
     if value < 0.0009995:
-        return f"{value * 1e6:.3g} µs"
-    return f"{value * 1000:.3g} ms" if value < 0.9995 else f"{_three(value)} s"
+        return f"{shown(value * 1e6)} µs"
+    return f"{shown(value * 1000)} ms" if value < 0.9995 else f"{shown(value)} s"
 
 
 def number(value: float) -> str:
     """Format the value of an application's metric with three significant digits, such as `12.5`."""
-    return _three(value)
+    return shown(value)
 
 
 def money(usd: float) -> str:
@@ -89,11 +90,6 @@ def money(usd: float) -> str:
     while "." in text and text.endswith("0") and len(text.partition(".")[2]) > 2:
         text = text[:-1]
     return f"${text}"
-
-
-def _three(value: float) -> str:
-    """Return three significant digits without an exponent where that is short."""
-    return f"{value:,.0f}" if 999.5 <= abs(value) < 1e9 else f"{value:.3g}"
 
 
 def requests_unit(costs: Sequence[float]) -> tuple[float, str]:

@@ -38,9 +38,9 @@ def menu_chart(
     chart_rows = choice.eligible & drawn
     unit = spec.metrics[metric].unit if metric else None
     return Chart(
-        title=_title(choice),
+        title=title_of(choice),
         lead=_lead(choice),
-        facts=_facts(application, choice),
+        facts=facts_of(application, choice),
         rows=_rows(choice),
         source=source_of(choice),
         y_label=f"{line(metric)}{f' in {line(unit)}' if unit else ''}"
@@ -94,7 +94,8 @@ def _drawable(choice: Choice) -> NDArray[np.bool_]:
     return np.asarray((choice.metric_value > 0) & (choice.cost_usd_per_request > 0))
 
 
-def _title(choice: Choice) -> str:
+def title_of(choice: Choice) -> str:
+    """Return the finding as a sentence."""
     if choice.chosen is None:
         return _none(choice)
     row = choice.chosen
@@ -135,7 +136,7 @@ def _bound(choice: Choice, miss: Violation) -> str:
         case "latency" | "rate":
             return seconds(miss.bound)
         case "cost":
-            factor, words = _per(choice)
+            factor, words = per(choice)
             return f"{money(miss.bound * factor)} per {words}"
         case "price":
             return f"{money(miss.bound)}/h"
@@ -150,7 +151,8 @@ def _name(choice: Choice, row: int, room: float, size: float = HEAD) -> str:
     return shortened(name, room, size, bold=True)
 
 
-def _per(choice: Choice) -> tuple[float, str]:
+def per(choice: Choice) -> tuple[float, str]:
+    """Return the number of requests whose cost is shown, and its name."""
     costs = choice.cost_usd_per_request[choice.eligible & _drawable(choice)].tolist()
     bound = choice.bounds.get("cost")
     return requests_unit([*costs, *([bound] if bound else [])] or [1.0])
@@ -162,7 +164,7 @@ def _lead(choice: Choice) -> list[tuple[str, bool]]:
     if row is None:
         return []
     machine = choice.offers.machine(row)
-    factor, unit = _per(choice)
+    factor, unit = per(choice)
     gpu = f", {line(machine.gpu.label)}" if machine.gpu else ""
     shape = f"{machine.cpus:g} vCPU, {number(machine.memory)} GiB{gpu}"
     shape = f"{shortened(shape, 210, LEAD)} · {money(machine.price)}/h · "
@@ -187,7 +189,7 @@ def _how(choice: Choice, row: int) -> str:
     return "measured" if measured else "extrapolated" if choice.latency.extrapolated[row] else "predicted"
 
 
-def _facts(application: Application, choice: Choice) -> str:
+def facts_of(application: Application, choice: Choice) -> str:
     """Return the line about the candidates and the objective."""
     machines, feasible = int(choice.eligible.sum()), int(choice.feasible.sum())
     measured = len(_measured_types(choice))
@@ -209,7 +211,7 @@ def _rows(choice: Choice) -> list[tuple[str, str]]:
     for role, row in named(choice).items():
         if role == "chosen":
             continue
-        factor, _ = _per(choice)
+        factor, _ = per(choice)
         metric = choice.rule.metric
         value = float(choice.metric_value[row])
         words = f"{number(value)} {line(choice.rule.units.get(metric, ''))}".strip() if metric else seconds(value)

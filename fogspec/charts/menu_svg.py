@@ -31,7 +31,7 @@ from fogspec.charts.text import HEAD, LABEL, shortened, width, wrapped
 WIDTH, LEFT, RIGHT, MARGIN = 720, 66, 16, 16
 HIGH = 302  # px, of the panel
 ROW = 18
-FINE, COARSE, MANY = 2, 4, 3000
+FINE, GRAINS, MANY = 2, (2, 4, 8), 800
 ISO_POINTS = 48
 LABELLED = 190.0  # px that a name takes at its mark
 
@@ -85,7 +85,16 @@ def panel(chart: Chart, view: View, *, near: bool, id: str) -> str:
     """Return one coordinate system of the chart as SVG to put into a page, whose marks, limits and iso line have names."""
     ranges = view.near(chart) if near else (view.everything(chart)[0], y_range(chart))
     found = _frame(chart, view, *ranges, 34, labelled=False)
-    return render("panel.svg.j2", frame=found, id=id, width=WIDTH, height=34 + HIGH + 46, summary=_summary(chart))
+    return render(
+        "panel.svg.j2",
+        frame=found,
+        id=id,
+        width=WIDTH,
+        height=34 + HIGH + 46,
+        summary=_summary(chart),
+        bounds=[(one.name, one.a, one.b, one.most) for one in view.bounds],
+        titles=False,  # the page has cards, from the numbers that it has anyway
+    )
 
 
 def _frame(
@@ -208,7 +217,7 @@ def _specks(chart: Chart, view: View, found: Frame) -> list[tuple[str, str]]:
     cells: dict[int, list[int]] = {}
     taken = {(round(mark.x / FINE), round(mark.y / FINE)) for mark in found.marks}
     grain, crowd = FINE, chart.crowd
-    for grain in (FINE, COARSE):
+    for grain in GRAINS:
         px, py = (
             np.rint((one.start + (np.log10(v) - one.low) / (one.high - one.low) * (one.end - one.start)) / grain)
             for v, one in ((view.column(chart), found.x), (crowd.y, found.y))

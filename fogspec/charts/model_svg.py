@@ -19,6 +19,7 @@ from fogspec.charts.frame import (
     Mark,
     Obstacles,
     Segment,
+    clipped,
     frame,
     path,
     place_labels,
@@ -300,7 +301,45 @@ def panel(chart: SizeChart, id: str) -> str:
         inside = [(px, py) for px, py in inside if found.y.end <= py <= found.y.start]
         if len(inside) > 1:
             found.lines.append(("paper", path(inside)))
-    return render("panel.svg.j2", frame=found, id=id, width=WIDTH, height=34 + HIGH + 46, summary=_summary(chart))
+    return _to_page(found, id, _summary(chart))
+
+
+def left_out_panel(points: Sequence[tuple[str, float, float, float, float]], id: str) -> str:
+    """Return predicted against measured seconds as SVG to put into a page.
+
+    A point is a name, the measured value, the value that all other samples predict, and the ends of its interval.
+    """
+    values = [
+        value for _, measured, *rest in points for value in (measured, *rest) if value > 0 and math.isfinite(value)
+    ]
+    x, y = axis([one[1] for one in points], LEFT, WIDTH - RIGHT), axis(values, 34 + HIGH, 34)
+    found = frame(
+        x=x,
+        y=y,
+        x_label="measured (log scale) →",
+        y_label="↑ predicted from all other samples (log scale)",
+        x_words=seconds,
+        y_words=seconds,
+    )
+    same = clipped((x.start, y.place(x.low), x.end, y.place(x.high)), found.box)
+    found.lines += [("curve", path([same[:2], same[2:]]))] if same else []
+    found.marks = [
+        Mark(
+            x=x.at(measured),
+            y=y.clipped(value),
+            kind="measured meets",
+            radius=4.4,
+            title=f"{line(name)}: measured {seconds(measured)}, predicted {seconds(value)}",
+            bar=(x.at(measured), y.clipped(low), x.at(measured), y.clipped(high)),
+        )
+        for name, measured, value, low, high in points
+    ]
+    return _to_page(found, id, f"{len(points)} samples, predicted from all others against measured")
+
+
+def _to_page(found: Frame, id: str, summary: str) -> str:
+    high = 34 + HIGH + 46
+    return render("panel.svg.j2", frame=found, id=id, width=WIDTH, height=high, summary=summary, bounds=[], titles=True)
 
 
 def _frame(chart: SizeChart, top: float) -> Frame:

@@ -1,7 +1,7 @@
-"""Render the report page of an application: spec, funnel, samples, models, menu, costs, provenance.
+"""Render the report page of an application: the answer, the menu to explore, evidence, costs, provenance.
 
 The page is self-contained: its content security policy forbids network access. Every value is escaped for the
-language that it is embedded in; the same inputs give the same bytes.
+language that it is embedded in; the same inputs give the same bytes. Its charts are those that `compile` draws.
 """
 
 import base64
@@ -14,17 +14,21 @@ from fogspec import __version__
 from fogspec.base import units
 from fogspec.base.templates import render, shipped
 from fogspec.base.units import rounded
+from fogspec.charts import menu_chart, menu_svg, model_svg
+from fogspec.charts.chart import per_hour, per_request
 from fogspec.choice.sensitivity import Refits
 from fogspec.compile.artifacts import Artifacts
+from fogspec.compile.decision import Decision, caveats
+from fogspec.report.answer import cost_bar, tiles, why
 from fogspec.report.explain import explain, refits_of
 from fogspec.report.page_data import menu_data
-from fogspec.report.page_tables import curve_rows, measured_table, planned_table, residual_rows
-from fogspec.report.summary import entry_text
+from fogspec.report.page_tables import curve_rows, left_out, measured_table, planned_table, residual_rows
 
 SECTIONS = {
-    "menu": "Menu", "why": "Why this machine", "funnel": "Funnel", "samples": "Samples", "models": "Models",
-    "costs": "Costs", "provenance": "Provenance", "spec": "Spec",
+    "menu": "Explore", "why": "Why this machine", "evidence": "Evidence", "samples": "Samples", "costs": "Costs",
+    "funnel": "Filters", "models": "Models", "provenance": "Provenance", "spec": "Spec",
 }  # fmt: skip
+MARKS = 120  # machines that a chart of the page has marks for
 
 
 def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
@@ -37,51 +41,74 @@ def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
     data = None
     if chosen is not None and len(chosen.choice.front):
         data = {**menu_data(compiled.application, chosen.choice), "command": menu_command}
-    scripts = (
-        "report_picture.js",
-        "report.js",
-    )  # the drawing code first: the other script runs as soon as it is parsed
-    script = "".join((shipped("templates") / name).read_text(encoding="utf-8") for name in scripts)
-    samples = planned_table(compiled.plan) if results is None else measured_table(results)
-    there = {"menu": data is not None, "why": chosen is not None, "models": chosen is not None}
+    script = "".join(
+        (shipped("templates") / name).read_text(encoding="utf-8")
+        for name in ("report_page.js", *(["report.js"] if data else []))
+    )
+    there = {"menu": data is not None} | dict.fromkeys(("why", "evidence", "models"), chosen is not None)
+    doubts = caveats(chosen.models, chosen.choice) if chosen else [compiled.stale] if compiled.stale else []
+    rest = [one for one in chosen.menu.spec.warnings if one not in doubts] if chosen else []
     return render(
         "report.html.j2",
         name=compiled.layout.name,
-        lead=_lead(compiled),
+        title=menu_chart.title_of(chosen.choice) if chosen else f"{compiled.layout.name} is not measured yet",
+        facts=menu_chart.facts_of(compiled.application, chosen.choice)
+        if chosen
+        else compiled.stale or "There is no menu yet.",
+        prices=compiled.catalog.about,
         version=__version__,
         command=command,
-        warnings=chosen.menu.spec.warnings if chosen else [compiled.stale] if compiled.stale else [],
+        warnings={"first": doubts, "more": rest},
+        tiles=tiles(compiled, chosen) if chosen else [],
         sections=[(id, words) for id, words in SECTIONS.items() if there.get(id, True)],
         data=None if data is None else _json(data),
         script=script,
         script_digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         menu_picture=_image(compiled, compiled.layout.picture),
-        latency_picture=_image(compiled, compiled.layout.latencies),
+        panels=_panels(compiled, chosen, data) if chosen and data else [],
         menu_note="" if data is None else _menu_note(data),
-        x_words=_x_words(compiled),
+        why=why(compiled, chosen) if chosen else [],
         explanation=explain(compiled, refits) if chosen is not None else "",
+        figures=_figures(compiled, chosen, refits, doubts) if chosen and refits and data else [],
         funnel=_funnel(compiled),
-        samples=samples,
+        samples=planned_table(compiled.plan) if results is None else measured_table(results),
         models=_models(compiled, refits),
         costs=_costs(compiled),
+        cost_bar=cost_bar(compiled),
         provenance=_flat("", _provenance(compiled)),
         source=compiled.layout.relative(compiled.layout.spec),
         spec_text=_text(compiled.inputs.spec_content),
     ).encode()
 
 
-def _lead(compiled: Artifacts) -> str:
-    if compiled.decision is None:
-        return f"{compiled.stale or 'not measured yet'}: there is no menu"
-    body = compiled.decision.menu.spec
-    if body.balanced is None:
-        return f"No machine meets the limits; {body.objective}"
-    return f"Chosen: {entry_text(body.balanced)}; {body.objective}"
+def _panels(compiled: Artifacts, decision: Decision, data: Mapping[str, Any]) -> list[str]:
+    """Return the charts to explore: around the limits, of all machines, and by price per hour."""
+    choice = decision.choice
+    rows = sorted(data["offers"]["row"], key=lambda row: (not choice.feasible[row], choice.objective[row]))[:MARKS]
+    chart = menu_chart.menu_chart(compiled.application, choice, (), rows)
+    views = (("near", per_request(chart), True), ("all", per_request(chart), False), ("hour", per_hour(chart), False))
+    return [menu_svg.panel(chart, view, near=near, id=f"chart-{id}") for id, view, near in views]
 
 
-def _x_words(compiled: Artifacts) -> str:
-    spec = compiled.application.spec
-    return spec.objective.metric or f"{spec.constraints.statistic} latency"
+def _figures(compiled: Artifacts, decision: Decision, refits: Refits, doubts: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the charts by vCPUs, and the predictions of each sample from all others."""
+    metric = compiled.application.spec.objective.metric
+    found = []
+    for id, name in (("by-vcpus", None), *([("metric-by-vcpus", metric)] if metric else [])):
+        chart = model_svg.size_chart(compiled.application, decision.choice, decision.models, doubts, name)
+        if chart.series:
+            svg, curves = model_svg.panel(chart, id), any(one.curve for one in chart.series)
+            found.append(
+                {"title": f"{model_svg.title_of(chart)}.", "words": f"{chart.facts}.", "svg": svg, "curves": curves}
+            )
+    points = left_out(decision.models, refits)
+    if points:
+        inside = sum(low <= measured <= high for _, measured, _, low, high in points)
+        words = f"Each sample, predicted from all others. {inside} of {len(points)} are in their 90% interval."
+        svg = model_svg.left_out_panel(points, "left-out")
+        title = "Leave-one-out predictions lie around the line of no error."
+        found.append({"title": title, "words": words, "svg": svg, "curves": False})
+    return found
 
 
 def _menu_note(data: Mapping[str, Any]) -> str:
@@ -89,10 +116,10 @@ def _menu_note(data: Mapping[str, Any]) -> str:
         f"{data['types']:,} machine types in {data['admissible']:,} offers can be predicted; of each type the cheapest counts."
     ]
     if not data["complete"]:
-        shown, faint = len(data["offers"]["row"]), len(data["faint"]["x"])
+        shown = len(data["offers"]["row"])
         parts.append(
-            f"The page has the {shown:,} types that can win under some weight and limits; of the others, which another "
-            f"type beats in everything, {faint:,} are drawn faintly and no more."
+            f"The page has the {shown:,} types that can win under some weight and limits; another type beats each of the "
+            "others in everything."
         )
     if data["relaxed"]:
         parts.append("The spec asks for the relaxed method; this page looks at every machine.")
@@ -110,15 +137,20 @@ def _image(compiled: Artifacts, path: Any) -> str:
     return "" if content is None else "data:image/svg+xml;base64," + base64.b64encode(content).decode()
 
 
-def _funnel(compiled: Artifacts) -> list[tuple[str, str, str]]:
+def _funnel(compiled: Artifacts) -> list[tuple[str, str, str, float]]:
+    """Return filter, removed, left, and the width of a bar in percent; its length is logarithmic."""
     funnel = compiled.admissible.funnel
-    rows = [("on offer", "", f"{funnel.offered:,}")]
-    rows += [(one.name, f"{one.removed:,}", f"{one.left:,}") for one in funnel.filters]
+    rows = [("on offer", 0, funnel.offered), *((one.name, one.removed, one.left) for one in funnel.filters)]
     if compiled.decision is not None:
         body = compiled.decision.menu.spec
-        rows.append(("can be predicted", f"{body.admissible - body.predicted:,}", f"{body.predicted:,}"))
-        rows.append(("meets all limits", f"{body.predicted - body.meet:,}", f"{body.meet:,}"))
-    return rows
+        rows.append(("can be predicted", body.admissible - body.predicted, body.predicted))
+        rows.append(("meets all limits", body.predicted - body.meet, body.meet))
+    most = max(funnel.offered, 2)
+    share = [round(100 * (left + 1).bit_length() / (most + 1).bit_length()) if left else 0 for *_, left in rows]
+    return [
+        (name, f"{removed:,}" if removed else "", f"{left:,}", wide)
+        for (name, removed, left), wide in zip(rows, share, strict=True)
+    ]
 
 
 def _text(content: bytes) -> str:

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from fogspec.base.units import rounded
 from fogspec.catalog.table import Floats
+from fogspec.charts.menu_chart import per
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LEVEL
+from fogspec.choice.menu import LEVEL, floored
 from fogspec.choice.rule import TIE, best_attainable
 from fogspec.spec.schema import Application
 
 MOST = 1500
-FAINT = 1500
 LONGEST = 1e300  # JSON has no infinity
 
 Rows = NDArray[np.intp]
@@ -27,7 +27,7 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
     """Return the data of the page: the constants of the rule, and columns over the offers that can win.
 
     `needed` has, for each probability level, the latency limit that an offer requires. `needs` is the limit that would be
-    required if no machine meets all of them. `faint` are points of omitted offers, for the chart.
+    required if no machine meets all of them.
     """
     spec, costs = application.spec, choice.rule.costs
     needed, needs = _needed(choice), choice.required(choice.rule.levels[-1])
@@ -67,6 +67,8 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
             "requests_per_s": costs.requests_per_s,
             "interruptions_per_s": costs.interruptions_per_s,
         },
+        "per": per(choice),
+        "per_hour": costs.requests_per_s and costs.requests_per_s * 3600 * costs.used / costs.up,
         "admissible": len(offers),
         "types": len(types),
         "complete": len(rows) == len(types),
@@ -92,8 +94,9 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
             "high": high,
             "needed": [_numbers(column[rows]) for column in needed],
             "needs": _numbers(choice.lenient_latency_s[rows]),
+            "month": [rounded(usd) for usd in costs.usd_per_month[rows].tolist()],
+            "probability": _probabilities(choice, rows),
         },
-        "faint": _faint(choice, types, rows),
     }
 
 
@@ -162,14 +165,12 @@ def _ends(choice: Choice, rows: Rows, metric: str | None) -> tuple[list[float | 
     return _numbers(low), _numbers(high)
 
 
-def _faint(choice: Choice, types: Rows, rows: Rows) -> dict[str, list[float]]:
-    """Return points of types that are not among the rows: at most `FAINT`, evenly spread in order of cost."""
-    rest = np.setdiff1d(types, rows)
-    rest = rest[np.argsort(choice.cost_usd_per_request[rest], kind="stable")]
-    if len(rest) > FAINT:
-        rest = rest[np.linspace(0, len(rest) - 1, FAINT).astype(int)]
-    columns = {"x": choice.metric_value, "cost": choice.cost_usd_per_request, "price": choice.offers.price_usd_per_hour}
-    return {name: [rounded(value) for value in column[rest].tolist()] for name, column in columns.items()}
+def _probabilities(choice: Choice, rows: Rows) -> list[float | None]:
+    """Return the probability of meeting the limits of the spec, None where the model has none."""
+    if choice.latency.posterior is None or not choice.bounds:
+        return [None] * len(rows)
+    found = [choice.probability(row) for row in rows.tolist()]
+    return [None if one is None else floored(one) for one in found]
 
 
 def _numbers(column: Floats) -> list[float | None]:

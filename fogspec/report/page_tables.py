@@ -116,21 +116,37 @@ def residual_rows(models: Models, refits: Refits) -> Sequence[tuple[str, ...]]:
     return rows
 
 
+def left_out(models: Models, refits: Refits) -> list[tuple[str, float, float, float, float]]:
+    """Return each sample that the others predict: name, measured seconds, predicted ones, and the ends of the interval."""
+    found = []
+    for one in models.spec.observations:
+        if (known := _predicted(models, refits, one)) is not None:
+            found.append((one.machine.instance, one.values["latency"], *known))
+    return found
+
+
 def _without(models: Models, refits: Refits, one: Observation) -> tuple[str, str, str]:
     """Return the leave-one-out prediction of a sample: value, interval and error, empty if it is unavailable."""
+    known = _predicted(models, refits, one)
+    if known is None:
+        return "", "", ""
+    value, low, high = known
+    return _time(value), f"{_time(low)} to {_time(high)}", _off(value, one.values["latency"])
+
+
+def _predicted(models: Models, refits: Refits, one: Observation) -> tuple[float, float, float] | None:
     known, key = models.spec.observations, one.machine.type_key
     others = [other for other in known if other.machine.type_key != key]
     predicted = refits.of(others) if others else None
     if predicted is None or refits.space is None:
-        return "", "", ""
+        return None
     ranges = predicted.targets["latency"].ranges
     if ranges is None:
-        return "", "", ""
+        return None
     # Only for this machine: a bisection over a whole catalog for each sample would take seconds.
     own = ranges.take(np.array([refits.space.place[one.machine.type_key]]))
     low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    value = math.exp(own.mean[0])
-    return _time(value), f"{_time(low)} to {_time(high)}", _off(value, one.values["latency"])
+    return math.exp(own.mean[0]), low, high
 
 
 def _off(predicted: float | None, measured: float) -> str:

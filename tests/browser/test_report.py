@@ -83,8 +83,9 @@ MOVE = """([alpha, limits]) => {
         if (limit !== null) set(name + '-number', limit);
         set(name + '-use', limit !== null);
     }
-    const rows = [...document.querySelectorAll('#answers tr')];
-    const answer = Object.fromEntries(rows.map((row) => [row.dataset.role, Number(row.dataset.row)]));
+    const rows = [...document.querySelectorAll('#candidates tr[data-roles]')];
+    const roles = rows.flatMap((row) => row.dataset.roles.split(' ').map((role) => [role, Number(row.dataset.row)]));
+    const answer = Object.fromEntries(roles);
     return [answer, document.getElementById('verdict').textContent];
 }"""
 
@@ -137,12 +138,17 @@ def test_the_sliders_choose_as_menu_does(browser, checkout, tmp_path, monkeypatc
     assert len(chosen) > (name != "grasp-planning-recorded"), "a grid on which the choice never moves proves nothing"
 
 
+LIMITS_DRAWN = (
+    "[...document.querySelectorAll('#stage svg:not([hidden]) .limit')].filter((one) => one.getAttribute('d')).length"
+)
+
+
 def test_a_limit_is_drawn_where_it_is_or_not_at_all(browser, checkout, tmp_path):
     """One beyond the picture is not drawn at its edge, where the scale would say something else of it."""
     view = browser.open(written(loaded(checkout, "grasp-planning-recorded"), tmp_path / "report.html"))
     for latency, drawn in (("2", 1), ("100000", 0), ("0.000001", 0)):
         move(view, "0.7", latency, None)
-        assert view.evaluate("document.querySelectorAll('#picture .limit').length") == drawn, latency
+        assert view.evaluate(LIMITS_DRAWN) == drawn, latency
 
 
 DATA = {"transfer": {"per_request": "0.1MB", "price": "$0.01/GiB"}}
@@ -257,9 +263,10 @@ def test_it_fits_600_px_and_needs_no_mouse(browser, checkout, tmp_path):
     assert float(view.input_value("#alpha")) == pytest.approx(before + 0.01)
     assert f"{before + 0.01:.2f} latency" in view.get_attribute("#alpha", "aria-valuetext")
     view.keyboard.press("Tab")
-    assert view.evaluate("document.activeElement.id") == "latency-use"
+    assert view.evaluate("document.activeElement.closest('#strip, #back') !== null"), "then the weights' winners"
+    view.focus("#latency-use")
     view.keyboard.press("Space")
-    assert "none" in view.inner_text("#command")
+    assert "--latency none" in view.inner_text("#command")
 
 
 UNNAMED = """[...document.querySelectorAll('input, button, svg[role=img], img')].filter((node) =>
@@ -281,5 +288,150 @@ def test_hostile_names_do_nothing(browser, checkout, tmp_path):
     view = browser.open(written(one, tmp_path / "report.html", str(catalog)))
     move(view, "0.5", None, None)
     assert view.get_attribute("#verdict", "data-chosen") == f"c6i.{HOSTILE}"
+    view.click("#spec summary")
     assert f"# {HOSTILE}" in view.inner_text("#spec")
     assert browser.complaints == []
+
+
+SCHEMES, WIDTHS = ("light", "dark"), (360, 600, 1280, 1600)
+# Every text against what is painted behind it, as WCAG 2 measures contrast: 4.5, and 3 for large text.
+FAINT_TEXT = """() => {
+    const rgb = (color) => (color.match(/[0-9.]+/g) || []).map(Number);
+    const luminance = (c) => c.slice(0, 3).map((v) => v / 255).map((v) => v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4)
+        .reduce((sum, v, i) => sum + v * [.2126, .7152, .0722][i], 0);
+    const behind = (node) => {
+        for (let one = node; one; one = one.parentElement) {
+            const color = rgb(getComputedStyle(one).backgroundColor);
+            if (color.length && (color.length < 4 || color[3] > 0)) return color;
+        }
+        return [255, 255, 255];
+    };
+    const found = [];
+    for (const node of document.querySelectorAll('body *:not(script):not(style)')) {
+        if (node.closest('svg') || ![...node.childNodes].some((one) => one.nodeType === 3 && one.textContent.trim())) continue;
+        const style = getComputedStyle(node), size = parseFloat(style.fontSize);
+        if (!node.getClientRects().length) continue;
+        const [a, b] = [luminance(rgb(style.color)), luminance(behind(node))].sort((x, y) => y - x);
+        const large = size >= 24 || (size >= 18.66 && Number(style.fontWeight) >= 700);
+        if ((a + .05) / (b + .05) < (large ? 3 : 4.5)) found.push([node.textContent.slice(0, 40), (a + .05) / (b + .05)]);
+    }
+    return found;
+}"""
+# What a pointer must hit: 24 px at least (WCAG 2.5.8), unless it is in a line of text.
+SMALL = """() => [...document.querySelectorAll('input, button, summary, nav a')].filter((node) => node.getClientRects().length)
+    .filter((node) => { const box = node.getBoundingClientRect(); return box.width < 24 || box.height < 24; })
+    .map((node) => [node.id || node.textContent, node.getBoundingClientRect().width, node.getBoundingClientRect().height])"""
+CUT = """() => [...document.querySelectorAll('body *')].filter((node) => !node.closest('svg') && node.getClientRects().length)
+    .filter((node) => !node.closest('.skip') && getComputedStyle(node).position !== 'absolute' && !node.closest('thead'))
+    .filter((node) => {
+        const box = node.getBoundingClientRect(), flow = getComputedStyle(node).overflow;
+        return box.right > innerWidth + 1 || box.left < -1 ||
+            (node.scrollWidth > node.clientWidth + 1 && flow !== 'visible' && !node.closest('#strip'));
+    })
+    .map((node) => `${node.tagName} ${node.id} ${node.className}: ${node.textContent.slice(0, 40)}`)"""
+
+
+@pytest.mark.parametrize("name", ["grasp-planning-recorded", "vslam-recorded", "motion-planning-cubicles-recorded"])
+def test_nothing_is_cut_faint_or_too_small_at_any_width(browser, checkout, tmp_path, name):
+    path = written(loaded(checkout, name), tmp_path / "report.html")
+    for scheme, width in itertools.product(SCHEMES, WIDTHS):
+        view = browser.open(path, width=width, color_scheme=scheme)
+        view.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+        assert view.evaluate("document.documentElement.scrollWidth") <= width, (scheme, width)
+        assert view.evaluate(CUT) == [], (scheme, width)
+        assert view.evaluate(FAINT_TEXT) == [], (scheme, width)
+        assert view.evaluate(SMALL) == [], (scheme, width)
+        assert view.evaluate(UNNAMED) == []
+        view.close()
+    assert browser.complaints == []
+
+
+def test_the_answer_stays_in_view_while_a_slider_moves(browser, checkout, tmp_path):
+    path = written(loaded(checkout, "motion-planning-cubicles-recorded"), tmp_path / "report.html")
+    for width in (360, 1280):
+        view = browser.open(path, width=width)
+        view.focus("#alpha")
+        view.evaluate("document.getElementById('alpha').scrollIntoView({block: 'center'})")
+        assert view.inner_text("#verdict").startswith("Same choice: c6i.8xlarge")
+        view.keyboard.press("End")
+        box = view.locator("#verdict").bounding_box()
+        assert 0 <= box["y"] < 900 - 20
+        said = view.inner_text("#verdict")
+        assert said.startswith("Changes to ")
+        assert "measured" in said
+
+
+def test_the_state_is_in_the_address(browser, checkout, tmp_path):
+    path = written(loaded(checkout, "vslam-recorded"), tmp_path / "report.html")
+    view = browser.open(path)
+    move(view, "0.2", "0.05", None)
+    view.check("#all")
+    address, said = view.url, view.inner_text("#verdict")
+    assert "#a=0.2&l=0.05&c=none&v=all" in address
+    again = browser.open(path)
+    again.goto(address)
+    again.reload()
+    assert again.inner_text("#verdict") == said
+    assert again.is_checked("#all")
+    for damaged in ("#a=2&l=-1&c=x&v=y", "#a=&l=&c=&v=", "#menu", "#a=%3Cscript%3E"):
+        other = browser.open(path)
+        other.goto(path.as_uri() + damaged)
+        other.reload()
+        assert other.inner_text("#verdict").startswith("Same choice")
+    assert browser.complaints == []
+
+
+def test_marks_have_cards_for_pointer_and_keyboard_and_two_are_compared(browser, checkout, tmp_path):
+    view = browser.open(written(loaded(checkout, "grasp-planning-recorded"), tmp_path / "report.html"), width=1280)
+    view.focus("#chart-near .mark[tabindex='0']")
+    assert "g4dn.xlarge" in view.inner_text("#card")
+    view.keyboard.press("ArrowRight")
+    second = view.inner_text("#card")
+    assert "g4dn.xlarge (" not in second
+    assert view.evaluate("document.querySelectorAll('#candidates tr.lit').length") == 1
+    view.keyboard.press("Enter")
+    assert "against g4dn.xlarge" in view.inner_text("#compare")
+    view.locator("#candidates tbody tr").nth(4).click()
+    assert view.evaluate("document.querySelectorAll('#candidates tr.pinned').length") == 2
+    assert view.evaluate("document.querySelectorAll('#chart-near .mark.pinned').length") >= 1
+    view.hover("#chart-near .mark.chosen")
+    assert view.is_visible("#card")
+    assert browser.complaints == []
+
+
+def test_candidates_are_sorted_and_filtered(browser, checkout, tmp_path):
+    view = browser.open(written(loaded(checkout, "grasp-planning-recorded"), tmp_path / "report.html"), width=1280)
+    rows = "[...document.querySelectorAll('#candidates tbody tr')].map((row) => row.cells[0].textContent.split(' ')[0])"
+    assert len(view.evaluate(rows)) == 24
+    view.click("#candidates thead button:has-text('per hour')")
+    assert view.evaluate(rows)[0] == "c6i.large"
+    view.click("#candidates thead button:has-text('per hour')")
+    assert view.evaluate(rows)[-1] == "c6i.large"
+    assert view.get_attribute("#candidates th[aria-sort]", "aria-sort") == "descending"
+    view.fill("#filter", "T4")
+    assert {name.partition(".")[0] for name in view.evaluate(rows)} == {"g4dn"}
+    view.fill("#filter", "")
+    view.check("#only-meets")
+    assert len(view.evaluate(rows)) == 3
+
+
+def test_a_limit_is_dragged(browser, checkout, tmp_path):
+    view = browser.open(written(loaded(checkout, "grasp-planning-recorded"), tmp_path / "report.html"), width=1280)
+    before = float(view.input_value("#latency-number"))
+    view.locator("#stage").scroll_into_view_if_needed()
+    box = view.locator("#chart-near .drag[data-limit=latency]").bounding_box()
+    x, y = box["x"] + 0.55 * box["width"], box["y"] + box["height"] / 2
+    view.mouse.move(x, y)
+    view.mouse.down()
+    view.mouse.move(x, y - 60, steps=4)
+    view.mouse.up()
+    assert float(view.input_value("#latency-number")) > before
+    assert "Same choice" in view.inner_text("#verdict")
+
+
+def test_it_prints_without_controls(browser, checkout, tmp_path):
+    view = browser.open(written(loaded(checkout, "vslam-recorded"), tmp_path / "report.html"))
+    view.emulate_media(media="print")
+    assert not view.is_visible("#controls")
+    assert view.is_visible("#answer")
+    assert view.is_visible("#candidates")
