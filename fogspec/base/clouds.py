@@ -28,7 +28,8 @@ class Cloud:
     without `instance_types` takes the shape of a machine, and the catalog may name it anything. Without
     `containers` there are no spot machines and no open ports either, and SkyPilot refuses tasks that ask for them.
     A cloud that `opens_ports` does so for SkyPilot; `open_udp` is a command of the cloud's own program that opens a UDP
-    port of the machine at an address. `places_in_zones`: a zone (a partition) has machines and prices of its own.
+    port of the machine at an address; `quota` one that lists the account's quotas in a region.
+    `places_in_zones`: a zone (a partition) has machines and prices of its own.
     `context_regions`: the region is the name of a context, which may have slashes. `attaches_gpus`: one instance type
     may carry one of several accelerators. `own_end`: see `OwnEnd`.
 
@@ -50,6 +51,7 @@ class Cloud:
     attaches_gpus: bool = False
     own_end: OwnEnd = OwnEnd.AUTOSTOP
     open_udp: str | None = None
+    quota: str | None = None
     region: str | None = None
     arm: str | None = None
     family: str | None = None
@@ -82,6 +84,7 @@ _ROWS = (
         generation=r"(?P<series>[a-z]+)(?P<number>\d*)",
         previous=r"a1|c[134]|cc2|cr1|d2|hs1|i2|m[1-4]|r[34]|t1",
         platform=r"[a-z]+(\d.*)",
+        quota="aws service-quotas list-service-quotas --service-code ec2 --region {region}",
         open_udp=(
             "aws ec2 authorize-security-group-ingress --region {region} --protocol udp --port {port} --cidr 0.0.0.0/0"
             ' --group-id "$(aws ec2 describe-instances --region {region} --filters Name=ip-address,Values={address}'
@@ -98,6 +101,7 @@ _ROWS = (
         generation=r"(?P<series>[a-z])(?P<number>\d)",
         previous=r"m1|n1",
         platform=r"(.*)",
+        quota="gcloud compute regions describe {region}",
         open_udp=(
             "gcloud compute firewall-rules create fogspec-udp-{port} --allow udp:{port}"
             " --network \"$(gcloud compute instances list --filter 'networkInterfaces[0].accessConfigs[0].natIP={address}'"
@@ -113,6 +117,7 @@ _ROWS = (
         generation=r"(?P<series>[A-Z]+)[a-z]*?(?:v(?P<number>\d+))?$",
         previous=r"Am?|Am?v2|Bl?s|Bms|DS?|DS?v2|Fs?|Fsv2|GS?|H|Ls|Lsv2",
         platform=r"[A-Z]+([a-z]*?)(v\d+)?$",
+        quota="az vm list-usage --location {region} --output table",
         open_udp=(
             "az vm open-port --port {port} --priority 900"
             ' --ids "$(az vm list --show-details --query "[?publicIps==\'{address}\'].id" --output tsv)"'

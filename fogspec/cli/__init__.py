@@ -21,6 +21,7 @@ VERBS = {
     "keys": "on the robot: make the key of its end of the link",
     "lock": "pin catalog, images, workspace and workload to digests",
     "status": "which stage is fresh or stale and why, and what was spent",
+    "doctor": "what is wrong on this side, before any money is spent",
     "bench": "measure the plan's samples",
     "menu": "the choices on offer, also under other constraints",
     "report": "one self-contained page: spec, samples, models, a menu to weigh anew, costs",

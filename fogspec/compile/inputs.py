@@ -314,7 +314,7 @@ def _catalog_notes(one: LoadedSpec, catalog: Catalog) -> Iterator[str]:
 
     How well the bundled prices agree with newer ones says more than their age, which counts for them if the spec limits it.
     """
-    about, limit = catalog.about, one.application.spec.catalog
+    about = catalog.about
     if about.checked is None:
         yield from about.notes
     for cloud, families in unknown_families(catalog).items():
@@ -324,11 +324,19 @@ def _catalog_notes(one: LoadedSpec, catalog: Catalog) -> Iterator[str]:
     strange = list(unknown_places(infra, catalog))
     if len(strange) < len(infra):  # of none, the plan says so
         yield from strange
+    if (old := age_warning(one, catalog)) is not None:
+        yield f"warning: {old}: see --catalog"
+
+
+def age_warning(one: LoadedSpec, catalog: Catalog) -> str | None:
+    """Return the sentence on prices that are older than the spec allows; None if they are not."""
+    about, limit = catalog.about, one.application.spec.catalog
     if not about.date or (about.checked is not None and "max_age" not in limit.model_fields_set):
-        return
+        return None
     days = (datetime.now(UTC).date() - date.fromisoformat(about.date)).days
-    if days * 86400 > limit.max_age:
-        yield (
-            f"warning: {about.source}: prices are of {about.date}, {days} days old; spec.catalog.max_age allows "
-            f"{limit.max_age / 86400:g}: see --catalog"
-        )
+    if days * 86400 <= limit.max_age:
+        return None
+    return (
+        f"{about.source}: prices are of {about.date}, {days} days old; spec.catalog.max_age allows "
+        f"{limit.max_age / 86400:g}"
+    )

@@ -9,16 +9,27 @@ import tempfile
 import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from fogspec.backends.protocol import Unreachable
 from fogspec.backends.skypilot.errors import CloudProblem, plain
 from fogspec.base import child
 from fogspec.base.errors import CloudError
 
+if TYPE_CHECKING:
+    from packaging.specifiers import SpecifierSet
+
 WORKER = "fogspec.backends.skypilot.worker"
 START_S = 240.0
 TAIL_BYTES = 2000
+
+
+def supported_versions() -> "SpecifierSet":
+    """Return the versions of SkyPilot that fogspec's requirements allow. SkyPilot, which must be here, brings `packaging`."""
+    from packaging.requirements import Requirement
+
+    wanted = map(Requirement, importlib.metadata.requires("fogspec") or ())
+    return next(one.specifier for one in wanted if one.name == "skypilot")
 
 
 class Client:

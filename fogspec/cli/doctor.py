@@ -1,0 +1,33 @@
+"""Implement `fogspec doctor`: what is wrong on this side, before any money is spent."""
+
+import click
+
+from fogspec.base.console import say, say_json
+from fogspec.cli.options import CATALOG, OUTPUT, applications_of
+
+
+@click.command()
+@click.argument("spec", required=False, type=click.Path(path_type=str))
+@CATALOG
+@OUTPUT
+def command(spec: str | None, catalog_path: str | None, output: str) -> None:
+    """Check what a bench or an apply of SPEC needs here, before any money: ok, problem or not checked, with the fix.
+
+    SPEC is a spec or the name of an application in specs/; without it, those in specs/. No machine is started and nothing is
+    written. If a place is a cloud, SkyPilot checks its access, for which it may start its own API server on this computer.
+    Exits with 1 if there is a problem.
+    """
+    from fogspec.backends.registry import deployment_backend
+    from fogspec.deploy.doctor import State, as_dict, as_text, checks
+    from fogspec.deploy.state import SystemWallClock
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import load
+
+    loaded = load(find_specs()) if spec is None else applications_of(spec)
+    found = checks(loaded, catalog_path, SystemWallClock(), deployment_backend)
+    if output == "json":
+        say_json([as_dict(one) for one in found])
+    else:
+        say(*as_text(found))
+    if any(one.state is State.PROBLEM for one in found):
+        raise click.exceptions.Exit(1)
