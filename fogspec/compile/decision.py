@@ -75,10 +75,12 @@ class Decision:
 
 
 def no_choice(menu: Menu) -> FogspecError | None:
-    """Return why a menu has no machine to choose: nothing measured, or none that meets the limits; None if it has one."""
+    """Return why a menu has no machine to choose: none admissible, measured, or within the limits; None if it has one."""
     name = menu.metadata.name
     if menu.spec.balanced is not None:
         return None
+    if not menu.spec.admissible:
+        return Infeasible(f"{name}: no machine of the catalog is admissible")
     if not menu.spec.predicted:
         return NotMeasured(f"{name}: nothing is measured: no sample counts, or each admissible machine failed")
     return Infeasible(f"{name}: no machine meets the limits")

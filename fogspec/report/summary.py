@@ -207,6 +207,8 @@ def billing_text(menu: "Menu") -> str:
 def infeasible_text(menu: "Menu") -> list[str]:
     """Return the lines that explain why no machine meets the limits."""
     body = menu.spec
+    if not body.admissible:
+        return ["  no machine of the catalog is admissible: the catalog's line above says what was left out"]
     if not body.predicted:
         return ["  nothing is measured: no sample counts, or each admissible machine failed"]
     lines = ["  no machine meets the limits:"]

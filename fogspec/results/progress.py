@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from fogspec.plan.reuse import covers
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import Results, completed, own_records
+from fogspec.results.schema import Results, completed
 from fogspec.spec.schema import Application
 
 NAMED = 6
@@ -40,16 +40,10 @@ def state_text(measured: int, planned: int) -> str:
 def unfinished(application: Application, plan: Plan, results: Results) -> Unfinished | None:
     """Return what is left of a plan, None if it was carried out.
 
-    A sample that failed for good is done, and one of a type that was measured at another price or place. Adaptive sampling
-    ends when no further machine is asked for.
+    A sample that failed for good is done. Adaptive sampling ends when no further machine is asked for.
     """
-    samples = {sample.id: sample.machine for sample in plan.spec.samples}
-    # The same hardware for another price: spot, or another region.
-    elsewhere = {
-        one.machine.type_key for one in own_records(results.spec.samples) if one.state == "ok" and one.id not in samples
-    }
-    done = completed(results) | {one for one, machine in samples.items() if machine.type_key in elsewhere}
-    left = sorted(samples.keys() - done)
+    samples = {sample.id for sample in plan.spec.samples}
+    left = sorted(samples - completed(results))
     sampling = results.spec.sampling if plan.spec.sampler == "adaptive" else None
     if left:
         more = ", ..." if len(left) > NAMED else ""

@@ -30,6 +30,7 @@ def clouds(shell: Shell) -> Shell:
         path.parent.mkdir(parents=True)
         path.write_text(text)
         os.utime(path, (1.79e9, 1.79e9))  # 2026-09-21
+    shell.write("specs/work.py", "print('work')\n")
     shell.write("specs/demo.yaml", spec())
     shell.write(
         "specs/both.yaml", spec("both", infra="[aws/r1, gcp/us-central1]", hardware="{cpus: 2..8, gpus: [none, T4]}")

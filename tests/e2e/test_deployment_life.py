@@ -278,7 +278,7 @@ def test_a_host_without_a_price_list_is_an_answer(tiny: Deployed) -> None:
     (tiny.folder / "fogspec.lock").unlink()
     for words in (["compile", "specs/tiny.yaml"], ["menu", "specs/tiny.yaml"]):
         ended = tiny(*words, code=4)
-        assert "no machine meets the limits" in ended.stderr
+        assert "no machine of the catalog is admissible" in ended.stderr
     (tiny.folder / "fogspec.lock").mkdir()
     assert "fogspec.lock" in tiny("status", "specs/tiny.yaml", code=1).stderr
 

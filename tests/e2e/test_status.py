@@ -157,6 +157,7 @@ def test_wider_hardware_costs_the_new_samples_only(done: Shell, old: str, new: s
 )
 def test_what_is_measured_makes_everything_stale(done: Shell, old: str, new: str, field: str) -> None:
     change(done, old, new)
+    done.write("specs/client", "#!/bin/sh\n")
     state, told, found = states(done)
     assert state == dict.fromkeys(FRESH, "stale")
     assert f"{field} changed" in told["plan"]

@@ -95,6 +95,7 @@ def _doubled(start: str, join: str, use: str) -> str:
 
 def _compile(at: Path, catalog: str, content: str | bytes) -> tuple[str, ...]:
     written(at, "specs/tiny.yaml", SPEC)
+    written(at, "specs/work.py", "")
     return "compile", "tiny", "--catalog", written(at, catalog, content)
 
 
@@ -149,6 +150,7 @@ def _sparse(at: Path) -> tuple[str, ...]:
 
 def _proc(at: Path) -> tuple[str, ...]:
     written(at, "specs/tiny.yaml", SPEC)
+    written(at, "specs/work.py", "")
     (at / "specs/proc").symlink_to("/proc")
     (at / "specs/loop").symlink_to(".")
     return "validate", "specs"
@@ -161,6 +163,7 @@ def _priors(at: Path) -> tuple[str, ...]:
         archive.writestr("latencies.csv", b"\n" * (200 << 20))
     written(at, "a.zip", packed.getvalue())
     written(at, "specs/tiny.yaml", SPEC)
+    written(at, "specs/work.py", "")
     return "lock", "tiny", "--priors", "a.zip"
 
 
