@@ -158,7 +158,7 @@ def _series(choice: Choice, models: Models, gpu: tuple[str, float] | None, metri
         _sample(one, metric)
         for one in models.spec.observations
         if _gpu_of(one.machine) == gpu
-        and (metric or "latency") in one.values
+        and one.values.get(metric or "latency", 0.0) > 0  # the axis is logarithmic
         and line(one.machine.instance) not in known
     ]
     curve = [] if metric else _curve(models, gpu, offers.vcpus[rows], offers.memory_gib[rows])

@@ -62,6 +62,9 @@ def test_from_a_robot_that_runs_to_a_spec_that_compiles(net: Net) -> None:
     ):
         assert line in written, line
     assert "hunter2" not in written + made.stdout + made.stderr
+    package = net.folder / "specs/ros2_ws/src/my_robot/package.xml"
+    package.parent.mkdir(parents=True)
+    package.write_text("<package><name>my_robot</name></package>")
     planned = net.run([*FOGSPEC, "compile", "specs/arm.yaml", "--catalog", "snapshot"], 120)
     assert planned.returncode == 0, planned.stderr
     read = "import sys; from pathlib import Path; from fogspec.agent.bag import messages as of; "
