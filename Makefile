@@ -6,7 +6,7 @@ FOGSPEC := $(BIN)/fogspec
 TEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test aws-env aws-shell aws-test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
+.PHONY: help demo check test aws-env aws-shell aws-test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers words generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -85,10 +85,10 @@ link-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## what a link costs, as root
 demo: .venv/run.stamp  ## benchmark on this host and choose a machine, in about a minute: real measurements, no account, no cloud
 	@$(BIN)/python -m tools.demo
 
-check: lint types layers  ## what to run before each commit: lint, format, types, layers and the fast unit tests (under a minute)
+check: lint types layers words  ## what to run before each commit: lint, format, types, layers and the fast unit tests (under a minute)
 	$(BIN)/python -m pytest -q $(TEST_ARGS) -m 'not slow' tests/unit
 
-test: lint types layers generated docs unit slurm-test aws-test  ## everything that CI checks
+test: lint types layers words generated docs unit slurm-test aws-test  ## everything that CI checks
 
 lint: .venv/dev.stamp  ## style and common mistakes
 	$(BIN)/ruff check .
@@ -99,6 +99,9 @@ types: .venv/dev.stamp  ## strict types
 
 layers: .venv/dev.stamp  ## which package may import which
 	$(BIN)/lint-imports
+
+words: .venv/dev.stamp  ## the words of docs, help and messages are those of docs/style.md
+	$(BIN)/python -m tools.terms
 
 generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled specs and the public suite are what the code writes
 	$(BIN)/python -m tools.json_schemas --check

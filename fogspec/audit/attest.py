@@ -125,7 +125,7 @@ def check(opened: ManifestBundle, data: Any) -> Check:
     """Check that a statement attests this manifest in its current state."""
     now = {one["name"]: one["digest"] for one in subjects(opened)}
     if not isinstance(data, dict) or (data.get("_type"), data.get("predicateType")) != (STATEMENT, PREDICATE):
-        return Check("attestation", "", ("it is no in-toto Statement v1 with SLSA provenance v1",))
+        return Check("attestation", "", ("it is not an in-toto Statement v1 with SLSA provenance v1",))
     listed = data.get("subject")
     attested = (
         {one.get("name"): one.get("digest") for one in listed if isinstance(one, dict)}

@@ -58,7 +58,7 @@ class Repository:
 
     def _commit(self, name: str) -> str:
         if name.startswith("-"):
-            raise UsageError(f"{name} is no commit")
+            raise UsageError(f"{name} is not a commit")
         try:
             return git("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}").decode().strip()
         except UsageError:

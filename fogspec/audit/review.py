@@ -171,7 +171,7 @@ def _removal(one: Removed) -> list[str]:
     lines += [f"- {md(text)}" for text in itertools.islice(_choice(one.manifest), 1)]
     return [
         *lines,
-        f"- what runs of it goes on: {code(shell_command('fogspec', 'down', one.name))} ends it, before the files are gone",
+        f"- its deployment keeps running: {code(shell_command('fogspec', 'down', one.name))} ends it, while the files exist",
     ]
 
 

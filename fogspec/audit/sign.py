@@ -37,7 +37,7 @@ def sign(text: str, key: str) -> str:
         envelope = library.dsse.Envelope(text.encode(), PAYLOAD, {})
         envelope.sign(library.signer.CryptoSigner(private))
     except library.wrong as wrong:
-        raise InvalidInput(f"{key}: is no private key without a password that can sign: {wrong}") from None
+        raise InvalidInput(f"{key}: is not a private key without a password that can sign: {wrong}") from None
     return json.dumps(envelope.to_dict(), indent=2, sort_keys=True) + "\n"
 
 
@@ -50,7 +50,7 @@ def check_signed(opened: ManifestBundle, path: str, key: str) -> Check:
     try:
         public = library.signer.SSlibKey.from_crypto(library.keys.load_pem_public_key(content))
     except library.wrong as wrong:
-        raise InvalidInput(f"{key}: is no public key: {wrong}") from None
+        raise InvalidInput(f"{key}: is not a public key: {wrong}") from None
     try:
         envelope = library.dsse.Envelope.from_dict(json.loads(_read(path)))
         envelope.verify([public], 1)

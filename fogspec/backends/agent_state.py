@@ -178,7 +178,7 @@ def tail(timings: bytes) -> bytes:
 
 
 def server_facts(value: object) -> ServerFacts | None:
-    """Return what a machine told of its server, without facts that are impossible; None without its CPU."""
+    """Return a machine's facts about its server, without facts that are impossible; None without its CPU."""
     if not isinstance(value, dict):
         return None
     facts = {name: _tidy(value[name]) for name in ServerFacts.model_fields if value.get(name) is not None}

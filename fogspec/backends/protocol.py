@@ -117,7 +117,7 @@ class DeploymentStatus:
     `starting` until the nodes answer, `ready` while they do; `ended` when a node has ended though its machine may
     still be up; `gone` when there is no machine. `timings` are the latest probe records, whole lines, at most a MiB.
     `observed` is False when nothing records them any more, and `detail` gives the reason. `address` is where the robot finds
-    the machine, `link` the public half of the cloud's end of their link, `server` what the machine told of itself.
+    the machine, `link` the public half of the cloud's end of their link, `server` the machine's facts about itself.
     """
 
     state: Literal["starting", "ready", "ended", "gone"]
@@ -181,7 +181,7 @@ class Backend(Protocol[StatusT]):
         ...
 
     def check_access(self, places: Collection[str]) -> None:
-        """Raise CloudError if no machine can be had in one of these places, before any is asked for: each is an `infra`."""
+        """Raise CloudError if no machine is available in one of these places, before any is requested: each is an `infra`."""
         ...
 
     def list(self, owner: Owner, directory: Path) -> Sequence[str]:

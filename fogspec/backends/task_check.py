@@ -18,7 +18,7 @@ from fogspec.plan.commitment import time_limit
 TASK = {"name", "resources", "workdir", "secrets", "file_mounts", "setup", "run", "envs", "config"}
 UNPRICED = {"image_id", "labels", "ports"}  # of resources: they change neither the machine nor its price
 TARGETS = {"~/.fogspec/agent.pyz", "~/.fogspec/launch/cloud.launch.py", "~/.fogspec/link"}
-DEPLOYMENT_IDLE_MINUTES = 30  # of a deployment that nobody uses
+DEPLOYMENT_IDLE_MINUTES = 30  # of an unused deployment
 
 
 def check_task(job: Job) -> None:
@@ -102,7 +102,7 @@ def _foreign_sources(job: Job) -> Iterator[str]:
     sources = {f"file_mounts.{target}": source for target, source in mounts.items()}
     if "workdir" in job.task:
         sources["workdir"] = job.task["workdir"]
-    yield from (f"file_mounts.{target} is no target of compiled tasks" for target in mounts if target not in TARGETS)
+    yield from (f"file_mounts.{target} is not a target of compiled tasks" for target in mounts if target not in TARGETS)
     for key, source in sources.items():
         parts = Path(source).parts if isinstance(source, str) else ()
         if not isinstance(source, str) or not source or os.path.isabs(source) or ".." in parts or "://" in source:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import fogspec
 
-ELSEWHERE = "/"  # Nobody but root writes there, and it stays: what a child leaves running may outlive the checkout.
+ELSEWHERE = "/"  # Only root writes there, and it stays: what a child leaves running may outlive the checkout.
 SEARCHED = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
 # Isolated (-I), an interpreter ignores the working folder, PYTHON* and the user's packages. Folders that come after all others
 # can hide no module: that of this fogspec, which may be an editable install, and the user's packages where they are in use.

@@ -44,5 +44,5 @@ class SystemClock:
         return time.time()
 
     def sleep(self, seconds: float) -> None:
-        """Wait; a signal's handler runs at once, the wait goes on after it."""
+        """Wait; a signal's handler runs at once, the wait continues after it."""
         time.sleep(seconds)

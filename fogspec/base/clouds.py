@@ -8,7 +8,7 @@ LOCAL = "local"
 
 
 class OwnEnd(StrEnum):
-    """What ends a sample's machine if nobody does, besides SkyPilot's autostop, which is armed after boot and copying.
+    """What ends a sample's machine if fogspec does not, besides SkyPilot's autostop, which is armed after boot and copying.
 
     `AUTOSTOP`: nothing else. `JOB_TIME_LIMIT`: the machine is a batch job with a time limit. `POD_DEADLINE`: it is a pod
     with a deadline. `POWER_OFF`: its first boot sets a timer that turns it off, whereupon the cloud bills its disk only.

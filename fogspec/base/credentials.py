@@ -37,7 +37,7 @@ FORMS = (
 )  # fmt: skip
 PASSWORD_IN_URL = re.compile(r"://[^/\s:@]{0,256}:([^/\s@]{1,256})@")
 ASSIGNED = re.compile(r"([A-Za-z_][\w.-]{0,63})[\"']?\s{0,8}:?[=:]\s{0,8}[\"']?([^\s\"'&;,}]{4,400})")
-# Ends of names, without their separators. A name that goes on is another one: MAX_TOKENS, TOKENIZERS_PARALLELISM, TOKEN_FILE.
+# Ends of names, without their separators. A longer name is another one: MAX_TOKENS, TOKENIZERS_PARALLELISM, TOKEN_FILE.
 PASSWORDS = ("password", "passwd", "passphrase")
 SECRETS = ("token", "secret", "credential", "credentials", "psk", "key")
 OPEN_KEYS = ("publickey", "primarykey", "foreignkey", "hotkey", "sortkey")

@@ -118,7 +118,7 @@ def parse_csv(content: bytes, path: str, required: Sequence[str], *, code: str, 
     try:
         rows, lines = _records(text)
     except _NoCsv as wrong:
-        raise problem(wrong.line, f"this is no CSV: {wrong}") from None
+        raise problem(wrong.line, f"this is not CSV: {wrong}") from None
     head = [name.strip() for name in rows[0]] if rows else []
     if (message := _wrong_header(head, required, what)) is not None:
         raise problem(1, message)
@@ -184,7 +184,7 @@ def _wrong_number(name: str, text: str, number: float, positive: bool, bounds: B
 
 
 def _field(line: str, index: int) -> tuple[int, int]:
-    """Return where the field with this index starts and ends in a line; the whole line if it cannot be told."""
+    """Return where the field with this index starts and ends in a line; the whole line if it is unknown."""
     starts, quoted = [0], False
     for position, character in enumerate(line):
         if character == '"':

@@ -72,7 +72,7 @@ def decompress(content: bytes, path: str | os.PathLike[str], most_bytes: int) ->
         with gzip.GzipFile(fileobj=io.BytesIO(content)) as packed:
             found = packed.read(most_bytes + 1)
     except (OSError, EOFError, zlib.error):
-        raise OSError(errno.EINVAL, "it is no whole gzip file", os.fspath(path)) from None
+        raise OSError(errno.EINVAL, "it is not a complete gzip file", os.fspath(path)) from None
     if len(found) > most_bytes:
         raise too_large(path, most_bytes, " unpacked")
     return found

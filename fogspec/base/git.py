@@ -14,7 +14,7 @@ from fogspec.base.errors import Refused, UsageError
 from fogspec.base.layout import Layout
 
 # What git would run while it reads. A folder that only looks like a bare repository has a configuration that anybody could
-# commit; without it, whoever prepares a whole checkout with its .git can name a program.
+# commit; without it, a prepared checkout with its .git could name a program.
 OVERRIDES = {
     "safe.bareRepository": "explicit",
     "core.fsmonitor": "false",

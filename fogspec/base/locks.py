@@ -31,7 +31,7 @@ def start_ticks(pid: int) -> int | None:
 def application_lock(layout: Layout, what: str, remove: bool = False) -> Iterator[None]:
     """Hold an application's lock for `what`; raise Refused, naming the holder, if another process has it.
 
-    Raises InvalidInput for what is no file, and Refused for state that came with the checkout.
+    Raises InvalidInput for what is not a file, and Refused for state that came with the checkout.
 
     What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
     to clean up. With `remove` the file goes when it is over; if it was removed meanwhile, a new one is locked.

@@ -60,7 +60,7 @@ class ProjectFiles:
             return os.fdopen(descriptor, "ab+", buffering=0)
 
     def create(self, path: Path) -> BinaryIO:
-        """Open a file to write it anew; its folders are made if they are missing."""
+        """Open a file to replace it; missing directories are created."""
         with self._at(path, make=True) as (folder, name):
             return os.fdopen(_opened(folder, name, path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "wb")
 

@@ -22,7 +22,7 @@ from fogspec.base.units import Range, UnitError
 
 
 class Strict(BaseModel):
-    """A mapping of the language: unknown keys are errors, `x-` keys are accepted and dropped before."""
+    """A mapping of the spec: unknown keys are errors, `x-` keys are accepted and dropped before."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=False, defer_build=True)
 

@@ -9,7 +9,7 @@ import shlex
 from collections.abc import Iterable
 from typing import Any
 
-# What a terminal obeys or a reader cannot see: controls, zero-width and direction marks, tags, separators, and what is no text.
+# What a terminal obeys or a reader cannot see: controls, zero-width and direction marks, tags, separators, and surrogates.
 HIDDEN = (
     "\x00-\x08\x0b-\x1f\x7f-\x9f\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\u3164"
     "\ud800-\udfff\ufdd0-\ufdef\ufeff\uffa0\ufff0-\ufffb\ufffe\uffff\U000e0000-\U000e0fff"
@@ -45,6 +45,11 @@ def line(value: Any) -> str:
 def paragraph(lines: Iterable[str]) -> str:
     """Return lines as text, of which none can become two."""
     return "\n".join(map(line, lines))
+
+
+def count(number: int, noun: str) -> str:
+    """Return `1 machine`, `2 machines`."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def markdown(value: Any) -> str:

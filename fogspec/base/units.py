@@ -216,7 +216,7 @@ def _end(text: str, parse: Callable[[Any], float]) -> tuple[float | None, str | 
 def _body(text: Any) -> str:
     """Return the text of a scalar; a number is written as it was most likely typed."""
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-        raise UnitError("must be written as one text, such as 2s, 4GiB or $2.50", None, "FS303")
+        raise UnitError("must be written as one string, such as 2s, 4GiB or $2.50", None, "FS303")
     if not isinstance(text, str) and not math.isfinite(text):
         raise UnitError("must be finite")
     return format_number(text) if isinstance(text, (int, float)) else text.strip()

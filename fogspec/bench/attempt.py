@@ -85,7 +85,7 @@ class Attempt:
     def billed_s(self, end: SampleStatus, clock: Clock) -> float:
         """Return the seconds for which its machine is paid, now that it is verified gone: those since its start.
 
-        Nobody saw the end of one that had ended during an absence: it came after the longest time that was committed at the
+        The end of one that ended during an absence was not observed: it came after the longest time that was committed at the
         latest, or when the request of an earlier controller to end it was carried out. That nothing is paid is not believed
         of a machine that was seen to measure.
         """

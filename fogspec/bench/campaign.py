@@ -29,7 +29,7 @@ SLOW_STOPS = 4
 class Campaign:
     """One run of the loop over one results file.
 
-    `left` has the names of machines that could not be verified gone; `denied` is why no machine can be had at all.
+    `left` has the names of machines that could not be verified gone; `denied` is why no machine is available at all.
     """
 
     config: CampaignConfig
@@ -216,7 +216,7 @@ class Campaign:
             self._finish(attempt, attempt.end)
 
     def _look_for(self, attempt: Attempt) -> None:
-        """Find out whether a machine whose longest time is over has ended by itself; nobody saw when it did."""
+        """Find out whether a machine whose longest time is over has ended by itself, unobserved."""
         name = attempt.started.name
         if attempt.started.outlived or attempt.gone_s is not None or attempt.outlived_s(self.clock) <= 0:
             return

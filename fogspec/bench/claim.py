@@ -54,7 +54,7 @@ class ClaimingBackend:
         self._backend.at_once = count
 
     def check_access(self, places: Collection[str]) -> None:
-        """Raise CloudError if no machine can be had."""
+        """Raise CloudError if no machine is available."""
         self._backend.check_access(places)
 
     def start(self, job: Job) -> None:

@@ -88,7 +88,7 @@ def bench(prepared: Prepared, backend: SampleBackend, watch: Watch, options: Ben
     that cannot be written; results are on disk in every case.
     """
     layout, left = prepared.layout, list[str]()
-    again = f"the same command goes on where this one stopped; fogspec down {layout.name} ends everything"
+    again = f"the same command resumes where this one stopped; fogspec down {layout.name} tears everything down"
     try:
         with application_lock(layout, f"bench of {layout.name}"), interruptible() as interrupt:
             prepared.check_current()
@@ -156,7 +156,7 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
 
 
 def _heard(report: Callable[[Event], None], interrupt: Interrupt) -> Callable[[Event], None]:
-    """Return the report, which asks for a clean stop once nobody can read it: its terminal or pipe was closed."""
+    """Return the report, which asks for a clean stop once it cannot be read: its terminal or pipe was closed."""
 
     def tell(event: Event) -> None:
         try:
@@ -303,5 +303,5 @@ def check_same_runner(results: Results, backend: SampleBackend) -> None:
     if results.spec.samples and results.spec.runner != backend.name:
         raise Refused(
             f"the results there were measured with the runner {results.spec.runner}, not {backend.name}: they are not mixed",
-            "move the results file away to measure everything anew",
+            "move the results file away to measure everything again",
         )

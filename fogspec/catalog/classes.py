@@ -38,7 +38,7 @@ def burstable(offers: Catalog) -> Mask:
 
 
 def left_out(offers: Catalog) -> dict[MachineClass, Mask]:
-    """Return the mask of each class that is no candidate by default; the masks are disjoint.
+    """Return the mask of each class that is not a candidate by default; the masks are disjoint.
 
     `offers` are all of the places and architectures that a spec names, for generations are counted among them.
     """

@@ -49,7 +49,7 @@ def expected_payoff(
 ) -> Payoff | None:
     """Return what the benchmark of a spec is expected to spend and save; None without a volume.
 
-    `usd_per_sample` (n,) is the price of a sample of each offer. Before anything is measured nobody knows what a request
+    `usd_per_sample` (n,) is the price of a sample of each offer. Before anything is measured it is unknown what a request
     costs: it is taken as what the spec counts as 1, its scale or limit of cost; None without either, where requests are billed
     by their time. Limits are left out, for the same reason.
     """

@@ -19,7 +19,7 @@ class Slack:
     """One limit at the choice.
 
     `value` is predicted; `required` is the lowest bound that the chosen machine meets with the required probability.
-    `rules_out_alone` counts machines that only this limit rules out; `changes_at` is how far it
+    `rules_out_alone` counts machines that only this limit excludes; `changes_at` is how far it
     would have to be relaxed for a better one of these, `changes_to`, to be chosen; None if none is better.
     """
 
@@ -104,7 +104,7 @@ def slacks(choice: Choice) -> list[Slack]:
 def other_confidences(choice: Choice) -> list[OtherConfidence]:
     """Return the nearest lower and the nearest higher of `CONFIDENCES` with another choice, as far as there are any.
 
-    Empty without limits or probabilities, and where no machine reaches the confidence that was asked for.
+    Empty without limits or probabilities, and where no machine reaches the required confidence.
     """
     row = choice.chosen
     if row is None or choice.by_relaxation or not choice.bounds or choice.level != choice.confidence:

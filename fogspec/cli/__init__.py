@@ -12,30 +12,70 @@ from fogspec.base.console import say
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, UsageError
 
+GROUPS = {
+    "Author": ("init", "validate", "config", "lock"),
+    "Plan and measure": ("compile", "doctor", "bench", "status"),
+    "Choose": ("menu", "explain", "report"),
+    "Deploy": ("apply", "ps", "logs", "down", "keys"),
+    "Review and audit": ("diff", "review", "ci", "verify", "attest"),
+    "Evaluate and more": ("evaluate", "priors", "completion"),
+}
+EXAMPLES = {
+    "init": "fogspec init my-robot",
+    "validate": "fogspec validate specs/my-robot.yaml",
+    "config": "fogspec config my-robot -f overlays/cheap.yaml",
+    "lock": "fogspec lock my-robot",
+    "compile": "fogspec compile my-robot",
+    "doctor": "fogspec doctor my-robot",
+    "bench": "fogspec bench my-robot --dry-run",
+    "status": "fogspec status",
+    "menu": "fogspec menu my-robot --latency 3s --alpha 0.2",
+    "explain": "fogspec explain constraints.latency",
+    "report": "fogspec report my-robot",
+    "apply": "fogspec apply my-robot --dry-run",
+    "ps": "fogspec ps",
+    "logs": "fogspec logs my-robot",
+    "down": "fogspec down my-robot",
+    "keys": "fogspec keys my-robot",
+    "diff": "fogspec diff my-robot",
+    "review": "fogspec review main",
+    "ci": "fogspec ci",
+    "verify": "fogspec verify my-robot",
+    "attest": "fogspec attest my-robot --key key.pem --out statement.json",
+    "evaluate": "fogspec evaluate --suite DIR",
+    "priors": "fogspec priors build --from DIR",
+    "completion": "fogspec completion bash > ~/.local/share/bash-completion/completions/fogspec",
+}
+EXITS = (
+    "Exit codes: 0 done, 1 invalid file, 2 wrong usage, 3 out of date, 4 infeasible,\n"
+    "            5 refused, 6 cloud error, 70 bug, 130 interrupted"
+)
+
 VERBS = {
-    "init": "write a commented, valid spec",
-    "validate": "check specs and say every mistake at once",
-    "explain": "explain a field, an error code, or a choice",
-    "config": "print a spec merged with its overlays, defaults filled in",
-    "compile": "write the plan and tasks; once measured, models, menu and manifest",
-    "keys": "on the robot: make the key of its end of the link",
-    "lock": "pin catalog, images, workspace and workload to digests",
-    "status": "which stage is fresh or stale and why, and what was spent",
-    "doctor": "what is wrong on this side, before any money is spent",
-    "bench": "measure the plan's samples",
-    "menu": "the choices on offer, also under other constraints",
-    "report": "one self-contained page: spec, samples, models, a menu to weigh anew, costs",
-    "apply": "run what a manifest says, idempotent",
-    "ps": "what runs of all applications, also of those without a spec, and what it costs",
-    "logs": "what an application's nodes print, and the last words of those that never answered",
-    "down": "end everything of an application, and verify it",
-    "diff": "what compile would write now against what is committed, and against what runs",
-    "review": "what a change deploys, in Markdown for a pull request",
-    "verify": "recompute the chain behind a manifest, byte for byte",
-    "ci": "the gate in front of a merge: whether apply would deploy exactly what is committed",
-    "attest": "an in-toto statement of where a manifest came from",
-    "evaluate": "replay sampling and choosing against full measurements",
-    "priors": "build a library of what machines do for other workloads",
+    "init": "Write a commented, valid spec, or copy an example with its results",
+    "validate": "Validate specs and report all errors",
+    "explain": "Explain a field, an error code, or a choice",
+    "config": "Print a spec merged with its overlays and defaults",
+    "compile": "Write plan and tasks; once measured, models, menu and manifest",
+    "keys": "Generate the robot's key of the link, on the robot",
+    "lock": "Pin catalog, images, workspace and workload to digests",
+    "status": "Show what is up to date, what is deployed and what was spent",
+    "doctor": "Show what is wrong on this side, before any money is spent",
+    "bench": "Measure the plan's samples; costs money, and asks first",
+    "menu": "List candidate machines, optionally under other limits",
+    "report": "Write a self-contained HTML report with interactive limits",
+    "apply": "Deploy a manifest (idempotent); costs money, and asks first",
+    "ps": "List what runs of all applications, and what it costs",
+    "logs": "Print what an application's nodes print",
+    "down": "Tear down an application and verify that nothing is left",
+    "diff": "Compare new output with committed files and the deployment",
+    "review": "Describe a change of deployment in Markdown, for a pull request",
+    "verify": "Recompute the chain behind a manifest, byte for byte",
+    "ci": "Check before a merge that apply would deploy what is committed",
+    "attest": "Write an in-toto statement of a manifest's provenance",
+    "evaluate": "Replay sampling and choosing against full measurements",
+    "priors": "Build performance priors from other workloads",
+    "completion": "Print a completion script for bash, zsh or fish",
 }
 
 
@@ -51,17 +91,25 @@ class _Verbs(click.Group):
             raise UsageError(f"there is no command {name}", *hints)
         module = importlib.import_module(f"fogspec.cli.{name}")
         command: click.Command = module.command
+        command.epilog = f"\b\nExample: {EXAMPLES[name]}\n{EXITS}"
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+        for title, names in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, VERBS[name]) for name in names])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        formatter.write_paragraph()
+        formatter.write(
+            "First steps:\n  fogspec init --example grasp-planning\n  fogspec menu grasp-planning-recorded\n"
+        )
 
 
 @click.command(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="fogspec")
 def fogspec() -> None:
-    """From a short spec to the right cloud machine for a robot's ROS 2 nodes, with the proof."""
+    """Find the right cloud machine for a robot's ROS 2 nodes, from measurements, and pin it in a pull request."""
 
 
 def usage(wrong: click.ClickException) -> list[str]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @click.option("--max", "most", metavar="'$0.60/h'", help="the highest price allowed, in place of the one approved")
 @click.option("--resolve-image", is_flag=True, help="launch what an image's tag stands for now, where it is not pinned")
 @click.option("--dry-run", is_flag=True, help="say what would run and what it costs, and stop")
-@click.option("--yes", is_flag=True, help="do not ask")
+@click.option("--yes", is_flag=True, help="skip the confirmation prompt")
 @OUTPUT
 def command(
     manifest: str,
@@ -90,6 +90,6 @@ def _ask(yes: bool) -> None:
     if yes:
         return
     if not sys.stdin.isatty():
-        raise Refused("nobody to ask whether it may cost that", "say so: --yes")
+        raise Refused("confirmation required, and no terminal is attached", "pass --yes to approve this price")
     if not ask("start it?"):
         raise Refused("nothing was started")

@@ -64,11 +64,11 @@ class Dollars(click.ParamType):
 @click.option("--at-once", type=click.IntRange(1), metavar="N", help="how many machines at the same time, at most")
 @click.option("--resume", is_flag=True, help="take down machines that another bench of this application left running")
 @click.option("--max", "max_usd", type=Dollars(), help="spend at most this now, whatever the budget leaves")
-@click.option("--yes", is_flag=True, help="spend without being asked")
+@click.option("--yes", is_flag=True, help="skip the confirmation prompt")
 @click.option("--dry-run", is_flag=True, help="say what would be measured and what it costs, and stop")
 @CATALOG
 @PRIORS
-@click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="form of progress and answer")
+@click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="output format")
 def command(
     spec: str,
     runner_name: str | None,
@@ -86,8 +86,8 @@ def command(
 ) -> None:
     """Measure what is not measured yet of SPEC, a spec or the name of an application in specs/.
 
-    Goes on where an earlier bench stopped: finished samples are not measured again, machines that were left running
-    are taken down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
+    Resumes where an earlier bench stopped: finished samples are not measured again, machines that were left running
+    are torn down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
     """
     from fogspec.bench.prepare import prepare
     from fogspec.bench.quote import Quote, check_prices

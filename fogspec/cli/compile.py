@@ -6,7 +6,7 @@ import click
 
 from fogspec.base.console import say, say_json, say_text
 from fogspec.base.errors import OutOfDate
-from fogspec.base.text import shell_command
+from fogspec.base.text import count, shell_command
 from fogspec.cli.options import (
     CATALOG,
     OUTPUT,
@@ -67,7 +67,7 @@ def command(
         again = shell_command("fogspec", "compile", *specs)
         stale = [f"{one.layout.manifest} is stale: it stays until there is a new one" for one in compiled if one.kept]
         raise OutOfDate(
-            f"{len(changed)} files differ from what compile would write",
+            f"{count(len(changed), 'file')} would change: what compile writes now differs",
             *map(str, changed),
             *(stale or [f"write them: {again}"]),
         )

@@ -55,7 +55,7 @@ FOR_GIT = {
     metavar="DIR|FILE",
     help="a machine library (fogspec priors build): name a first machine for what was seen of the robot",
 )
-@click.option("--name", help="name of the application; that of the file unless said otherwise")
+@click.option("--name", help="application name  [default: file name]")
 @click.option(
     "--example",
     metavar="NAME",
@@ -164,7 +164,7 @@ def _launch_arguments(arguments: tuple[str, ...], launch: str | None) -> dict[st
         )
     for one in arguments:
         if ":=" not in one or one.startswith(":="):
-            raise UsageError(f"{one} is no launch argument", "write NAME:=VALUE")
+            raise UsageError(f"{one} is not a launch argument", "write NAME:=VALUE")
     return dict(one.split(":=", 1) for one in arguments)
 
 

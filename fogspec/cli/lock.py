@@ -30,7 +30,7 @@ def command(
     """Write fogspec.lock: catalog, machine library, image digests, and digests of workspace and workload.
 
     SPECS are those in specs/.
-    What is locked stays as it is, except for files beside the specs: these are read anew.
+    What is locked stays as it is, except for files next to the specs: these are read again.
     """
     from fogspec.backends.images.registry import Registry
     from fogspec.base.layout import Layout
@@ -54,7 +54,7 @@ def command(
         about = load_catalog(located(origin, layout), clouds_of(one)).about
         pin = PriorsPin(origin=_beside(priors, layout.root), digest=library.digest) if priors and library else None
         wanted.append(lock_update.LockRequest(one.application, layout, origin, about, pin))
-    ask = (lambda _name: "not asked for yet") if check else Registry().digest
+    ask = (lambda _name: "not resolved yet") if check else Registry().digest
     locks = lock_update.relock(wanted, ask, ["catalog"] if check else upgrade, whole=not specs)
     changes = {path: lock_update.differences(read_lock(path), lock) for path, lock in locks.items()}
     if not check:

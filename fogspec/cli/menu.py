@@ -47,7 +47,7 @@ def command(
 ) -> None:
     """Show the choices and the Pareto front of SPEC, a spec or the name of an application in specs/.
 
-    Nothing is measured anew and nothing is written.
+    Nothing is measured again and nothing is written.
     """
     from fogspec.compile.decision import no_choice
     from fogspec.report.menu import NO_LIMIT, Changes, menu_view, show

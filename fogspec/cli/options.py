@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.shell_completion import CompletionItem
 
 from fogspec.base.console import say
 from fogspec.base.errors import FogspecError, UsageError
@@ -18,8 +19,17 @@ if TYPE_CHECKING:
     from fogspec.numerics.priors import PriorData
     from fogspec.spec.loader import LoadedSpec
 
-SPECS = click.argument("specs", nargs=-1, type=click.Path(path_type=str))
-SPEC = click.argument("spec", type=click.Path(path_type=str))
+
+def complete_application(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Return the applications in specs/ with this prefix, for shell completion; files if there is none."""
+    from fogspec.spec.discover import applications
+
+    names = [one for one in applications() if one.startswith(begun)]
+    return [CompletionItem(one) for one in names] or [CompletionItem(begun, type="file")]
+
+
+SPECS = click.argument("specs", nargs=-1, type=click.Path(path_type=str), shell_complete=complete_application)
+SPEC = click.argument("spec", type=click.Path(path_type=str), shell_complete=complete_application)
 
 
 def _color(_context: click.Context, _parameter: click.Parameter, when: str) -> bool | None:
@@ -46,16 +56,17 @@ def _manifest(_context: click.Context, _parameter: click.Parameter, given: str) 
     return path
 
 
-MANIFEST = click.argument("manifest", type=click.Path(path_type=str), callback=_manifest)
-OUTPUT = click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="form of the answer")
+MANIFEST = click.argument(
+    "manifest", type=click.Path(path_type=str), callback=_manifest, shell_complete=complete_application
+)
+OUTPUT = click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="output format")
 CATALOG = click.option(
     "--catalog",
     "catalog_path",
     type=click.Path(path_type=str),
     metavar="FROM",
-    help="machines and prices: snapshot (bundled), skypilot (SkyPilot's own, as it fetched them), a folder in "
-    "SkyPilot's layout, or a CSV file in its columns; otherwise what fogspec.lock says, else skypilot if its lists are on "
-    "this machine, else the snapshot",
+    help="price catalog: snapshot (bundled), skypilot (SkyPilot's own), a directory in its layout, or a CSV file in its "
+    "columns  [default: fogspec.lock, else skypilot if its lists are on this host, else snapshot]",
 )
 POLICIES = click.option(
     "--policy",

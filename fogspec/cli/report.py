@@ -20,7 +20,7 @@ from fogspec.cli.options import CATALOG, PRIORS, load_named
 def command(what: str, name: str | None, to: str | None, catalog_path: str | None, priors: Path | None) -> None:
     """Write the report of APP, the name of an application in specs/ or a spec.
 
-    The page has spec, funnel, samples, models, a menu that can be weighed anew, costs and provenance. It needs no network.
+    The page has spec, funnel, samples, models, an interactive menu, costs and provenance. It needs no network.
     """
     from fogspec.base.project_files import write_output
     from fogspec.compile.compiler import compile_application

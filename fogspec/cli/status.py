@@ -15,7 +15,7 @@ from fogspec.cli.options import CATALOG, OUTPUT, echo_notes, load_inputs
 def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_code: bool) -> None:
     """Say how things stand, from spec to what runs. SPECS are those in specs/; nothing is written.
 
-    What runs is told in two words: sync (Synced, OutOfSync: is it what the manifest says) and health (Healthy, Drifted,
+    The deployed state has two words: sync (Synced, OutOfSync: is it what the manifest says) and health (Healthy, Drifted,
     Degraded, Progressing, Missing, Unknown: do its nodes answer, as fast as the model predicted).
     """
     from fogspec.audit import freshness, status

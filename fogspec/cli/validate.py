@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.console import say
+from fogspec.base.text import count
 from fogspec.cli.options import COLOR, POLICIES
 
 if TYPE_CHECKING:
@@ -16,9 +17,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("files", nargs=-1)
 @click.option("-f", "--overlay", "overlays", multiple=True, metavar="FILE", help="merge this partial spec into each")
-@click.option(
-    "-o", "--output", type=click.Choice(["text", "json", "github"]), default="text", help="form of the answer"
-)
+@click.option("-o", "--output", type=click.Choice(["text", "json", "github"]), default="text", help="output format")
 @POLICIES
 @COLOR
 def command(
@@ -42,14 +41,10 @@ def command(
     if output == "text":
         names = ", ".join(one.application.metadata.name for one in loaded[:10])
         more = f" and {len(loaded) - 10} more" if len(loaded) > 10 else ""
-        say(f"{_count(len(loaded), 'application')} in {_count(len(paths), 'file')} valid: {names}{more}")
+        say(f"{count(len(loaded), 'application')} in {count(len(paths), 'file')} valid: {names}{more}")
 
 
 def _catalog(one: "LoadedSpec") -> "Catalog | None":
     from fogspec.compile.inputs import catalog_beside_snapshot
 
     return catalog_beside_snapshot(one)
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"

@@ -103,7 +103,7 @@ def check_budget(application: Application, plan: Plan, admissible: Filtered, res
         f"the budget is {dollars(budget)}: nothing was written",
         f"{len(due.todo)} samples to measure: measuring {dollars(parts.measuring)}, set-up {dollars(parts.setup)}, "
         f"start and end of the machines {dollars(parts.overhead)}, each at most",
-        "ways to make it fit, those that lose least first:",
+        "ways to make it fit:",
         *(f"- {option.line()}" for option in cheapest_options(application, plan, due, admissible)),
         f"- raise spec.benchmark.budget to {format_money(ceil_cents(due.total_usd))}: loses nothing",
     )

@@ -249,8 +249,8 @@ def _calibration(models: Models, choice: Choice) -> list[str]:
             "" if probability is None else f", on which the probability {floored(probability):g} of the choice rests"
         )
         found.append(
-            f"how far requests are apart is not known of {unknown} of {len(body.observations)} samples: "
-            f"each is taken to err by {DEFAULT_NOISE:.1%}{rests}"
+            f"the spread of requests is unknown for {unknown} of {len(body.observations)} samples: "
+            f"each is assumed to err by {DEFAULT_NOISE:.1%}{rests}"
         )
     return found
 

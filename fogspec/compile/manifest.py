@@ -34,7 +34,7 @@ class Pinned(ListedMachine):
     """What will run: one machine, its image, its nodes, and the reviewed task that starts them.
 
     `sent` are the files of the spec's directory that the machine gets, `files` the compiled ones; `fallbacks` may take the
-    machine's place, in this order, when it cannot be had.
+    machine's place, in this order, if it is unavailable.
     """
 
     image: str | None
@@ -108,7 +108,7 @@ class ExpectedMetric(Strict):
 
 
 class ExpectedObjective(Strict):
-    """The weighed sum, with its weights and scales written down."""
+    """The objective value, with its weights and scales written down."""
 
     alpha: float
     words: str
@@ -237,7 +237,7 @@ class Provenance(Lean):
 
 
 class Manifest(Strict):
-    """`kind: DeploymentManifest`; the name is no Kubernetes kind, so that no controller tries to apply it."""
+    """`kind: DeploymentManifest`; the name is not a Kubernetes kind, so that no controller tries to apply it."""
 
     apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
     kind: Literal["DeploymentManifest"] = "DeploymentManifest"
@@ -417,7 +417,7 @@ def _limits(choice: Choice, row: int) -> ExpectedLimits:
 
 
 def alternatives(choice: Choice, chosen: int) -> list[Alternative]:
-    """Return the other named choices, the runner-up, and the nearest machine that a limit rules out."""
+    """Return the other named choices, the runner-up, and the nearest machine that a limit excludes."""
     found: list[Alternative] = []
     for role, row in shortlist(choice).items():
         entry = entry_of(choice, row)

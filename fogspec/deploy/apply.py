@@ -107,7 +107,9 @@ class Rollout:
         except LaunchRefused:
             return False
         except Unreachable as lost:
-            raise CloudError(f"{machine.name}: nobody can say how it is: {lost}", "safe to run again") from None
+            raise CloudError(
+                f"{machine.name}: status unknown, no contact with the machine: {lost}", "safe to run again"
+            ) from None
         return status.state in ("starting", "ready")
 
     def unknown_machines(self) -> list[str]:
@@ -120,7 +122,7 @@ class Rollout:
         try:
             found = [name for one in backends.values() for name in one.list(self.live.owner, layout.state)]
         except Unreachable as lost:
-            raise CloudError(f"{layout.name}: nobody can say what runs of it: {lost}", "safe to run again") from None
+            raise CloudError(f"{layout.name}: status unknown, no contact: {lost}", "safe to run again") from None
         return sorted(name for name in set(found) - known if self.live.owner.has_deployment(name))
 
     def stop_others(self, keep: Sequence[str]) -> bool:
@@ -250,7 +252,7 @@ class Rollout:
         """
         what = f"{one.machine.instance} in {one.machine.infra}"
         if no.reason in NO_CAPACITY and one is not self.candidates[-1]:
-            self.report(f"{what} cannot be had: {no.detail}; the next is tried")
+            self.report(f"{what} is unavailable: {no.detail}; trying the next")
             return
         if no.reason == "access":
             raise no_access(no.detail)
@@ -258,7 +260,7 @@ class Rollout:
             raise Refused(f"{what}: {no.detail}", "compile again with these prices, or allow it: --max")
         hints: tuple[str, ...] = ()
         if no.reason in NO_CAPACITY and len(self.candidates) > 1:
-            hints = (f"none of {len(self.candidates)} machines can be had now: safe to run again",)
+            hints = (f"none of {len(self.candidates)} machines is available now: safe to run again",)
         elif no.reason in NO_CAPACITY:
             hints = ("spec.deployment.fallbacks lets other machines take its place", "safe to run again")
         raise CloudError(f"{what}: {no.detail}", *hints)
@@ -285,7 +287,7 @@ class Rollout:
                 )
             if status.state == "gone":
                 self._keep_last_words(machine)
-                raise _MachineLost(status.detail or "nobody said why")
+                raise _MachineLost(status.detail or "for an unknown reason")
             if why and why != reported:
                 reported = why
                 self.report(f"{machine.name}: {reported}")
@@ -419,7 +421,7 @@ def apply(
             return RolloutResult(rollout.run(), True, times.now_s() - begun_s)
     except KeyboardInterrupt:
         again = (
-            f"{shell_command('fogspec', 'apply', layout.manifest)} goes on, fogspec down {layout.name} ends everything"
+            f"{shell_command('fogspec', 'apply', layout.manifest)} resumes, fogspec down {layout.name} tears it down"
         )
         started = [one.name for one in live.machines if one.state != "serving"] if live is not None else []
         raise Interrupted("interrupted at once", *map("may still run: {}".format, started), again) from None
@@ -428,5 +430,5 @@ def apply(
     except OSError as problem:
         raise InvalidInput(
             f"{problem.filename or layout.state}: {problem.strerror or problem}",
-            f"{shell_command('fogspec', 'apply', layout.manifest)} goes on, fogspec down {layout.name} ends everything",
+            f"{shell_command('fogspec', 'apply', layout.manifest)} resumes, fogspec down {layout.name} tears everything down",
         ) from None

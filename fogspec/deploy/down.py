@@ -39,7 +39,7 @@ def layout_of(spec_or_name: str) -> Layout:
         return Layout.of(spec_or_name, found[0].application.metadata.name)
     layout = Layout(Path(), Path("specs") / f"{spec_or_name}.yaml", spec_or_name)
     if os.path.basename(spec_or_name) != spec_or_name or spec_or_name in (".", "..", ""):
-        raise InvalidInput(f"{spec_or_name!r} is no application's name", "name one, or its spec")
+        raise InvalidInput(f"{spec_or_name!r} is not an application's name", "name one, or its spec")
     known = layout.files.is_folder(layout.state) or layout.files.is_folder(layout.compiled)
     known = known or layout.files.exists(layout.spec)
     if not known and not any(committed(layout.root, path) for path in (layout.plan, layout.spec)):
@@ -108,7 +108,7 @@ def _down(
                 stop_machine(live, machine, by_name[machine.deployer], report)
                 ended += 1
             elif not left:
-                raise Unreachable(f"{machine.name}: nobody here can end what {machine.deployer} runs")
+                raise Unreachable(f"{machine.name}: this environment cannot terminate what {machine.deployer} started")
     for backend in backends:
         with _collecting(left, unwritten):
             ended += _orphans(live, backend, report)

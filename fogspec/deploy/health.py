@@ -159,7 +159,7 @@ def _health(
     machine: DeployedMachine, live: DeploymentStatus | None, observed: Observed | None, manifest: Manifest | None
 ) -> tuple[Health, list[str]]:
     if live is None:
-        return "Unknown", ["nobody can say just now how it is"]
+        return "Unknown", ["status unknown: no contact with the machine"]
     if live.state == "gone":
         return "Missing", [f"its machine is gone: {live.detail}" if live.detail else "its machine is gone"]
     if live.state == "ended":

@@ -18,7 +18,7 @@ class RedactingBackend:
         self._backend, self._secrets = backend, secrets
 
     def check_access(self, places: Collection[str]) -> None:
-        """Raise CloudError if no machine can be had."""
+        """Raise CloudError if no machine is available."""
         self._backend.check_access(places)
 
     def start(self, job: Job) -> None:

@@ -128,7 +128,7 @@ class DeploymentState:
     def clear(self) -> Iterator[Path]:
         """Remove the file and what is left next to it, once no machine is left, and yield each; raise OSError if that fails.
 
-        Of `deployed`, only what belongs to machines of the application goes: other things there are somebody else's.
+        Of `deployed`, only what belongs to machines of the application goes: other things there belong to others.
         """
         if self.machines or self.foreign:
             raise ValueError("machines are left")

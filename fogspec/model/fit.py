@@ -220,7 +220,7 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
     if value is None:
         return unusable(f"{record.requests} requests are too few for a {statistic}", unfit=False)
     if not LATENCY_S.holds(value):
-        return unusable(f"a latency of {value:g} s is no latency", unfit=False)
+        return unusable(f"a latency of {value:g} s is not a latency", unfit=False)
     values = {"latency": value, **record.metrics}
     return Observation(
         id=record.id,
@@ -308,14 +308,14 @@ def _warnings(best: Fit, levels: int) -> list[str]:
     found = []
     if best.n < 5:
         samples = "1 sample" if best.n == 1 else f"{best.n} samples"
-        found.append(f"{samples}: R² of two-parameter curves says nothing here, even on noise it is high")
+        found.append(f"R² is not informative with {samples} and 2 parameters: it is high on noise too")
     if best.p == 1 and levels > 1:
-        found.append("no curve predicts a left-out sample better than the mean: the model is a constant")
+        found.append("no curve has a lower leave-one-out error than the mean: the model is a constant")
     if math.isfinite(best.loo_max) and best.loo_max > families.WEAK_ERROR:
-        missed = (
+        worst = (
             f"up to {best.loo_max:.0%}"
             if best.loo_max < MOST_MISSED
             else f"more than {MOST_MISSED:.0f} times its value"
         )
-        found.append(f"a left-out sample is missed by {missed}, whatever R² says")
+        found.append(f"leave-one-out error of {worst}, whatever R² is")
     return found

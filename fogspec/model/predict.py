@@ -147,7 +147,7 @@ class PredictionSpace:
         catalog: Catalog | None = None,
         library: PriorData | None = None,
     ) -> "PredictionSpace":
-        """`machines` are measured, and described by `catalog` where they are no offers."""
+        """`machines` are measured, and described by `catalog` where they are not offers."""
         measured = [one for one in machines if counts(one, offers)]
         types = types_with_measured(offers, measured, catalog)
         prior = None if library is None else prior_for(library, types.names, types.machines)
@@ -196,7 +196,7 @@ def predict(
     catalog: Catalog | None = None,
     library: PriorData | None = None,
 ) -> PredictionSet:
-    """Predictions of these targets for every offer; `catalog` describes measured machines that are no offers."""
+    """Predictions of these targets for every offer; `catalog` describes measured machines that are not offers."""
     body = models.spec
     if body.measured_on_local or not len(offers):
         return PredictionSet(

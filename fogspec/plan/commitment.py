@@ -112,7 +112,7 @@ def unattended(machines: Iterable[Machine], each: Commitment, name: str) -> Iter
         dearest = format_price(max(one.price for one in found))
         if end is OwnEnd.AUTOSTOP:
             yield (
-                f"if this computer goes off while a machine on {clouds} starts, it goes on, at up to {dearest}, "
+                f"if this computer goes off while a machine on {clouds} starts, it keeps running, at up to {dearest}, "
                 f"until fogspec down {name}"
             )
         else:

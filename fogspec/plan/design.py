@@ -193,7 +193,7 @@ def _later(benchmark: Benchmark, offers: Catalog) -> str:
     if benchmark.budget is not None:
         most = f"the budget of {units.format_money(benchmark.budget)}"
     bounds.append(f"never beyond {most}")
-    return f"the first batch; then the model is asked for the next machines, {at_once}, {', '.join(bounds)}"
+    return f"the first batch; then the model selects the next machines, {at_once}, {', '.join(bounds)}"
 
 
 def _grid(spec: Spec, admissible: Filtered) -> Design:
@@ -257,7 +257,7 @@ def _grid_notes(grid: Grid, group: Catalog) -> Iterator[str]:
         if cell.snapped:
             yield f"{what}: no machine has {cell.asked_gib:g} GiB, the nearest on offer is {cell.memory_gib:g} GiB"
         if cell.same_as is not None:
-            yield f"{what}: {group.instance[cell.row]} again, sampled once"
+            yield f"{what}: {group.instance[cell.row]} is a duplicate: sampled once"
         elif group.burstable[cell.row]:
             yield f"{what}: {group.instance[cell.row]} is burstable, its latency depends on CPU credits left"
 
@@ -275,7 +275,7 @@ def _listed(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
             continue
         samples += _found(name, spec, catalog)
         if name not in admitted:
-            notes.append(f"{name} is listed in benchmark.machines, and is no candidate: hardware does not admit it")
+            notes.append(f"{name} is listed in benchmark.machines, and is not a candidate: hardware does not admit it")
     return Design(tuple(samples), tuple(notes))
 
 
@@ -304,6 +304,6 @@ def _distinct(found: Design) -> Design:
     notes = list(found.notes)
     for one in found.samples:
         if one.id in first:
-            notes.append(f"{one.machine.infra} {one.machine.instance} is found twice, sampled once")
+            notes.append(f"{one.machine.infra} {one.machine.instance} is a duplicate: sampled once")
         first.setdefault(one.id, one)
     return Design(tuple(first.values()), tuple(notes))

@@ -67,9 +67,7 @@ def plan_from_campaign(
         f"batch {number} ({len(batch.samples)}): {batch.reason}" for number, batch in enumerate(sampling.batches, 1)
     ]
     notes.append(
-        f"sampling ended: {sampling.stop_reason}"
-        if sampling.stop_reason
-        else "the next machines are asked for by fogspec bench"
+        f"sampling ended: {sampling.stop_reason}" if sampling.stop_reason else "fogspec bench selects the next machines"
     )
     design = Design(tuple(samples), tuple(notes))
     plan = plan_of(application, path, catalog.about, sampler="adaptive", design=design, pins=pins)

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from fogspec.base import units
-from fogspec.base.text import paragraph
+from fogspec.base.text import count, paragraph
 from fogspec.base.units import dollars, rounded
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import entry_of, limit_text
@@ -168,11 +168,11 @@ def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
         return []
     terms = " and ".join(f"{name} / {divisor}" for name, divisor in scale.items())
     pool, meet = int(choice.candidates.sum()), int(choice.feasible.sum())
-    among = f"the {meet} machines that meet all limits"
+    among = "the only machine that meets all limits" if meet == 1 else f"the {meet} machines that meet all limits"
     if pool < meet:
         among = f"the {pool} measured machines of {meet} that meet all limits"
     lines = [
-        f"why       smallest weighed sum, {units.format_number(rounded(float(choice.objective[row])))}, of {terms}, "
+        f"why       lowest objective value, {units.format_number(rounded(float(choice.objective[row])))}, of {terms}, "
         f"among {among}"
     ]
     probability = choice.probability(row)
@@ -181,7 +181,7 @@ def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
         unmeasured = "not measured" if where is None else f"measured on {where}, not itself"
         how = "measured" if choice.latency.measured[row] else f"{unmeasured}: see the sample below"
         lines.append(
-            f"sure      all limits are met with probability {probability:.3f} (asked {choice.confidence:g}); {how}"
+            f"confident all limits are met with probability {probability:.3f} (required {choice.confidence:g}); {how}"
         )
     return lines
 
@@ -192,7 +192,11 @@ def _infeasible(choice: Choice) -> list[str]:
         return []
     probability = choice.probability(row) or 0.0
     offer = choice.offers.machine(row)
-    sure = "the model is sure that none does" if probability < 1 - choice.confidence else "the model is not sure"
+    sure = (
+        "the model excludes that any does"
+        if probability < 1 - choice.confidence
+        else "the model cannot exclude that one does"
+    )
     return [
         f"  most likely to meet all limits: {offer.instance} in {offer.infra}, with probability {probability:.2f}: {sure}"
     ]
@@ -212,9 +216,9 @@ def _slack_text(binding: Slack) -> str:
     name = binding.limit
     room = (1 - binding.value / binding.bound) if binding.bound else 0.0
     value, bound = (limit_text(name, one, binding.unit) for one in (binding.value, binding.bound))
-    words = f"{name}: {value} of at most {bound}, {room:.0%} room"
+    words = f"{name}: {value} of at most {bound}, {room:.0%} headroom"
     words += f"; the choice holds down to {limit_text(name, binding.required, binding.unit)}"
-    words += f"; alone it rules out {binding.rules_out_alone} machines"
+    words += f"; alone it excludes {count(binding.rules_out_alone, 'machine')}"
     if binding.changes_at is not None:
         at = limit_text(name, binding.changes_at, binding.unit)
         words += f"; at {at} it would let in {binding.changes_to}, which is better"
@@ -236,7 +240,7 @@ def _confidence_dict(choice: Choice, one: OtherConfidence) -> dict[str, Any]:
 def _confidence_text(choice: Choice, one: OtherConfidence) -> str:
     if one.row is None or one.cost is None or one.latency is None:
         return f"at confidence {one.confidence:g} no machine is sure enough to meet all limits"
-    cost, latency = _difference(one.cost, "cheaper", "dearer"), _difference(one.latency, "faster", "slower")
+    cost, latency = _difference(one.cost, "cheaper", "more expensive"), _difference(one.latency, "faster", "slower")
     return f"at confidence {one.confidence:g} the choice would be {choice.offers.instance[one.row]}, {cost}, {latency}"
 
 
@@ -311,8 +315,8 @@ def _leave_one_out_text(choice: Choice, found: list[Influence]) -> str:
     factor = 1.0 if posterior is None else posterior.calibration.factor
     widened = f", which is widened by a factor of {factor:.3g} for them" if factor > 1 else ""
     return (
-        f": each left out in turn is foretold within {known[len(known) // 2]:.1%} (median), {known[-1]:.1%} at most; "
-        f"{covered} of {len(found)} lie in their {LEVEL:.0%} interval{widened}"
+        f": leave-one-out error: median {known[len(known) // 2]:.1%}, max {known[-1]:.1%}; "
+        f"{covered} of {len(found)} are within the {LEVEL:.0%} interval{widened}"
     )
 
 
@@ -324,9 +328,9 @@ def _influence_text(one: Influence) -> str:
 
 def _next_sample_text(choice: Choice, found: NextSample | None, local: bool) -> str:
     if local:
-        return "any machine of the catalog: shapes of one host do not tell how fast its machines are"
+        return "any machine of the catalog: shapes of one host do not show how fast its machines are"
     if found is None:
-        return "nothing is left to measure that could tell more"
+        return "no further sample would add information"
     offer = choice.offers.machine(found.row)
     words = f"{offer.instance} in {offer.infra}, at most {dollars(found.usd)}: "
     saves = "" if found.saves_usd is None else f", which saves {dollars(found.saves_usd)} over the volume"
@@ -346,9 +350,9 @@ def _model_text(model: Model) -> str:
     beside = f" with {model.gpu}" if model.gpu else ""
     values = ", ".join(f"{name} = {rounded(value):g}" for name, value in model.coefficients.items())
     error = (
-        "its error cannot be told"
+        "its error is unknown"
         if model.loo_median_error is None or model.loo_max_error is None
-        else f"a left-out sample is missed by {model.loo_median_error:.1%} (median), {model.loo_max_error:.1%} at most"
+        else f"leave-one-out error: median {model.loo_median_error:.1%}, max {model.loo_max_error:.1%}"
     )
     r2 = "" if model.r2 is None else f"; R² {model.r2:.3f}"
     return f"{model.target}{beside} = {model.formula}, {values}; c = vCPUs, m = GiB; {model.n} samples: {error}{r2}"

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base import units
-from fogspec.base.text import paragraph, shell_command
+from fogspec.base.text import count, paragraph, shell_command
 from fogspec.base.units import dollars
 from fogspec.choice.rule import latency_limit_s
 from fogspec.compile.artifacts import Artifacts
@@ -28,7 +28,7 @@ def summary(compiled: Artifacts, given: "Sequence[str]" = ()) -> str:
     layout, body = compiled.layout, compiled.plan.spec
     catalog = body.catalog
     from_ = f"{catalog.source}, {catalog.date}" if catalog.date else catalog.source
-    lines = [layout.name, _row("catalog", from_, f"{len(compiled.admissible.offers)} admissible machines")]
+    lines = [layout.name, _row("catalog", from_, count(len(compiled.admissible.offers), "admissible machine"))]
     if compiled.inputs.catalog.about.checked is not None:
         lines.append(_row("", "", compiled.inputs.catalog.about.checked))
     if left_out := compiled.admissible.left_out_line():
@@ -37,7 +37,7 @@ def summary(compiled: Artifacts, given: "Sequence[str]" = ()) -> str:
     lines += [_row("", "", note) for note in body.notes[:NOTES]]
     if len(body.notes) > NOTES:
         lines.append(_row("", "", f"more notes in the plan: {len(body.notes) - NOTES}"))
-    lines.append(_row("tasks", f"{layout.tasks}/", f"{len(body.samples)} SkyPilot tasks, one a machine"))
+    lines.append(_row("tasks", f"{layout.tasks}/", f"{count(len(body.samples), 'SkyPilot task')}, one per machine"))
     decision, results = compiled.decision, compiled.results
     if decision is None or results is None:
         return paragraph([*lines, *_unmeasured(compiled, given)])
@@ -48,8 +48,8 @@ def summary(compiled: Artifacts, given: "Sequence[str]" = ()) -> str:
     parts = len(results.spec.samples) - len(own)
     beside = f", beside {parts} measured on parts of these machines" if parts else ""
     spent = dollars(results.spec.spent)
-    count = f"{usable} of {all_of} {'' if left is None else 'planned '}samples count"
-    lines.append(_row("results", str(layout.results), f"{count}{beside}; {spent} spent"))
+    counted = f"{usable} of {all_of} {'' if left is None else 'planned '}samples count"
+    lines.append(_row("results", str(layout.results), f"{counted}{beside}; {spent} spent"))
     lines.append(_row("models", str(layout.models), f"{len(decision.models.spec.models)} fitted"))
     beside = f" and {layout.picture.name}" if layout.picture in compiled.files else ""
     lines.append(_row("menu", f"{layout.menu}{beside}", _menu_text(decision.menu)))
@@ -92,13 +92,13 @@ def _row(name: str, what: str, words: str) -> str:
 def _plan_text(compiled: Artifacts) -> str:
     body = compiled.plan.spec
     estimate = body.estimate
-    count = f"{len(body.samples)} samples"
+    samples = count(len(body.samples), "sample")
     if estimate.total == 0:
-        return f"{count} on this host, free, at most {units.format_duration(body.duration * len(body.samples))} of measuring"
+        return f"{samples} on this host, free, at most {units.format_duration(body.duration * len(body.samples))} of measuring"
     budget = "" if body.budget is None else f", of a budget of {dollars(body.budget)}"
     wall = f"{units.shown_duration(estimate.wall)} if all run at once"
     total = dollars(estimate.total)
-    return f"{count}; measuring costs {units.short_dollars(estimate.measuring)}, at most {total} with set-up{budget}; {wall}"
+    return f"{samples}; measuring costs {units.short_dollars(estimate.measuring)}, at most {total} with set-up{budget}; {wall}"
 
 
 def payoff(compiled: Artifacts) -> "Payoff | None":
@@ -130,7 +130,7 @@ def _next(compiled: Artifacts, command: str) -> list[str]:
 
 def _menu_text(menu: "Menu") -> str:
     body = menu.spec
-    return f"{body.meet} of {body.predicted} machines meet the limits"
+    return f"{body.meet} of {count(body.predicted, 'machine')} {'meets' if body.meet == 1 else 'meet'} the limits"
 
 
 def entry_text(entry: "Entry") -> str:

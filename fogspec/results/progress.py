@@ -40,7 +40,7 @@ def state_text(measured: int, planned: int) -> str:
 def unfinished(application: Application, plan: Plan, results: Results) -> Unfinished | None:
     """Return what is left of a plan, None if it was carried out.
 
-    A sample that failed for good is done. Adaptive sampling ends when no further machine is asked for.
+    A sample that failed for good is done. Adaptive sampling ends when no further machine is requested.
     """
     samples = {sample.id for sample in plan.spec.samples}
     left = sorted(samples - completed(results))
@@ -49,9 +49,9 @@ def unfinished(application: Application, plan: Plan, results: Results) -> Unfini
         more = ", ..." if len(left) > NAMED else ""
         why = f"to measure: {', '.join(left[:NAMED])}{more}"
     elif sampling is not None and sampling.stop_reason is None:
-        why = "the next machines are to be asked for"
+        why = "the next machines are not selected yet"
     elif sampling is not None and not covers(application, sampling):
-        why = "the search box has grown since machines were asked for"
+        why = "the candidates have changed since machines were selected"
     else:
         return None
     return Unfinished(len(samples) - len(left), len(samples), tuple(left), why)

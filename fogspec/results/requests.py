@@ -223,7 +223,7 @@ def _only(wanted: Set[str], metrics: dict[str, object]) -> dict[str, object]:
 
 
 def _text(value: object) -> str | None:
-    """Return a text for people, None if it is no text; equal ones of a million records are one object."""
+    """Return a text for people, None if it is not a string; equal ones of a million records are one object."""
     if not isinstance(value, str):
         return None
     text = value[:200]

@@ -29,7 +29,7 @@ Reason = Literal[
 StoppedBy = Literal["steps", "time", "precision", "exit", "size", "startup", "signal"]
 # Failures worth retrying: transient ones, and samples that never ran.
 RETRYABLE = {"access", "quota", "capacity", "interrupted", "budget"}
-SHOWN_WAIT = 0.01  # of a machine's time, spent waiting for disks, from which people are told
+SHOWN_WAIT = 0.01  # of a machine's time, spent waiting for disks, from which it is shown
 UNAVAILABLE = {"quota", "capacity"}
 
 
@@ -159,7 +159,7 @@ class Measured(Strict):
         if parent is None:
             return self
         if self.machine.cpus >= parent.machine.cpus or self.machine.memory > parent.machine.memory:
-            raise ValueError(f"{self.id} is nested in {parent.machine.instance}, which is no larger")
+            raise ValueError(f"{self.id} is nested in {parent.machine.instance}, which is not larger")
         if self.spent or self.substitute_for is not None:
             raise ValueError(f"{self.id} is nested: its machine is paid for by {parent.sample}")
         return self

@@ -74,7 +74,7 @@ def read(path: Path) -> Pinned:
             link=link,
         )
     except (OSError, KeyError, TypeError, UnicodeDecodeError, yaml.YAMLError) as problem:
-        raise ValueError(f"{path} is no manifest of fogspec: {problem}") from None
+        raise ValueError(f"{path} is not a manifest of fogspec: {problem}") from None
     if link is not None:
         for name in (one for one in digests if one.startswith("link/")):
             _check(path.parent / name, digests[name])

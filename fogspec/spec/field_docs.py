@@ -1,4 +1,4 @@
-"""Every field of the language as a page for people: type, limits, default, unit, meaning, example."""
+"""Every field of the spec as a page for people: type, limits, default, unit, meaning, example."""
 
 import re
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ LIMITS = {
     "le": "at most {}",
     "min_length": "at least {} entry",
 }
-PLAIN = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", Any: "any value"}
+PLAIN = {str: "a string", int: "an integer", float: "a number", bool: "true or false", Any: "any value"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -225,7 +225,7 @@ class SourceFile:
         return found
 
     def plain(self) -> Any:
-        """Return the first document in plain values, None without one; raise DiagnosticError if it is no YAML."""
+        """Return the first document in plain values, None without one; raise DiagnosticError if it is not YAML."""
         if self._canonical is not None:
             return copy.deepcopy(self._canonical)
         nodes, texts, wrong = self._parsed

@@ -126,7 +126,7 @@ def image_of(text: str) -> Image:
         repository = f"library/{repository}"
     fits = re.fullmatch(rf"{PART}(?:/{PART})*", repository) and re.fullmatch(r"\w[\w.-]{0,127}", tag)
     if not fits or (exact and not DIGEST.fullmatch(exact)):
-        raise ValueError(f"{text!r} is no name of a container image")
+        raise ValueError(f"{text!r} is not a name of a container image")
     return Image(name, registry, repository, tag, exact or None)
 
 

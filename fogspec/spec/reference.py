@@ -49,7 +49,7 @@ def fields_page() -> str:
     """Return the text of docs/reference/fields.md."""
     parts = [
         NOTE,
-        "# Fields of the language\n",
+        "# Fields of the spec\n",
         "`kind: Application`, apiVersion fogspec.dev/v1alpha1. "
         "`fogspec explain FIELD` prints the same. Keys that start with `x-` are yours and are ignored.\n",
     ]

@@ -324,7 +324,7 @@ class Objective(Strict):
 
 
 class Machines(Strict):
-    """Instance types allowed or denied, by name or with `*`, and classes that are no candidates unless included."""
+    """Instance types allowed or denied, by name or with `*`, and classes that are not candidates unless included."""
 
     allow: list[str] = Field(
         [],
@@ -416,7 +416,7 @@ class Benchmark(Strict):
     shapes: Annotated[Literal["own", "nested"], affects("plan")] = Field(
         "own",
         description="own: each machine is measured as it is; nested: also confined to its half, quarter and eighth, which "
-        "tell of smaller machines",
+        "inform about smaller machines",
         examples=["nested"],
     )
     servers: Annotated[int, affects("plan")] = Field(
@@ -525,7 +525,7 @@ class Deployment(Strict):
         ge=0,
         le=5,
         examples=[2],
-        description="how many other machines may take its place, best first, when the chosen one cannot be had",
+        description="how many other machines may take its place, best first, if the chosen one is unavailable",
     )
 
 
@@ -605,7 +605,7 @@ class Application(Strict):
     """One partition of a robot's nodes; it gets one machine of its own."""
 
     apiVersion: Annotated[Literal["fogspec.dev/v1alpha1"], affects()] = Field(
-        description="version of the language", examples=["fogspec.dev/v1alpha1"]
+        description="version of the spec schema", examples=["fogspec.dev/v1alpha1"]
     )
     kind: Annotated[Literal["Application"], affects()] = Field(
         description="kind of the document", examples=["Application"]

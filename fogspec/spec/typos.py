@@ -139,7 +139,7 @@ class _Repairer:
             fix, name = f"'{twin}' is there already: remove one of the two", None
         else:
             fix, name = f"known here: {', '.join(fields)}; a key of your own starts with 'x-'", None
-        self.wrong.append(Diagnostic("FS301", f"{dotted(at)} is not a field of the language", span, fix))
+        self.wrong.append(Diagnostic("FS301", f"{dotted(at)} is not a field of the spec", span, fix))
         return name
 
     def _renamed(self, at: Path, span: Span, present: set[str]) -> str | None:

@@ -175,7 +175,7 @@ def test_the_command_that_opens_the_udp_port_is_one_that_a_shell_reads_as_it_is_
     for infra, expected in spoken.items():
         said = link.opening(app, infra, "203.0.113.7")
         what, _, command = said.partition(": ")
-        assert what == "open UDP port 51820 of 203.0.113.7, or the robot finds nobody there"
+        assert what == "open UDP port 51820 of 203.0.113.7, or the robot cannot connect"
         path = {"PATH": f"{tmp_path}:/usr/bin:/bin"}
         run = subprocess.run(["bash", "-ec", command], capture_output=True, text=True, env=path)
         assert (run.returncode, run.stderr) == (0, "")

@@ -63,7 +63,7 @@ def test_the_first_commands_work_in_an_empty_environment(kind: str, built: dict[
         return ended.stdout
 
     assert fogspec("--version").startswith("fogspec, version ")
-    assert "Verbs" in fogspec("--help")
+    assert "Plan and measure" in fogspec("--help")
     fogspec("init", "--name", "my-robot")
     written = {str(path.relative_to(here)) for path in here.rglob("*.*")}
     assert written == {"specs/my-robot.yaml", "schemas/Application.json"}

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from fogspec.base import errors
-from fogspec.cli import VERBS, fogspec
+from fogspec.cli import EXAMPLES, GROUPS, VERBS, fogspec
 from fogspec.spec.field_docs import FieldPage, pages
 from tools.generated import write_or_check
 from tools.json_schemas import KINDS, model_of
@@ -38,10 +38,12 @@ OTHER_ENDS = {
 
 def verbs_page() -> str:
     """docs/reference/verbs.md, from the command line itself."""
-    parts = [NOTE, "# Verbs\n", "`fogspec VERB --help` prints the same.\n", "| verb | what it does |\n|--|--|"]
-    parts += [f"| [`{verb}`](#{verb}) | {meaning} |" for verb, meaning in VERBS.items()]
+    parts = [NOTE, "# Commands\n", "`fogspec COMMAND --help` prints the same."]
+    for title, names in GROUPS.items():
+        parts.append(f"\n**{title}**\n\n| command | purpose |\n|--|--|")
+        parts += [f"| [`{verb}`](#{verb}) | {VERBS[verb]} |" for verb in names]
     context = click.Context(fogspec, info_name="fogspec")
-    for verb in VERBS:
+    for verb in (verb for names in GROUPS.values() for verb in names):
         command = fogspec.get_command(context, verb)
         assert command is not None
         parts += _verb(command, click.Context(command, info_name=verb, parent=context), 2)
@@ -58,6 +60,8 @@ def _verb(command: click.Command, context: click.Context, level: int) -> list[st
     if rows:
         parts.append("\n| option | meaning |\n|--|--|")
     parts += [f"| `{row[0].replace('|', chr(92) + '|')}` | {_cell(row[1])} |" for row in rows if row]
+    if title in EXAMPLES:
+        parts.append(f"\nExample: `{EXAMPLES[title]}`")
     if isinstance(command, click.Group):
         for name in command.list_commands(context):
             inner = command.get_command(context, name)
@@ -74,15 +78,16 @@ def _exit_codes() -> dict[int, str]:
 def files_page() -> str:
     """docs/reference/files.md, from the types of the files."""
     parts = [NOTE, "# Files\n"]
-    parts.append("Every file is YAML 1.2 with a JSON Schema in `schemas/`. Files that fogspec writes say so in their first "
-                 "line, with the command that makes them again.\n")  # fmt: skip
+    parts.append("Each file below is YAML 1.2 with a JSON Schema in `schemas/`. Files that fogspec writes name in their first "
+                 "line the command that regenerates them.\n")  # fmt: skip
     parts.append("| kind | where | written by | schema |\n|--|--|--|--|")
     for kind in KINDS:
         where, by = WHERE[kind]
         parts.append(f"| [{kind}](#{kind.lower()}) | `{where}` | {by} | `schemas/{kind}.json` |")
     parts.append(
-        "\nBeside them: `compiled/agent.pyz` runs on every machine; `compiled/NAME/tasks/*.sky.yaml` and `deploy.sky.yaml` are "
-        "SkyPilot tasks, as `sky launch` reads them; `.fogspec/` is live state and stays out of git."
+        "\nOther files: `compiled/NAME/*.svg` are charts, `report.html` the page of `fogspec report`, `*.launch.py` and "
+        "`link/` what both sides start; `compiled/agent.pyz` runs on every machine; `compiled/NAME/tasks/*.sky.yaml` and "
+        "`deploy.sky.yaml` are SkyPilot tasks, as `sky launch` reads them; `.fogspec/` is live state and stays out of git."
     )
     for kind in KINDS:
         parts.append(f"\n## {kind}\n")

@@ -167,7 +167,7 @@ def test_a_larger_box_is_partial_and_a_smaller_one_fresh(project):
     assert project.read("results/demo.yaml") == before
     write_spec(project, hardware="{cpus: 2..64}")
     project("compile", "specs/demo.yaml", *AT, code=7)
-    assert "the search box has grown" in project("status", "specs/demo.yaml", *AT).out
+    assert "the candidates have changed" in project("status", "specs/demo.yaml", *AT).out
     bench(project)
     project("compile", "specs/demo.yaml", *AT)
     project("status", "specs/demo.yaml", *AT, "--exit-code")

@@ -127,9 +127,9 @@ def test_a_record_that_does_not_follow_from_its_timings(done: Shell) -> None:
 @pytest.mark.parametrize(
     ("content", "path", "says"),
     [
-        (b"no gzip", None, "it is no whole gzip file"),
-        (gzip.compress(b"{}\n" * 1000, mtime=0)[:-9], None, "it is no whole gzip file"),
-        (gzip.compress(b"", mtime=0)[:10] + b"\xff" * 20, None, "it is no whole gzip file"),
+        (b"no gzip", None, "it is not a complete gzip file"),
+        (gzip.compress(b"{}\n" * 1000, mtime=0)[:-9], None, "it is not a complete gzip file"),
+        (gzip.compress(b"", mtime=0)[:10] + b"\xff" * 20, None, "it is not a complete gzip file"),
         (None, "../specs/demo.yaml", "lies outside of"),
     ],
 )

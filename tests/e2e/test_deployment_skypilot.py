@@ -99,7 +99,7 @@ def test_no_contact_while_it_serves(shell: Shell, cloud: Cloud) -> None:
     cloud.fails = lambda _op, _words: Unreachable("the network is down")
     assert status(shell)["health"] == "Unknown"
     shell("status", *AT, "--exit-code", code=3)
-    assert "nobody can say how it is" in shell("apply", MANIFEST, *AT, "--yes", code=6).err
+    assert "status unknown, no contact" in shell("apply", MANIFEST, *AT, "--yes", code=6).err
     assert "the network is down" in shell("down", "demo", code=6).err
     cloud.fails = lambda _op, _words: None
     assert len(cloud.machines) == 1

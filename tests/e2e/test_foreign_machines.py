@@ -41,7 +41,7 @@ def test_a_copied_record_leads_no_command_to_anothers_processes(app: Callable[..
     record = (mine.state / "deployment.yaml").read_bytes()
     for words in (["status"], ["apply", deployed.MANIFEST, "--yes"], ["down", "tiny"], ["down", "specs/tiny.yaml"]):
         ended = mine(*words, code=5)
-        assert f"{name}, which is no machine of tiny of file://" in ended.stderr, words
+        assert f"{name}, which is not a machine of tiny of file://" in ended.stderr, words
         assert (mine.state / "deployment.yaml").read_bytes() == record, words
         assert theirs.alive() == running, words
     (mine.state / "deployment.yaml").unlink()

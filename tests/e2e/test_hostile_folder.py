@@ -149,6 +149,7 @@ def hostile(tmp_path: Path) -> Iterator[Hostile]:
 
 LIFE = (
     ("init", "other"),
+    ("completion", "zsh"),
     ("validate", "specs/tiny.yaml"),
     ("explain", "spec.probe"),
     ("config", "specs/tiny.yaml"),

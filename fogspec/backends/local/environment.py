@@ -1,7 +1,7 @@
 """The variables of this shell that the processes of a job get: a list of what ROS 2 programs need, and no others.
 
 A shell has keys under any name (`OPENAI_KEY`, `GITHUB_PAT`, `KUBECONFIG`), so that no list of what to keep back is whole. HOME
-is the user's own: ROS 2 writes its logs there, packages and models that the user installed are there. This is no sandbox:
+is the user's own: ROS 2 writes its logs there, packages and models that the user installed are there. This is not a sandbox:
 the processes are the user's and can read the user's files.
 """
 

@@ -151,7 +151,7 @@ def pick_cpus(count: int) -> tuple[int, ...]:
     """Return so many of the CPUs this process may use, one of each physical core first; raise ValueError for too many."""
     usable = sorted(os.sched_getaffinity(0))
     if count > len(usable):
-        raise ValueError(f"{count} CPUs were asked for, this process may use {len(usable)}")
+        raise ValueError(f"{count} CPUs were requested, this process may use {len(usable)}")
     cores: dict[str, int] = {}
     turn = {}
     for cpu in usable:

@@ -143,7 +143,7 @@ class SkyPilotSamples(SkyPilotBackend):
             return final
         watch = self._watched.get(job.name) or self._resumed(job)
         if watch is None:
-            detail = "its launch was never asked for"
+            detail = "its launch was never requested"
             return SampleStatus(running=False, lost=True, measured_on=job.machine_name, detail=detail)
         if watch.stage is Stage.FOLLOW:
             watch.tail = logs.read_log(job.files, job.directory / LOG, watch.tail)

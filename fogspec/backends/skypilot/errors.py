@@ -14,7 +14,7 @@ from typing import Any, get_args
 from fogspec.results.schema import Reason
 
 DETAIL_LIMIT = 500
-FORGOTTEN = "SkyPilot knows of no launch of it: none was asked for, or its API server has begun anew since"
+FORGOTTEN = "SkyPilot knows of no launch of it: none was requested, or its API server has restarted since"
 # The traceback of an API server that failed: nothing in it is about the machine.
 SERVER_TRACEBACK = re.compile(r"[\s+|]*Exception Group Traceback \(most recent call last\):.*", re.DOTALL)
 # botocore.exceptions.ClientError.MSG_TEMPLATE
@@ -24,7 +24,7 @@ REFUSAL = re.compile(
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 # The first match decides: a quota is often reported as a lack of capacity, never the other way round. Too many requests
-# at once are no quota: they are answered soon.
+# at once are not quota: they are answered soon.
 WORDS: tuple[tuple[Reason, bool, str], ...] = (
     ("capacity", True, r"RequestLimitExceeded|Throttling"),
     ("quota", False, r"quota|LimitExceeded|MaxSpotInstanceCount|limit of .{0,40}(instances|vcpus)|exceeded.{0,20}limit"

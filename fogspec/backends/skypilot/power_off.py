@@ -1,4 +1,4 @@
-"""A timer, set by a machine's first boot, that turns it off: an end that needs nobody.
+"""A timer, set by a machine's first boot, that turns it off: an end without any supervisor.
 
 SkyPilot arms autostop once a machine has booted and has its files. Until then, only what the cloud does with the machine's user
 data can end it. On AWS SkyPilot adds the commands of `aws.post_provision_runcmd` to the user data. A task cannot set them;

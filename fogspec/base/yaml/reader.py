@@ -23,7 +23,7 @@ UNUSABLE = re.compile("[\x00\ud800-\udfff]")
 
 
 class _Stop(Exception):
-    """Reading a file cannot go on."""
+    """Reading a file cannot continue."""
 
 
 def decode(content: bytes, path: str, most_bytes: int = MOST_BYTES) -> tuple[str, list[Diagnostic]]:
@@ -176,7 +176,7 @@ class _Composer:
         self._count(1, span)
         if event.ctag is not None:
             tag = str(event.ctag).replace("tag:yaml.org,2002:", "!!")
-            self._refuse("FS109", f"the tag {tag} is not part of the language", span, "remove it")
+            self._refuse("FS109", f"the tag {tag} is not supported in a spec", span, "remove it")
         if isinstance(event, ScalarEvent):
             node = self._scalar(event, span)
         elif isinstance(event, MappingStartEvent):
@@ -232,7 +232,7 @@ class _Composer:
 
     def _key(self, key: Node, values: dict[str, Node], node: Node) -> str | None:
         if isinstance(key.value, (dict, list)) or key.empty or (not key.quoted and key.value is None):
-            self._refuse("FS113", "a key must be a text", key.span)
+            self._refuse("FS113", "a key must be a string", key.span)
             return None
         if key.text == "<<" and not key.quoted:
             self._refuse(

@@ -28,7 +28,7 @@ SCALARS = (
 
 
 class NotYaml(Exception):
-    """A text that is no YAML, or has tags or aliases that ROS 2 would not read."""
+    """A text that is not YAML, or has tags or aliases that ROS 2 would not read."""
 
 
 def read11_text(text: str) -> Any:

@@ -21,7 +21,7 @@ LEADING_ZERO = re.compile(r"[-+]?0[0-9][0-9_]*(\.[0-9_]*)?([eE][-+]?[0-9]+)?")
 SEXAGESIMAL = re.compile(r"[-+]?[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?")
 UNDERSCORED = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(\.[0-9_]*)?")
 LONGEST_NUMBER = 40
-# Characters that are no text, or hide it: controls, separators other than a line feed, changes of reading direction.
+# Characters that are not text, or hide it: controls, separators other than a line feed, changes of reading direction.
 HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufeff\ufffe\uffff]")
 
 
@@ -59,10 +59,10 @@ def _number(text: str) -> str | int | float | Refusal:
             "FS110", f"{text} is octal to some readers and decimal to others", f"write {kept}, or '{text}' in quotes"
         )
     if SEXAGESIMAL.fullmatch(text):
-        return Refusal("FS110", f"{text} is a number in base 60 to some readers and text to others",
+        return Refusal("FS110", f"{text} is a number in base 60 to some readers and a string to others",
                        f"write '{text}' in quotes, or a duration such as 5min")  # fmt: skip
     if UNDERSCORED.fullmatch(text):
-        return Refusal("FS110", f"{text} is a number to some readers and text to others",
+        return Refusal("FS110", f"{text} is a number to some readers and a string to others",
                        f"write {text.replace('_', '')}, or '{text}' in quotes")  # fmt: skip
     whole, based = INTEGER.fullmatch(text), BASED.fullmatch(text)
     if not (whole or based or FLOAT.fullmatch(text)):
@@ -73,8 +73,6 @@ def _number(text: str) -> str | int | float | Refusal:
         value = int(text, 0) if based else int(text)
         if -(2**63) <= value < 2**63:
             return value
-        return Refusal(
-            "FS111", "a whole number must fit into 64 bits", f"write {float(value)!r}, or '{text}' in quotes"
-        )
+        return Refusal("FS111", "an integer must fit into 64 bits", f"write {float(value)!r}, or '{text}' in quotes")
     number = float(text)
     return number if math.isfinite(number) else Refusal("FS111", "a number must be finite", "write a smaller number")

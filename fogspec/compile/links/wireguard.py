@@ -66,7 +66,7 @@ class WireGuard:
         if not cloud.on_skypilot:
             return None
         port = application.spec.connectivity.port or self.port
-        what = f"open UDP port {port} of {address}, or the robot finds nobody there"
+        what = f"open UDP port {port} of {address}, or the robot cannot connect"
         if cloud.open_udp is None:
             return f"{what}: SkyPilot opens TCP ports only"
         return f"{what}: {cloud.open_udp.format(region=region, address=address, port=port)}"

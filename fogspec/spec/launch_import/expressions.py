@@ -1,4 +1,4 @@
-"""Expressions of Python launch files: their values, as far as these can be told without running anything."""
+"""Expressions of Python launch files: their values, as far as they are known without running anything."""
 
 import ast
 import operator
@@ -149,7 +149,7 @@ class Expressions(ABC):
             value = self.value(one, scope)
             if key is None:
                 if not isinstance(value, dict):
-                    return value if isinstance(value, Unknown) else Unknown(self.place(one), "it is no dictionary")
+                    return value if isinstance(value, Unknown) else Unknown(self.place(one), "it is not a dictionary")
                 found |= value
             else:
                 name = self.value(key, scope)
@@ -252,7 +252,7 @@ class Expressions(ABC):
                 return None
             values = self.value(rest[0].iter, inner)
             if isinstance(values, (Unknown, Made, Named, Function)):
-                return values if isinstance(values, Unknown) else Unknown(self.place(rest[0].iter), "it is no list")
+                return values if isinstance(values, Unknown) else Unknown(self.place(rest[0].iter), "it is not a list")
             for one in list(values):
                 self.found.spend(1)
                 self.assign(rest[0].target, one, inner)

@@ -43,7 +43,9 @@ def cloud_node(context: Context, made: Made) -> None:
     for one in topics if isinstance(topics, (list, tuple)) else []:
         pair = [context.perform(side, made.place) for side in one] if isinstance(one, (list, tuple)) else []
         if len(pair) != 2 or not all(isinstance(side, str) for side in pair):
-            context.found.note(made.place, "a streamed topic is not taken over: it is no pair of topic and transport")
+            context.found.note(
+                made.place, "a streamed topic is not taken over: it is not a pair of topic and transport"
+            )
             continue
         _stream(context, str(pair[0]), str(pair[1]))
 

@@ -49,7 +49,7 @@ class Library:
     def text(self, value: Any, place: Place) -> str:
         """Return a text or path, or raise TypeError."""
         if not isinstance(value, (str, PurePosixPath)):
-            raise TypeError("it is no text")
+            raise TypeError("it is not a string")
         return str(value)
 
     def environment(self, name: Any, default: Any, place: Place) -> Any:

@@ -128,7 +128,7 @@ def _condition(context: Context, condition: Any) -> bool | Unknown:
     if isinstance(condition, Unknown):
         return condition
     if not isinstance(condition, Made):
-        return Unknown(Place(context.file, 1), "it is no condition")
+        return Unknown(Place(context.file, 1), "it is not a condition")
     if condition.kind in ("IfCondition", "UnlessCondition"):
         value = context.truth(condition.word("predicate_expression", 0), condition.place)
         return value if isinstance(value, Unknown) else value is (condition.kind == "IfCondition")
@@ -230,7 +230,7 @@ def _remappings(context: Context, items: Any, place: Place) -> dict[str, str]:
     for one in items if isinstance(items, (list, tuple)) else []:
         if not isinstance(one, (list, tuple)) or len(one) != 2:
             where = one.place if isinstance(one, (Unknown, Made)) else place
-            context.found.note(where, "a remapping is not taken over: it is no pair of names")
+            context.found.note(where, "a remapping is not taken over: it is not a pair of names")
             continue
         source, target = (context.perform(side, place) for side in one)
         for side in (source, target):

@@ -105,7 +105,7 @@ def _read(context: Context, text: str, place: Place) -> Any:
     try:
         value = context.typed(text)
     except NotYaml:
-        raise Refused(place, f"launch_ros refuses '{text[:60]}': it is no YAML") from None
+        raise Refused(place, f"launch_ros refuses '{text[:60]}': it is not YAML") from None
     if isinstance(value, list):
         if not value or len({type(one) for one in value}) > 1 or not isinstance(value[0], SCALARS):
             raise Refused(place, f"launch_ros refuses '{text[:60]}': a list must have values of one type")

@@ -29,7 +29,7 @@ class Return(Exception):
 
 
 class Loop(Exception):
-    """A loop ends, or goes on with its next item."""
+    """A loop ends, or continues with its next item."""
 
     def __init__(self, again: bool) -> None:
         self.again = again

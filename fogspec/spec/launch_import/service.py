@@ -82,7 +82,7 @@ class Service:
         """Return the value of a Python expression, as far as the interpreter reads it."""
         tree = parsed_expression(text)
         if tree is None:
-            return Unknown(place, f"'{text[:60]}' is no Python expression")
+            return Unknown(place, f"'{text[:60]}' is not a Python expression")
         interpreter = Interpreter("", place.path, LaunchImport(path=place.path), Library(self.context))
         interpreter.found.work = self.found.work
         value = interpreter.value(tree, Scope({}))
@@ -325,7 +325,7 @@ class Service:
         for one in pairs:
             if not isinstance(one, (list, tuple)) or len(one) != 2:
                 where = one.place if isinstance(one, (Made, Unknown)) else place
-                self.found.note(where, "an argument of an included file is not taken over: it is no pair")
+                self.found.note(where, "an argument of an included file is not taken over: it is not a pair")
                 continue
             name = self.context.perform(key_of(one[0]), place)
             if isinstance(name, str):

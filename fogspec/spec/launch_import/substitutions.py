@@ -86,7 +86,7 @@ class Context:
             return do(self, value)
         if isinstance(value, (bool, int, float)):
             return str(value)
-        return Unknown(place, "it is no text")
+        return Unknown(place, "it is not a string")
 
     def truth(self, value: Any, place: Place) -> bool | Unknown:
         """Return a condition's value as launch reads it: true, 1, false or 0."""
@@ -98,7 +98,7 @@ class Context:
             return True
         if word in ("false", "0"):
             return False
-        return Unknown(place, f"'{text[:60]}' is no condition: launch refuses it")
+        return Unknown(place, f"'{text[:60]}' is not a condition: launch refuses it")
 
     def read(self, path: str) -> str | None:
         """Return the text of a file that a package or this machine has; None if it is not here."""
@@ -143,7 +143,7 @@ def _variable(context: Context, made: Made) -> str | Unknown:
         return name
     if name in context.configurations:
         value = context.configurations[name]
-        return value if isinstance(value, (str, Unknown)) else Unknown(made.place, f"{name} is no text")
+        return value if isinstance(value, (str, Unknown)) else Unknown(made.place, f"{name} is not a string")
     default = made.word("default", 1)
     if default is None:
         return Unknown(made.place, f"the launch argument {name} is not given")

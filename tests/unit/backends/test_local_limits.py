@@ -53,7 +53,7 @@ def test_a_grandchild_sees_just_so_many_cpus(tmp_path, cpus):
 
 
 def test_more_cpus_than_there_are_is_an_error(tmp_path):
-    with pytest.raises(ValueError, match="CPUs were asked for"):
+    with pytest.raises(ValueError, match="CPUs were requested"):
         run(tmp_path, "pass", cpus=len(ALL) + 1)
 
 

@@ -50,7 +50,7 @@ def test_a_label_of_another_owner_outweighs_the_name() -> None:
 
 def test_no_job_has_the_name_of_another_owners_machine(tmp_path: Path) -> None:
     for name in (OTHERS[0].deployment_name(DIGEST, "0123ab"), *OLD, "Documents", "."):
-        with pytest.raises(ForeignMachine, match="no machine of demo of forge"):
+        with pytest.raises(ForeignMachine, match="not a machine of demo of forge"):
             Job(name=name, owner=OWNER, task={}, root=tmp_path, directory=tmp_path)
 
 

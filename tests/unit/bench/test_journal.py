@@ -189,7 +189,7 @@ def test_a_foreign_name_in_the_journal_is_named(tmp_path):
     path = tmp_path / "journal.jsonl"
     owner = Owner("a repository", "default", "a")
     journal = whole(path)
-    with pytest.raises(ForeignMachine, match="names c, which is no machine of"):
+    with pytest.raises(ForeignMachine, match="names c, which is not a machine of"):
         journal.check_owned(owner)
     journal.end("c", 0.0, None)
     journal.check_owned(owner)

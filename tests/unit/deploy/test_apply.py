@@ -156,7 +156,7 @@ def test_want_of_capacity_known_late_goes_on_to_the_next(world: World, reason: s
     served = world.apply(FIRST, "a", "b").run()
     assert (served.machine.instance, served.fallback) == ("b", 1)
     assert world.backend.log == ["start a", "end a", "start b"]
-    assert any("a in aws/r1 cannot be had: sold out; the next is tried" in line for line in world.said)
+    assert any("a in aws/r1 is unavailable: sold out; trying the next" in line for line in world.said)
 
 
 def test_what_another_machine_would_not_mend(world: World) -> None:
@@ -223,9 +223,9 @@ def test_silence_while_waiting_is_waited_out(world: World) -> None:
 def test_silence_starts_nothing_new(world: World) -> None:
     world.apply(FIRST, "b").run()
     world.backend.says["b"] = [Unreachable("timeout")]
-    with pytest.raises(CloudError, match="nobody can say how it is"):
+    with pytest.raises(CloudError, match="status unknown, no contact with the machine"):
         world.apply(FIRST, "b").current()
-    with pytest.raises(CloudError, match="nobody can say how it is"):
+    with pytest.raises(CloudError, match="status unknown, no contact with the machine"):
         world.apply(SECOND, "b").adopt()
     assert world.backend.log == ["start b"]
 

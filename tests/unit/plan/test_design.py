@@ -31,7 +31,7 @@ def test_the_cheapest_machine_of_each_cell_is_taken_and_every_gap_is_said() -> N
     said = "\n".join(found.notes)
     assert "GPU none: sizes of one kind of CPU, c6i, m6i, r6i; sampler: adaptive compares all 2 kinds" in said
     assert "GPU none: the median vCPU count is also the smallest or largest: its cells are skipped" in said
-    assert "GPU T4: 4 vCPUs with median memory: g4dn.xlarge again, sampled once" in said
+    assert "GPU T4: 4 vCPUs with median memory: g4dn.xlarge is a duplicate: sampled once" in said
     assert "GPU A100: no admissible machine, nothing is sampled" in said
 
 
@@ -79,7 +79,7 @@ def test_ids_name_the_machine_and_nothing_else() -> None:
 def test_overlapping_places_sample_a_machine_once() -> None:
     found = picked(application({"machines": {"allow": ["m6i.*"]}}, ["aws/us-east-1", "aws"]), table(*OFFERS))
     assert len(found.samples) == 1
-    assert "aws/us-east-1 m6i.large is found twice, sampled once" in found.notes
+    assert "aws/us-east-1 m6i.large is a duplicate: sampled once" in found.notes
 
 
 def test_a_list_is_taken_as_it_stands_and_says_what_is_no_candidate() -> None:
@@ -92,7 +92,7 @@ def test_a_list_is_taken_as_it_stands_and_says_what_is_no_candidate() -> None:
         ("local", "2cpu-4gib", 0.0),
     ]
     assert found.notes == (
-        "g4dn.xlarge is listed in benchmark.machines, and is no candidate: hardware does not admit it",
+        "g4dn.xlarge is listed in benchmark.machines, and is not a candidate: hardware does not admit it",
     )
 
 

@@ -227,5 +227,5 @@ def test_without_a_manifest_it_says_what_to_do(tmp_path: Path) -> None:
 
 def test_a_file_that_is_no_manifest_is_refused(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FOGSPEC_MANIFEST", str(project / "compiled" / "grasp-planning-recorded" / "menu.yaml"))
-    with pytest.raises(ValueError, match="is no manifest of fogspec"):
+    with pytest.raises(ValueError, match="is not a manifest of fogspec"):
         launched(launch_file(project))

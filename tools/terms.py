@@ -1,0 +1,76 @@
+"""Check the words of README, docs, help and messages against the style guide: `python -m tools.terms`.
+
+`docs/style.md` has the terms to write. Code spans and blocks of pages are what commands print: that is checked at its source.
+The agent is left out: its bytes are pinned by digest in every plan.
+"""
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+BANNED = {
+    r"nobody|somebody|whoever": "name the actor",
+    r"foretold|foretells?": "predicted",
+    r"\banew": "again, recomputed",
+    r"\bgoes on\b(?! top)": "continues, resumes",
+    r"asked for\b": "requested, required",
+    r"weighed sum": "objective value",
+    r"dearer": "more expensive",
+    r"for want of": "for lack of",
+    r"cannot be had|can be had": "unavailable",
+    r"whole numbers?\b": "integer",
+    r"found twice": "duplicate",
+    r"left-out (sample|machine)": "leave-one-out error",
+    r"rules? out\b(?! of)": "excludes",
+    r"of the language": "of the spec",
+    r"(?<!there )(?<!when )\bis no (?!longer\b|such\b|more\b|doubt\b|problem\b|reason\b|exception\b|end\b|one\b)": "is not a",
+    r"\b1 (machines|samples|requests|files|applications) ": "1 machine",
+    r"\$\d+\.\d{6,}": "three significant digits",
+}
+PATTERN = re.compile("|".join(f"(?P<p{number}>{one})" for number, one in enumerate(BANNED)), re.IGNORECASE)
+FENCE = re.compile(r"^( *)```.*?^\1```", re.MULTILINE | re.DOTALL)
+SPAN = re.compile(r"`[^`\n]*`")
+NOT_OURS = ("the-paper.md", "codes.md", "fields.md", "verbs.md", "files.md")  # generated: their source is checked
+
+
+def main() -> int:
+    """Print each banned word with its place and what to write; return 1 if there is one."""
+    found = [*_pages(), *_code()]
+    for path, line, word, better in found:
+        print(f"{path}:{line}: {word!r}: write {better} (docs/style.md)")
+    print(f"{len(found)} banned words")
+    return 1 if found else 0
+
+
+def _pages() -> Iterator[tuple[Path, int, str, str]]:
+    pages = [path for path in (ROOT / "docs").rglob("*.md") if "adr" not in path.parts and path.name not in NOT_OURS]
+    for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(pages)]:
+        text = path.read_text("utf-8")
+        for pattern in (FENCE, SPAN):
+            text = pattern.sub(lambda part: re.sub(r"[^\n]", " ", part[0]), text)
+        yield from ((path.relative_to(ROOT), *one) for one in _banned(text))
+
+
+def _code() -> Iterator[tuple[Path, int, str, str]]:
+    codes = ROOT / "fogspec" / "spec" / "codes.toml"
+    yield from ((codes.relative_to(ROOT), *one) for one in _banned(codes.read_text("utf-8")))
+    for path in sorted((ROOT / "fogspec").rglob("*.py")):
+        if "agent" in path.parts:
+            continue
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                for line, word, better in _banned(node.value):
+                    yield path.relative_to(ROOT), node.lineno + line - 1, word, better
+
+
+def _banned(text: str) -> Iterator[tuple[int, str, str]]:
+    better = list(BANNED.values())
+    for one in PATTERN.finditer(text):
+        yield text.count("\n", 0, one.start()) + 1, one[0], better[int(str(one.lastgroup)[1:])]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
