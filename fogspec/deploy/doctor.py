@@ -59,7 +59,7 @@ class Check:
 def checks(loaded: Sequence[LoadedSpec], catalog: str | None, times: WallClock, backend_for: Backends) -> list[Check]:
     """Return the checks of these applications, then those of this computer.
 
-    SkyPilot is asked for its access only if a place of theirs is a cloud. Raise DiagnosticError for a damaged lock.
+    SkyPilot is requested its access only if a place of theirs is a cloud. Raise DiagnosticError for a damaged lock.
     """
     found = [check for one in loaded for check in _application(one, catalog, times)]
     places = sorted({place for one in loaded for place in one.application.spec.infra if cloud_of(place).on_skypilot})
@@ -194,7 +194,7 @@ def _left_over(layout: Layout, times: WallClock) -> Iterator[Check]:
         if doubt.startswith((str(layout.journal), str(layout.live)))
     ]
     if layout.files.is_file(layout.journal):
-        again = f"{shell_command('fogspec', 'bench', layout.spec)} goes on and takes it down, unless one runs now"
+        again = f"{shell_command('fogspec', 'bench', layout.spec)} continues and takes it down, unless one runs now"
         wrong += [
             Check(name, "left over", State.PROBLEM, f"{one} was measuring and is not verified gone", (again, down))
             for one in JournalState.read(layout.files.read(layout.journal)).open
