@@ -27,7 +27,7 @@ ROWS = (  # name, sampler, method
     ("CherryPick-like: expected improvement, stop at 10 %", "cherrypick", None),
     ("**fogspec**", "adaptive", None),
     ("a full sweep under the same rule", "full", "verified"),
-    ("only the best machine (nobody knows it)", "best", None),
+    ("only the best machine (an oracle)", "best", None),
 )
 SHORT = (0, 2, 3, 4)  # of the rows, in README
 TITLES = {"family": "one generation of machines", "gpu": "GPU and CPU machines"}

@@ -55,7 +55,7 @@ def test_names_are_read_as_docker_reads_them(text: str, registry: str, repositor
 
 @pytest.mark.parametrize("text", ["", "ROS:jazzy", "ros:jaz zy", "ros@sha256:12", "a//b", "../../etc:x", "a:b?c=d"])
 def test_what_is_no_name_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="no name of a container image"):
+    with pytest.raises(ValueError, match="not a name of a container image"):
         image_of(text)
 
 
