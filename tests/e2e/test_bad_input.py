@@ -92,7 +92,7 @@ def test_a_price_that_is_missing_in_a_catalog(scene):
     assert "no price" in ended.stderr
     assert "no machine of the catalog is admissible" in ended.stderr
     assert "stale: it stays, and apply refuses it" in ended.stdout
-    assert scene.run("apply", "--dry-run").returncode == 3
+    assert scene.run("status", "--exit-code").returncode == 3
 
 
 def test_results_that_were_edited_stay_as_they_are(scene):

@@ -73,11 +73,15 @@ def _is_of_another(pid: int, variable: str, value: str) -> bool:
 
 
 def end(find: Find, grace_s: float, force: Callable[[], object] = lambda: None) -> list[int]:
-    """Send TERM, after `grace_s` call `force`, and kill until `find` finds no process; return those that are left."""
+    """Send TERM, after `grace_s` call `force`, and kill until `find` finds no process; return those that are left.
+
+    TERM goes to the uppermost of them, which pass it on: a launcher looks first at what the others have in shared memory.
+    """
     if not (some := _rechecked(find)):
         force()
         return []
-    send(some, signal.SIGTERM)
+    known = living()
+    send([pid for pid in some if pid not in known or known[pid].parent not in some], signal.SIGTERM)
     until_s = time.monotonic() + grace_s
     while find() and time.monotonic() < until_s:
         time.sleep(0.05)
