@@ -171,10 +171,16 @@ LIFE = (
     ("diff", "specs/tiny.yaml"),
     ("down", "tiny"),
 )
-NEVER_WELL = (("keys", "specs/tiny.yaml"), ("priors", "build", "--out", "priors.zip"), ("evaluate", "specs/tiny.yaml"))
+NEVER_WELL = (
+    ("doctor", "specs/tiny.yaml"),
+    ("keys", "specs/tiny.yaml"),
+    ("priors", "build", "--out", "priors.zip"),
+    ("evaluate", "specs/tiny.yaml"),
+)
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)  # every verb, each in a process of its own
 def test_no_verb_runs_what_lies_in_the_working_folder(hostile: Hostile) -> None:
     assert {words[0] for words in (*LIFE, *NEVER_WELL)} == set(VERBS)
     for words in LIFE:

@@ -47,6 +47,8 @@ VERBS: tuple[tuple[str, ...], ...] = (
     ("diff", *AT, "-o", "json"),
     ("diff", *AT, "-o", "markdown"),
     ("review", "HEAD", *AT),
+    ("doctor", "demo", *AT),
+    ("doctor", "demo", *AT, "-o", "json"),
     ("bench", "demo", "--runner", "local", "--dry-run"),
     ("apply", MANIFEST, *AT, "--dry-run"),
     ("report", "demo", *AT, "--to", "-"),

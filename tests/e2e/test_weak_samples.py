@@ -256,7 +256,7 @@ def test_samples_against_the_ranges_widen_them_and_what_was_assumed_is_said(shel
     [widened] = [text for text in found["menu"]["warnings"] if "widened" in text]
     [assumed] = [text for text in found["menu"]["warnings"] if "is assumed to err by 2.5%" in text]
     assert "of 6 measured machines lie in the 90% range that the others give them" in widened
-    assert assumed.startswith("how far requests are apart is not known of 6 of 6 samples")
+    assert assumed.startswith("the spread of requests is unknown for 6 of 6 samples")
     manifest = (shell.folder / "compiled/demo/manifest.yaml").read_text()
     text = shell("explain", "specs/demo.yaml", "--catalog", "offers.csv").out
     assert widened in text
