@@ -38,6 +38,7 @@ class Range:
 
 HOURS_PER_DAY = 24
 HOURS_PER_MONTH = 730
+REQUESTS_SHOWN, REQUESTS_TEXT = 1000, "1,000 requests"  # whose cost people are shown
 SECONDS_PER_MONTH = 3600 * HOURS_PER_MONTH
 
 NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
@@ -303,7 +304,7 @@ def shown_month(usd_per_hour: float) -> str:
 
 def shown_cost(usd_per_request: float) -> str:
     """Return `$0.241 per 1,000 requests`, for people: the one unit in which costs are compared."""
-    return f"{short_dollars(1000 * usd_per_request)} per 1,000 requests"
+    return f"{short_dollars(REQUESTS_SHOWN * usd_per_request)} per {REQUESTS_TEXT}"
 
 
 def format_cost(usd_per_request: float) -> str:

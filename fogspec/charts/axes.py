@@ -90,12 +90,3 @@ def money(usd: float) -> str:
     while "." in text and text.endswith("0") and len(text.partition(".")[2]) > 2:
         text = text[:-1]
     return f"${text}"
-
-
-def requests_unit(costs: Sequence[float]) -> tuple[float, str]:
-    """Return the number of requests whose cost has short figures, and its name behind "per"."""
-    middle = sorted(costs)[len(costs) // 2]
-    for factor, words in ((1, "request"), (1000, "1,000 requests")):
-        if middle * factor >= 0.01:
-            return factor, words
-    return 10**6, "million requests"

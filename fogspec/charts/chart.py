@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.charts.axes import LEAST_SPAN, Axis, axis, money, number, requests_unit, seconds
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT
+from fogspec.charts.axes import LEAST_SPAN, Axis, axis, money, number, seconds
 from fogspec.choice.menu import LEVEL
 from fogspec.model.predict import Predictions
 
@@ -145,13 +146,11 @@ class View:
 
 
 def per_request(chart: Chart) -> View:
-    """Return the view by cost per request, for a number of requests that keeps the figures short."""
-    costs = [*chart.crowd.cost_usd_per_request.tolist(), *positive(chart.cost_limit_usd_per_request)]
-    factor, unit = requests_unit(costs or [m.cost_usd_per_request for m in chart.machines])
+    """Return the view by cost per request, in the unit that people are shown."""
     bounds = _y_bounds(chart)
     for cost in positive(chart.cost_limit_usd_per_request):
         bounds.append(
-            Bound(name="cost", words=f"cost limit {money(cost * factor)}", a=1.0, b=0.0, most=math.log10(cost))
+            Bound(name="cost", words=f"cost limit {money(cost * REQUESTS_SHOWN)}", a=1.0, b=0.0, most=math.log10(cost))
         )
     for price in positive(chart.price_limit_usd_per_hour):
         words = f"price limit {money(price)}/h"
@@ -163,8 +162,8 @@ def per_request(chart: Chart) -> View:
         heading="per request",
         x="cost_usd_per_request",
         front="on_front",
-        x_label=f"cost per {unit}",
-        x_words=lambda usd: money(usd * factor),
+        x_label=f"cost per {REQUESTS_TEXT}",
+        x_words=lambda usd: money(usd * REQUESTS_SHOWN),
         bounds=bounds,
     )
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.text import line
-from fogspec.charts.axes import money, number, requests_unit, seconds
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT
+from fogspec.charts.axes import money, number, seconds
 from fogspec.charts.chart import Chart, Crowd, PlottedMachine, interval_of
 from fogspec.charts.text import HEAD, LEAD, SIZE, shortened
 from fogspec.choice.choose import Choice
@@ -136,8 +137,7 @@ def _bound(choice: Choice, miss: Violation) -> str:
         case "latency" | "rate":
             return seconds(miss.bound)
         case "cost":
-            factor, words = per(choice)
-            return f"{money(miss.bound * factor)} per {words}"
+            return f"{money(miss.bound * REQUESTS_SHOWN)} per {REQUESTS_TEXT}"
         case "price":
             return f"{money(miss.bound)}/h"
         case _:
@@ -151,20 +151,12 @@ def _name(choice: Choice, row: int, room: float, size: float = HEAD) -> str:
     return shortened(name, room, size, bold=True)
 
 
-def per(choice: Choice) -> tuple[float, str]:
-    """Return the number of requests whose cost is shown, and its name."""
-    costs = choice.cost_usd_per_request[choice.eligible & _drawable(choice)].tolist()
-    bound = choice.bounds.get("cost")
-    return requests_unit([*costs, *([bound] if bound else [])] or [1.0])
-
-
 def _lead(choice: Choice) -> list[tuple[str, bool]]:
     """Return the line about the choice: shape, price, latency and cost, of which the last two are bold."""
     row = choice.chosen
     if row is None:
         return []
     machine = choice.offers.machine(row)
-    factor, unit = per(choice)
     gpu = f", {line(machine.gpu.label)}" if machine.gpu else ""
     shape = f"{machine.cpus:g} vCPU, {number(machine.memory)} GiB{gpu}"
     shape = f"{shortened(shape, 210, LEAD)} · {money(machine.price)}/h · "
@@ -178,8 +170,8 @@ def _lead(choice: Choice) -> list[tuple[str, bool]]:
     return [
         (shape, False),
         *what,
-        (money(float(choice.cost_usd_per_request[row]) * factor), True),
-        (f" per {unit}", False),
+        (money(float(choice.cost_usd_per_request[row]) * REQUESTS_SHOWN), True),
+        (f" per {REQUESTS_TEXT}", False),
     ]
 
 
@@ -211,11 +203,10 @@ def _rows(choice: Choice) -> list[tuple[str, str]]:
     for role, row in named(choice).items():
         if role == "chosen":
             continue
-        factor, _ = per(choice)
         metric = choice.rule.metric
         value = float(choice.metric_value[row])
         words = f"{number(value)} {line(choice.rule.units.get(metric, ''))}".strip() if metric else seconds(value)
-        cost = money(float(choice.cost_usd_per_request[row]) * factor)
+        cost = money(float(choice.cost_usd_per_request[row]) * REQUESTS_SHOWN)
         name = _name(choice, row, 190, SIZE)
         found.append((line(role), f"{name}: {words}, {cost} ({_how(choice, row)}); {_why_not(choice, row)}"))
     return found

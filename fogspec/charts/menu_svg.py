@@ -8,6 +8,7 @@ import numpy as np
 
 from fogspec.base.templates import render
 from fogspec.base.text import line
+from fogspec.base.units import shown_cost
 from fogspec.charts.axes import Axis, money
 from fogspec.charts.chart import Chart, PlottedMachine, View, per_request, ranged, y_range, y_words
 from fogspec.charts.frame import (
@@ -174,7 +175,7 @@ def _mark(chart: Chart, machine: PlottedMachine, view: View, found: Frame) -> Ma
     where = "" if machine.nested_in is None else f" on {line(machine.nested_in)}"
     title = (
         f"{machine.name}: {words(machine.y)} ({'measured' if machine.measured or where else 'predicted'}{where}), "
-        f"{money(machine.cost_usd_per_request)} per request, {money(machine.price_usd_per_hour)}/h"
+        f"{shown_cost(machine.cost_usd_per_request)}, {money(machine.price_usd_per_hour)}/h"
         + ("" if machine.meets else "; misses a limit")
     )
     chosen = machine.role == "chosen"

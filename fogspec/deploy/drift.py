@@ -149,5 +149,5 @@ def violation_text(limit: Limit, observed: Observed, expected: Expected) -> str:
         return f"{expected.latency.statistic} latency is over its limit of {most_s}"
     if limit is Limit.COST:
         cost, most = observed.cost_usd_per_request or 0.0, expected.cost.limit or 0.0
-        return f"a request costs {units.format_cost(cost)}, over its limit of {units.format_cost(most)}"
+        return f"a cost of {units.shown_cost(cost)} is over its limit of {units.shown_cost(most)}"
     return f"{observed.failed} of {observed.requests + observed.failed} requests failed"

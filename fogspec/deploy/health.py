@@ -215,7 +215,7 @@ def _observed_words(seen: Observed, manifest: Manifest) -> str:
         f"observed {expected.statistic} {units.format_duration(rounded(seen.value_s))}{interval_text(seen.interval_s)}"
     )
     failed = f", {seen.failed} failed" if seen.failed else ""
-    cost = "" if seen.cost_usd_per_request is None else f", {units.format_cost(rounded(seen.cost_usd_per_request))}"
+    cost = "" if seen.cost_usd_per_request is None else f", {units.shown_cost(seen.cost_usd_per_request)}"
     unsaid = ", without an interval: drift cannot be seen" if expected.interval is None else ""
     return f"{value} of the latest {seen.requests} requests{failed}{cost}; {predicted}{unsaid}"
 

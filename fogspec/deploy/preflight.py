@@ -9,7 +9,6 @@ from fogspec.audit.verify import remedy, verify
 from fogspec.base import digest, units
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import OutOfDate
-from fogspec.base.units import rounded
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
@@ -133,7 +132,7 @@ def as_text(plan: LaunchPlan) -> list[str]:
         f"  task      {plan.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
         f"  costs     {price_words(first.price_usd_per_hour)}",
         f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}"
-        f"{interval_text(latency.interval)}{limit}; {units.format_cost(rounded(manifest.expected.cost.predicted))}",
+        f"{interval_text(latency.interval)}{limit}; {units.shown_cost(manifest.expected.cost.predicted)}",
     ]
     if (partial := manifest.provenance.partial) is not None:
         lines.append(f"  partial   {state_text(partial.measured, partial.planned)}")

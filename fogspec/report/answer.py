@@ -4,10 +4,10 @@ from typing import Any
 
 from fogspec.base import units
 from fogspec.base.text import line
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT
 from fogspec.charts.axes import money, number, seconds
 from fogspec.charts.chart import interval_of
-from fogspec.charts.menu_chart import limits_words, per
-from fogspec.choice.choose import Choice
+from fogspec.charts.menu_chart import limits_words
 from fogspec.choice.menu import floored
 from fogspec.choice.sensitivity import Slack, slacks
 from fogspec.choice.shortlist import runner_up
@@ -37,9 +37,16 @@ def tiles(compiled: Artifacts, decision: Decision) -> list[Tile]:
         value, unit = float(choice.metric_value[row]), line(choice.rule.units.get(metric, ""))
         words = f"{number(value)} {unit}".strip()
         found.append(_against(line(metric), words, value, choice.bounds.get(f"metrics.{metric}"), number))
-    factor, requests = per(choice)
     cost, most = float(choice.cost_usd_per_request[row]), choice.bounds.get("cost")
-    found.append(_against(f"cost per {requests}", money(cost * factor), cost, most, lambda usd: money(usd * factor)))
+    found.append(
+        _against(
+            f"cost per {REQUESTS_TEXT}",
+            money(cost * REQUESTS_SHOWN),
+            cost,
+            most,
+            lambda usd: money(usd * REQUESTS_SHOWN),
+        )
+    )
     month = f"{money(float(choice.rule.costs.usd_per_month[row]))} per month"
     found.append(_tile("price", f"{money(machine.price)}/h", f"{month}{', spot' if machine.spot else ''}"))
     probability = choice.probability(row)
@@ -110,15 +117,14 @@ def why(compiled: Artifacts, decision: Decision) -> list[str]:
     ]
     other = runner_up(choice)
     if other is not None:
-        factor, requests = per(choice)
         slower = float(choice.metric_value[other] - choice.metric_value[row])
-        dearer = float(choice.cost_usd_per_request[other] - choice.cost_usd_per_request[row]) * factor
+        dearer = float(choice.cost_usd_per_request[other] - choice.cost_usd_per_request[row]) * REQUESTS_SHOWN
         words = number if choice.rule.metric else seconds
         found.append(
             f"The runner-up, {line(choice.offers.instance[other])}, has {objective[other]:.3g}: {_signed(slower, words)} "
-            f"{line(choice.rule.metric or 'latency')}, {_signed(dearer, money)} per {requests}."
+            f"{line(choice.rule.metric or 'latency')}, {_signed(dearer, money)} per {REQUESTS_TEXT}."
         )
-    changes = [text for one in slacks(choice) if (text := _change(choice, one))]
+    changes = [text for one in slacks(choice) if (text := _change(one))]
     if changes:
         found.append(f"The choice changes with {' or '.join(changes)}.")
     return found
@@ -128,14 +134,13 @@ def _signed(value: float, words: Any) -> str:
     return f"{'−' if value < 0 else '+'}{words(abs(value)) if value else words(0.0)}"
 
 
-def _change(choice: Choice, one: Slack) -> str:
+def _change(one: Slack) -> str:
     """Return the bound of a limit below which the choice changes."""
     name = line(one.limit.removeprefix("metrics."))
     if one.limit in ("latency", "rate"):
         return f"a {name} limit below {seconds(one.required)}"
     if one.limit == "cost":
-        factor, requests = per(choice)
-        return f"a cost limit below {money(one.required * factor)} per {requests}"
+        return f"a cost limit below {money(one.required * REQUESTS_SHOWN)} per {REQUESTS_TEXT}"
     if one.limit == "price":
         return f"a price limit below {money(one.required)}/h"
     return f"a limit on {name} below {units.shown(one.required)} {line(one.unit)}".rstrip()

@@ -364,8 +364,8 @@ def _others(compiled: Artifacts, decision: Decision) -> list[str]:
         return [] if nearest is None else [f"  nearest   {entry_text(entry_of(decision.choice, nearest))}"]
     rows = shortlist(decision.choice)
     return [
-        f"  {a.role:<9} {a.instance} in {a.infra}, {units.format_price(a.price)}: {units.format_duration(a.latency)}, "
-        f"{metrics_text(a.metrics)}{units.format_cost(a.cost)}; {a.why_not}{_difference_text(compiled, decision, rows[a.role])}"
+        f"  {a.role:<9} {a.instance} in {a.infra}, {units.shown_price(a.price)}: {units.shown_duration(a.latency)}, "
+        f"{metrics_text(a.metrics)}{units.shown_cost(a.cost)}; {a.why_not}{_difference_text(compiled, decision, rows[a.role])}"
         for a in alternatives(decision.choice, decision.choice.chosen)
     ]
 

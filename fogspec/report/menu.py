@@ -142,7 +142,7 @@ def _against(body: MenuBody) -> str:
 def _table(entries: list[Entry]) -> list[str]:
     metrics = list(dict.fromkeys(name for e in entries for name in e.metrics))
     heads = [f"{name} [{LEVEL:.0%}]" + _limit_of(entries, name) for name in metrics]
-    rows = [("instance type", "infra", "vCPU", "memory", "price", "latency", *heads, "cost", "")]
+    rows = [("instance type", "infra", "vCPU", "memory", "price", "latency", *heads, f"per {units.REQUESTS_TEXT}", "")]
     for e in entries:
         gpu = f" {e.gpu.count:g}x{e.gpu.name}" if e.gpu else ""
         rows.append(
@@ -151,10 +151,10 @@ def _table(entries: list[Entry]) -> list[str]:
                 e.infra,
                 f"{e.cpus:g}",
                 units.format_memory(e.memory),
-                units.format_price(e.price),
-                units.format_duration(e.latency),
+                units.shown_price(e.price),
+                units.shown_duration(e.latency),
                 *(metric_text("", e.metrics[name]).strip() if name in e.metrics else "-" for name in metrics),
-                units.format_cost(e.cost),
+                units.short_dollars(units.REQUESTS_SHOWN * e.cost),
                 e.how,
             )
         )

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.base.units import rounded
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, rounded
 from fogspec.catalog.table import Floats
-from fogspec.charts.menu_chart import per
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL, floored
 from fogspec.choice.rule import TIE, best_attainable
@@ -67,7 +66,7 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
             "requests_per_s": costs.requests_per_s,
             "interruptions_per_s": costs.interruptions_per_s,
         },
-        "per": per(choice),
+        "per": [REQUESTS_SHOWN, REQUESTS_TEXT],
         "per_hour": costs.requests_per_s and costs.requests_per_s * 3600 * costs.used / costs.up,
         "admissible": len(offers),
         "types": len(types),

@@ -13,7 +13,7 @@ import pytest
 from fogspec.base.console import STYLE
 from fogspec.base.templates import shipped
 from fogspec.charts import model_svg
-from fogspec.charts.axes import axis, money, number, requests_unit, seconds, wide
+from fogspec.charts.axes import axis, money, number, seconds, wide
 from fogspec.charts.chart import Chart, Crowd, PlottedMachine, per_hour
 from fogspec.charts.frame import clipped
 from fogspec.charts.menu_svg import draw, panel
@@ -419,12 +419,6 @@ def test_seconds(value, text):
 def test_numbers_have_no_exponent_where_that_is_short():
     assert number(33.333) == "33.3"
     assert number(123456.0) == "123,456"
-
-
-def test_costs_are_of_as_many_requests_as_makes_them_short():
-    assert requests_unit([0.5])[0] == 1
-    assert requests_unit([0.00024])[0] == 1000
-    assert requests_unit([7e-7])[0] == 1_000_000
 
 
 def test_text_is_shortened_in_its_middle_and_wrapped_at_words():
