@@ -27,7 +27,7 @@ class Confinement:
         self.before = os.sched_getaffinity(0)
         self.cpus = together(self.before)[:cpus]
         if len(self.cpus) < cpus:
-            raise OSError(f"{cpus} vCPUs were asked for, and {len(self.before)} may be used")
+            raise OSError(f"{cpus} vCPUs were requested, and {len(self.before)} may be used")
         self.group, self.limits = _new_group(root, self.cpus, memory_bytes)
 
     def __enter__(self) -> "Confinement":
@@ -44,7 +44,7 @@ class Confinement:
         return argv if self.group is None else [*ENTER, str(self.group / "cgroup.procs"), *argv]
 
     def kills(self) -> int:
-        """Return how often the kernel killed a process of the part for want of memory."""
+        """Return how often the kernel killed a process of the part for lack of memory."""
         found = (
             re.search(r"^oom_kill (\d+)$", _text(self.group / "memory.events"), re.MULTILINE) if self.group else None
         )

@@ -10,7 +10,7 @@ PLAIN = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 def open_plain(path: "str | os.PathLike[str]", flags: int = os.O_RDONLY) -> int:
-    """Open a plain file, without waiting for anybody; raise OSError for anything else."""
+    """Open a plain file, without waiting for its other end; raise OSError for anything else."""
     descriptor = os.open(path, flags | PLAIN, 0o644)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)

@@ -1,7 +1,7 @@
 """Have ROS 2's own launch play a launch file that is given as text: a container of components is measured like a node.
 
 Needs the packages `launch` and `launch_ros` of the sourced ROS 2. Ends with the exit code of launch, which ends what it
-started when it is told to end.
+started on request.
 """
 
 import argparse

@@ -120,7 +120,7 @@ class Topics:
         until = time.monotonic() + START_S
         while not there():
             if time.monotonic() > until:
-                sys.exit(f"nobody {verb} {topic}")
+                sys.exit(f"no node {verb} {topic}")
             rclpy.spin_once(self.node, timeout_sec=0.1)
 
     def send(self, number: int) -> Callable[[], bool]:
@@ -157,7 +157,7 @@ class Service:
         until, kinds = time.monotonic() + START_S, None
         while not (kinds := dict(node.get_service_names_and_types()).get(options.service)):
             if time.monotonic() > until:
-                sys.exit(f"nobody offers {options.service}")
+                sys.exit(f"no node offers {options.service}")
             rclpy.spin_once(node, timeout_sec=0.1)
         service_type = type_of(kinds[0])
         events = [deserialize_message(turn.request.data, service_type.Event) for turn in found]

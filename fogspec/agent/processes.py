@@ -67,8 +67,8 @@ def extinguish(children: Iterable[subprocess.Popen[bytes]] = (), patience_s: flo
     """Kill and reap all processes below this one, which adopts orphans; return whether none is left after `patience_s`.
 
     All are stopped before the first is killed: what is stopped starts nothing, while others may start again what is killed. A
-    process that ends once it has started the next is never seen for long, but cannot hide: whoever loses its parent becomes a
-    child of this process, and when this process has no child, the kernel says so.
+    process that ends once it has started the next is never seen for long, but cannot hide: a process that loses its parent
+    becomes a child of this process, and when this process has no child, the kernel says so.
     """
     end_s, stopped = time.monotonic() + patience_s, set[int]()
     while not (gone := reap(children)) and time.monotonic() < end_s:
@@ -84,7 +84,7 @@ def extinguish(children: Iterable[subprocess.Popen[bytes]] = (), patience_s: flo
 def reap(children: Iterable[subprocess.Popen[bytes]] = ()) -> bool:
     """Reap what has ended below this process, adopted ones too; return whether no child is left, ended or not.
 
-    Exit codes of `children` are kept for whoever asks them.
+    Exit codes of `children` are kept for their owners.
     """
     own = {child.pid: child for child in children if child.returncode is None}
     try:

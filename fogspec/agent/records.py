@@ -105,7 +105,7 @@ class Condition:
         """Return the condition in a text; raise ValueError if it is not one."""
         found = CONDITION.fullmatch(text)
         if found is None:
-            raise ValueError(f"{text!r} is no condition: write a field, a relation and a value, such as status == 0")
+            raise ValueError(f"{text!r} is not a condition: write a field, a relation and a value, such as status == 0")
         try:
             value = json.loads(found[4])
         except ValueError:

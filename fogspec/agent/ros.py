@@ -47,7 +47,7 @@ def alone(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def _unused_domain() -> int:
-    """Return a DDS domain in which nobody on this machine listens; they are tried in random order."""
+    """Return a DDS domain in which no process on this machine listens; they are tried in random order."""
     domains = random.sample(DOMAINS, len(DOMAINS))
     return next(filter(_is_unused, domains), domains[0])
 

@@ -166,7 +166,7 @@ class SampleRun:
             state, reason, detail = self._read_afterwards(state, reason, detail)
         # The kernel may kill one of several processes while the others wait for it or fail differently.
         if killed and (state == "timeout" or reason in ("crash", "no_response")):
-            cause = "the kernel ended a process for want of memory"
+            cause = "the kernel ended a process for lack of memory"
             state, reason, detail = "failed", "out_of_memory", f"{detail}; {cause}" if detail else cause
         self.timings.read()
         return {

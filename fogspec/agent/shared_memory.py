@@ -1,7 +1,7 @@
 """Shared memory files that a workload leaves behind: a node that is killed does not remove its own.
 
 Only what processes of the workload were seen to use is removed: others may put files in the same folder meanwhile. A file that
-no process has open any more when it is looked for is nobody's, and stays.
+no process has open any more when it is looked for stays.
 """
 
 import contextlib
@@ -41,7 +41,7 @@ class SharedMemory:
             self.own.update({name: found[name] for name in sorted(new & used)[:room]})
 
     def remove(self) -> None:
-        """Remove the files that were taken and that nobody uses any more."""
+        """Remove the files that were taken and that no process uses any more."""
         if not self.own:
             return
         used = _used(int(entry) for entry in os.listdir("/proc") if entry.isdigit())

@@ -71,7 +71,7 @@ class Listener:
             self.complete_s = time.monotonic()
         elif [*self.missing] != self.reported and time.monotonic() - self.started_s > PATIENCE_S:
             self.reported = [*self.missing]
-            self.writer.line({"note": f"nobody publishes {', '.join(self.reported)}"})
+            self.writer.line({"note": f"no node publishes {', '.join(self.reported)}"})
 
 
 class Latencies:

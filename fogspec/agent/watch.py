@@ -282,7 +282,7 @@ def subscribe(
 ) -> dict[str, bool]:
     """Subscribe to what nodes say to each other, at most `MOST_TOPICS`; return whether each type begins with a header."""
     headers: dict[str, bool] = {}
-    # Topics that a node subscribes to, then those that nobody does: a result may be for a person alone.
+    # Topics that a node subscribes to, then those that no node does: a result may be for a person alone.
     order = sorted(topics, key=lambda topic: (not topics[topic]["subscribers"], topic))
     for topic in order:
         entry = topics[topic]

@@ -42,7 +42,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """What all applications are judged by; a process that helps is told it."""
+    """What all applications are judged by; a process that helps is sent it."""
 
     catalog: str | None = None
     policies: tuple[str, ...] = ()

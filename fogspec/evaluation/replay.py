@@ -81,7 +81,7 @@ class Meter:
     def sample(self, machine: int, parts: Sequence[int] = ()) -> float:
         """Pay for one more sample of a machine and return its latency; every repeat has noise of its own.
 
-        The machines that its `parts` stand for are told of, each with the error of a part.
+        The machines that its `parts` stand for are reported, each with the error of a part.
         """
         again = self.sampled.count(machine) % len(self.noise.factor)
         latency = float(self.problem.latency_s[machine] * self.noise.factor[again, machine])

@@ -181,7 +181,7 @@ def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
     ]
     if compiled.decision is not None and (entry := compiled.decision.menu.spec.balanced) is not None:
         rows += [
-            ("the chosen machine, an hour", units.format_money(entry.price)),
+            ("the chosen machine, per hour", units.format_money(entry.price)),
             ("the chosen machine, a month", entry.month.removesuffix("/month")),
             ("1,000 requests on it", units.format_money(rounded(entry.cost * 1000))),
         ]

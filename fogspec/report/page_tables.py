@@ -17,7 +17,7 @@ from fogspec.plan.schema import Plan
 from fogspec.results.schema import Measured, Results
 
 MEASURED_HEADS = (
-    "machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "state", "requests", "mean", "sd", "p50", "p95", "p99",
+    "machine", "infra", "vCPU", "memory", "GPU", "price per hour", "state", "requests", "mean", "sd", "p50", "p95", "p99",
     "metrics", "took", "spent", "measured on",
 )  # fmt: skip
 
@@ -36,7 +36,7 @@ def planned_table(plan: Plan) -> Table:
     """Return the table of planned samples."""
     rows = [(s.machine.instance, s.machine.infra, *_shape(s.machine), s.reason) for s in plan.spec.samples]
     return Table(
-        "To be measured", ("machine", "infra", "vCPU", "memory", "GPU", "price of an hour", "why"), rows, (2, 3, 5)
+        "To be measured", ("machine", "infra", "vCPU", "memory", "GPU", "price per hour", "why"), rows, (2, 3, 5)
     )
 
 

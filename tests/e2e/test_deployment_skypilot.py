@@ -89,8 +89,8 @@ def test_the_deployment_is_found_by_its_label_when_the_state_is_lost(shell: Shel
 
 
 def test_a_price_that_rose_at_the_launch_is_refused(shell: Shell, cloud: Cloud) -> None:
-    cloud.fails = lambda op, _words: CloudProblem("budget", "it costs $0.5 an hour now") if op == "launch" else None
-    assert "it costs $0.5 an hour now" in shell("apply", MANIFEST, *AT, "--yes", code=5).err
+    cloud.fails = lambda op, _words: CloudProblem("budget", "it costs $0.5 per hour now") if op == "launch" else None
+    assert "it costs $0.5 per hour now" in shell("apply", MANIFEST, *AT, "--yes", code=5).err
     assert cloud.machines == {}
 
 

@@ -121,8 +121,8 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     "a topic that never answers": (
         {"probe": TOPICS, "words": ["topic", "--silent"]}, "no_response", "on /imu, no response to them on /pose",
     ),
-    "a topic that nobody publishes": (
-        {"probe": {**TOPICS, "response": "/nothing"}, "words": ["topic"]}, "no_response", "nobody publishes /nothing",
+    "a topic that no node publishes": (
+        {"probe": {**TOPICS, "response": "/nothing"}, "words": ["topic"]}, "no_response", "no node publishes /nothing",
     ),
     "a type without a stamp": (
         {"probe": {"request": "/imu", "response": "/rosout"}, "words": ["topic"]}, "crash",

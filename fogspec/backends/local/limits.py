@@ -84,7 +84,7 @@ def start(
 ) -> LimitedProcess:
     """Start `argv` on `cpus` CPUs with `memory_gib` of memory, its output to `log`; raise OSError if it cannot be started.
 
-    Once it ends, or `grace_s` after it was told to, all that it started is killed. Its cgroup, if it gets one, is called
+    Once it ends, or `grace_s` after it was signaled, all that it started is killed. Its cgroup, if it gets one, is called
     `name`, by which `groups` finds it; if it gets none and is to be `apart`, it gets namespaces where this host has them.
     Raise ValueError if this host has fewer CPUs.
     """

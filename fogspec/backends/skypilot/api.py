@@ -98,7 +98,7 @@ def _afford(wanted: Any, task: Mapping[str, Any]) -> None:
         with contextlib.suppress(Exception):  # no price is known here: the plan's price stands
             price = one.get_cost(3600)
         if price is not None and price > float(most) * (1 + 1e-6):
-            raise CloudProblem("budget", f"it costs ${price:g} an hour now, and the task allows ${float(most):g}")
+            raise CloudProblem("budget", f"it costs ${price:g} per hour now, and the task allows ${float(most):g}")
 
 
 def launched(request: str, name: str) -> dict[str, Any] | None:

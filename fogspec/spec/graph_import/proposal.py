@@ -101,7 +101,7 @@ def _together(
 ) -> tuple[Observed, list[Member], Pair | Calls]:
     """Return what is seen of the nodes to offload as one, these nodes, and the request and response that they have as one.
 
-    If those cannot be told, the node that works most goes alone.
+    If those cannot be found, the node that works most goes alone.
     """
     together = members(seen, first, pairs)
     if len(together) == 1:

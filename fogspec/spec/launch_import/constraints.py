@@ -47,7 +47,7 @@ def is_constraint(key: str) -> bool:
 
 
 def may_be_constraint(key: str) -> bool:
-    """Return whether a keyword that no one knows may be meant as a constraint."""
+    """Return whether a keyword of an unknown name may be meant as a constraint."""
     return any(re.search(words, _plain(key)) for words in ABOUT)
 
 

@@ -121,7 +121,7 @@ def test_the_kernel_s_kills_for_want_of_memory_explain_what_came_of_them(tmp_pat
     assert sample.main([*arguments, "--process", json.dumps([sys.executable, "-c", TIMED + script])]) == 1
     outcome = json.loads((tmp_path / "outcome.json").read_text())
     assert (outcome["state"], outcome["reason"]) == ("failed", "out_of_memory")
-    assert "the kernel ended a process for want of memory" in outcome["detail"]
+    assert "the kernel ended a process for lack of memory" in outcome["detail"]
 
 
 def test_the_kernel_s_counter_is_read(tmp_path, monkeypatch):
@@ -363,9 +363,9 @@ def test_reading_afterwards_has_an_end(tmp_path, monkeypatch):
 def test_what_a_probe_notes_is_no_request_and_explains_why_there_is_none(tmp_path):
     script = """
 with open(os.environ["FOGSPEC_TIMINGS"], "a") as f:
-    f.write('{"note": "nobody publishes /pose"}\\n{"warning": "x"}\\n{"metric": {"m": 1}, "at_s": 1}\\n{"unmatched": true}\\n')
+    f.write('{"note": "no node publishes /pose"}\\n{"warning": "x"}\\n{"metric": {"m": 1}, "at_s": 1}\\n{"unmatched": true}\\n')
 time.sleep(600)
 """
     outcome = run(tmp_path, script, startup=3)
-    assert outcome["detail"] == "no timed request within 3 s of the start: nobody publishes /pose"
+    assert outcome["detail"] == "no timed request within 3 s of the start: no node publishes /pose"
     assert (outcome["requests"], outcome["unreadable"]) == (0, 0)

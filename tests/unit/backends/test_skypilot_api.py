@@ -200,7 +200,7 @@ def test_a_machine_above_the_price_of_its_task_is_not_launched(
         with pytest.raises(CloudProblem, match="the task allows") as refused:
             api.launch(task, NAME, "/")
         assert (refused.value.reason, refused.value.again, refused.value.gone) == ("budget", False, False)
-        assert f"${max(one or 0 for one in prices):g} an hour" in refused.value.detail
+        assert f"${max(one or 0 for one in prices):g} per hour" in refused.value.detail
         assert sky.calls == [], "nothing was asked for"
 
 

@@ -163,7 +163,7 @@ def test_what_another_machine_would_not_mend(world: World) -> None:
     world.backend.says["a"] = [LaunchRefused("image", "manifest unknown")]
     with pytest.raises(CloudError, match="manifest unknown"):
         world.apply(FIRST, "a", "b").run()
-    world.backend.says["a"] = [LaunchRefused("budget", "it costs $0.2 an hour now")]
+    world.backend.says["a"] = [LaunchRefused("budget", "it costs $0.2 per hour now")]
     with pytest.raises(Refused, match="it costs"):
         world.apply(FIRST, "a", "b").run()
     assert world.backend.up == {}
