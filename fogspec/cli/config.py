@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="merge this partial spec into each; later ones win",
 )
-@click.option("--origins", is_flag=True, help="say behind each value which line set it, or that it is the default")
+@click.option("--origins", is_flag=True, help='annotate each value with its source line, or "default"')
 @OUTPUT
 def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, output: str) -> None:
     """Print the applications of SPECS as fogspec reads them. SPECS are those in specs/.

@@ -18,7 +18,9 @@ SHOWN = 40
 @PRIORS
 @OUTPUT
 @click.option("--check", is_flag=True, help="write nothing and ask no registry; exit 3 when the lock is not complete")
-@click.option("--upgrade", multiple=True, metavar="X", help="ask again for: catalog, an image as a spec names it, all")
+@click.option(
+    "--upgrade", multiple=True, metavar="X", help="re-resolve `catalog`, an image as a spec names it, or `all`"
+)
 def command(
     specs: tuple[str, ...],
     catalog_path: str | None,

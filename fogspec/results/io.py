@@ -45,7 +45,7 @@ def check_integrity(results: Results, path: str | Path) -> None:
             [
                 Diagnostic(
                     "FS701",
-                    "the results were changed after they were measured: their seal does not hold",
+                    "integrity check failed: the results file was modified after the benchmark",
                     Span(str(path), 1, 1),
                     f"restore the file ({shell_command('git', 'checkout', '--', path)}), or move it away and measure again",
                 )

@@ -401,7 +401,9 @@ class Benchmark(Strict):
     """How machines are sampled, and what that may cost."""
 
     budget: Annotated[Money | None, affects("estimate")] = Field(
-        None, description="hard: refused before, stopped during", examples=["$2.50"]
+        None,
+        description="maximum benchmark spend; over-budget plans are rejected and runs are stopped",
+        examples=["$2.50"],
     )
     sampler: Annotated[Literal["grid", "adaptive"], affects("plan")] = Field(
         "adaptive",

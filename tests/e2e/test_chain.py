@@ -76,7 +76,7 @@ def test_which_link_breaks_and_how(
 
 def test_results_that_were_edited(done: Shell) -> None:
     edit(done, "results/demo.yaml", lambda text: text.replace("requests: 20", "requests: 21"))
-    assert "their seal does not hold" in broken(done)["results"][0]
+    assert "integrity check failed" in broken(done)["results"][0]
 
 
 def with_timings(shell: Shell, latencies_s: list[float]) -> Path:

@@ -336,7 +336,7 @@ def budget(application: Application) -> Iterator[Finding]:
         yield Finding(
             "FS522",
             path,
-            "spec.benchmark.budget must be more than nothing",
+            "spec.benchmark.budget must be more than $0",
             "write what it may cost, such as $2.50",
             (("spec", "benchmark", "machines"),),
         )

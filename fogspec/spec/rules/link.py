@@ -38,7 +38,7 @@ def port_that_nobody_opens(application: Application) -> Iterator[Finding]:
         message = (
             "spec.connectivity.link wireguard needs a UDP port that you open by hand: SkyPilot opens TCP ports only"
         )
-        fix = "write zenoh, or run the command that fogspec apply tells"
+        fix = "write zenoh, or run the command that fogspec apply prints"
         yield Finding("FS544", LINK, message, fix, severity="warning")
 
 
@@ -73,7 +73,7 @@ def names_that_pass(application: Application) -> Iterator[Finding]:
     passing = exposed(application.spec)
     if joined.link != "none" and not (passing.topics or passing.services or passing.actions or passing.names):
         message = "spec.connectivity.link would let nothing pass: no topic, service or action is named"
-        yield Finding("FS543", LINK, message, "name what robot and cloud say to each other in connectivity.topics")
+        yield Finding("FS543", LINK, message, "list the topics to bridge in spec.connectivity.topics")
 
 
 def no_private_keys(application: Application) -> Iterator[Finding]:

@@ -139,7 +139,10 @@ def shapes(application: Application) -> Iterator[Finding]:
         found: Range | None = getattr(hardware, name)
         if found is not None and found.high == 0:
             yield Finding(
-                "FS535", (*at, name), f"{dotted((*at, name))} must allow more than nothing", "raise the upper end"
+                "FS535",
+                (*at, name),
+                f"{dotted((*at, name))}: the upper bound must be more than 0",
+                "raise the upper bound",
             )
             return
     cpus, memory, ratio = hardware.cpus, hardware.memory, hardware.memory_per_cpu
