@@ -142,7 +142,7 @@ def _relative(was: str, now: str) -> str:
     """Format the relative change between two quantities, such as `+12%`; empty if they are not comparable."""
     numbers = []
     for text in (was, now):
-        value = _number(text)
+        value = number(text)
         if value is None:
             return ""
         numbers.append(value)
@@ -150,7 +150,7 @@ def _relative(was: str, now: str) -> str:
     return "" if before <= 0 else f"{(after - before) / before:+.0%}"
 
 
-def _number(text: str) -> float | None:
+def number(text: str) -> float | None:
     """Return a duration, price or cost in base units; None for any other text."""
     for parse in (units.parse_duration_s, units.parse_price_usd_per_hour, units.parse_cost_usd_per_request):
         try:

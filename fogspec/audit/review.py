@@ -1,57 +1,125 @@
-"""Describe a change of manifests for reviewers of a pull request: the choice, its cost, reasons and freshness."""
+"""Describe a change of manifests for reviewers of a pull request: the choice, its cost, reasons, policies and freshness."""
 
-import itertools
-import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-from urllib.parse import quote
+from typing import Any, Literal
 
-from fogspec.audit.compare import Change, changes, short
-from fogspec.audit.diff import (
-    NAMES,
-    Difference,
-    committed_manifest,
-    costs,
-    headline,
-    manifest_in,
-    significant,
-)
+from fogspec.audit.compare import Change, changes
+from fogspec.audit.diff import Difference, committed_manifest, costs, manifest_in, number, significant
 from fogspec.audit.freshness import Status
 from fogspec.audit.git import Repository
 from fogspec.base import digest
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.redaction import redacted
-from fogspec.base.text import code, shell_command
-from fogspec.base.text import markdown as md
-from fogspec.spec.loader import SourceFile
+from fogspec.compile.manifest import Manifest
+from fogspec.plan.schema import estimate
+from fogspec.results.schema import completed
+from fogspec.spec.loader import LoadedSpec, SourceFile, check_text
+from fogspec.spec.lock_io import sent_tree
+from fogspec.spec.render import render_document
+from fogspec.spec.rules.policies import Policies
+from fogspec.spec.tree import DOCUMENT
 
-MARK = "<!-- fogspec review -->"
-INPUTS = {
-    "application": "the spec",
-    "catalog": "the catalog",
-    "plan": "the plan",
-    "results": "the results",
-    "models": "the models",
-}
+Rollout = Literal["none", "start", "replace", "in place"]
 
 
 @dataclass(frozen=True, slots=True)
+class Base:
+    """What a change is compared with: a commit, and the files that differ between it and the checkout."""
+
+    repository: Repository
+    commit: str
+    paths: tuple[Path, ...]
+
+    @classmethod
+    def of(cls, repository: Repository, commit: str) -> "Base":
+        """Find the files that differ."""
+        return cls(repository, commit, tuple(repository.changed(commit)))
+
+    def at(self, path: Path) -> bytes | None:
+        """Return the content of a file at the base, None if it did not exist."""
+        return self.repository.at(self.commit, path)
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """What a manifest deploys and what it expects; None stands for what it does not say.
+
+    `infra` and `instance` are as the manifest writes them.
+    """
+
+    infra: str
+    instance: str
+    spot: bool
+    image: str | None
+    price_usd_per_hour: float | None
+    usd_per_month: float | None
+    usd_per_request: float | None
+    latency_s: float | None
+    statistic: str | None
+    interval_s: tuple[float, float] | None
+    limit_s: float | None
+    probability_met: float | None
+    measured: int | None
+    planned: int | None
+
+    @property
+    def place(self) -> str:
+        """The machine in a few words, such as `a.large in aws/r1`."""
+        return f"{self.instance} in {self.infra}{' spot' if self.spot else ''}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Review:
-    """An application's manifest at the base and now, and its status."""
+    """An application's manifest at the base and now, and its status.
+
+    `inputs` are the inputs that differ, old and new. `rollout` is what `apply` does with the machine that serves the
+    manifest of the base: `none` if nothing is deployed or changed. `samples` are to be measured first, for at most
+    `measuring_usd`. `broken` says where a policy of `policies` is broken.
+    """
 
     difference: Difference
     status: Status
+    inputs: tuple[Change, ...] = ()
+    rollout: Rollout = "none"
+    samples: int = 0
+    measuring_usd: float = 0.0
+    policies: tuple[str, ...] = ()
+    broken: tuple[Diagnostic, ...] = ()
 
     @property
-    def fresh(self) -> bool:
-        """True if all stages are fresh."""
-        return self.status.fresh
+    def name(self) -> str:
+        """The application's name."""
+        return self.difference.layout.name
+
+    @property
+    def before(self) -> Machine | None:
+        """What the manifest of the base deploys."""
+        return machine_in(self.difference.before)
+
+    @property
+    def after(self) -> Machine | None:
+        """What the manifest on disk deploys."""
+        return machine_in(self.difference.after)
 
     @property
     def touched(self) -> bool:
         """True if there is something to review."""
-        return bool(self.difference.changes) or not self.fresh
+        return bool(
+            self.difference.changes
+            or self.inputs
+            or self.broken
+            or self.rollout != "none"
+            or not self.status.fresh
+            or (self.difference.before is None) != (self.difference.after is None)
+        )
+
+    @property
+    def warnings(self) -> tuple[list[str], list[str]]:
+        """The warnings of the manifest on disk: those that are new, and those that were there before."""
+        was, now = (_texts(document, "warnings") for document in (self.difference.before, self.difference.after))
+        return [one for one in now if one not in was], [one for one in now if one in was]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,28 +129,69 @@ class Removed:
     name: str
     manifest: Mapping[str, Any]
 
+    @property
+    def before(self) -> Machine | None:
+        """What its last manifest deploys."""
+        return machine_in(self.manifest)
 
-def review(status: Status, repository: Repository, commit: str) -> Review:
-    """Compare the manifest at `commit` with the one on disk."""
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """All that a change deploys: `invalid` are the errors of specs that cannot be read, in which case there is no review."""
+
+    commit: str
+    reviews: Sequence[Review]
+    removed: Sequence[Removed] = ()
+    invalid: Sequence[Diagnostic] = field(default=())
+
+    @property
+    def month_usd(self) -> tuple[float, float]:
+        """The cost of all machines in USD per month, before and after; of a removed application there is none after."""
+        before = [*(one.before for one in self.reviews), *(one.before for one in self.removed)]
+        return _sum(before), _sum([one.after for one in self.reviews])
+
+    @property
+    def measuring_usd(self) -> float:
+        """The most that it costs to measure what must be measured first, in USD."""
+        return sum(one.measuring_usd for one in self.reviews)
+
+    @property
+    def broken(self) -> int:
+        """How often a policy is broken."""
+        return sum(len(one.broken) for one in self.reviews)
+
+
+def review(status: Status, base: Base, policies: Policies) -> Review:
+    """Compare the manifest at the base with the one on disk."""
     inputs, layout = status.inputs, status.layout
     secrets = inputs.application.spec.secrets
-    now, content = inputs.on_disk.get(layout.manifest), repository.at(commit, layout.manifest)
+    now, content = inputs.on_disk.get(layout.manifest), base.at(layout.manifest)
     old = new = redacted(committed_manifest(inputs), secrets)
     if now is None or content != now.content:
         before = None if content is None else manifest_in(SourceFile(layout.manifest, content))
         old = redacted(before, secrets)
-    every = list(changes(old, new))
     found = Difference(
         layout=layout,
         before=old,
         after=new,
-        changes=tuple(significant(iter(every))) if old != new else (),
+        changes=tuple(significant(changes(old, new))) if old != new else (),
         costs=costs(old, new),
-        why=tuple(dict.fromkeys(_inputs(every))) if old and new else (),
-        to_measure=("",) * (status.to_measure or 0),
         refused=status.refused,
     )
-    return Review(found, status)
+    files = list(_sent_files(status, base))
+    samples, measuring_usd = _to_measure(status)
+    loaded: Sequence[LoadedSpec] = [inputs.spec]
+    broken = [*policies.check_specs(loaded), *policies.check_manifests(loaded, Manifest, dict(inputs.on_disk))]
+    return Review(
+        difference=found,
+        status=status,
+        inputs=(*_spec_changes(status, base), *files, *_other_inputs(old, new)),
+        rollout=_rollout(status, base, old, new, bool(files)),
+        samples=samples,
+        measuring_usd=measuring_usd,
+        policies=tuple(policies.paths(layout.root)),
+        broken=tuple(broken),
+    )
 
 
 def removed(repository: Repository, commit: str, names: Collection[str]) -> list[Removed]:
@@ -99,149 +208,205 @@ def removed(repository: Repository, commit: str, names: Collection[str]) -> list
     return [Removed(path.parent.name, redacted(manifest_in(SourceFile(path, text)))) for path, text in content]
 
 
-def _inputs(every: Sequence[Change]) -> Iterator[str]:
-    """Yield the inputs that differ between two manifests, from the changes in their provenance."""
-    for change in every:
-        steps = change.field.split(".")
-        if steps[0] != "provenance" or len(steps) < 2:
-            continue
-        if steps[1:3] == ["application", "field_digests"] and len(steps) > 3:
-            yield f"spec.{'.'.join(steps[3:])} changed"
-        elif steps[1] == "builder":
-            yield f"made by fogspec {short(change.before)} -> {short(change.after)}"
-        elif steps[1] == "catalog" and steps[-1] in ("revision", "date", "source"):
-            yield f"catalog {steps[-1]}: {short(change.before)} -> {short(change.after)}"
-        elif steps[-1] == "digest" and steps[1] != "application":
-            yield f"{INPUTS.get(steps[1], steps[1])} changed"
-
-
-def markdown(reviews: Sequence[Review], gone: Sequence[Removed], picture_base: str | None) -> str:
-    """Return the comment: changed or stale applications in full, removed ones, and the names of the others."""
-    touched = [one for one in reviews if one.touched]
-    lines = [MARK, "## fogspec: what this change deploys", ""]
-    for one in touched:
-        lines += [*_application(one, picture_base), ""]
-    for application in gone:
-        lines += [*_removal(application), ""]
-    if rest := [one.difference.layout.name for one in reviews if not one.touched]:
-        lines.append(f"Unchanged and fresh: {', '.join(map(md, rest))}.")
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def _application(one: Review, picture_base: str | None) -> list[str]:
-    difference, layout = one.difference, one.difference.layout
-    lines = [f"### {md(layout.name)}: {md(_headline(one))}", ""]
-    lines += [f"- {md(text)}" for text in _choice(difference.after)]
-    lines += [f"- why: {md(text)}" for text in difference.why]
-    lines += [
-        f"- **{md(stage.name)} is {md(stage.state)}**: {md('; '.join(stage.reasons) or 'compile it')}"
-        for stage in one.status.stages
-        if stage.state != "fresh"
-    ]
-    if one.status.refused:
-        lines.append(f"- **cannot be compiled**: {md(one.status.refused)}")
-    if one.status.to_measure and one.status.artifacts is not None:
-        measure = one.status.artifacts.plan.bench_command(_from_here(layout.spec))
-        lines.append(f"- {one.status.to_measure} samples to measure: {code(measure)}")
-    elif one.fresh:
-        lines.append("- everything is fresh; no benchmark needed")
-    elif not one.status.refused:
-        lines.append(
-            f"- **to do**: {code(shell_command('fogspec', 'compile', _from_here(layout.spec)))}, and commit what it writes"
-        )
-    lines += ["", *_costs(difference), *_warnings(difference)]
-    if layout.files.is_file(layout.picture) and picture_base is not None:
-        address = f"{picture_base.rstrip('/')}/{quote(_from_here(layout.picture))}"
-        lines += [f"![menu of {md(layout.name)}]({address})", ""]
-    return [*lines, *_provenance(difference.after), *_fields(difference.changes)]
-
-
-def _headline(one: Review) -> str:
-    difference = one.difference
-    if difference.after is None:
-        return "no manifest" if difference.before is None else "the manifest is gone"
-    if difference.changes or difference.before is None:
-        return headline(difference) + ("" if one.fresh else ", but the manifest is not fresh")
-    return "the manifest is not fresh"
-
-
-def _removal(one: Removed) -> list[str]:
-    """Return the section about a removed application; merging terminates no machine."""
-    lines = [f"### {md(one.name)}: no longer deployed", ""]
-    lines += [f"- {md(text)}" for text in itertools.islice(_choice(one.manifest), 1)]
-    return [
-        *lines,
-        f"- its deployment keeps running: {code(shell_command('fogspec', 'down', one.name))} ends it, while the files exist",
-    ]
-
-
-def _warnings(difference: Difference) -> list[str]:
-    """Return the warnings: new ones in full, earlier ones folded."""
-    was, now = ((document or {}).get("warnings") or [] for document in (difference.before, difference.after))
-    lines = [f"- **warning**: {md(str(text))}" for text in now if text not in was]
-    if old := [f"- {md(str(text))}" for text in now if text in was]:
-        lines += ["", f"<details><summary>{len(old)} warnings, as before</summary>", "", *old, "", "</details>"]
-    return [*lines, ""] if lines else []
-
-
-def _choice(manifest: Mapping[str, Any] | None) -> Iterator[str]:
-    """Yield the machine and the expected latency and cost in a manifest."""
+def machine_in(manifest: Mapping[str, Any] | None) -> Machine | None:
+    """Return what a manifest deploys, None without one or for a damaged one."""
     if manifest is None or not isinstance(manifest.get("spec"), Mapping):
-        return
-    spec, latency = manifest["spec"], _part(manifest, "expected", "latency")
-    cost = _part(manifest, "expected", "cost")
-    yield (
-        f"runs on {spec.get('instance')} in {spec.get('infra')}, {spec.get('price')}, {cost.get('month')}"
-        f"; image {spec.get('image') or 'none'}"
+        return None
+    spec, latency, cost = manifest["spec"], _part(manifest, "expected", "latency"), _part(manifest, "expected", "cost")
+    partial, interval = _part(manifest, "provenance", "partial"), latency.get("interval")
+    ends = [number(str(one)) for one in interval] if isinstance(interval, list) else []
+    return Machine(
+        infra=str(spec.get("infra")),
+        instance=str(spec.get("instance")),
+        spot=spec.get("spot") is True,
+        image=None if spec.get("image") is None else str(spec["image"]),
+        price_usd_per_hour=_number(spec.get("price")),
+        usd_per_month=_number(cost.get("month")),
+        usd_per_request=_number(cost.get("predicted")),
+        latency_s=_number(latency.get("predicted")),
+        statistic=None if latency.get("statistic") is None else str(latency["statistic"]),
+        interval_s=(ends[0], ends[1]) if len(ends) == 2 and ends[0] is not None and ends[1] is not None else None,
+        limit_s=_number(latency.get("limit")),
+        probability_met=_fraction(latency.get("probability_met")),
+        measured=_count(partial.get("measured")),
+        planned=_count(partial.get("planned")),
     )
-    interval = latency.get("interval")
-    within = f" [{', '.join(map(str, interval))}]" if isinstance(interval, list) else ""
-    limit = f", limit {latency['limit']}" if latency.get("limit") else ""
-    partial = _part(manifest, "provenance", "partial")
-    if partial:
-        yield f"partial: {partial.get('measured')} of {partial.get('planned')} planned samples are measured"
-    sure = f", met with probability {latency['probability_met']}" if latency.get("probability_met") is not None else ""
-    expected = f"expected {latency.get('statistic')} latency {latency.get('predicted')}{within}{limit}{sure}"
-    yield f"{expected}; {cost.get('predicted')}"
 
 
-def _costs(difference: Difference) -> list[str]:
-    if not difference.costs:
-        return []
-    rows = [
-        f"| {NAMES[name]} | {md(was)} | {md(now)} | {md(rel)} |" for name, (was, now, rel) in difference.costs.items()
-    ]
-    return ["| | before | after | |", "|--|--|--|--|", *rows, ""]
+def _to_measure(status: Status) -> tuple[int, float]:
+    """Return how many samples are to be measured, and what that costs at most in USD."""
+    compiled = status.artifacts
+    if compiled is None:
+        return 0, 0.0
+    measured = completed(compiled.results)
+    left = [sample for sample in compiled.plan.spec.samples if sample.id not in measured]
+    return len(left), estimate(left, compiled.plan.spec.commitment).total
 
 
-def _provenance(manifest: Mapping[str, Any] | None) -> list[str]:
-    named = _part(manifest or {}, "provenance")
-    rows = []
-    for name in INPUTS:
-        one = _part(named, name)
-        where = one.get("path") or " ".join(filter(None, (one.get("source"), one.get("revision"), one.get("date"))))
-        if one:
-            rows.append(f"| {name} | {md(str(where))} | {code(digest.shorten(str(one.get('digest'))))} |")
-    if not rows:
-        return []
-    return [
-        "<details><summary>Provenance</summary>",
-        "",
-        "| made from | | digest |",
-        "|--|--|--|",
-        *rows,
-        "",
-        "</details>",
-        "",
-    ]
+def _spec_changes(status: Status, base: Base) -> Iterator[Change]:
+    """Yield the fields of the spec that differ, defaults filled in; the file itself if it was no valid spec before."""
+    layout, one = status.layout, status.inputs.spec
+    content = base.at(layout.spec)
+    if content is None or content == status.inputs.spec_content:
+        return
+    known = check_text(content, one.path)[0]
+    was = next((found for found in known if found.application.metadata.name == layout.name), None)
+    if was is None:
+        yield Change(layout.relative(layout.spec), "not a valid spec", "a valid spec")
+        return
+    secrets = one.application.spec.secrets
+    before, after = (redacted(render_document(found.application), secrets) for found in (was, one))
+    yield from changes(before, after)
 
 
-def _fields(found: Sequence[Change]) -> list[str]:
-    if not found:
-        return []
-    rows = [f"| {code(one.field)} | {md(short(one.before))} | {md(short(one.after))} |" for one in found]
-    head = f"<details><summary>{len(found)} fields differ</summary>"
-    return [head, "", "| field | before | after |", "|--|--|--|", *rows, "", "</details>", ""]
+def _sent_files(status: Status, base: Base) -> Iterator[Change]:
+    """Yield the files that machines are sent and that differ, with the beginnings of their digests."""
+    layout, sent = status.layout, status.inputs.sent
+    folder = layout.spec.parent.absolute()
+    tree = sent_tree(status.inputs.application, layout)
+    for path in base.paths if tree is not None else ():
+        if not path.is_relative_to(folder):
+            continue
+        name = path.relative_to(folder).as_posix()
+        content = base.at(path)
+        if name not in sent:
+            # It was sent before, if it was there and is neither left out nor one of fogspec's own documents.
+            own = "/" not in name and content is not None and DOCUMENT.search(content)
+            if content is None or path.exists() or own or tree is None or tree.excludes(name):
+                continue
+        before = None if content is None else f"sha256:{digest.shorten(digest.of_bytes(content))}"
+        now = sent.get(name)
+        if now is not None and (what := now.rpartition("sha256:"))[1]:
+            now = f"{what[0]}sha256:{digest.shorten(f'sha256:{what[2]}')}"
+        yield Change(layout.relative(layout.spec.parent / name), before, now)
+
+
+def _other_inputs(old: Mapping[str, Any] | None, new: Mapping[str, Any] | None) -> Iterator[Change]:
+    """Yield the inputs besides spec and files that differ between two manifests: image, catalog, results, priors, fogspec."""
+    if old is None or new is None or old == new:
+        return
+    was, now = _part(old, "provenance"), _part(new, "provenance")
+    named = {
+        "image": (_part(old, "spec").get("image"), _part(new, "spec").get("image")),
+        **{
+            f"catalog {key}": (_part(was, "catalog").get(key), _part(now, "catalog").get(key))
+            for key in ("source", "revision", "date")
+        },
+        "samples": (_part(was, "models").get("samples"), _part(now, "models").get("samples")),
+        "priors": (_part(was, "models").get("priors"), _part(now, "models").get("priors")),
+        "fogspec": (_part(was, "builder").get("version"), _part(now, "builder").get("version")),
+    }
+    yield from (Change(name, before, after) for name, (before, after) in named.items() if before != after)
+    for name in ("catalog", "results"):
+        before, after = (_part(document, name).get("digest") for document in (was, now))
+        if before != after:
+            yield Change(f"{name} digest", digest.shorten(str(before)), digest.shorten(str(after)))
+
+
+def _rollout(
+    status: Status, base: Base, old: Mapping[str, Any] | None, new: Mapping[str, Any] | None, files: bool
+) -> Rollout:
+    """Return what `apply` does with the machine that serves `old`: it stays if the new manifest gives it nothing new."""
+    if new is None or (old == new and not files):
+        return "none"
+    if old is None:
+        return "start"
+    layout = status.layout
+    then, now = base.at(layout.deploy), status.inputs.content(layout.deploy)
+    if files or _given(old, then) != _given(new, now):
+        return "replace"
+    return "in place"
+
+
+def _given(manifest: Mapping[str, Any], task: bytes | None) -> Any:
+    """Return all that a machine is given by a manifest and its task; a new price or expectation is not among it."""
+    spec = _part(manifest, "spec")
+    try:
+        content = None if task is None else SourceFile("task", task).plain()
+    except DiagnosticError:
+        content = task
+    if isinstance(content, dict) and isinstance(content.get("resources"), dict):
+        content["resources"].pop("max_hourly_cost", None)
+    robot = _part(spec, "robot_launch").get("path")
+    listed = spec.get("files")
+    files = [one for one in listed if not isinstance(one, Mapping) or one.get("path") != robot] if listed else []
+    return [content, *(spec.get(name) for name in ("infra", "instance", "spot", "image")), files]
+
+
+def as_dict(whole: Whole) -> dict[str, Any]:
+    """Return the review as values for JSON; money in USD, durations in seconds."""
+    before_usd, after_usd = whole.month_usd
+    return {
+        "base": whole.commit,
+        "applications": [_review_data(one) for one in whole.reviews],
+        "removed": [{"name": one.name, "before": _machine_data(one.before)} for one in whole.removed],
+        "invalid": [_diagnostic_data(one) for one in whole.invalid],
+        "total": {
+            "before_usd_per_month": before_usd,
+            "after_usd_per_month": after_usd,
+            "to_measure": sum(one.samples for one in whole.reviews),
+            "measuring_usd_at_most": whole.measuring_usd,
+            "policies_broken": whole.broken,
+        },
+    }
+
+
+def _review_data(one: Review) -> dict[str, Any]:
+    new, kept = one.warnings
+    return {
+        "name": one.name,
+        "spec": one.difference.layout.spec.as_posix(),
+        "changed": one.touched,
+        "fresh": one.status.fresh,
+        "refused": one.status.refused,
+        "stages": [
+            {"name": stage.name, "state": stage.state, "reasons": list(stage.reasons)} for stage in one.status.stages
+        ],
+        "rollout": one.rollout.replace(" ", "_"),
+        "before": _machine_data(one.before),
+        "after": _machine_data(one.after),
+        "inputs": [_change_data(change) for change in one.inputs],
+        "fields": [_change_data(change) for change in one.difference.changes],
+        "warnings": {"new": new, "as_before": kept},
+        "to_measure": one.samples,
+        "measuring_usd_at_most": one.measuring_usd,
+        "policies": {"checked": list(one.policies), "broken": [_diagnostic_data(found) for found in one.broken]},
+    }
+
+
+def _machine_data(one: Machine | None) -> dict[str, Any] | None:
+    if one is None:
+        return None
+    return {
+        "infra": one.infra,
+        "instance": one.instance,
+        "spot": one.spot,
+        "image": one.image,
+        "price_usd_per_hour": one.price_usd_per_hour,
+        "usd_per_month": one.usd_per_month,
+        "usd_per_1000_requests": None if one.usd_per_request is None else round(1000 * one.usd_per_request, 12),
+        "latency": {
+            "statistic": one.statistic,
+            "predicted_s": one.latency_s,
+            "interval_s": None if one.interval_s is None else list(one.interval_s),
+            "limit_s": one.limit_s,
+            "probability_met": one.probability_met,
+        },
+        "partial": None if one.planned is None else {"measured": one.measured, "planned": one.planned},
+    }
+
+
+def _change_data(change: Change) -> dict[str, Any]:
+    return {"field": change.field, "before": change.before, "after": change.after}
+
+
+def _diagnostic_data(one: Diagnostic) -> dict[str, Any]:
+    place = {"path": one.span.path, "line": one.span.line, "column": one.span.column}
+    return {"code": one.code, "message": one.message, "fix": one.fix, **place}
+
+
+def _sum(machines: Sequence[Machine | None]) -> float:
+    return round(sum(one.usd_per_month or 0.0 for one in machines if one is not None), 6)
 
 
 def _part(document: Mapping[str, Any], *steps: str) -> Mapping[str, Any]:
@@ -251,5 +416,18 @@ def _part(document: Mapping[str, Any], *steps: str) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
 
 
-def _from_here(path: Path) -> str:
-    return Path(os.path.relpath(path)).as_posix()
+def _texts(document: Mapping[str, Any] | None, key: str) -> list[str]:
+    found = (document or {}).get(key)
+    return [str(one) for one in found] if isinstance(found, list) else []
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else number(str(value))
+
+
+def _fraction(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def _count(value: Any) -> int | None:
+    return value if isinstance(value, int) and not isinstance(value, bool) else None

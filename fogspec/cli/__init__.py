@@ -48,7 +48,7 @@ EXAMPLES = {
 }
 EXITS = (
     "Exit codes: 0 done, 1 invalid file, 2 wrong usage, 3 out of date, 4 infeasible,\n"
-    "            5 refused, 6 cloud error, 70 bug, 130 interrupted"
+    "            5 refused, 6 cloud error, 7 not measured, 70 bug, 130 interrupted"
 )
 
 VERBS = {

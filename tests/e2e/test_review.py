@@ -1,14 +1,22 @@
 """The review of a change in a real git repository, and the steps of the GitHub Action, run as they are written."""
 
+import dataclasses
+import json
 import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from ruamel.yaml import YAML
 
+from fogspec.audit.comment import LONGEST, markdown
+from fogspec.audit.freshness import status
+from fogspec.audit.git import Repository
+from fogspec.audit.review import Base, Review, Whole, review
+from fogspec.compile.compiler import try_compile
+from fogspec.compile.inputs import Inputs
+from fogspec.spec.rules.policies import Policies
 from tests.support.running import CATALOG, Shell, measure, project, shell  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,7 +70,9 @@ def test_another_machine_with_its_price_and_why(repository: Shell) -> None:
     said = repository("review", f"{base}..HEAD", "--picture-base", "https://example.org/raw/abc", "--exit-code").out
     assert "### demo: a.large in aws/r1 -\\> a.small in aws/r1" in said
     assert "| machine | $0.4/h | $0.1/h | -75% |" in said
-    assert "why: spec.objective changed" in said
+    assert "| `spec.objective.alpha` | 0\\.5 | 0\\.0 |" in said.partition("<details>")[0]
+    assert "**1 of 1 application changed.** All machines: $292.00/month before, $73.00/month after (-75%)." in said
+    assert "`apply` starts a new machine, and ends the old one once the new one answers" in said
     assert "![menu of demo](https://example.org/raw/abc/compiled/demo/menu.svg)" in said
     assert re.search(r"\| results \| results/demo\.yaml \| `[0-9a-f]{12}` \|", said)
     assert "everything is fresh; no benchmark needed" in said
@@ -97,7 +107,7 @@ def test_warnings_are_new_or_folded_away(repository: Shell) -> None:
     change(repository, "latency: 10s", "latency: 1s")
     repository("compile", "specs/demo.yaml")
     said = repository("review", "HEAD").out
-    new, _, old = said.partition("warnings, as before</summary>")
+    new, _, old = said.partition(", as before</summary>")
     assert "- **warning**: no machine meets the limits with constraints.confidence 0.9" in new
     assert "- curve of latency: " in old
 
@@ -149,72 +159,93 @@ def test_wrong_commits_and_no_repository(repository: Shell) -> None:
     assert "is not what is checked out" in repository("review", f"{first}..{first}", code=2).err
 
 
-def steps() -> dict[str, dict]:
-    action = YAML(typ="safe", pure=True).load(ROOT / "action.yml")
-    return {step["name"]: step for step in action["runs"]["steps"] if "name" in step}
+def test_a_machine_that_stays_and_one_that_is_replaced(repository: Shell) -> None:
+    change(repository, "latency: 10s", "latency: 9s")
+    repository("compile", "specs/demo.yaml")
+    said = repository("review", "HEAD").out
+    assert "On `apply`: 1 stays in place." in said
+    assert "`apply` keeps the machine: it is given nothing new." in said
+    # Another limit is nothing new for the machine, the node's own code is.
+    repository.write("specs/work.py", "print('other work')\n")
+    repository("lock", *AT)
+    repository("compile", "specs/demo.yaml", code=None)
+    said = repository("review", "HEAD").out
+    assert re.search(r"\| `specs/work\.py` \| sha256:[0-9a-f]{12} \| sha256:[0-9a-f]{12} \|", said), said
+    assert "On `apply`: 1 replaces the machine." in said
+    assert "### demo: a.large in aws/r1 is replaced by another one" in said
 
 
-def run_step(name: str, shell: Shell, **given: str) -> "subprocess.CompletedProcess[str]":
-    """A step of the action with what GitHub gives it, in GitHub's own shell (`bash --noprofile --norc -eo pipefail`)."""
-    step = steps()[name]
-    assert step["shell"] == "bash"
-    missing = [key for key, value in step.get("env", {}).items() if key not in given and "${{" in value]
-    assert not missing, missing
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", **given}
-    return subprocess.run(
-        ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", step["run"]], cwd=shell.folder, env=environment,
-        capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
+def test_what_must_be_measured_first_and_what_that_costs(repository: Shell) -> None:
+    change(repository, "cmd: [python3, work.py]", "cmd: [python3, work.py, fast]")
+    repository("compile", "specs/demo.yaml", code=None)
+    said = repository("review", "HEAD").out
+    found = re.search(r"\*\*To measure first\*\*: (\d+) samples, at most (\$[\d.]+)\.", said)
+    assert found, said
+    assert f"- **to measure first**: {found[1]} samples, at most {found[2]}: `fogspec bench specs/demo.yaml" in said
+    assert "- **Not fresh**, so that `apply` refuses it: demo." in said
+    data = json.loads(repository("review", "HEAD", "-o", "json").out)
+    assert data["total"]["to_measure"] == int(found[1])
+    assert f"${data['total']['measuring_usd_at_most']:.4f}".startswith(found[2])
 
 
-def test_the_action_validates_and_checks(repository: Shell) -> None:
-    assert run_step("validate", repository, PATHS="specs\n").returncode == 0
-    base = git(repository.folder, "rev-parse", "HEAD")
-    for since in ("", base):
-        passed = run_step("check", repository, PATHS="specs\n", BASE=since)
-        assert passed.returncode == 0, passed.stderr
-    change(repository, "alpha: 0.5", "alpha: 5")
-    wrong = run_step("validate", repository, PATHS="specs\n")
-    assert wrong.returncode == 1
-    assert "::error file=specs/demo.yaml,line=" in wrong.stdout
-    change(repository, "alpha: 5", "alpha: 0.25")
-    stale = run_step("check", repository, PATHS="specs", BASE=base)
-    assert stale.returncode == 3
-    assert "FAIL  demo" in stale.stdout
-    assert "spec.objective" in stale.stdout
-
-
-@pytest.mark.parametrize("posted", [True, False])
-def test_the_action_posts_the_review(repository: Shell, tmp_path: Path, posted: bool) -> None:
+def test_values_for_policy_engines(repository: Shell) -> None:
     base = git(repository.folder, "rev-parse", "HEAD")
     change(repository, "alpha: 0.5", "alpha: 0")
     repository("compile", "specs/demo.yaml")
-    head = commit(repository, "cheaper")
-    # What GitHub's own runners have as `gh` is not here: this one keeps what it was told to post.
-    gh = tmp_path / "bin" / "gh"
-    gh.parent.mkdir()
-    gh.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/called\ncp "$5" {tmp_path}/posted\nexit {0 if posted else 1}\n')
-    gh.chmod(0o755)
-    summary = tmp_path / "summary.md"
-    done = run_step(
-        "review", repository, PATHS="specs", BASE=base, FILES=f"https://example.org/o/r/raw/{head}", PULL_REQUEST="7",
-        GH_TOKEN="t", RUNNER_TEMP=str(tmp_path), GITHUB_STEP_SUMMARY=str(summary),
-        PATH=f"{gh.parent}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    called = (tmp_path / "called").read_text()
-    assert called.startswith("pr comment 7 --body-file ")
-    assert "--edit-last --create-if-none" in called
-    assert (tmp_path / "posted").read_text() == summary.read_text()
-    assert "a.large in aws/r1 -\\> a.small in aws/r1" in summary.read_text()
-    assert f"raw/{head}/compiled/demo/menu.svg" in summary.read_text()
-    assert ("::warning::" in done.stdout) is not posted
+    data = json.loads(repository("review", base, "-o", "json").out)
+    assert data["base"] == base
+    assert data["total"] == {
+        "before_usd_per_month": 292.0, "after_usd_per_month": 73.0, "to_measure": 0, "measuring_usd_at_most": 0.0,
+        "policies_broken": 0,
+    }  # fmt: skip
+    (one,) = data["applications"]
+    assert (one["name"], one["changed"], one["fresh"], one["rollout"]) == ("demo", True, True, "replace")
+    assert one["before"]["instance"] == "a.large"
+    assert one["after"]["usd_per_1000_requests"] > 0
+    assert one["after"]["latency"]["limit_s"] == 10
+    assert {"field": "spec.objective.alpha", "before": 0.5, "after": 0.0} in one["inputs"]
+    documented = (ROOT / "docs/howto/editor-and-ci.md").read_text("utf-8")
+    keys = {*data, *data["total"], *one, *one["after"], *one["after"]["latency"], *one["policies"], *one["warnings"]}
+    assert not {key for key in keys if f"`{key}`" not in documented}
 
 
-def test_the_action_names_only_inputs_it_has() -> None:
-    text = (ROOT / "action.yml").read_text(encoding="utf-8")
-    action = YAML(typ="safe", pure=True).load(text)
-    assert set(re.findall(r"inputs\.(\w+)", text)) == set(action["inputs"])
+def many(reviewed: Review, number: int) -> list[Review]:
+    """As many reviews as there may be in a large repository, under names of their own."""
+    found = []
+    for count in range(number):
+        layout = dataclasses.replace(reviewed.difference.layout, name=f"application-{count:03}")
+        found.append(dataclasses.replace(reviewed, difference=dataclasses.replace(reviewed.difference, layout=layout)))
+    return found
+
+
+def test_a_comment_is_as_long_as_github_takes_it(repository: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    change(repository, "alpha: 0.5", "alpha: 0")
+    monkeypatch.chdir(repository.folder)
+    repository("compile", "specs/demo.yaml")
+    base = Base.of(Repository(), git(repository.folder, "rev-parse", "HEAD"))
+    (inputs,) = Inputs.load(["specs/demo.yaml"], audit=True)
+    one = review(status(inputs, try_compile(inputs)), base, Policies())
+    stale = dataclasses.replace(one, status=dataclasses.replace(one.status, refused="over the budget " * 20))
+    for number in (1, 20, 30, 300, 3000):
+        reviews = many(one, number)
+        reviews[-1] = dataclasses.replace(
+            stale, difference=dataclasses.replace(stale.difference, layout=reviews[-1].difference.layout)
+        )
+        text = markdown(Whole(base.commit, reviews))
+        assert len(text) <= LONGEST
+        shown = text.count("\n### application-")
+        left_out = re.search(
+            r"^([\d,]+) applications? more (?:is|are) left out for length: `fogspec review", text, re.MULTILINE
+        )
+        assert shown + (int(left_out[1].replace(",", "")) if left_out else 0) == number
+        assert (left_out is None) == (number <= 20)
+        # What stops the merge is not what is left out.
+        assert f"\n### application-{number - 1:03}: " in text
+        assert f"**{number} of {number:,} application" in text
+        assert text.count("<details>") == text.count("</details>")
+    tiny = markdown(Whole(base.commit, many(one, 300)), longest=3000)
+    assert len(tiny) <= 3000
+    assert "| and " in tiny
 
 
 def test_the_hooks_run_what_they_say(repository: Shell) -> None:

@@ -92,6 +92,10 @@ class Policies:
             found += file.texts.shown(self._broken(MANIFEST, manifest, file.nodes[0], layout.root))
         return [*self._taken(), *found]
 
+    def paths(self, root: str | os.PathLike[str]) -> list[str]:
+        """Return the policies that a project is checked by, also those in `named`."""
+        return [one.path for kind in (APPLICATION, MANIFEST) for one in self._of(kind, root)]
+
     def require_specs(self, loaded: Sequence[LoadedSpec]) -> None:
         """Raise DiagnosticError if an application breaks a policy, or if a policy is wrong."""
         if wrong := self.check_specs(loaded):
