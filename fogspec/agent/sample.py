@@ -1,9 +1,10 @@
 """Measure one sample: start its processes, watch their timings, stop them, and write the outcome.
 
     python3 agent.pyz sample --out DIR [--steps N] --after SECONDS --warmup N --startup SECONDS
-                             [--precision P --statistic S] [--callback NAME] [--afterwards '<json argv>']
-                             [--progress] [--secret NAME ...] [--part NAME:VCPUS:BYTES ... --part-limit SECONDS
-                             [--only-parts]] --process '<json argv>' [--process ...]
+                             [--precision P] [--decided-above SECONDS] [--statistic S] [--callback NAME]
+                             [--afterwards '<json argv>'] [--progress] [--secret NAME ...]
+                             [--part NAME:VCPUS:BYTES ... --part-limit SECONDS [--only-parts]]
+                             --process '<json argv>' [--process ...]
 
 The processes find the probe module on PYTHONPATH and append one line of JSON per request to FOGSPEC_TIMINGS
 (DIR/timings.jsonl). Their output is kept without the values of secret variables. However the sample ends, DIR/outcome.json
@@ -72,7 +73,8 @@ def measure(
             outcome = SampleRun(options, out, started_s, signals).run()
         else:
             startup_s, after_s = options.part_limit / 2, min(options.part_limit / 2, options.after)
-            limited = argparse.Namespace(**{**vars(options), "startup": startup_s, "after": after_s, "progress": False})
+            own = {"startup": startup_s, "after": after_s, "progress": False, "decided_above": None}
+            limited = argparse.Namespace(**{**vars(options), **own})
             with Confinement(part.cpus, part.memory_bytes) as confinement:
                 outcome = SampleRun(limited, out, started_s, signals, confinement).run()
     except OSError as problem:
@@ -107,6 +109,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--warmup", type=int, default=0)
     parser.add_argument("--startup", type=float, required=True)
     parser.add_argument("--precision", type=float)
+    parser.add_argument("--decided-above", type=float, help="end as decided once the statistic is above this latency")
     parser.add_argument("--statistic", choices=("mean", "p50", "p95", "p99"), default="mean")
     parser.add_argument("--callback", help="count requests of this name only; without it, all")
     parser.add_argument("--afterwards", type=json.loads, help="writes the records once the processes have ended")
@@ -278,8 +281,11 @@ class SampleRun:
         options, timings = self.options, self.timings
         if options.steps is not None and timings.requests >= options.steps + options.warmup:
             return "ok", None, None, "steps"
-        if options.precision is not None and timings.precise(options.precision, options.statistic):
-            return "ok", None, None, "precision"
+        if timings.due():
+            if options.precision is not None and timings.precise(options.precision, options.statistic):
+                return "ok", None, None, "precision"
+            if options.decided_above is not None and timings.above(options.decided_above, options.statistic):
+                return "ok", None, None, "decided"
         if timings.offset >= TIMINGS_LIMIT:
             return "ok", None, f"the timings file reached {TIMINGS_LIMIT >> 20} MiB", "size"
         return None

@@ -18,6 +18,7 @@ OTHER_NAMES = 5
 FIRST_CHECK = 10  # valid requests before the precision is checked
 QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
 Z95 = 1.959964  # two-sided 95 % quantile of the standard normal distribution
+Z99 = 2.575829
 
 
 class Timings:
@@ -25,7 +26,8 @@ class Timings:
 
     def __init__(self, path: Path, warmup: int, callback: str | None = None) -> None:
         self.path, self.warmup, self.callback = path, warmup, callback
-        self.offset = self.requests = self.unreadable = self.next_check = 0
+        self.offset = self.requests = self.unreadable = 0
+        self.next_check = FIRST_CHECK
         self.valid: list[float] = []
         self.rest = b""
         self.note: str | None = None
@@ -86,16 +88,22 @@ class Timings:
         mean = f", mean {statistics.fmean(self.valid):.6g} s" if self.valid else ""
         return f"{self.requests} requests{mean}"
 
-    def precise(self, precision: float, statistic: str) -> bool:
-        """Return whether the half-width of the 95 % interval is at most `precision` times the statistic.
-
-        Checked only after every 5 % more requests, because it sorts all of them.
-        """
-        if len(self.valid) < max(FIRST_CHECK, self.next_check):
+    def due(self) -> bool:
+        """Return whether to check the precision: after every 5 % more requests, because that sorts all of them."""
+        if len(self.valid) < self.next_check:
             return False
         self.next_check = math.ceil(len(self.valid) * 1.05) + 1
+        return True
+
+    def precise(self, precision: float, statistic: str) -> bool:
+        """Return whether the half-width of the 95 % interval is at most `precision` times the statistic."""
         value, half = interval(self.valid, statistic)
         return half <= precision * value
+
+    def above(self, latency_s: float, statistic: str) -> bool:
+        """Return whether the statistic is above this latency: the lower end of its 99 % interval is."""
+        value, half = interval(self.valid, statistic, Z99)
+        return value - half > latency_s
 
 
 def mistyped(one: str, other: str) -> bool:
@@ -112,8 +120,8 @@ def mistyped(one: str, other: str) -> bool:
     return not re.search(r"\d", a + b) and (swapped or max(len(a), len(b)) <= 1)
 
 
-def interval(values: list[float], statistic: str) -> tuple[float, float]:
-    """Return the statistic of at least 10 values and the half-width of its 95 % interval.
+def interval(values: list[float], statistic: str, z: float = Z95) -> tuple[float, float]:
+    """Return the statistic of at least 10 values and the half-width of its interval: of 95 %, or with this normal quantile `z`.
 
     Mean: Student's t (Cornish-Fisher expansion of its quantile). Quantiles: binomial order statistics; infinite while
     the upper one does not exist. Both are widened by the lag-1 autocorrelation, of the values or of the indicator of
@@ -125,13 +133,13 @@ def interval(values: list[float], statistic: str) -> tuple[float, float]:
         ordered = sorted(values)
         value = ordered[math.floor(n * share)]
         below = [1.0 if one < value else 0.0 for one in values]
-        spread = Z95 * math.sqrt(n * share * (1 - share)) * widening(below)
+        spread = z * math.sqrt(n * share * (1 - share)) * widening(below)
         low, high = math.floor(n * share - spread), math.ceil(n * share + spread)
         half = (ordered[high] - ordered[low]) / 2 if low >= 0 and high < n else math.inf
         return value, half
     mean = statistics.fmean(values)
     square = math.fsum((value - mean) ** 2 for value in values)
-    z, v = Z95, n - 1
+    v = n - 1
     t = z + (z**3 + z) / (4 * v) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * v**2)
     return mean, t * math.sqrt(square / v / n) * widening(values)
 

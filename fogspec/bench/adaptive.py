@@ -113,7 +113,9 @@ class AdaptiveSampling:
         offers = self.filtered.offers
         taken = {*self.sink.samples, *(sample.id for batch in self._batches() for sample in batch.samples)}
         samples = [
-            with_parts(next_on(offers.machine(row), why, taken), offers, found.part_types(offers, number))
+            with_parts(next_on(offers.machine(row), why, taken), offers, found.part_types(offers, number)).model_copy(
+                update={"decided_above": found.decided_above(number)}
+            )
             for number, (row, why) in enumerate(zip(found.rows, found.reasons, strict=True))
         ]
         batches = [*self._batches(), *([Batch(reason=found.reason, samples=samples)] if samples else [])]

@@ -1,7 +1,7 @@
 """The adaptive sampler's next batch: the largest expected improvement per price, then the choice itself, then nothing."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,7 +160,8 @@ class _State:
         if found.machines:
             of = zip(found.machines, found.gains, strict=True)
             reasons = [self._reason(posterior, one, gain, worth) for one, gain in of]
-            return next_batch(found, self.costs, reasons, left_usd)
+            batched = next_batch(found, self.costs, reasons, left_usd)
+            return replace(batched, decided_above_s=self._decided_above_s(choice, posterior, found.machines))
         why = next_batch(found, self.costs, (), left_usd).reason
         if (again := self._on_another_server(choice, posterior, why, left_usd)) is not None:
             return again
@@ -170,6 +171,14 @@ class _State:
         row = choice.unverified
         beside = "" if row is None else f"; not even one of the choice, {choice.offers.instance[row]}"
         return NextBatch((), (), f"{why} on {volume.requests:,.0f} requests{beside}")
+
+    def _decided_above_s(self, choice: Choice, posterior: Posterior, types: Sequence[int]) -> tuple[float | None, ...]:
+        """Return the latency above which each type is decided; None for repeats, which are to be precise."""
+        above = choice.decided_above_s(self.costs.row[list(types)])
+        if above is None:
+            return (None,) * len(types)
+        new = ~posterior.measured[list(types)] & np.isfinite(above)
+        return tuple(float(value) if ok else None for value, ok in zip(above, new, strict=True))
 
     def _reason(self, posterior: Posterior, one: int, gain: float, worth: float | None) -> str:
         again = "measured again, for one sample may err: " if posterior.measured[one] else ""

@@ -28,6 +28,8 @@ Rows = NDArray[np.intp]
 
 TIE = 1e-9  # relative: smaller differences depend on the processor
 MOST_CERTAIN = 0.999
+UPPER = 0.95  # upper end of the 90 % interval
+SHORTEST_S, LONGEST_S, HALVINGS = 1e-9, 1e9, 80  # of the search for a latency, by its logarithm
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,6 +348,28 @@ class Selection:
     def unverified(self) -> int | None:
         """The best machine if it was not measured: the adaptive sampler measures it last."""
         return None if self.best is None or self.latency.measured[self.best] else self.best
+
+    def decided_above_s(self, rows: Rows) -> Floats | None:
+        """Return the latency (m,) from which on a machine cannot both meet the limits and beat the choice (ADR 0028).
+
+        The choice counts with the upper end of its latency's 90 % interval. Infinite where no latency decides; None without a
+        measured choice that meets the limits with the required confidence, and where the objective is of another metric.
+        """
+        best, posterior = self.best, self.latency.posterior
+        if best is None or posterior is None or self.rule.metric is not None or self.level != self.confidence:
+            return None
+        if not self.latency.measured[best]:
+            return None
+        rule, one = self.rule.take(rows), self.rule.take(np.array([best]))
+        slowest_s = posterior.quantile(UPPER)[self.latency.type_index[[best]]]
+        worst = float(one.value(slowest_s, self.scale)[0])
+        low, high = np.full(len(rows), SHORTEST_S), np.full(len(rows), LONGEST_S)
+        for _ in range(HALVINGS):
+            middle = np.sqrt(low * high)
+            beats = rule.value(middle, self.scale) < worst
+            low, high = np.where(beats, middle, low), np.where(beats, high, middle)
+        found = np.minimum(high, rule.latency_budget_s)
+        return np.where((found > SHORTEST_S * 2) & (found < LONGEST_S / 2), found, np.inf)
 
     @cached_property
     def front(self) -> Rows:

@@ -69,7 +69,11 @@ def sample_task_of(application: Application, plan: Plan, sample: Sample, layout:
     run = render(
         "run_sample.sh.j2",
         **ros,
-        limits=[*_limits(application, plan), *(["--part-limit", f"{PART_S:g}"] if sample.parts else []), *secrets],
+        limits=[
+            *_limits(application, plan, sample),
+            *(["--part-limit", f"{PART_S:g}"] if sample.parts else []),
+            *secrets,
+        ],
         parts=[_part(one) for one in sample.parts],
         lifetime_s=body.commitment.lifetime_s,
         processes=measured_processes(application.spec),
@@ -95,7 +99,7 @@ def _setup_script(ros: Mapping[str, Any]) -> str | None:
     return None if ros["distro"] is None else render("setup_ros2.sh.j2", **ros)
 
 
-def _limits(application: Application, plan: Plan) -> list[str]:
+def _limits(application: Application, plan: Plan, sample: Sample) -> list[str]:
     """Return the arguments of the agent that define its stopping rule."""
     body, stop = plan.spec, application.spec.benchmark.stop
     words = ["--after", units.format_number(body.duration), "--warmup", str(body.warmup)]
@@ -106,8 +110,11 @@ def _limits(application: Application, plan: Plan) -> list[str]:
     if (afterwards := probe_parts(application.spec).afterwards) is not None:
         words += ["--afterwards", json.dumps(afterwards)]
     if stop.precision is not None:
-        statistic = application.spec.constraints.statistic
-        words += ["--precision", units.format_number(stop.precision), "--statistic", statistic]
+        words += ["--precision", units.format_number(stop.precision)]
+    if sample.decided_above is not None:
+        words += ["--decided-above", units.format_number(sample.decided_above)]
+    if stop.precision is not None or sample.decided_above is not None:
+        words += ["--statistic", application.spec.constraints.statistic]
     return words
 
 

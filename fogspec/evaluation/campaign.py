@@ -11,7 +11,7 @@ import numpy as np
 from fogspec.base.errors import UsageError
 from fogspec.base.workers import processes
 from fogspec.evaluation.methods import METHODS, OWN_METHOD
-from fogspec.evaluation.replay import Case, Noise
+from fogspec.evaluation.replay import Case, Noise, Timing
 from fogspec.evaluation.samplers import SAMPLERS
 from fogspec.evaluation.scores import Score, calibration, median_error, r2, score, staircase_deviation, summary
 from fogspec.evaluation.suites import KINDS, Problem, Suite, read_suite
@@ -60,7 +60,7 @@ def run(problem: Problem, table: Table, library: PriorData | None, campaign: Cam
     results = []
     for setting in problem.settings:
         done = answer(case, setting.rule, sample(case, setting.rule, campaign.seed))
-        scored = score(problem, setting.rule, case.machines.price_usd_per_hour, done)
+        scored = score(problem, setting.rule, case.machines, done)
         chosen = None if done.chosen is None else names[done.chosen]
         results.append(Result(problem.id, setting.name, chosen, tuple(names[i] for i in done.sampled), scored))
     return results
@@ -70,7 +70,7 @@ def _case(problem: Problem, table: Table, library: PriorData | None, campaign: C
     machines = table.machines.take(problem.rows)
     names = [table.names[row] for row in problem.rows]
     prior = None if library is None else prior_for(library, names, machines, leave_out=[problem.suite])
-    return Case.of(problem, machines, prior, Noise.of(problem, campaign.noise, campaign.seed))
+    return Case.of(problem, machines, prior, Noise.of(problem, campaign.noise, campaign.seed), Timing())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,7 +113,7 @@ def replay_sweep(sweep: Sweep, library: PriorData | None, window_s: float, campa
         )
     done = METHODS[campaign.reads_with](case, rule, SAMPLERS[campaign.sampler](case, rule, campaign.seed))
     price, usd = sweep.machines.price_usd_per_hour, window_s / 3600
-    scored, best = score(problem, rule, price, done), problem.truth(rule).best
+    scored, best = score(problem, rule, sweep.machines, done), problem.truth(rule).best
     predicted = {"latency": np.exp(done.log_latency), **done.metrics}
     known = {"latency": problem.latency_s, **problem.metrics}
     of_metrics = {

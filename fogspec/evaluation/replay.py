@@ -1,15 +1,17 @@
 """The replay of a problem: its noise, the meter that every sample is paid to, and the result of a run."""
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from fogspec.agent.stopping import FIRST_CHECK, Z99, interval
 from fogspec.choice.rule import Rule, Selection
 from fogspec.evaluation.suites import Problem
 from fogspec.model.predict import Predictions
-from fogspec.numerics.acquisition import Policy
+from fogspec.numerics.acquisition import Batch, Policy
 from fogspec.numerics.kernels import Floats, Machines
 from fogspec.numerics.nested import (
     MEDIAN_ALONE,
@@ -63,39 +65,93 @@ def nested_factors(problem: Problem, machines: Machines, seed: int) -> Floats:
     return np.asarray(np.exp(size * random.choice((-1, 1), (n, n))))
 
 
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """The requests of a sample, for samples that end when they are decided (ADR 0028).
+
+    A request takes `request_s` on the machine in the middle of a problem, and varies by `spread` (relative, lognormal). A
+    sample ends after `requests` or `duration_s`; `before_s` is paid until the first request.
+    """
+
+    request_s: float = 1.0
+    spread: float = 0.1
+    requests: int = 200
+    duration_s: float = 300.0
+    before_s: float = 159.0
+
+    def decided(self, latency_s: float, above: float, random: np.random.Generator) -> tuple[float, float, float] | None:
+        """Return the mean over `latency_s`, its relative standard error, and the share of a whole sample that is paid.
+
+        `latency_s` is in the seconds of this timing, and so is the latency that decides, which is `above` times it. None for a
+        sample that is not decided before its end. Checked when the agent checks (`fogspec.agent.stopping`).
+        """
+        most = min(self.requests, math.floor(self.duration_s / latency_s))
+        if most < FIRST_CHECK:
+            return None
+        values = np.exp(self.spread * random.standard_normal(most) - self.spread**2 / 2)
+        checks, at = [], FIRST_CHECK
+        while at < most:
+            checks.append(at)
+            at = math.ceil(at * 1.05) + 1
+        for n in checks:
+            value, half = interval(values[:n].tolist(), "mean", Z99)
+            if value - half > above:
+                paid_s, whole_s = (self.before_s + count * latency_s for count in (n, most))
+                return value, half / Z99, paid_s / whole_s
+        return None
+
+
 @dataclass
 class Meter:
-    """The only access to a machine's latency: a paid sample, of its parts as well where `nested` factors (N, N) are known."""
+    """The only access to a machine's latency: a paid sample, of its parts as well where `nested` factors (N, N) are known.
+
+    Without a `timing` samples do not end early.
+    """
 
     problem: Problem
     price: Floats
     noise: Noise
     parts: Parts | None = None
     nested: Floats | None = None
+    timing: Timing | None = None
     sampled: list[int] = field(default_factory=list)
     latency_s: list[float] = field(default_factory=list)
+    error: list[float] = field(default_factory=list)
     told: list[tuple[int, float]] = field(default_factory=list)
     paid: float = 0.0
     metrics: dict[str, list[float]] = field(default_factory=dict)
 
-    def sample(self, machine: int, parts: Sequence[int] = ()) -> float:
+    def sample(self, machine: int, parts: Sequence[int] = (), above_s: float = np.inf) -> float:
         """Pay for one more sample of a machine and return its latency; every repeat has noise of its own.
 
-        The machines that its `parts` stand for are reported, each with the error of a part.
+        A sample that is certainly above `above_s` ends early. The machines that its `parts` stand for are reported, each with
+        the error of a part.
         """
         again = self.sampled.count(machine) % len(self.noise.factor)
         latency = float(self.problem.latency_s[machine] * self.noise.factor[again, machine])
+        error, share = np.nan, 1.0
+        if self.timing is not None and np.isfinite(above_s):
+            scale = self.timing.request_s / float(np.median(self.problem.latency_s))
+            found = self.timing.decided(latency * scale, above_s / latency, self._random(machine))
+            if found is not None:
+                factor, error, share = found
+                latency, error = latency * factor, float(np.hypot(error, DEFAULT_NOISE))
+        self.error.append(error)
         for name, truth in self.problem.metrics.items():
             factor = self.noise.metrics[name][again, machine] if name in self.noise.metrics else 1.0
             self.metrics.setdefault(name, []).append(float(truth[machine] * factor))
         self.sampled.append(machine)
         self.latency_s.append(latency)
-        self.paid += float(self.price[machine])
+        self.paid += share * float(self.price[machine])
         if self.parts is not None and self.nested is not None:
             self.paid += self.parts.share * len(parts) * float(self.price[machine])
             factor = self.nested[machine] * self.noise.factor[-1 - again]
             self.told += [(part, float(self.problem.latency_s[part] * factor[part])) for part in parts]
         return latency
+
+    def _random(self, machine: int) -> np.random.Generator:
+        digest = hashlib.sha256(f"{self.problem.id}|{machine}|requests".encode()).digest()
+        return np.random.default_rng(int.from_bytes(digest[:8], "big"))
 
     @property
     def observations(self) -> Observations:
@@ -106,7 +162,7 @@ class Meter:
         return observations(
             [*self.sampled, *at],
             [*self.latency_s, *(latency_s for _, latency_s in self.told)],
-            [*([np.nan] * own), *error],
+            [*self.error, *error],
             nested=[*([False] * own), *([True] * len(at))],
         )
 
@@ -136,18 +192,30 @@ class Case:
     machines: Machines
     noise: Noise
     space: Space
-    _fits: dict[tuple[tuple[int, ...], tuple[int, ...]], Posterior] = field(
+    timing: Timing | None = None
+    _fits: dict[tuple[tuple[int, ...], tuple[int, ...], tuple[float, ...]], Posterior] = field(
         default_factory=dict, repr=False, compare=False
     )
 
     @classmethod
-    def of(cls, problem: Problem, machines: Machines, prior: Prior | None, noise: Noise) -> "Case":
+    def of(
+        cls, problem: Problem, machines: Machines, prior: Prior | None, noise: Noise, timing: Timing | None = None
+    ) -> "Case":
         """Prepare the model's space."""
-        return cls(problem, machines, noise, prepare(machines, prior))
+        return cls(problem, machines, noise, prepare(machines, prior), timing)
 
     def meter(self, parts: Parts | None = None, nested: Floats | None = None) -> Meter:
         """Return a new meter: nothing sampled, nothing paid; with `parts` and factors also of parts of machines."""
-        return Meter(self.problem, self.machines.price_usd_per_hour, self.noise, parts, nested)
+        return Meter(self.problem, self.machines.price_usd_per_hour, self.noise, parts, nested, self.timing)
+
+    @staticmethod
+    def measure(meter: Meter, batch: Batch, selection: Selection) -> None:
+        """Sample a batch; a machine that was not sampled before ends early when it cannot become this selection's best."""
+        above_s = selection.decided_above_s(np.array(batch.machines, dtype=np.intp))
+        for i, machine in enumerate(batch.machines):
+            new = above_s is not None and machine not in meter.sampled
+            parts = batch.parts[i] if batch.parts else ()
+            meter.sample(machine, parts, float(above_s[i]) if above_s is not None and new else np.inf)
 
     def selection(self, meter: Meter, rule: Rule) -> Selection:
         """Return the rule applied to the model's predictions, given the paid samples."""
@@ -166,7 +234,7 @@ class Case:
 
         Kept are the fits that settings share, of the first batch and of a sweep, and the latest one.
         """
-        key = tuple(meter.sampled), tuple(row for row, _ in meter.told)
+        key = tuple(meter.sampled), tuple(row for row, _ in meter.told), tuple(meter.latency_s)
         if key not in self._fits:
             for old in [one for one in self._fits if Policy().first < len(one[0]) < len(self.machines)]:
                 del self._fits[old]

@@ -50,8 +50,7 @@ def _adaptive(rule: Rule, case: Case, meter: Meter) -> Meter:
             batch = Batch((selection.unverified,), "verifies the choice")
         if not batch.machines:
             return meter
-        for i, machine in enumerate(batch.machines):
-            meter.sample(machine, batch.parts[i] if batch.parts else ())
+        case.measure(meter, batch, selection)
 
 
 def grid(case: Case, _rule: Rule, _seed: int) -> Meter:

@@ -9,7 +9,8 @@ import numpy as np
 from fogspec.choice.rule import Rule
 from fogspec.evaluation.replay import Run
 from fogspec.evaluation.suites import Problem
-from fogspec.numerics.kernels import Floats
+from fogspec.numerics.kernels import Floats, Machines
+from fogspec.numerics.servers import shifts_of
 
 TOLERANCE = 0.05  # a limit violated by less counts as met; the choice itself has no tolerance
 BINS = np.array([0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of stated probabilities
@@ -17,7 +18,10 @@ BINS = np.array([0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of stated probabili
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """One problem and setting. `regret` is relative to the best feasible machine, NaN for none or an infeasible choice."""
+    """One problem and setting. `regret` is relative to the best feasible machine, NaN for none or an infeasible choice.
+
+    `covered` of the `predicted` machines are expected in their 90 % range when another server of the type is measured.
+    """
 
     kind: str
     ok: tuple[bool, bool, bool]
@@ -27,7 +31,7 @@ class Score:
     false_infeasible: bool
     regret: float
     mdape: float
-    covered: int
+    covered: float
     predicted: int
     hypervolume: float
     stated: Floats
@@ -47,9 +51,9 @@ class Score:
         }
 
 
-def score(problem: Problem, rule: Rule, price: Floats, run: Run) -> Score:
+def score(problem: Problem, rule: Rule, machines: Machines, run: Run) -> Score:
     """Compare a run with the true latencies; a limit that is violated by less than `TOLERANCE` counts as met."""
-    truth_s, truth = problem.latency_s, problem.truth(rule)
+    truth_s, truth, price = problem.latency_s, problem.truth(rule), machines.price_usd_per_hour
     exists = truth.best is not None
     ok, violated, regret = (False, False, False), False, np.nan
     if run.chosen is None:
@@ -65,7 +69,7 @@ def score(problem: Problem, rule: Rule, price: Floats, run: Run) -> Score:
     unseen[list(run.sampled)] = False
     log = np.log(truth_s)
     with_interval = unseen & np.isfinite(run.low)
-    inside = (run.low <= log) & (log <= run.high)
+    inside = shifts_of(machines.cloud).between(run.low - log, run.high - log)
     error = np.abs(np.exp(run.log_latency[unseen]) / truth_s[unseen] - 1)
     return Score(
         kind=problem.kind,
@@ -76,7 +80,7 @@ def score(problem: Problem, rule: Rule, price: Floats, run: Run) -> Score:
         false_infeasible=exists and run.chosen is None,
         regret=regret,
         mdape=float(np.nanmedian(error)) if np.isfinite(error).any() else np.nan,
-        covered=int((inside & with_interval).sum()),
+        covered=float(inside[with_interval].sum()),
         predicted=int(with_interval.sum()),
         hypervolume=_hypervolume_ratio(run, truth_s, price),
         stated=_stated(run, truth_s, truth.latency_budget_s),

@@ -17,7 +17,7 @@ from fogspec.choice.rule import Rule, Selection
 from fogspec.evaluation.replay import Case
 from fogspec.evaluation.scores import TOLERANCE
 from fogspec.model.predict import Predictions
-from fogspec.numerics.acquisition import Policy, propose_batch
+from fogspec.numerics.acquisition import Batch, Policy, propose_batch
 
 VOLUMES = tuple(10.0**power for power in range(2, 9))
 SIZES = (1, 2, 3, 5, 8, 12, 20, 30)  # of benchmarks of a fixed number of samples
@@ -78,18 +78,17 @@ def _steps(case: Case, rule: Rule, policy: Policy) -> Iterator[Step]:
         posterior = case.posterior(meter)
         selection = Selection(rule=rule, latency=Predictions.of_posterior(posterior))
         batch = propose_batch(posterior, selection.utility(), sample_cost=price, policy=policy)
-        machines, saving = batch.machines, 0.0
-        if not machines and rule.measured_first and selection.unverified is not None:
-            machines = (selection.unverified,)
+        saving = 0.0
+        if not batch.machines and rule.measured_first and selection.unverified is not None:
+            batch = Batch((selection.unverified,), "verifies the choice")
         worth = selection.usd_per_request()
         if batch.gains and worth is not None:
-            saving = batch.gains[0] * worth * longer / (price[machines[0]] * SAMPLE_S / 3600)
+            saving = batch.gains[0] * worth * longer / (price[batch.machines[0]] * SAMPLE_S / 3600)
         if meter.sampled:
             yield Step(meter.paid * SAMPLE_S / 3600, _regret(case, truth, selection.best) * REQUEST_USD, saving)
-        if not machines or (policy.worth is not None and meter.sampled and saving * VOLUMES[-1] < 1):
+        if not batch.machines or (policy.worth is not None and meter.sampled and saving * VOLUMES[-1] < 1):
             return
-        for machine in machines:
-            meter.sample(machine)
+        case.measure(meter, batch, selection)
 
 
 def _regret(case: Case, truth: Selection, chosen: int | None) -> float:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fogspec.numerics.kernels import Floats, Ints, codes
+from fogspec.numerics.normal import normal_cdf
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +52,15 @@ class Shifts:
     def take(self, rows: np.ndarray) -> "Shifts":
         """Return the shifts at these indices."""
         return Shifts(self.core[rows], self.tail[rows], self.spread[rows])
+
+    def between(self, low: Floats, high: Floats) -> Floats:
+        """Return the probability (N,) that the shift lies in this range, NaN where the range is NaN."""
+        found = np.zeros(len(low))
+        for share, variance in ((1 - self.tail, self.core), (self.tail, self.core + self.spread)):
+            # Without a shift the range has it or has it not.
+            sd = np.sqrt(np.maximum(variance, 1e-24))
+            found += share * (normal_cdf(high / sd) - normal_cdf(low / sd))
+        return found
 
 
 def shifts_of(cloud: Ints) -> Shifts:

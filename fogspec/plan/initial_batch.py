@@ -24,17 +24,27 @@ MOST_EXPECTED = 20  # samples of a campaign; of few instance types half as many 
 class NextBatch:
     """Offers to measure together, with a reason for each; none if sampling ends, and `reason` is why.
 
-    `parts` of each are the rows of the offers that parts of its machine stand for, to be measured with it.
+    `parts` of each are the rows of the offers that parts of its machine stand for, to be measured with it. Above the latency in
+    `decided_above_s` a machine cannot become the choice; None where no latency decides.
     """
 
     rows: tuple[int, ...]
     reasons: tuple[str, ...]
     reason: str
     parts: tuple[tuple[int, ...], ...] = ()
+    decided_above_s: tuple[float | None, ...] = ()
 
     def part_types(self, offers: Catalog, number: int) -> set[str]:
         """Return the instance types that parts of the machine with this number in the batch stand for."""
         return {str(offers.instance[row]) for row in self.parts[number]} if self.parts else set()
+
+    def decided_above(self, number: int) -> float | None:
+        """Return the latency in seconds above which the machine with this number is decided, rounded up to 3 digits."""
+        above = self.decided_above_s[number] if self.decided_above_s else None
+        if above is None:
+            return None
+        digit = 10.0 ** (math.floor(math.log10(above)) - 2)
+        return float(f"{math.ceil(above / digit) * digit:.3g}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,8 @@ class Part(Strict):
 class Sample(Lean):
     """One machine to measure; `id` is unique in the plan and names its cluster, task and files.
 
-    `parts` of it are measured after it, on the same machine (ADR 0025).
+    `parts` of it are measured after it, on the same machine (ADR 0025). Once its latency is certainly above `decided_above` it
+    cannot become the choice, and measuring ends (ADR 0028).
     """
 
     id: Id
@@ -53,8 +54,9 @@ class Sample(Lean):
     reason: str
     task: TaskRef | None = None
     parts: list[Part] = Field([], max_length=3)
+    decided_above: Duration | None = None
 
-    ADDED = frozenset({"parts"})
+    ADDED = frozenset({"parts", "decided_above"})
 
     @property
     def part_names(self) -> tuple[PartName, ...]:

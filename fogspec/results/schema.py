@@ -26,7 +26,7 @@ Reason = Literal[
     "interrupted",
     "budget",
 ]
-StoppedBy = Literal["steps", "time", "precision", "exit", "size", "startup", "signal"]
+StoppedBy = Literal["steps", "time", "precision", "decided", "exit", "size", "startup", "signal"]
 # Failures worth retrying: transient ones, and samples that never ran.
 RETRYABLE = {"access", "quota", "capacity", "interrupted", "budget"}
 SHOWN_WAIT = 0.01  # of a machine's time, spent waiting for disks, from which it is shown
@@ -114,8 +114,9 @@ class Measured(Strict):
     """One sample's record.
 
     `substitute_for` names the unavailable sample that this machine was measured for. `stopped_by` is
-    what ended the measurement: steps, time, precision, exit of the processes, size of the timings, a signal. Of the
-    `duration` that is paid, `setup` is how long it took to the first request, and `measuring` how long from then on.
+    what ended the measurement: steps, time, precision, decided (too slow to become the choice), exit of the processes, size of
+    the timings, a signal. Of the `duration` that is paid, `setup` is how long it took to the first request, and `measuring` how
+    long from then on.
     `requests` counts valid requests after warm-up, `failed_requests` those that failed their own check.
     `service` is the time that the node worked on a request, without what it waited for others, where the probe tells
     them apart; `lost` of the failed requests got no response, `unmatched` responses belong to no request.

@@ -102,6 +102,25 @@ def test_few_samples_a_good_choice_and_everything_fresh(project):
     assert chosen in {one["machine"]["instance"] for one in found["samples"]}, "the choice is measured"
 
 
+def test_a_sample_that_cannot_become_the_choice_need_not_become_precise(project):
+    """From the latency in its task on, a machine breaks a limit or is no better than the choice; the first ones have none."""
+    project("compile", "specs/demo.yaml", *AT)
+    bench(project)
+    found = results(project)
+    first, *later = found["sampling"]["batches"]
+    assert not any("decided_above" in one for one in first["samples"])
+    decided = [one for batch in later for one in batch["samples"] if "decided_above" in one]
+    assert decided
+    project("compile", "specs/demo.yaml", *AT)
+    chosen = document(project, "compiled/demo/manifest.yaml")["spec"]["instance"]
+    for one in decided:
+        above_s, price = float(one["decided_above"].removesuffix("s")), usd(one["machine"]["price"].removesuffix("/h"))
+        dear = cost(price, above_s)
+        assert above_s >= 4.99 or dear >= 0.00099 or 0.5 * above_s / 5 + 0.5 * dear / 0.001 > objective(chosen) * 0.99
+        task = document(project, f"compiled/demo/tasks/{one['id']}.sky.yaml")
+        assert f"--decided-above {above_s:g} --statistic mean" in task["run"]
+
+
 def test_another_server_is_asked_for_and_its_price_and_worth_are_said(project):
     """A sweep has one server of each type: that there is no other one is said, and nothing measured is lost."""
     write_spec(project, benchmark=ADAPTIVE.replace("budget", "servers: 2, budget"))

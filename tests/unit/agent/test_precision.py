@@ -15,7 +15,7 @@ SHARES = {"p50": 0.5, "p95": 0.95}
 def stopped_at(chance: random.Random, deviation: float, resemblance: float, statistic: str) -> float:
     """The statistic when the agent would stop at 5 %, of lognormal latencies each of which resembles the one before."""
     timings, noise = Timings(Path("none"), warmup=0), chance.gauss(0, 1)
-    while not timings.precise(0.05, statistic):
+    while not (timings.due() and timings.precise(0.05, statistic)):
         noise = resemblance * noise + math.sqrt(1 - resemblance**2) * chance.gauss(0, 1)
         timings.valid.append(math.exp(deviation * noise))
         assert len(timings.valid) < 20_000
@@ -39,4 +39,29 @@ def test_equal_latencies_are_precise_after_ten():
     timings = Timings(Path("none"), warmup=0)
     for count in range(1, 11):
         timings.valid.append(0.5)
-        assert timings.precise(0.05, "mean") == (count == 10)
+        assert (timings.due() and timings.precise(0.05, "mean")) == (count == 10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("statistic", ["mean", "p50", "p95"])
+def test_a_latency_below_the_one_that_decides_rarely_seems_above_it(statistic):
+    """At every check of 200 requests, of machines that are just as fast as that latency."""
+    chance, wrong = random.Random(statistic), 0
+    truth = math.exp(0.1 * {"mean": 0.05, "p50": 0.0, "p95": 1.644854}[statistic])
+    for _ in range(RUNS):
+        timings = Timings(Path("none"), warmup=0)
+        for _ in range(200):
+            timings.valid.append(math.exp(0.1 * chance.gauss(0, 1)))
+            if timings.due() and timings.above(truth, statistic):
+                wrong += 1
+                break
+    # Half of a percent at each of 30 checks, which resemble each other.
+    assert wrong <= 0.1 * RUNS
+
+
+def test_a_latency_that_is_far_above_is_seen_at_once():
+    timings = Timings(Path("none"), warmup=0)
+    for count in range(1, 11):
+        timings.valid.append(0.5 + 0.01 * count)
+        assert (timings.due() and timings.above(0.3, "mean")) == (count == 10)
+    assert not timings.above(0.6, "mean")

@@ -91,6 +91,13 @@ def test_stops_as_soon_as_the_mean_is_known_well_enough(tmp_path):
     assert 11 <= outcome["requests"] <= 20
 
 
+@pytest.mark.parametrize(("above", "requests", "stopped_by"), [("0.009", 15, "decided"), ("0.011", 30, "steps")])
+def test_ends_once_the_mean_is_certainly_above_the_latency_that_decides(tmp_path, above, requests, stopped_by):
+    some = f"[say(0.01) for _ in range({requests})]; time.sleep(3600)"
+    outcome = run(tmp_path, some, steps=20, extra=["--decided-above", above])
+    assert (outcome["state"], outcome["stopped_by"]) == ("ok", stopped_by)
+
+
 def test_a_crash_says_how(tmp_path):
     outcome = run(tmp_path, "say(1.0); raise SystemExit('no camera')")
     assert (outcome["state"], outcome["reason"], outcome["exit_codes"]) == ("failed", "crash", [1])

@@ -185,3 +185,33 @@ def test_a_metric_in_place_of_the_latency(family):
     choice = choose(app, predict_from(known, unusable, family, ["latency", "path_length"]))
     assert choice.chosen is not None
     assert 20 / family.vcpus[choice.chosen] <= 20 / family.vcpus.max() + 0.03 * 10
+
+
+@pytest.mark.parametrize(("alpha", "limits"), [(0.5, {"latency": 2.0}), (1.0, {}), (0.0, {"cost": 0.0005}), (0.3, {})])
+def test_above_the_latency_that_decides_a_machine_is_no_choice_and_below_it_may_be_one(family, alpha, limits):
+    app = adaptive(**{"latency": None, "cost": None, **limits})
+    app = app.model_copy(update={"spec": app.spec.model_copy(update={
+        "objective": app.spec.objective.model_copy(update={"alpha": alpha})})})  # fmt: skip
+    records, _ = campaign(family, app)
+    known, unusable = partition(records, "mean")
+    choice = choose(app, predict_from(known, unusable, family, ["latency"]))
+    rows = np.arange(len(family))
+    above = choice.decided_above_s(rows)
+    assert above is not None
+    best, rule = choice.best, choice.rule
+    worst = float(choice.latency.posterior.quantile(0.95)[choice.latency.type_index[best]])
+    least = rule.take(np.array([best])).value(np.array([worst]), choice.scale)[0]
+    for factor, decided in ((1.001, True), (0.999, False)):
+        latency_s = above * factor
+        out = (rule.value(latency_s, choice.scale) >= least) | (latency_s > choice.latency_budget_s)
+        assert (out == decided).all()
+
+
+def test_nothing_decides_before_a_machine_that_meets_the_limits_is_measured(family):
+    app = adaptive(latency=0.01)
+    records = [record(family, row) for row in range(0, len(family), 5)]
+    known, unusable = partition(records, "mean")
+    choice = choose(app, predict_from(known, unusable, family, ["latency"]))
+    assert choice.decided_above_s(np.arange(3)) is None
+    asked = next_samples(app, family, records, usd_per_sample=family.price_usd_per_hour * 0.2)
+    assert not any(asked.decided_above(n) for n in range(len(asked.rows)))

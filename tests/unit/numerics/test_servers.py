@@ -70,6 +70,17 @@ def test_quantiles_and_probabilities_agree_with_scipy() -> None:
     assert some.quantile(0.9) == pytest.approx(elsewhere.quantile(0.9)[[3, 1]], rel=1e-9)
 
 
+@pytest.mark.parametrize("cloud", ["aws", "azure", "gcp", "local"])
+def test_a_shift_in_a_range_is_as_likely_as_drawn(cloud: str) -> None:
+    random, shift, n = np.random.default_rng(0), SHIFTS.get(cloud, OTHER), 200_000
+    wide = shift.spread * (random.random(n) < shift.tail)
+    drawn = random.standard_normal(n) * np.hypot(shift.core, wide)
+    for low, high in ((-0.01, 0.02), (0.03, 0.2), (-1.0, 1.0)):
+        inside = float(np.mean((drawn > low) & (drawn < high)))
+        found = shifts_of(codes([cloud])).between(np.array([low]), np.array([high]))
+        assert found == pytest.approx([inside], abs=0.005)
+
+
 def test_the_probability_of_a_larger_shift_is_that_of_the_mixture() -> None:
     shift = SHIFTS["aws"]
     drawn = np.random.default_rng(0).standard_normal(200_000)
