@@ -23,7 +23,7 @@ READ_BYTES = 2**21
 
 def read(proc: Path = PROC, cpus: Path = CPUS) -> dict[str, Any]:
     """Return the facts of this machine now, with counters of its CPU time since it was started, in ticks."""
-    info, stat = _text(proc / "cpuinfo"), _text(proc / "stat")
+    info, stat = read_text(proc / "cpuinfo"), read_text(proc / "stat")
     found: dict[str, Any] = {
         "cpu": _cpu(info),
         "arch": platform.machine(),
@@ -75,7 +75,7 @@ def _topology(cpus: Path) -> dict[str, int]:
     threads = [one for one in _listed(cpus) if re.fullmatch(r"cpu\d+", one.name)]
     places = []
     for thread in threads:
-        socket, core = (_text(thread / "topology" / name).strip() for name in ("physical_package_id", "core_id"))
+        socket, core = (read_text(thread / "topology" / name).strip() for name in ("physical_package_id", "core_id"))
         if socket and core:
             places.append((socket, core))
     if not places:
@@ -87,7 +87,7 @@ def _clock_ghz(info: str, cpus: Path) -> float | None:
     """Return the mean clock of the CPUs now."""
     mhz = [float(one) for one in re.findall(r"^cpu MHz\s*:\s*([0-9.]+)$", info, re.MULTILINE)]
     if not mhz:
-        texts = (_text(one / "cpufreq" / "scaling_cur_freq").strip() for one in _listed(cpus))
+        texts = (read_text(one / "cpufreq" / "scaling_cur_freq").strip() for one in _listed(cpus))
         mhz = [int(one) / 1000 for one in texts if one.isdigit()]
     return round(sum(mhz) / len(mhz) / 1000, 3) if mhz else None
 
@@ -98,7 +98,8 @@ def _listed(folder: Path) -> list[Path]:
     return []
 
 
-def _text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """Return a file of the kernel's, at most `READ_BYTES`; an empty text if it cannot be read."""
     with contextlib.suppress(OSError), open(path, "rb", buffering=0) as file:
         content = b""
         while len(content) < READ_BYTES and (part := os.read(file.fileno(), READ_BYTES)):

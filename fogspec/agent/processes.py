@@ -72,10 +72,10 @@ def extinguish(children: Iterable[subprocess.Popen[bytes]] = (), patience_s: flo
     """
     end_s, stopped = time.monotonic() + patience_s, set[int]()
     while not (gone := reap(children)) and time.monotonic() < end_s:
-        if new := _tree() - stopped:
+        if new := tree() - stopped:
             stopped |= send(new, signal.SIGSTOP)
             continue
-        send(_tree(), signal.SIGKILL)
+        send(tree(), signal.SIGKILL)
         stopped.clear()
         time.sleep(0.001)
     return gone
@@ -146,7 +146,7 @@ def descendants() -> list[int]:
     return sorted(below([os.getpid()], living()))
 
 
-def _tree() -> set[int]:
+def tree() -> set[int]:
     """Return the processes below this one, zombies included: as `descendants`, but in microseconds where the kernel can."""
     found: set[int] = set()
     frontier = offspring()

@@ -9,7 +9,7 @@
 The processes find the probe module on PYTHONPATH and append one line of JSON per request to FOGSPEC_TIMINGS
 (DIR/timings.jsonl). Their output is kept without the values of secret variables. However the sample ends, DIR/outcome.json
 is written unless the agent itself is killed: state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s,
-duration_s, waited_s, requests, unreadable lines, and facts of the server.
+duration_s, waited_s, requests, unreadable lines, facts of the server, and the resources that were used.
 
 After a sample that was measured the same processes run once more for each part of the machine, confined to its vCPUs and
 memory; DIR/NAME has its timings and outcome, with `confined`. A part takes `--part-limit` at most, start included.
@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 from . import machine_facts, processes, redaction, ros
 from .confinement import Confinement
 from .files import open_plain, read_tail, truncate
+from .resources import Resources
 from .shared_memory import SharedMemory
 from .stopping import TIMINGS_LIMIT, Timings
 
@@ -147,6 +148,7 @@ class SampleRun:
         self.misnamed_s: float | None = None
         self.last_request_s: float | None = None
         self.next_progress_s = started_s
+        self.resources = Resources()
 
     def run(self) -> dict[str, Any]:
         """Return the outcome, without its duration."""
@@ -157,7 +159,9 @@ class SampleRun:
             state, reason, detail, stopped_by = self._start() or self._watch()
             waited_s = self._waited_s(stopped_by)
             server = machine_facts.between(before, machine_facts.read())
+            resources = self.resources.end()
         finally:
+            self.resources.gpus.close()
             killed = self._memory_kills() > kills
             self.shared_memory.look(processes.descendants, again=True)
             processes.finish(self.children)
@@ -183,6 +187,7 @@ class SampleRun:
             "requests": self.timings.requests,
             "unreadable": self.timings.unreadable,
             "server": server,
+            "resources": resources,
             **({} if self.confinement is None else {"confined": self.confinement.facts()}),
         }
 
@@ -255,6 +260,7 @@ class SampleRun:
         while True:
             codes = [child.poll() for child in self.children]
             self._read()
+            self._look_at_resources()
             self._print_progress()
             self.shared_memory.look(processes.descendants)
             processes.reap(self.children)
@@ -271,6 +277,12 @@ class SampleRun:
         if self.timings.read():
             self.last_request_s = time.monotonic()
             self.setup_s = self.last_request_s - self.started_s if self.setup_s is None else self.setup_s
+
+    def _look_at_resources(self) -> None:
+        """Look at them once requests are measured; where a program reads the records afterwards, from the start."""
+        if self.options.afterwards or self.timings.requests >= max(1, self.options.warmup):
+            self.resources.begin()
+        self.resources.look()
 
     def _print_progress(self) -> None:
         if self.options.progress and self.timings.requests and time.monotonic() >= self.next_progress_s:

@@ -15,10 +15,11 @@ from fogspec.backends.protocol import DeploymentStatus, Job, SampleStatus
 from fogspec.backends.skypilot.errors import plain
 from fogspec.base.files import open_untrusted
 from fogspec.base.project_files import LinkedPath
+from fogspec.base.quantities import BASE_UNITS
 from fogspec.base.units import UnitError
 from fogspec.plan.schema import PartName
 from fogspec.results.ranges import TIME_S
-from fogspec.results.schema import Confined, Reason, ServerFacts
+from fogspec.results.schema import Confined, Reason, ResourceUse, ServerFacts
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {
     "starting": "starting",
@@ -48,6 +49,7 @@ class Outcome:
     waited_s: float | None = None
     duration_s: float | None = None
     server: ServerFacts | None = None
+    resources: ResourceUse | None = None
     confined: Confined | None = None
 
     @property
@@ -81,6 +83,7 @@ def read_outcome(path: Path) -> Outcome | None:
         stopped_by=_short(values.get("stopped_by")),
         **times_s,
         server=server_facts(values.get("server")),
+        resources=resource_use(values.get("resources")),
         confined=_confined(values.get("confined")),
     )
 
@@ -104,6 +107,7 @@ def part_statuses(job: Job) -> dict[PartName, SampleStatus]:
                 waited_s=outcome.waited_s,
                 billed_s=outcome.duration_s,
                 server=outcome.server,
+                resources=outcome.resources,
                 confined=outcome.confined,
             )
     return found
@@ -188,6 +192,14 @@ def server_facts(value: object) -> ServerFacts | None:
         wrong = {error["loc"][0] for error in problem.errors()}
     try:
         return ServerFacts.model_validate({name: one for name, one in facts.items() if name not in wrong}, strict=True)
+    except ValidationError:
+        return None
+
+
+def resource_use(value: object) -> ResourceUse | None:
+    """Return what a sample used, quantities as numbers in base units or as text; None if any of it is impossible."""
+    try:
+        return ResourceUse.model_validate(value, strict=True, context=BASE_UNITS) if isinstance(value, dict) else None
     except ValidationError:
         return None
 

@@ -16,7 +16,7 @@ from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import Part, PartName
-from fogspec.results.schema import Confined, Measured, Reason, ServerFacts
+from fogspec.results.schema import Confined, Measured, Reason, ResourceUse, ServerFacts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,6 +106,7 @@ class SampleStatus:
     recorded: Measured | None = None
     so_far: Partial | None = None
     server: ServerFacts | None = None
+    resources: ResourceUse | None = None
     confined: Confined | None = None
     parts: Mapping[PartName, "SampleStatus"] = field(default_factory=dict)
 

@@ -76,6 +76,7 @@ def _figures(requests: Requests, status: SampleStatus, rules: RecordRules) -> di
         "latency_lower_bound": status.waited_s if state in ("timeout", "insufficient") else None,
         "metrics": {name: _mean(values, rules.scenarios) for name, values in requests.metrics.items()},
         "server": status.server,
+        "resources": status.resources,
     }
 
 

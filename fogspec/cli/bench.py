@@ -258,6 +258,7 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Progre
 
 def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
     from fogspec.bench import progress
+    from fogspec.results.resources import doubts_of, use_line
     from fogspec.results.schema import is_final
 
     layout, results = prepared.layout, benched.results
@@ -266,6 +267,10 @@ def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
         return
     for record in results.spec.samples:
         say(f"  {record.id}: {progress.outcome(record)}")
+        if record.resources is not None:
+            say(f"    used {use_line(record.resources)}")
+        for text in doubts_of(record) if record.state == "ok" else ():
+            say(f"    warning: {text}")
         if record.state != "ok" and record.id in benched.folders:
             say(f"    logs: {benched.folders[record.id]}")
         if record.state != "ok" and is_final(record):

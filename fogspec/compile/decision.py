@@ -25,6 +25,7 @@ from fogspec.model.predict import PredictionSet, predict
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.plan.schema import ApplicationRef, CatalogRef, Plan, digest_without_budget
 from fogspec.results.progress import Unfinished, unfinished
+from fogspec.results.resources import doubts
 from fogspec.results.schema import Results, other_servers
 from fogspec.spec import fingerprints
 from fogspec.spec.lockfile import image_named, is_pinned, sent_files
@@ -218,6 +219,7 @@ def warnings_for(
         found += [f"curve of {model.target}{beside}: {text}" for text in model.warnings]
     found += [f"sample {one.id} does not count: {one.reason}" for one in models.spec.rejected]
     found += other_servers(results.spec.samples)
+    found += doubts(results.spec.samples)
     image = image_named(application)
     if image is not None and not is_pinned(image):
         found.append(f"image {image} is not pinned to a digest: what is deployed may differ from what was measured")

@@ -28,6 +28,7 @@ from fogspec.compile.manifest import alternatives
 from fogspec.model.fit import Model, targets
 from fogspec.numerics.servers import OTHER, SHIFTS
 from fogspec.report.summary import billing_text, entry_text, infeasible_text, metrics_text
+from fogspec.results.resources import use_line
 from fogspec.results.schema import Measured, NestedIn, own_records
 
 MOST_SAMPLES = 3
@@ -85,6 +86,8 @@ def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
         ]
     if servers := _servers(compiled):
         lines += ["", "measured on", *(f"  {text}" for text in servers)]
+    if used := _used(compiled):
+        lines += ["", "used while measured", *(f"  {text}" for text in used)]
     lines += ["", "one more sample", f"  {_next_sample_text(choice, found.next, local)}"]
     if another := _another_server(compiled, decision):
         lines += ["", "another server", f"  {another}"]
@@ -116,6 +119,7 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         "confidences": [_confidence_dict(choice, one) for one in other_confidences(choice)],
         "samples": [asdict(one) for one in analysis.influences],
         "servers": _server_dicts(compiled),
+        "resources": _resource_dicts(compiled),
         "weak": [
             {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in widest_intervals(choice)
         ],
@@ -275,6 +279,21 @@ def _servers(compiled: Artifacts) -> list[str]:
     samples = [] if compiled.results is None else compiled.results.spec.samples
     own = [f"{one.machine.instance}: {one.server.line()}" for one in own_records(samples) if one.server is not None]
     return own + [_nested_text(one, one.nested_in) for one in samples if one.nested_in is not None]
+
+
+def _used(compiled: Artifacts) -> list[str]:
+    """Return a line for each sample of what it used of its machine."""
+    samples = [] if compiled.results is None else compiled.results.spec.samples
+    return [f"{one.machine.instance}: {use_line(one.resources)}" for one in samples if one.resources is not None]
+
+
+def _resource_dicts(compiled: Artifacts) -> list[dict[str, Any]]:
+    samples = [] if compiled.results is None else compiled.results.spec.samples
+    return [
+        {"id": one.id, "summary": use_line(one.resources), **one.resources.model_dump(mode="json", exclude_none=True)}
+        for one in samples
+        if one.resources is not None
+    ]
 
 
 def _another_server(compiled: Artifacts, decision: Decision) -> str | None:

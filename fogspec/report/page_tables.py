@@ -14,11 +14,12 @@ from fogspec.choice.sensitivity import Refits
 from fogspec.model.fit import Models, Observation
 from fogspec.numerics import families
 from fogspec.plan.schema import Plan
+from fogspec.results.resources import use_line
 from fogspec.results.schema import Measured, Results
 
 MEASURED_HEADS = (
     "machine", "infra", "vCPU", "memory", "GPU", "price per hour", "state", "requests", "mean", "sd", "p50", "p95", "p99",
-    "metrics", "took", "spent", "measured on",
+    "metrics", "took", "spent", "measured on", "used",
 )  # fmt: skip
 
 
@@ -76,6 +77,7 @@ def _measured(one: Measured) -> tuple[str, ...]:
         units.format_duration(rounded(one.duration)),
         units.format_money(one.spent),
         "" if one.server is None else one.server.line(),
+        "" if one.resources is None else use_line(one.resources),
     )
 
 

@@ -9,7 +9,7 @@ from fogspec.base import digest
 from fogspec.base.quantities import Id, Money, Strict
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.plan.schema import PartName, PlanMetadata, Sampling, article
-from fogspec.results.ranges import Amount, Counted, MetricValue, RequestTime, Text, Time
+from fogspec.results.ranges import Amount, Counted, MemoryUse, MetricValue, RequestTime, Text, Time, Vcpus
 
 State = Literal["ok", "insufficient", "timeout", "failed"]
 Reason = Literal[
@@ -89,6 +89,36 @@ class ServerFacts(Strict):
         return ", ".join(filter(None, (self.cpu, sockets, cores, clock, steal, waited, queue)))
 
 
+class ResourceUse(Strict):
+    """What the processes of a sample used while requests were measured, in a `window` that begins after warm-up.
+
+    `cpu_mean` and `cpu_max`, of one second, are in vCPUs, of `vcpus` that affinity and quota let the processes use. `throttled`
+    is the fraction of periods in which that quota stopped them. `memory_peak` is the largest sum of their resident memory, read
+    once per second. Page faults are theirs; `major_faults` waited for a disk. `swapped`, `received` and `sent` are what the
+    whole machine moved to and from swap and through its network devices. Of its `gpus`, `gpu_mean` and `gpu_max` are the
+    fractions of time in which the busiest one computed, and `gpu_memory_peak` is of `gpu_memory` of the fullest one. `overhead`
+    is what reading all this took, in vCPUs.
+    """
+
+    window: Time
+    vcpus: Vcpus
+    cpu_mean: Vcpus
+    cpu_max: Vcpus
+    throttled: float | None = Field(None, ge=0, le=1)
+    memory_peak: MemoryUse
+    minor_faults: Annotated[int, Field(ge=0, le=10**15)]
+    major_faults: Annotated[int, Field(ge=0, le=10**15)]
+    swapped: MemoryUse | None = None
+    received: MemoryUse | None = None
+    sent: MemoryUse | None = None
+    gpus: int | None = Field(None, ge=1, le=1024)
+    gpu_mean: float | None = Field(None, ge=0, le=1)
+    gpu_max: float | None = Field(None, ge=0, le=1)
+    gpu_memory_peak: MemoryUse | None = None
+    gpu_memory: MemoryUse | None = None
+    overhead: Vcpus
+
+
 class Confined(Strict):
     """By what a part of a machine was held to its vCPUs and to its memory, None for memory that was not limited."""
 
@@ -123,7 +153,7 @@ class Measured(Strict):
     `latency` is there when at least one valid request was measured, whatever the state; `latency_lower_bound` is a lower
     bound on the latency of a sample that was aborted in the middle of a request. A figure that its machine sent out of
     range (`fogspec.results.ranges`) is none: it makes the sample `failed`, `out_of_range`. `server` is the server
-    that ran it.
+    that ran it, `resources` what it used.
 
     A record that is `nested_in` another was measured on a part of that one's machine: it stands for `machine`, which it is not,
     and its cost is in that record.
@@ -151,6 +181,7 @@ class Measured(Strict):
     spent: Amount
     timings: Timings | None = None
     server: ServerFacts | None = None
+    resources: ResourceUse | None = None
     nested_in: NestedIn | None = None
 
     @model_validator(mode="after")

@@ -209,6 +209,7 @@ class LocalSamples(LocalBackend):
             stopped_by=outcome.stopped_by,
             waited_s=outcome.waited_s,
             server=outcome.server,
+            resources=outcome.resources,
             parts=agent_state.part_statuses(job),
         )
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
-from fogspec.backends.agent_state import part_statuses, read_outcome, server_facts
+from fogspec.backends.agent_state import part_statuses, read_outcome, resource_use, server_facts
 from fogspec.backends.protocol import Job, SampleStatus
 from fogspec.backends.skypilot import logs
 
@@ -44,6 +44,7 @@ def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> Samp
         measured_s=measured_s,
         setup_s=setup_s,
         server=outcome.server,
+        resources=outcome.resources,
         parts=parts,
     )
 
@@ -67,14 +68,25 @@ def read_final(job: Job) -> SampleStatus | None:
         return None
     timings = job.directory / "out" / "timings.jsonl"
     server = server_facts(values.get("server"))
-    found = {"timings": timings if values.get("timings") else None, "server": server, "parts": part_statuses(job)}
+    found = {
+        "timings": timings if values.get("timings") else None,
+        "server": server,
+        "resources": resource_use(values.get("resources")),
+        "parts": part_statuses(job),
+    }
     return SampleStatus(**{**values, **found})
 
 
 def write_final(job: Job, status: SampleStatus) -> None:
     """Write the final status."""
     server = None if status.server is None else status.server.model_dump(mode="json")
-    others = {"timings": status.timings is not None, "recorded": None, "server": server, "parts": {}}
+    others = {
+        "timings": status.timings is not None,
+        "recorded": None,
+        "server": server,
+        "resources": None if status.resources is None else status.resources.model_dump(mode="json"),
+        "parts": {},
+    }
     save(job, ENDED, {**asdict(replace(status, parts={})), **others})
 
 

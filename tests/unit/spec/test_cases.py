@@ -17,6 +17,9 @@ ELSEWHERE = {
     "FS701": "tests/unit/spec/test_loader.py",
     "FS801": "tests/unit/spec/test_launch_import.py",
     "FS802": "tests/unit/spec/test_launch_import.py",
+    "FS901": "tests/unit/results/test_resources.py",
+    "FS902": "tests/unit/results/test_resources.py",
+    "FS903": "tests/unit/results/test_resources.py",
 }
 
 WARNINGS = {"FS523", "FS536", "FS544", "FS546", "FS547"}
