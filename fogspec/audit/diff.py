@@ -166,7 +166,7 @@ def number(text: str) -> float | None:
 def _why(status: Status, manifest: Mapping[str, Any] | None) -> Iterator[str]:
     """Yield the changed inputs, by stage, from the first stage that is not fresh."""
     for stage in status.stages:
-        if stage.name in ("plan", "results") and (not status.settled(stage) or stage.notes):
+        if stage.name in ("plan", "results") and (not status.settled(stage) or (stage.notes and not status.fresh)):
             yield from (f"{stage.name}: {text}" for text in (*stage.reasons, *stage.notes))
     if not all(map(status.settled, status.stages)):
         yield from _changed_inputs(status.inputs, manifest)

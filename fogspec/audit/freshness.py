@@ -19,9 +19,10 @@ from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.inputs import Inputs
 from fogspec.plan.schema import Plan, PlanBody, TaskRef
 from fogspec.results.progress import unfinished
-from fogspec.results.schema import Results, completed
+from fogspec.results.schema import completed
+from fogspec.results.standing import change_text as change_since
 from fogspec.spec import fingerprints
-from fogspec.spec.lockfile import changed_pins, differing, listed, pins_of_measurement
+from fogspec.spec.lockfile import differing, listed
 from fogspec.spec.schema import Application
 
 State = Literal["fresh", "partial", "stale", "missing"]
@@ -181,24 +182,27 @@ def _results(compiled: Artifacts) -> Stage:
     if inputs.results is None:
         return Stage("results", path, "missing", (f"{len(compiled.plan.spec.samples)} samples to measure",))
     if compiled.results is None:
-        return Stage("results", path, "stale", tuple(_changed_since(inputs, inputs.results)))
+        return Stage("results", path, "stale", tuple(_some(compiled.standing.reasons if compiled.standing else [])))
     body = compiled.results.spec
     unlocked = () if body.pins or not compiled.plan.spec.pins else ("measured before anything was locked",)
+    waived = compiled.standing.waived if compiled.standing else ()
+    unlocked = (*unlocked, *(f"waived: {change_since(one)}: {one.reason}" for one in waived), *unused_waivers(compiled))
     left = unfinished(inputs.application, compiled.plan, compiled.results)
     if left is not None:
         return Stage("results", path, "partial", (f"{left.state}; {left.why}",), unlocked)
     return Stage("results", path, "fresh", (), unlocked)
 
 
-def _changed_since(inputs: Inputs, results: Results) -> list[str]:
-    """Return the changes since stale results were measured."""
-    application = inputs.application
-    pins = pins_of_measurement(application, inputs.pins)
-    others = listed(changed_pins(results.spec.pins, pins), LOCKED, NAMED)
-    if results.spec.application == fingerprints.measured_digest(application):
-        return others
-    fields = changed_reads(results.spec.field_digests, application) if results.spec.field_digests else []
-    return [*fields, *others] or ["they measured something else"]
+def unused_waivers(compiled: Artifacts) -> list[str]:
+    """Return a sentence for each waiver of the spec that no results need."""
+    needed = compiled.standing.waived if compiled.standing else ()
+    every = compiled.inputs.application.spec.benchmark.waivers
+    return [f"spec.benchmark.waivers: {one.change} is not needed any more" for one in every if one not in needed]
+
+
+def _some(reasons: Sequence[str]) -> list[str]:
+    left = len(reasons) - NAMED
+    return [*reasons[:NAMED], *([f"and {left} more"] if left > 0 else [])]
 
 
 def _derived(compiled: Artifacts, differing: Sequence[Path], measured: Stage) -> Iterator[Stage]:

@@ -7,6 +7,8 @@ from fogspec.audit.freshness import Status
 from fogspec.base import units
 from fogspec.base.text import paragraph, shell_command
 from fogspec.base.units import dollars, rounded
+from fogspec.results.standing import ways_to_keep
+from fogspec.spec.schema import Waiver
 
 
 def as_text(one: Status, running: Sequence[str] = ()) -> str:
@@ -15,6 +17,8 @@ def as_text(one: Status, running: Sequence[str] = ()) -> str:
     for stage in one.stages:
         lines.append(f"  {stage.name:<9} {stage.state:<8} {stage.path}")
         lines += [f"  {'':<9} {'':<8} {text}" for text in (*stage.reasons, *stage.notes)]
+    if one.artifacts is not None and one.artifacts.standing is not None:
+        lines += [f"  {text}" for text in ways_to_keep(one.artifacts.standing, one.layout.spec)]
     if one.refused is not None:
         lines.append(f"  cannot be compiled: {one.refused}")
     budget = "" if one.budget_usd is None else f" of a budget of {dollars(one.budget_usd)}"
@@ -36,6 +40,11 @@ def _next(one: Status) -> list[str]:
     return [f"next: {shell_command('fogspec', 'compile', one.layout.spec)}"]
 
 
+def _suggested(one: Status) -> Sequence[Waiver]:
+    found = None if one.artifacts is None else one.artifacts.standing
+    return () if found is None else found.suggested
+
+
 def as_dict(one: Status) -> dict[str, Any]:
     """Return the status as a dict for JSON."""
     return {
@@ -51,6 +60,7 @@ def as_dict(one: Status) -> dict[str, Any]:
             for stage in one.stages
         ],
         "refused": one.refused,
+        "waivers": [waiver.model_dump(mode="json") for waiver in _suggested(one)],
         "to_measure": one.to_measure,
         "spent_usd": one.spent_usd,
         "budget_usd": one.budget_usd,

@@ -19,10 +19,11 @@ from fogspec.compile.plan_files import task_file
 from fogspec.plan.schema import Plan, Sample, replicate, sample_id
 from fogspec.results.io import read_results
 from fogspec.results.schema import Results, completed
+from fogspec.results.standing import Standing, standing
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import SourceFile
 from fogspec.spec.lock_io import files_sent, lock_drift, read_pins
-from fogspec.spec.lockfile import changed_pins, pinned, pins_of_measurement, some
+from fogspec.spec.lockfile import pinned, pins_of_measurement, some
 from fogspec.spec.schema import Application
 
 
@@ -30,7 +31,8 @@ from fogspec.spec.schema import Application
 class Prepared:
     """The samples to measure, `todo`, with their reviewed tasks.
 
-    `results` are those that still count; `outdated` tells that the file on disk measured something else; `only`
+    `results` are those that still count; `outdated` tells that the file on disk measured something else, `standing` what
+    changed since; `only`
     that the user named the samples. `not_admitted` are sentences on samples of the plan that the spec does not admit,
     which are not measured. `read` are the results as they were on disk. `spent_usd` is the cost of measuring the
     application so far by runner, also before it changed.
@@ -48,6 +50,7 @@ class Prepared:
     not_admitted: tuple[str, ...] = ()
     read: Results | None = None
     spent_usd: Mapping[str, float] = field(default_factory=dict)
+    standing: Standing = field(default_factory=Standing)
 
     def check_current(self) -> None:
         """Raise OutOfDate if another bench has measured since this was prepared: its samples must not be lost."""
@@ -87,10 +90,8 @@ def prepare(
     exact = pinned(application, pins)
     tasks = {sample.id: _task(exact, plan, layout, sample, again) for sample in plan.spec.samples}
     results = read_results(layout)
-    outdated = results is not None and (
-        results.spec.application != fingerprints.measured_digest(application)
-        or bool(changed_pins(results.spec.pins, plan.spec.pins))
-    )
+    found = None if results is None else standing(results, application, plan.spec.pins)
+    outdated = found is not None and not found.counts
     counting = None if outdated else results
     wanted = _todo(plan, counting, only)
     against = {one.id: field for one in wanted if (field := against_spec(application, one.machine)) is not None}
@@ -102,6 +103,7 @@ def prepare(
         tasks=tasks,
         results=counting,
         outdated=outdated,
+        standing=found or Standing(),
         only=bool(only),
         todo=tuple(one for one in wanted if one.id not in against),
         not_admitted=tuple(

@@ -29,10 +29,11 @@ class Quote:
     cap_usd: float | None
     runner: str
     costs: Costs
+    once_more: bool = False
 
     @classmethod
-    def of(cls, prepared: Prepared, backend: SampleBackend, max_usd: float | None) -> "Quote":
-        """Return the quote of the plan, with what is left of its budget."""
+    def of(cls, prepared: Prepared, backend: SampleBackend, max_usd: float | None, once_more: bool = False) -> "Quote":
+        """Return the quote of the plan, with what is left of its budget; `once_more` is for the chosen machine alone."""
         body, benchmark = prepared.plan.spec, prepared.application.spec.benchmark
         spent = prepared.spent_usd.get(backend.name, 0.0)
         left = None if benchmark.budget is None else max(benchmark.budget - spent, 0.0)
@@ -53,6 +54,7 @@ class Quote:
             cap_usd=min(caps, default=None),
             runner=backend.name,
             costs=backend.costs,
+            once_more=once_more,
         )
 
     @property
@@ -79,6 +81,8 @@ class Quote:
     def line(self) -> str:
         """Return one line: the samples to measure, and the most that they can cost."""
         count = f"{self.name}: {len(self.todo)} of {self.planned} samples to measure"
+        if self.once_more:
+            count = f"{self.name}: {', '.join(one.machine.instance for one in self.todo)} to measure once more"
         if self.adaptive:
             count += ", then the machines that the model asks for"
         if self.costs is not Costs.REAL:

@@ -3,19 +3,21 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
 from fogspec.bench.record import compress, timings_reference
 from fogspec.plan.schema import PlanMetadata, Sampling
-from fogspec.results.schema import Measured, Results, ResultsBody, is_final, with_checksum
+from fogspec.results.schema import Carried, Measured, Results, ResultsBody, is_final, with_checksum
 
 
 @dataclass(slots=True, kw_only=True)
 class ResultsFile:
     """A `fogspec.bench.types.ResultsSink` on disk.
 
-    `sample_ids` are those of the plan, in its order; `redact` removes the values of secrets from a machine's text.
+    `sample_ids` are those of the plan, in its order; `redact` removes the values of secrets from a machine's text. `carried`
+    are the changes after which older samples count on, `renewed` the ids of samples that were measured after the last one.
     """
 
     layout: Layout
@@ -28,9 +30,12 @@ class ResultsFile:
     redact: Callable[[str], str] = lambda text: text
     pins: dict[str, str] | None = None
     field_digests: dict[str, str] | None = None
+    measured: dict[str, Any] | None = None
+    carried: list[Carried] = field(default_factory=list)
     sampling: Sampling | None = None
     samples: dict[str, Measured] = field(default_factory=dict)
     spent_usd: float = 0.0
+    renewed: set[str] = field(default_factory=set)
 
     def resume(self, results: Results) -> None:
         """Continue existing results."""
@@ -54,7 +59,9 @@ class ResultsFile:
 
     def put(self, record: Measured, spent_usd: float) -> None:
         """Write the file with this record, unless an older one says more: a measurement, or a final failure."""
-        self.samples[record.id] = self._preferred(record)
+        if self._preferred(record) is record:
+            self.samples[record.id] = record
+            self.renewed.add(record.id)
         self.spent_usd = spent_usd
         self.write()
 
@@ -89,6 +96,8 @@ class ResultsFile:
             plan=self.plan,
             pins=self.pins,
             field_digests=self.field_digests,
+            measured=self.measured,
+            carried=self._carried() or None,
             runner=self.runner,
             source=self.source,
             budget=self.budget_usd,
@@ -97,6 +106,14 @@ class ResultsFile:
             samples=ordered,
         )
         return with_checksum(PlanMetadata(name=self.layout.name), body)
+
+    def _carried(self) -> list[Carried]:
+        """Return what samples of older inputs count on for, without those that were measured again."""
+        older = {name for name in self.samples if name not in self.renewed}
+        steps = (
+            one.model_copy(update={"samples": [name for name in one.samples if name in older]}) for one in self.carried
+        )
+        return [one for one in steps if one.samples]
 
     def write(self) -> None:
         """Write the file whole, or leave the old one."""

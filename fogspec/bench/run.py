@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from fogspec.agent.redaction import Secrets
 from fogspec.backends.protocol import Costs, SampleBackend, no_access
@@ -22,6 +23,7 @@ from fogspec.base.units import dollars, format_money
 from fogspec.bench.adaptive import AdaptiveSampling, Tasks
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.claim import ClaimingBackend
+from fogspec.bench.confirm import ConfirmingFile, Expected
 from fogspec.bench.journal import Journal
 from fogspec.bench.orphans import adopt_orphans, adopt_returned
 from fogspec.bench.prepare import Prepared
@@ -36,7 +38,8 @@ from fogspec.plan.budget import ceil_cents
 from fogspec.plan.reuse import price_rises
 from fogspec.plan.schema import Sample
 from fogspec.results.requests import RecordRules
-from fogspec.results.schema import Results, completed
+from fogspec.results.schema import Confirmation, Results, completed
+from fogspec.results.standing import carried_on, measured_values
 from fogspec.spec import fingerprints
 from fogspec.spec.lock_io import read_pins, snapshot
 from fogspec.spec.lockfile import pinned
@@ -50,7 +53,8 @@ class BenchOptions:
 
     It spends at most `max_usd`; with `resume` it takes down machines that no journal here lists. An adaptive
     campaign samples machines of `catalog`, with the prior data of `library`; without a catalog it measures only the recorded
-    batches. Nothing is started that is more expensive in `prices` than in its plan.
+    batches. Nothing is started that is more expensive in `prices` than in its plan. With what the older results have
+    `expected` of the one sample to measure, they count on if it agrees.
     """
 
     max_usd: float | None = None
@@ -58,14 +62,20 @@ class BenchOptions:
     catalog: Catalog | None = None
     prices: Catalog | None = None
     library: PriorData | None = None
+    expected: Expected | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class BenchResult:
-    """The results on disk, and the directories with the logs of the samples that were measured now."""
+    """The results on disk, and the directories with the logs of the samples that were measured now.
+
+    Older results were `compared` with a new sample, and `confirmed` by it, or not.
+    """
 
     results: Results
     folders: dict[str, Path]
+    confirmed: Confirmation | None = None
+    compared: bool = False
 
 
 @dataclass(slots=True)
@@ -144,7 +154,13 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
                 (adopt if one.options.resume else adopt_returned)(campaign)
                 campaign.recover()
                 campaign.run([])
-        return BenchResult(sink.results(), redacted.folders)
+        compared = isinstance(sink, ConfirmingFile) and sink.decided
+        return BenchResult(
+            sink.results(),
+            redacted.folders,
+            sink.confirmed if isinstance(sink, ConfirmingFile) else None,
+            compared,
+        )
     except KeyboardInterrupt:
         one.left[:] = journal.state.open
         raise
@@ -199,6 +215,8 @@ def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, runni
             library=options.library,
         )
         todo = _unmeasured(sampling.begin(), sink)
+    if isinstance(sink, ConfirmingFile) and sink.decided:  # by a sample that an earlier bench measured
+        todo = []
     campaign.run([sample for sample in todo if sample.id not in running])
     if campaign.denied is not None:
         raise no_access(campaign.denied)
@@ -241,29 +259,37 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
     tree = None
     if backend.costs != Costs.RECORDED:
         tree = snapshot(prepared.application, layout, layout.sent / token, pins.files if pins else None)
-    sink = ResultsFile(
-        layout=layout,
-        application=application,
-        plan=prepared.plan_digest,
-        runner=backend.name,
-        source=backend.source,
-        budget_usd=spec.benchmark.budget,
-        sample_ids=[sample.id for sample in body.samples],
-        redact=redacting.redact,
-        pins=body.pins or None,
-        field_digests=body.application.field_digests,
-    )
+    made: dict[str, Any] = {
+        "layout": layout,
+        "application": application,
+        "plan": prepared.plan_digest,
+        "runner": backend.name,
+        "source": backend.source,
+        "budget_usd": spec.benchmark.budget,
+        "sample_ids": [sample.id for sample in body.samples],
+        "redact": redacting.redact,
+        "pins": body.pins or None,
+        "field_digests": body.application.field_digests,
+        "measured": measured_values(prepared.application),
+    }
+    sink = ResultsFile(**made)
+    if one.options.expected is not None and prepared.read is not None:
+        check_same_runner(prepared.read, backend)
+        sink = ConfirmingFile(**made, older=prepared.read, expected=one.options.expected)
     if prepared.outdated:
         set_aside(layout)
     if prepared.results is not None:
         check_same_runner(prepared.results, backend)
         sink.resume(prepared.results)
+        sink.carried = carried_on(prepared.results, prepared.standing.waived)
     tasks = Tasks(pinned(prepared.application, pins), layout, prepared.plan, dict(prepared.tasks))
     # A sample that is still running from before must have been started by a task with the same pins.
     measured = digest.of_value([application, body.pins])
     known_usd = max(sink.spent_usd, prepared.spent_usd.get(backend.name, 0.0))
     journal.begin(backend.name, measured, prepared.plan_digest, known_usd)
     sink.spent_usd = journal.state.spent_usd
+    if prepared.standing.waived and prepared.results is not None:
+        sink.write()  # so that what is measured now is not taken for the same as what was
     allowed = None if one.options.max_usd is None else journal.state.spent_usd + one.options.max_usd
     config = CampaignConfig(
         owner=owner,

@@ -10,11 +10,14 @@ import click
 from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
 from fogspec.base.text import shell_command
-from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from, require_ready
+from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from, load_inputs, require_ready
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from fogspec.backends.protocol import SampleBackend
     from fogspec.bench.campaign import Campaign
+    from fogspec.bench.confirm import Expected
     from fogspec.bench.prepare import Prepared
     from fogspec.bench.progress import ProgressReporter
     from fogspec.bench.quote import Quote
@@ -61,6 +64,11 @@ class Dollars(click.ParamType):
     help="replay: how long to wait for each recorded second",
 )
 @click.option("--only", metavar="ID,…", default="", help="measure these samples, again if need be")
+@click.option(
+    "--confirm",
+    is_flag=True,
+    help="measure the chosen machine once more; if it agrees with stale results, they count on",
+)
 @click.option("--at-once", type=click.IntRange(1), metavar="N", help="how many machines at the same time, at most")
 @click.option("--resume", is_flag=True, help="take down machines that another bench of this application left running")
 @click.option("--max", "max_usd", type=Dollars(), help="spend at most this now, whatever the budget leaves")
@@ -75,6 +83,7 @@ def command(
     recorded: str | None,
     pace: float,
     only: str,
+    confirm: bool,
     at_once: int | None,
     resume: bool,
     max_usd: float | None,
@@ -89,33 +98,30 @@ def command(
     Resumes where an earlier bench stopped: finished samples are not measured again, machines that were left running
     are torn down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
     """
+    from fogspec.bench.confirm import confirming
     from fogspec.bench.prepare import prepare
     from fogspec.bench.quote import Quote, check_prices
     from fogspec.bench.run import BenchOptions, bench
 
     names = [name.strip() for name in only.split(",") if name.strip()]
-    unusable = []
+    if confirm and names:
+        raise UsageError("--confirm and --only exclude each other", "--confirm measures the chosen machine")
+    unusable, refuted = [], []
     known: dict[Path, SourceFile] = {}
     applications = applications_of(spec)
     require_ready(applications, started=True, files=recorded is None)
     for one in applications:
         prepared = prepare(one.application, one.path, names, known)
+        expected = None
+        if confirm:
+            prepared, expected = confirming(
+                prepared, load_inputs([one.path], catalog_path, priors, name=prepared.layout.name)[0]
+            )
         backend = _backend(prepared, runner_name, recorded, pace)
         backend.at_once = min(backend.at_once, at_once or backend.at_once)
         _check_place(prepared, backend)
-        offering = Quote.of(prepared, backend, max_usd)
-        say(offering.line(), err=True)
-        for text in offering.unattended():
-            say(f"  {text}", err=True)
-        if (spent := offering.spent_line(prepared)) is not None:
-            say(spent, err=True)
-        for note in backend.notes:
-            say(note, err=True)
-        for text in prepared.not_admitted:
-            say(f"  {text}", err=True)
-        if prepared.outdated:
-            kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
-            say(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)
+        offering = Quote.of(prepared, backend, max_usd, once_more=confirm)
+        _offer(prepared, backend, offering, expected)
         catalog, prices = _catalogs(one, catalog_path, prepared, backend)
         if prices is not None:
             check_prices(prepared.todo, prices, shell_command("fogspec", "compile", prepared.layout.spec))
@@ -127,15 +133,43 @@ def command(
             backend.check_access(places)
         _confirm(offering, yes)
         library = _library(prepared, priors) if catalog is not None else None
-        terms = BenchOptions(max_usd, resume, catalog, prices, library)
+        terms = BenchOptions(max_usd, resume, catalog, prices, library, expected)
         benched = bench(prepared, backend, lambda campaign, p=prepared: _watcher(campaign, p, output), terms)  # type: ignore[misc]
         _report(prepared, benched, output)
         if not any(record.state == "ok" for record in benched.results.spec.samples):
             unusable.append(prepared.layout.name)
+        if expected is not None and benched.confirmed is None:
+            refuted.append(prepared.layout.name if benched.compared else f"{prepared.layout.name} (not measured)")
     if unusable:
         raise InvalidInput(
             f"{', '.join(unusable)}: no sample could be measured", "the lines above say why, and where the logs are"
         )
+    _require_confirmed(refuted)
+
+
+def _require_confirmed(refuted: "Sequence[str]") -> None:
+    """Raise OutOfDate for applications whose older results were not confirmed."""
+    if refuted:
+        raise OutOfDate(
+            f"not confirmed: {', '.join(refuted)}: the older results stay stale", "measure the plan: fogspec bench"
+        )
+
+
+def _offer(prepared: "Prepared", backend: "SampleBackend", offering: "Quote", expected: "Expected | None") -> None:
+    """Say what would be measured, what it costs, and what becomes of the results on disk."""
+    say(offering.line(), err=True)
+    lines = [*([] if expected is None else [expected.line]), *offering.unattended()]
+    for text in lines:
+        say(f"  {text}", err=True)
+    if (spent := offering.spent_line(prepared)) is not None:
+        say(spent, err=True)
+    for note in backend.notes:
+        say(note, err=True)
+    for text in prepared.not_admitted:
+        say(f"  {text}", err=True)
+    if prepared.outdated:
+        kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
+        say(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)
 
 
 def _backend(prepared: "Prepared", name: str | None, recorded: str | None, pace: float) -> "SampleBackend":
@@ -259,7 +293,8 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "Progre
 def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
     from fogspec.bench import progress
     from fogspec.results.resources import doubts_of, use_line
-    from fogspec.results.schema import is_final
+    from fogspec.results.schema import is_final, own_records
+    from fogspec.results.standing import carried_text
 
     layout, results = prepared.layout, benched.results
     if output == "json":
@@ -276,6 +311,8 @@ def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
         if record.state != "ok" and is_final(record):
             words = ("fogspec", "bench", layout.spec, "--runner", results.spec.runner, "--only", record.id)
             say(f"    again: {shell_command(*words)}")
+    if benched.confirmed is not None:
+        say(f"{carried_text((results.spec.carried or [])[-1], len(own_records(results.spec.samples)))}")
     if results.spec.sampling is not None and results.spec.sampling.stop_reason is not None:
         say(f"sampling ended: {results.spec.sampling.stop_reason}")
     say(f"results   {layout.results}")

@@ -11,6 +11,7 @@ from fogspec.catalog.table import Catalog
 from fogspec.compile.inputs import Inputs
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import Results
+from fogspec.results.standing import Standing
 from fogspec.spec.loader import SourceFile
 from fogspec.spec.schema import Application
 
@@ -23,7 +24,7 @@ class Artifacts:
     """The compiled files of an application, by path, and the values behind them.
 
     `application` is the spec with its image pinned. `results` are the current results; `stale` is the reason why those on
-    disk are not current. There is a `decision` if there are current results.
+    disk are not current, `standing` what changed since they were measured. There is a `decision` if there are current results.
     """
 
     inputs: Inputs
@@ -32,6 +33,7 @@ class Artifacts:
     admissible: Filtered
     results: Results | None
     stale: str | None
+    standing: Standing | None
     decision: "Decision | None"
     files: Mapping[Path, bytes]
 

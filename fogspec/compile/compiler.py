@@ -18,8 +18,8 @@ from fogspec.plan.design import make_plan
 from fogspec.plan.reuse import plan_from_campaign, reuse_plan
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import Results, completed
-from fogspec.spec import fingerprints
-from fogspec.spec.lockfile import changed_pins, pinned, pins_of_measurement, some
+from fogspec.results.standing import Standing, standing
+from fogspec.spec.lockfile import pinned, pins_of_measurement, some
 from fogspec.spec.schema import Application
 
 if TYPE_CHECKING:
@@ -36,7 +36,8 @@ def compile_application(inputs: Inputs, partial: bool = False) -> Artifacts:
     """
     application, layout = inputs.application, inputs.layout
     exact = pinned(application, inputs.pins)
-    results, stale = usable_results(inputs)
+    found = standing_of(inputs)
+    results, stale = usable(inputs, found)
     admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
     bare = plan_for(inputs, admissible, results)
     check_budget(application, bare, admissible, results)
@@ -47,7 +48,7 @@ def compile_application(inputs: Inputs, partial: bool = False) -> Artifacts:
     if results is not None:
         from fogspec.compile.decision import decide
 
-        decision = decide(inputs, exact, admissible, results, plan, partial)
+        decision = decide(inputs, exact, admissible, results, plan, partial, () if found is None else found.waived)
         files |= decision.files
     return Artifacts(
         inputs=inputs,
@@ -56,6 +57,7 @@ def compile_application(inputs: Inputs, partial: bool = False) -> Artifacts:
         admissible=admissible,
         results=results,
         stale=stale,
+        standing=found,
         decision=decision,
         files=files,
     )
@@ -69,25 +71,21 @@ def try_compile(inputs: Inputs) -> Artifacts | FogspecError:
         return refusal
 
 
-def usable_results(inputs: Inputs) -> tuple[Results | None, str | None]:
-    """Return the results if they measure what the spec says now, or why those on disk do not count.
-
-    Raise DiagnosticError for damaged results.
-    """
+def standing_of(inputs: Inputs) -> Standing | None:
+    """Return whether the results on disk still count, None without any; raise DiagnosticError for damaged ones."""
     if inputs.damaged is not None:
         raise inputs.damaged
-    results, path = inputs.results, inputs.layout.results
-    if results is None:
-        return None, None
-    if results.spec.application != fingerprints.measured_digest(inputs.application):
-        return None, (
-            f"{path} measured something else: nodes, environment, probe, metrics, workload, or how it is "
-            "driven has changed since"
-        )
-    pins = pins_of_measurement(inputs.application, inputs.pins)
-    if others := changed_pins(results.spec.pins, pins):
-        return None, f"{path} measured something else: {some(others)} changed since"
-    return results, None
+    if inputs.results is None:
+        return None
+    return standing(inputs.results, inputs.application, pins_of_measurement(inputs.application, inputs.pins))
+
+
+def usable(inputs: Inputs, found: Standing | None) -> tuple[Results | None, str | None]:
+    """Return the results if they count, or why those on disk do not."""
+    if found is None or found.counts:
+        return inputs.results, None
+    changed = some(list(dict.fromkeys(found.fields)))
+    return None, f"{inputs.layout.results} measured something else: {changed} changed since"
 
 
 def check_budget(application: Application, plan: Plan, admissible: Filtered, results: Results | None) -> None:

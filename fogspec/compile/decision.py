@@ -1,7 +1,7 @@
 """Choose a machine from results and make the files of the choice: models, menu, charts, and the pinned manifest."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,10 +26,11 @@ from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.plan.schema import ApplicationRef, CatalogRef, Plan, digest_without_budget
 from fogspec.results.progress import Unfinished, unfinished
 from fogspec.results.resources import doubts
-from fogspec.results.schema import Results, other_servers
+from fogspec.results.schema import Results, other_servers, own_records
+from fogspec.results.standing import carried_on, carried_text
 from fogspec.spec import fingerprints
 from fogspec.spec.lockfile import image_named, is_pinned, sent_files
-from fogspec.spec.schema import Application
+from fogspec.spec.schema import Application, Waiver
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,16 +109,23 @@ def select_from(application: Application, models: Models, predicted: PredictionS
 
 
 def decide(
-    inputs: Inputs, application: Application, admissible: Filtered, results: Results, plan: Plan, partial: bool
+    inputs: Inputs,
+    application: Application,
+    admissible: Filtered,
+    results: Results,
+    plan: Plan,
+    partial: bool,
+    waived: Sequence[Waiver] = (),
 ) -> Decision:
     """Select a machine and make the files of that choice; `application` has its image pinned.
 
-    `partial` accepts that the plan was not carried out, as does the manifest on disk for the same plan.
+    `partial` accepts that the plan was not carried out, as does the manifest on disk for the same plan. `waived` are the
+    changes since the results were measured.
     """
     plan_digest, left = digest_without_budget(plan), unfinished(application, plan, results)
     selection = select(inputs, application, admissible, results)
     models, choice, layout = selection.models, selection.choice, inputs.layout
-    warnings = warnings_for(application, models, choice, results, left)
+    warnings = warnings_for(application, models, choice, results, left, waived)
     menu = make_menu(application, choice, warnings)
     files = {layout.models: _yaml(models, layout), layout.menu: _yaml(menu, layout)}
     files |= _charts(application, choice, models, layout)
@@ -147,6 +155,7 @@ def decide(
             sources,
             warnings=warnings,
             relaxed=selection.relaxed,
+            carried=[one.model_copy(update={"pins": None}) for one in carried_on(results, waived)],
             partial=None
             if left is None
             else Partial(measured=left.measured, planned=left.planned, missing=list(left.missing)),
@@ -209,10 +218,16 @@ def _sources(
 
 
 def warnings_for(
-    application: Application, models: Models, choice: Choice, results: Results, left: Unfinished | None
+    application: Application,
+    models: Models,
+    choice: Choice,
+    results: Results,
+    left: Unfinished | None,
+    waived: Sequence[Waiver] = (),
 ) -> list[str]:
     """Return the warnings for reviewers about the predictions, most important first; `left` of the plan is unmeasured."""
     partial = [] if left is None else [left.warning]
+    partial += [carried_text(one, len(own_records(results.spec.samples))) for one in carried_on(results, waived)]
     found, row = [*partial, *caveats(models, choice), *_calibration(models, choice)], choice.chosen
     for model in models.spec.models:
         beside = f" with {model.gpu}" if model.gpu else ""

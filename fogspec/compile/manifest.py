@@ -1,10 +1,10 @@
 """Make the pinned manifest: the machine to approve, its expected performance, and the provenance of every figure."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from pydantic import field_serializer
+from pydantic import Field, field_serializer
 
 from fogspec import __version__
 from fogspec.base import units
@@ -18,6 +18,7 @@ from fogspec.choice.rule import latency_limit_s
 from fogspec.choice.shortlist import shortlist
 from fogspec.model.fit import Model, Models
 from fogspec.plan.schema import ApplicationRef, CatalogRef, PlanMetadata, TaskRef
+from fogspec.results.schema import Carried
 from fogspec.spec.lockfile import SentFiles
 from fogspec.spec.schema import Application, Billing, Connectivity, Node, Statistic
 
@@ -219,7 +220,8 @@ class Provenance(Lean):
     """Where every figure came from; `application.field_digests` has a short digest of each field that choosing depends on.
 
     `relaxed` and `exhaustive` say where these methods end if they end at different machines. `partial` is there if the
-    plan was not carried out, which `compile --partial` accepted.
+    plan was not carried out, which `compile --partial` accepted. `carried` are changes since samples were measured that
+    were waived, or confirmed by another measurement.
     """
 
     application: ApplicationRef
@@ -231,9 +233,10 @@ class Provenance(Lean):
     relaxed: PaperChoice | None
     exhaustive: BestOfAll | None
     partial: Partial | None = None
+    carried: list[Carried] = Field([])
     builder: Builder
 
-    ADDED = frozenset({"partial"})
+    ADDED = frozenset({"partial", "carried"})
 
 
 class Manifest(Strict):
@@ -275,10 +278,11 @@ def make_manifest(
     warnings: list[str],
     relaxed: Relaxed | None = None,
     partial: Partial | None = None,
+    carried: Sequence[Carried] = (),
 ) -> Manifest:
     """Return the manifest of the chosen machine, with the optimum of `relaxed` if it differs.
 
-    `partial` says how much of the plan is measured if that is not all.
+    `partial` says how much of the plan is measured if that is not all, `carried` after which changes samples count on.
 
     Raise ValueError if no machine is chosen.
     """
@@ -302,6 +306,7 @@ def make_manifest(
             relaxed=None if relaxed is None or relaxed.row == choice.best else _paper_choice(choice, relaxed),
             exhaustive=None if choice.best in (None, row) else _best_of_all(choice, choice.best),
             partial=partial,
+            carried=list(carried),
             builder=Builder(version=__version__),
         ),
     )

@@ -12,7 +12,7 @@ from fogspec.charts.menu_chart import menu_chart
 from fogspec.charts.terminal import plot
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL, Entry, Menu, MenuBody, make_menu, metric_text
-from fogspec.compile.compiler import plan_for, usable_results
+from fogspec.compile.compiler import plan_for, standing_of, usable
 from fogspec.compile.decision import select, warnings_for
 from fogspec.compile.inputs import Inputs
 from fogspec.report.summary import billing_text, entry_text, infeasible_text
@@ -60,7 +60,8 @@ def menu_view(inputs: Inputs, changes: Changes) -> MenuView:
     a wrong quantity, UsageError for a metric that the spec does not have.
     """
     layout = inputs.layout
-    results, stale = usable_results(inputs)
+    standing = standing_of(inputs)
+    results, stale = usable(inputs, standing)
     if results is None:
         bench = shell_command("fogspec", "bench", layout.spec)
         if stale is None:
@@ -70,7 +71,9 @@ def menu_view(inputs: Inputs, changes: Changes) -> MenuView:
     admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
     found = select(inputs, application, admissible, results)
     left = unfinished(inputs.application, plan_for(inputs, admissible, results), results)
-    menu = make_menu(application, found.choice, warnings_for(application, found.models, found.choice, results, left))
+    waived = () if standing is None else standing.waived
+    warnings = warnings_for(application, found.models, found.choice, results, left, waived)
+    menu = make_menu(application, found.choice, warnings)
     return MenuView(application, found.choice, menu)
 
 

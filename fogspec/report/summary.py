@@ -11,6 +11,7 @@ from fogspec.compile.artifacts import Artifacts
 from fogspec.plan.commitment import unattended
 from fogspec.plan.design import max_cost_usd
 from fogspec.results.schema import own_records
+from fogspec.results.standing import ways_to_keep
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -121,7 +122,9 @@ def _unmeasured(compiled: Artifacts, given: "Sequence[str]") -> list[str]:
 
 def _next(compiled: Artifacts, command: str) -> list[str]:
     if compiled.stale:
-        return [f"  stale: {compiled.stale}", *_kept(compiled), f"next: {command}"]
+        keep = ways_to_keep(compiled.standing, compiled.layout.spec) if compiled.standing else []
+        keep = [f"  {text}" for text in keep]
+        return [f"  stale: {compiled.stale}", *_kept(compiled), *keep, f"next: {command}"]
     body = compiled.plan.spec
     machines = [sample.machine for sample in body.samples]
     beware = [_row("", "", text) for text in unattended(machines, body.commitment, compiled.layout.name)]

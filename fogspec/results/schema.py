@@ -1,15 +1,16 @@
 """The results of a benchmark: one record per sample, measured or failed."""
 
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from fogspec.base import digest
-from fogspec.base.quantities import Id, Money, Strict
+from fogspec.base.quantities import Id, Lean, Money, Strict
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.plan.schema import PartName, PlanMetadata, Sampling, article
 from fogspec.results.ranges import Amount, Counted, MemoryUse, MetricValue, RequestTime, Text, Time, Vcpus
+from fogspec.spec.schema import Statistic, Waiver
 
 State = Literal["ok", "insufficient", "timeout", "failed"]
 Reason = Literal[
@@ -197,18 +198,54 @@ class Measured(Strict):
         return self
 
 
+class Confirmation(Strict):
+    """The chosen machine, measured once more after a change: what `sample` measured, and what it was compared with.
+
+    `interval` is that of the older results for another server of this type, at `level`; a change of the latency by less than
+    the fraction `detectable` passes such a comparison in one case of five or more.
+    """
+
+    sample: Id
+    changes: list[Text]
+    statistic: Statistic
+    latency: RequestTime
+    interval: tuple[RequestTime, RequestTime]
+    level: float = Field(gt=0, lt=1)
+    detectable: float = Field(ge=0)
+    metrics: dict[str, MetricValue] = Field({})
+
+
+class Carried(Lean):
+    """Samples that were measured before a change and count on: `application` and `pins` are those before it.
+
+    Because the changes were waived, or a measurement of the chosen machine confirmed the older results.
+    """
+
+    application: str
+    pins: dict[str, str] | None = None
+    samples: list[Id]
+    waivers: list[Waiver] = Field([])
+    confirmed: Confirmation | None = None
+
+    ADDED = frozenset({"pins", "waivers", "confirmed"})
+
+
 class ResultsBody(Strict):
     """The samples, and the provenance of their figures.
 
     `application` is the digest over what measuring reads of the spec; `plan` the digest of the plan, None for
     measurements that were recorded elsewhere, whose `source` cites them. `pins` are the plan's: digests of what the
     spec only names; None where nothing was locked. `field_digests` are the plan's digests of what measuring reads of the spec.
+    `measured` are the values behind `application`, without those that are not set, so that a later change can be named.
+    `carried` are the changes since the older samples, in order; the digests are those of the newest.
     """
 
     application: str
     plan: str | None = None
     pins: dict[str, str] | None = None
     field_digests: dict[str, str] | None = None
+    measured: dict[str, Any] | None = None
+    carried: list[Carried] | None = Field(None, max_length=1000)
     runner: str
     source: str | None = None
     budget: Money | None = None

@@ -14,6 +14,8 @@ from fogspec.spec.introspect import part
 from fogspec.spec.schema import Affects, Application, Benchmark, Stage
 
 NOTHING: frozenset[Stage] = frozenset()
+# Parts of what is measured that a waiver may name; the others define the figures themselves.
+WAIVABLE = ("cloud", "ros", "workload", "secrets")
 # To the benchmark, after plans were first written: what each was before.
 ADDED = {"volume": None, "wall_time": None, "batch_size": None, "shapes": "own", "servers": 1}
 
@@ -68,14 +70,26 @@ def planned_part(application: Application) -> dict[str, Any]:
 
 
 def chosen_part(application: Application) -> dict[str, Any]:
-    """Return what choice and deployment depend on, besides results and catalog: limits, objective, admissible machines."""
+    """Return what choice and deployment depend on, besides results and catalog: limits, objective, admissible machines.
+
+    What later versions added is omitted while it is not set, so that digests of older manifests stay valid.
+    """
     chosen: dict[str, Any] = part_read_by("choice", application)["spec"]
-    return chosen
+    waivers = chosen.pop("benchmark")["waivers"]
+    return {**chosen, "benchmark.waivers": waivers} if waivers else chosen
 
 
 def field_of_measured(name: str) -> str:
     """Return where the spec has a part of `measured_part`."""
     return f"spec.benchmark.{name}" if name in Benchmark.model_fields else f"spec.{name}"
+
+
+def waivable(change: str) -> bool:
+    """Return whether a waiver may name this change: no field of the spec that defines the figures."""
+    named = (field_of_measured(part) for part in WAIVABLE)
+    return not change.startswith("spec.") or any(
+        change == field or change.startswith((f"{field}.", f"{field}[")) for field in named
+    )
 
 
 def chosen_fields(application: Application) -> dict[str, str]:

@@ -397,6 +397,36 @@ class Volume(Strict):
         return self.requests_per_month * self.months
 
 
+class Waiver(Strict):
+    """One change since the measurement that its results survive: from one value to one other, and no further.
+
+    What is None was not there.
+    """
+
+    change: str = Field(
+        min_length=1,
+        description="what changed: a field under spec, a file that is sent to machines, or image",
+        examples=["spec.cloud[0].env.LOG_LEVEL"],
+    )
+    old: Any = Field(
+        None,
+        description="its value when it was measured, of a file or image the digest; absent: it was not there",
+        examples=["info"],
+    )
+    new: Any = Field(None, description="its value now; absent: it is not there", examples=["debug"])
+    reason: str = Field(
+        min_length=1,
+        max_length=500,
+        description="why the change cannot affect what was measured, for reviewers",
+        examples=["log level only"],
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_absent(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        found: dict[str, Any] = dump(self)
+        return {name: value for name, value in found.items() if value is not None}
+
+
 class Benchmark(Strict):
     """How machines are sampled, and what that may cost."""
 
@@ -468,6 +498,14 @@ class Benchmark(Strict):
     )
     min_success_rate: Annotated[Percent, affects("plan", "results")] = Field(
         0.95, description="smallest share of requests that must succeed", examples=["99%"]
+    )
+    waivers: Annotated[list[Waiver], affects("choice")] = Field(
+        [],
+        max_length=32,
+        description="changes since the measurement that its results survive, as fogspec status prints them",
+        examples=[
+            [{"change": "spec.cloud[0].env.LOG_LEVEL", "old": "info", "new": "debug", "reason": "log level only"}]
+        ],
     )
 
     @property

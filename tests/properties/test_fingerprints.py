@@ -33,6 +33,7 @@ spec:
     budget: $2
     volume: {requests_per_month: 1000}
     sampler: adaptive
+    waivers: [{change: plan.py, new: "sha256:1", reason: a comment}]
     workload:
       node: {package: p, executable: e, name: w, composable_node_descriptions: [{package: p, plugin: "p::A"}]}
   connectivity: {link: none}

@@ -10,6 +10,7 @@ from fogspec.base import digest
 from fogspec.cli import main
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
+from fogspec.results.standing import measured_values
 from fogspec.spec import fingerprints
 from fogspec.spec.loader import load, read_document
 from tests.support.files import write_yaml
@@ -120,6 +121,7 @@ def measure(shell: Shell, only: int | None = None) -> None:
         application=fingerprints.measured_digest(load([str(shell.folder / "specs/demo.yaml")])[0].application),
         plan=digest.of_bytes((shell.folder / "compiled/demo/plan.yaml").read_bytes()), pins=body.pins or None,
         field_digests=body.application.field_digests, runner="local",
+        measured=measured_values(load([str(shell.folder / "specs/demo.yaml")])[0].application),
         spent=round(sum(one.spent for one in records), 6), samples=records,
     ))  # fmt: skip
     write_yaml(shell.folder / "results/demo.yaml", results.model_dump(mode="json", exclude_none=True), "a test")

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from fogspec.base.units import SECONDS_PER_MONTH, format_duration, format_rate, rounded
 from fogspec.base.yaml.positions import Path, dotted
+from fogspec.spec.fingerprints import waivable
 from fogspec.spec.probe import kind_of
 from fogspec.spec.robot_packages import reason_of
 from fogspec.spec.rules.finding import Finding
@@ -342,6 +343,19 @@ def budget(application: Application) -> Iterator[Finding]:
         )
 
 
+def waivers(application: Application) -> Iterator[Finding]:
+    """Reject waivers of what defines the figures, and those that name no change."""
+    for number, one in enumerate(application.spec.benchmark.waivers):
+        at: Path = ("spec", "benchmark", "waivers", number)
+        if one.old == one.new:
+            yield Finding(
+                "FS550", at, f"{dotted(at)}: old and new are the same", "write what fogspec status prints, or remove it"
+            )
+        if not waivable(one.change):
+            message = f"{dotted((*at, 'change'))}: {one.change} says what is measured, and no waiver can name it"
+            yield Finding("FS550", (*at, "change"), message, "remove it, and measure again with fogspec bench")
+
+
 def volume(application: Application) -> Iterator[Finding]:
     """Require a sampler that can stop, an objective in which money counts, and requests that can be served."""
     spec, at = application.spec, ("spec", "benchmark", "volume")
@@ -481,5 +495,6 @@ RULES = (
     wall_time,
     shapes,
     servers,
+    waivers,
     placeholders,
 )

@@ -1,0 +1,261 @@
+"""Whether results still count: what changed since they were measured, and which changes are waived.
+
+A waiver names one change from one value to one other. Results count if the waivers, undone one after the other, lead from what
+the spec says now to exactly what was measured, by its digest: so none covers a later change, or a change beside it.
+"""
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fogspec.base import digest
+from fogspec.base.text import count, line
+from fogspec.base.units import shown_duration
+from fogspec.base.yaml.writer import flow
+from fogspec.results.schema import Carried, Results, ResultsBody
+from fogspec.spec import fingerprints
+from fogspec.spec.lockfile import changed_pins
+from fogspec.spec.schema import Application, Waiver
+
+MOST_STATES = 4096  # of the spec, on the way back to what was measured
+LONGEST = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What changed since results were measured: `changes`, with an empty reason, and `waived`, with theirs.
+
+    `others` are sentences on changes that no waiver can name. `suggested` are the waivers that would make the results
+    count; empty where there is nothing to waive, or no waiver can.
+    """
+
+    changes: tuple[Waiver, ...] = ()
+    waived: tuple[Waiver, ...] = ()
+    others: tuple[str, ...] = ()
+    suggested: tuple[Waiver, ...] = ()
+
+    @property
+    def counts(self) -> bool:
+        """Whether the results count: nothing has changed that is not waived."""
+        return not self.changes and not self.others
+
+    @property
+    def reasons(self) -> list[str]:
+        """Return what changed, for people."""
+        return [*map(change_text, self.changes), *self.others]
+
+    @property
+    def fields(self) -> list[str]:
+        """Return the names of what changed."""
+        return [*(one.change for one in self.changes), *(text.partition(" ")[0] for text in self.others)]
+
+
+def standing(results: Results, application: Application, pins: Mapping[str, str]) -> Standing:
+    """Return whether the results count for this application with these pins, and what changed since."""
+    body, waivers = results.spec, application.spec.benchmark.waivers
+    now, names = fingerprints.measured_part(application), changed_pins(body.pins, pins)
+    files = {name: _traced(name, (body.pins or {}).get(name), pins.get(name), waivers) for name in names}
+    same = body.application == digest.of_value(now)
+    undone = [] if same else _undone(now, body.application, waivers)
+    waived = [*(undone or []), *(one for path in files.values() for one in path or ())]
+    changed = [
+        Waiver.model_construct(change=pin_change(name), old=(body.pins or {}).get(name), new=pins.get(name), reason="")
+        for name, path in files.items()
+        if path is None
+    ]
+    others: list[str] = []
+    if undone is None:
+        fields = [one for one in _field_changes(body, now) if not any(_is_same(one, other) for other in waivers)]
+        changed = [*fields, *changed]
+        others = [] if fields else [f"{name} changed" for name in _changed_parts(body, application)]
+        others = others or ([] if fields else ["spec changed: they measured something else"])
+    suggested = list(changed)
+    if others or (undone is None and _undone(now, body.application, [*waivers, *suggested]) is None):
+        suggested = []
+    return Standing(tuple(changed), tuple(waived), tuple(others), tuple(suggested))
+
+
+def measured_values(application: Application) -> dict[str, Any]:
+    """Return what is measured, without what is not set, as results record it."""
+    found: dict[str, Any] = _set(fingerprints.measured_part(application))
+    return found
+
+
+def change_text(one: Waiver) -> str:
+    """Return a change for people: `spec.cloud[0].env.LOG: info -> debug`; of files that they changed."""
+    if not one.change.startswith("spec."):
+        how = (
+            "is new" if one.old is None else "is no longer there" if one.new is None else "is locked to something else"
+        )
+        return line(f"{one.change} {how}")
+    return line(f"{one.change}: {_short(one.old)} -> {_short(one.new)}")
+
+
+def carried_on(results: Results, waived: Sequence[Waiver]) -> list[Carried]:
+    """Return the changes after which samples count on: those that the results record, and those waived since."""
+    body = results.spec
+    now = Carried(
+        application=body.application, pins=body.pins, samples=[one.id for one in body.samples], waivers=list(waived)
+    )
+    return [*(body.carried or ()), *([now] if waived and body.samples else [])]
+
+
+def carried_text(one: Carried, total: int) -> str:
+    """Return what a reviewer should know of samples from before a change; `total` is the number of all samples."""
+    before = f"{len(one.samples)} of {count(total, 'sample')} measured before changes"
+    if (found := one.confirmed) is not None:
+        low, high = map(shown_duration, found.interval)
+        return line(
+            f"{before}: {'; '.join(found.changes)}; confirmed: {found.sample} took {shown_duration(found.latency)}, "
+            f"the {found.level:.0%} interval of the older results is [{low}, {high}]"
+        )
+    waived = "; ".join(f"{change_text(waiver)} ({waiver.reason})" for waiver in one.waivers)
+    return line(f"{before} that the spec waives: {waived}")
+
+
+def ways_to_keep(found: Standing, spec: Path) -> list[str]:
+    """Return how results that do not count can be kept: by waivers in the spec, each still without its reason."""
+    if not found.suggested:
+        return []
+    lines = [f"to keep the results, if these changes cannot affect them, add to {spec}, each with its reason:"]
+    return [*lines, *(f"  {text}" for text in waiver_lines(found.suggested))]
+
+
+def waiver_lines(waivers: Sequence[Waiver]) -> list[str]:
+    """Return the lines of a spec that waive these changes."""
+    lines = ["spec:", "  benchmark:", "    waivers:"]
+    for one in waivers:
+        lines.append(f"      - change: {flow(one.change)}")
+        lines += [
+            f"        {name}: {flow(value)}"
+            for name, value in (("old", one.old), ("new", one.new))
+            if value is not None
+        ]
+        lines.append(f"        reason: {flow(one.reason)}")
+    return lines
+
+
+def pin_change(name: str) -> str:
+    """Return how a waiver names a pin: a file whose name reads as a field is written with `./`."""
+    return f"./{name}" if name.startswith("spec.") else name
+
+
+def _is_same(one: Waiver, other: Waiver) -> bool:
+    return (one.change, one.old, one.new) == (other.change, other.old, other.new)
+
+
+def _traced(name: str, old: str | None, new: str | None, waivers: Sequence[Waiver]) -> list[Waiver] | None:
+    """Return the waivers that lead from one digest of a pin to the other, None if there are none."""
+    named, path, at = [one for one in waivers if one.change == pin_change(name)], list[Waiver](), new
+    while at != old:
+        before = next((one for one in named if one.new == at and one not in path), None)
+        if before is None:
+            return None
+        path.insert(0, before)
+        at = before.old
+    return path
+
+
+def _undone(now: Mapping[str, Any], target: str, waivers: Sequence[Waiver]) -> list[Waiver] | None:
+    """Return the fewest waivers whose undoing leads from the values now to those with the digest; None if none do."""
+    named = [one for one in waivers if one.change.startswith("spec.") and fingerprints.waivable(one.change)]
+    known, states = {digest.of_value(now)}, [(now, list[Waiver]())]
+    for values, path in states:
+        for one in named:
+            if one in path:
+                continue
+            for before in _without(values, one):
+                at = digest.of_value(before)
+                if at == target:
+                    return [one, *path]
+                if at not in known and len(states) < MOST_STATES:
+                    known.add(at)
+                    states.append((before, [one, *path]))
+    return None
+
+
+def _without(values: Mapping[str, Any], waiver: Waiver) -> Iterator[Mapping[str, Any]]:
+    """Yield the values with a change undone, in each way in which its field can be read and its old value be absent."""
+    for path in _paths(values, waiver.change.removeprefix("spec.").removeprefix("benchmark.")):
+        found: Any = copy.deepcopy(values)
+        at = found
+        for step in path[:-1]:
+            at = at[step]
+        last = path[-1]
+        there = at[last] if isinstance(at, list) or last in at else None
+        if there != waiver.new:
+            continue
+        at[last] = waiver.old
+        yield found
+        if waiver.old is None and isinstance(at, dict):
+            found = copy.deepcopy(found)
+            at = found
+            for step in path[:-1]:
+                at = at[step]
+            del at[last]
+            yield found
+
+
+def _paths(values: Any, text: str) -> Iterator[tuple[Any, ...]]:
+    """Yield the paths that a dotted text can mean; a key may have dots itself, and may be absent."""
+    if isinstance(values, list):
+        number, closed, rest = text.partition("]")
+        if closed and number[:1] == "[" and number[1:].isdecimal() and int(number[1:]) < len(values):
+            yield from _below(values, int(number[1:]), rest)
+        return
+    if not isinstance(values, Mapping):
+        return
+    text = text.removeprefix(".")
+    for key in values:
+        if text.startswith(key):
+            yield from _below(values, key, text[len(key) :])
+    if text and text not in values:
+        yield (text,)
+
+
+def _below(values: Any, key: Any, rest: str) -> Iterator[tuple[Any, ...]]:
+    if not rest:
+        yield (key,)
+    elif rest[0] in ".[":
+        yield from ((key, *path) for path in _paths(values[key], rest))
+
+
+def _field_changes(body: ResultsBody, now: Mapping[str, Any]) -> Iterator[Waiver]:
+    """Yield the fields of the spec that changed, if the results say what was measured."""
+    if body.measured is None:
+        return
+    for name in {**body.measured, **now}:
+        at = fingerprints.field_of_measured(name)
+        yield from _changes(body.measured.get(name), _set(now.get(name)), at)
+
+
+def _changes(before: Any, after: Any, at: str) -> Iterator[Waiver]:
+    if isinstance(before, Mapping) and isinstance(after, Mapping):
+        for key in {**before, **after}:
+            yield from _changes(before.get(key), after.get(key), f"{at}.{key}")
+    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        for number, (one, other) in enumerate(zip(before, after, strict=True)):
+            yield from _changes(one, other, f"{at}[{number}]")
+    elif before != after:
+        yield Waiver.model_construct(change=at, old=before, new=after, reason="")
+
+
+def _changed_parts(body: ResultsBody, application: Application) -> Iterator[str]:
+    """Yield the parts of the spec whose recorded digests changed."""
+    before, now = body.field_digests, fingerprints.measured_fields(application)
+    if before:
+        yield from (fingerprints.field_of_measured(name) for name, one in now.items() if before.get(name) != one)
+
+
+def _set(value: Any) -> Any:
+    """Return a value without the fields that are None, at any depth."""
+    if isinstance(value, Mapping):
+        return {key: _set(one) for key, one in value.items() if one is not None}
+    return [_set(one) for one in value] if isinstance(value, list) else value
+
+
+def _short(value: Any) -> str:
+    text = "none" if value is None else flow(value)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
