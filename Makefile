@@ -138,6 +138,7 @@ evaluation: .venv/dev.stamp  ## every sampler and method, and volumes of request
 	$(FOGSPEC) evaluate --all --suite $(SUITE)
 	$(if $(FOGSPEC_SHARED),$(FOGSPEC) evaluate --all --suite $(SUITE) --priors $(FOGSPEC_SHARED)/data/priors)
 	$(FOGSPEC) evaluate --volumes --suite $(SUITE) --kind family
+	$(if $(FOGSPEC_SHARED),$(BIN)/python -m tests.tools.multicloud_suite $(FOGSPEC_SHARED)/data/priors build/multicloud && $(FOGSPEC) evaluate --sampler adaptive --suite build/multicloud)
 
 docs: .venv/dev.stamp  ## the documentation site, in build/site; a broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
