@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from tests.tools.slurm import nodes, ros
@@ -32,6 +32,34 @@ def enter(module: str, words: Sequence[str]) -> None:
             _forget(STATE.with_name(name))
     os.environ[FOLDER] = f"{STATE}{os.getpid()}"
     os.execvp(UNSHARE[0], [*UNSHARE, sys.executable, "-m", module, *words])
+
+
+def main(
+    module: str,
+    words: Sequence[str],
+    why: str | None,
+    up: Callable[[Path], None],
+    shell: Callable[[Path], str],
+) -> int:
+    """The command line of `python -m module`, outside and then inside.
+
+    Where there can be no namespaces, for the reason `why`, a command runs without them. `up` starts what the command is beside;
+    `shell` sets the environment of a shell and returns what to say first.
+    """
+    if os.getpid() != 1:
+        if why:
+            if not words:
+                raise SystemExit(why)
+            os.execvp(words[0], list(words))
+        enter(module, words)
+    os.environ["PATH"] += ":/usr/sbin:/sbin"
+    # A first process that does not say what it does on TERM is never ended by it.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    with furnished() as folder:
+        up(folder)
+        if not words:
+            print(shell(folder))
+        return run(words or [os.environ.get("SHELL", "bash")])
 
 
 def _forget(folder: Path) -> None:

@@ -1,6 +1,9 @@
 """What the agent's program `watch` saw of a robot, read from its file and checked."""
 
+import math
+import statistics
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +14,23 @@ from fogspec.base.files import read_file
 
 MOST_BYTES = 128 << 20
 Names = Annotated[list[str], Field(max_length=10_000)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timed:
+    """Requests that were seen, with the latencies of those that ended."""
+
+    latencies_s: tuple[float, ...]
+
+    @property
+    def p50_s(self) -> float:
+        """Median of the latencies."""
+        return statistics.median(self.latencies_s)
+
+    @property
+    def p95_s(self) -> float:
+        """Their 95 % quantile."""
+        return sorted(self.latencies_s)[math.ceil(0.95 * len(self.latencies_s)) - 1]
 
 
 class Part(BaseModel):

@@ -1,19 +1,17 @@
 """What is called by name: goals of actions, timed by their status topics, and calls of services, by their events."""
 
-import math
-import statistics
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from fogspec.spec.graph_import.observed import Observed, Offer
+from fogspec.spec.graph_import.observed import Observed, Offer, Timed
 
 NS = 1e-9
 INTROSPECTION = "configure_introspection(clock, qos, METADATA)"  # of rclcpp and rclpy since ROS 2 Iron
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calls:
+class Calls(Timed):
     """An action or a service at its server: how many goals or calls began, and how long those took that ended."""
 
     kind: Literal["action", "service"]
@@ -21,18 +19,7 @@ class Calls:
     node: str
     callers: tuple[str, ...]
     begun: int
-    latencies_s: tuple[float, ...]
     rate: float
-
-    @property
-    def p50_s(self) -> float:
-        """Median of the latencies."""
-        return statistics.median(self.latencies_s)
-
-    @property
-    def p95_s(self) -> float:
-        """Their 95 % quantile."""
-        return sorted(self.latencies_s)[math.ceil(0.95 * len(self.latencies_s)) - 1]
 
     def evidence(self) -> str:
         """Return what was seen, as a line of text."""

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from fogspec.agent.matching import Matcher
-from fogspec.spec.graph_import.observed import Observed, Topic, heard
+from fogspec.spec.graph_import.observed import Observed, Timed, Topic, heard
 
 FEWEST = 8  # messages of each topic
 MOST_CANDIDATES = 4000
@@ -32,7 +32,7 @@ NS = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pair:
+class Pair(Timed):
     """A request and its response at one node; `match` is None if nothing in the messages tells which belongs to which.
 
     `latencies_s` are those that the probe would read.
@@ -45,20 +45,9 @@ class Pair:
     how: str
     requests: int
     answered: int
-    latencies_s: tuple[float, ...]
     rate: float
     request_bytes: float
     response_bytes: float
-
-    @property
-    def p50_s(self) -> float:
-        """Median of the latencies."""
-        return statistics.median(self.latencies_s)
-
-    @property
-    def p95_s(self) -> float:
-        """Their 95 % quantile."""
-        return sorted(self.latencies_s)[math.ceil(0.95 * len(self.latencies_s)) - 1]
 
     def evidence(self) -> str:
         """Return what speaks for it, as a line of text."""

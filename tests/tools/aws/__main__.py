@@ -6,7 +6,6 @@ Both are in namespaces of their own, end with the command, and leave nothing.
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import sysconfig
@@ -62,24 +61,11 @@ def answers() -> bool:
     return True
 
 
-def main(words: list[str]) -> int:
-    """The command line, outside and then inside; a command runs without an account where there can be none."""
-    if os.getpid() != 1:
-        if why := missing():
-            if not words:
-                raise SystemExit(why)
-            os.execvp(words[0], words)
-        apart.enter("tests.tools.aws", words)
-    os.environ["PATH"] += ":/usr/sbin:/sbin"
-    # A first process that does not say what it does on TERM is never ended by it.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    with apart.furnished() as folder:
-        up(folder)
-        if not words:
-            os.environ.update(engine.environment(folder))
-            print("# aws, sky and fogspec are this account's here; everything ends with this shell")
-        return apart.run(words or [os.environ.get("SHELL", "bash")])
+def shell(folder: Path) -> str:
+    """Set the environment of a shell beside the account; return what to say first."""
+    os.environ.update(engine.environment(folder))
+    return "# aws, sky and fogspec are this account's here; everything ends with this shell"
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(apart.main("tests.tools.aws", sys.argv[1:], missing() if os.getpid() != 1 else None, up, shell))

@@ -5,7 +5,6 @@ Both are in namespaces of their own, end with the command, and leave nothing.
 
 import os
 import shutil
-import signal
 import sys
 from pathlib import Path
 
@@ -36,29 +35,18 @@ def up(folder: Path) -> None:
     daemons.start(folder)
     login.start(folder)
     daemons.idle(folder)
+    os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
 
 
-def main(words: list[str]) -> int:
-    """The command line, outside and then inside; a command runs without a cluster where there can be none."""
-    if os.getpid() != 1:
-        if why := missing():
-            if not words:
-                raise SystemExit(why)
-            os.execvp(words[0], words)
-        apart.enter("tests.tools.slurm", words)
-    os.environ["PATH"] += ":/usr/sbin:/sbin"
-    # A first process that does not say what it does on TERM is never ended by it.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    with apart.furnished() as folder:
-        up(folder)
-        os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
-        if not words:
-            os.environ.update(engine.environment(folder))
-            os.environ["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-            print(f"# sinfo, squeue, sky and fogspec are this cluster's here; prices: --catalog {folder}/catalog.csv; "
-                  f"memory is confined: {daemons.confines_memory()}; everything ends with this shell")  # fmt: skip
-        return apart.run(words or [os.environ.get("SHELL", "bash")])
+def shell(folder: Path) -> str:
+    """Set the environment of a shell beside the cluster; return what to say first."""
+    os.environ.update(engine.environment(folder))
+    os.environ["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return (
+        f"# sinfo, squeue, sky and fogspec are this cluster's here; prices: --catalog {folder}/catalog.csv; "
+        f"memory is confined: {daemons.confines_memory()}; everything ends with this shell"
+    )
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(apart.main("tests.tools.slurm", sys.argv[1:], missing() if os.getpid() != 1 else None, up, shell))
