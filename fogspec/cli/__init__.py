@@ -14,7 +14,7 @@ from fogspec.base.errors import FogspecError, UsageError
 
 GROUPS = {
     "Author": ("init", "validate", "config", "lock"),
-    "Plan and measure": ("compile", "doctor", "bench", "status"),
+    "Plan and measure": ("compile", "doctor", "bench", "join", "status"),
     "Choose": ("menu", "explain", "report"),
     "Deploy": ("apply", "ps", "logs", "down", "keys"),
     "Review and audit": ("diff", "review", "ci", "verify", "attest"),
@@ -28,6 +28,7 @@ EXAMPLES = {
     "compile": "fogspec compile my-robot",
     "doctor": "fogspec doctor my-robot",
     "bench": "fogspec bench my-robot --dry-run",
+    "join": "fogspec join results/my-robot.yaml ../other-checkout/results/my-robot.yaml",
     "status": "fogspec status",
     "menu": "fogspec menu my-robot --latency 3s --alpha 0.2",
     "explain": "fogspec explain constraints.latency",
@@ -62,6 +63,7 @@ VERBS = {
     "status": "Show what is up to date, what is deployed and what was spent",
     "doctor": "Show what is wrong on this side, before any money is spent",
     "bench": "Measure the plan's samples; costs money, and asks first",
+    "join": "Join the results of two branches, each sample once",
     "menu": "List candidate machines, optionally under other limits",
     "report": "Write a self-contained HTML report with interactive limits",
     "apply": "Deploy a manifest (idempotent); costs money, and asks first",

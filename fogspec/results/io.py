@@ -10,8 +10,9 @@ from fogspec.base.files import decompress, too_large
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell_command
+from fogspec.results.merge import Joined, timings_of
 from fogspec.results.requests import SIZE_LIMIT
-from fogspec.results.schema import Measured, Results, checksum_ok
+from fogspec.results.schema import Measured, Results, checksum_ok, with_checksum
 from fogspec.spec.loader import read_document
 
 PACKED_LIMIT = 64 << 20
@@ -36,6 +37,35 @@ def read_results(layout: Layout) -> Results | None:
     results = read_document(layout.results, Results, layout.files)
     check_integrity(results, layout.results)
     return results
+
+
+def read_results_file(path: Path) -> Results:
+    """Return the results in a file, wherever it is; raises DiagnosticError or InvalidInput."""
+    results = read_document(path, Results, ProjectFiles(path.parent))
+    check_integrity(results, path)
+    return results
+
+
+def bring_timings(joined: Joined, results: Path, other: Path) -> Results:
+    """Copy the raw timings of the records that come from the file `other`, and return the joined results that refer to them.
+
+    Raises InvalidInput if one is missing beside that file, or not as recorded; then nothing was copied.
+    """
+    name, found = joined.results.metadata.name, dict[str, Measured]()
+    contents: list[tuple[Path, bytes]] = []
+    for record in joined.theirs.values():
+        target = timings_of(record, name)
+        if target is None or record.timings is None:
+            continue
+        raw_timings(record, other.parent)
+        content = ProjectFiles(other.parent).read(other.parent / record.timings.path, PACKED_LIMIT)
+        contents.append((results.parent / target, content))
+        timings = record.timings.model_copy(update={"path": target.as_posix()})
+        found[record.id] = record.model_copy(update={"timings": timings})
+    for path, content in contents:
+        ProjectFiles(results.parent).write(path, content)
+    samples = [found.get(one.id, one) for one in joined.results.spec.samples]
+    return with_checksum(joined.results.metadata, joined.results.spec.model_copy(update={"samples": samples}))
 
 
 def check_integrity(results: Results, path: str | Path) -> None:
@@ -85,8 +115,7 @@ def unpacked(content: bytes, path: Path) -> bytes:
 
 def recordings(path: str) -> tuple[list[Recording], str]:
     """Return the records of a results file, to replay, and their source; raises DiagnosticError or InvalidInput."""
-    results = read_document(Path(path), Results)
-    check_integrity(results, path)
+    results = read_results_file(Path(path))
     folder = Path(path).parent
     for record in results.spec.samples:
         if record.timings is not None:

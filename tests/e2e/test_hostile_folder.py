@@ -164,6 +164,7 @@ LIFE = (
     ("attest", "tiny"),
     ("review", "HEAD", "specs/tiny.yaml"),
     ("ci", "specs/tiny.yaml"),
+    ("join", "results/tiny.yaml", "results/tiny.yaml"),
     ("apply", "tiny", "--yes"),
     ("status", "specs/tiny.yaml"),
     ("ps",),

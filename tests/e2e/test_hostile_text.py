@@ -54,6 +54,7 @@ VERBS: tuple[tuple[str, ...], ...] = (
     ("apply", MANIFEST, *AT, "--dry-run"),
     ("report", "demo", *AT, "--to", "-"),
     ("evaluate", "--suite", "results"),
+    ("join", "results/demo.yaml", "results/demo.yaml"),
     ("down", "demo"),
     ("keys", "demo"),
 )
