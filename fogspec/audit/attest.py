@@ -137,4 +137,7 @@ def check(opened: ManifestBundle, data: Any) -> Check:
         for name, value in now.items()
         if attested.get(name) != value
     ]
+    breaks += [
+        f"it attests {name} too, which the manifest does not name" for name in map(str, attested) if name not in now
+    ]
     return Check("attestation", f"{len(now)} files", tuple(breaks))

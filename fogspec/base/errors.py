@@ -30,6 +30,12 @@ class OutOfDate(FogspecError):
     exit_code = 3
 
 
+class Busy(FogspecError):
+    """Another command works on this application: wait for it and run this one again."""
+
+    exit_code = 8
+
+
 class Infeasible(FogspecError):
     """No configuration meets the constraints: an answer, not a crash."""
 
@@ -37,7 +43,7 @@ class Infeasible(FogspecError):
 
 
 class Refused(FogspecError):
-    """Over the budget, or no confirmation."""
+    """Over the budget, no confirmation, or not what was approved."""
 
     exit_code = 5
 
@@ -52,6 +58,12 @@ class NotMeasured(FogspecError):
     """Nothing that was measured counts, or not all that is planned was measured: there is no new manifest."""
 
     exit_code = 7
+
+
+class NotInstalled(CloudError):
+    """A program or package that the command needs is not installed here."""
+
+    exit_code = 2
 
 
 class Interrupted(FogspecError):

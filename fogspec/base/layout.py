@@ -17,12 +17,19 @@ class Layout:
 
     @classmethod
     def of(cls, spec_path: str | os.PathLike[str], name: str) -> "Layout":
-        """Return the layout for a spec: the root is the parent of its folder `specs`, else the spec's own folder."""
+        """Return the layout for a spec: the root is the parent of the folder `specs` that it is in, else the spec's own folder.
+
+        The spec may be at any depth in it; the nearest folder of that name counts, within the repository.
+        """
         spec = Path(spec_path)
-        folder = spec.parent
-        root = folder.parent if folder.absolute().name == "specs" else folder
-        if str(folder) == "." and folder.absolute().name == "specs":
-            root = Path("..")
+        root = here = spec.parent
+        for folder in (absolute := here.absolute(), *absolute.parents):
+            here = _above(here)
+            if folder.name == "specs":
+                root = here
+                break
+            if os.path.lexists(folder / ".git"):
+                break
         return cls(root, spec, name)
 
     @property
@@ -180,3 +187,8 @@ class Layout:
     def relative(self, path: Path) -> str:
         """Return a path as written into files: relative to the root, with forward slashes."""
         return Path(os.path.relpath(path, self.root)).as_posix()
+
+
+def _above(folder: Path) -> Path:
+    """Return the folder above another one, as a relative path if that is one."""
+    return folder / ".." if folder.name in ("", "..") and not folder.is_absolute() else folder.parent

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from fogspec.base.errors import InvalidInput, Refused
+from fogspec.base.errors import Busy, InvalidInput
 from fogspec.base.files import not_a_file
 from fogspec.base.git import check_untracked
 from fogspec.base.layout import Layout
@@ -29,7 +29,7 @@ def start_ticks(pid: int) -> int | None:
 
 @contextlib.contextmanager
 def application_lock(layout: Layout, what: str, remove: bool = False) -> Iterator[None]:
-    """Hold an application's lock for `what`; raise Refused, naming the holder, if another process has it.
+    """Hold an application's lock for `what`; raise Busy, naming the holder, if another process has it.
 
     Raises InvalidInput for what is not a file, and Refused for state that came with the checkout.
 
@@ -47,7 +47,7 @@ def application_lock(layout: Layout, what: str, remove: bool = False) -> Iterato
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 hint = "wait for it, or stop it with Ctrl-C there"
-                raise Refused(f"{what} must wait: {_holder(layout)} has not ended", hint) from None
+                raise Busy(f"{what} must wait: {_holder(layout)} has not ended", hint) from None
             if (now := files.stat(path)) is not None and os.path.samestat(os.fstat(file.fileno()), now):
                 break
         holder = {

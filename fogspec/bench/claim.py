@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Costs, Job, SampleBackend, SampleStatus, Unreachable
-from fogspec.base.errors import Refused
+from fogspec.base.errors import Busy
 
 LIST_S = 2.0  # between lists while the claim is open
 PATIENCE_S = 300.0  # for the other bench to end its machine
@@ -62,7 +62,7 @@ class ClaimingBackend:
         self._backend.start(job)
 
     def poll(self, job: Job) -> SampleStatus:
-        """Return its status; raise Refused if another bench of the application has a machine."""
+        """Return its status; raise Busy if another bench of the application has a machine."""
         status = self._backend.poll(job)
         if not status.running:
             self._seen.discard(job.name)
@@ -95,7 +95,7 @@ class ClaimingBackend:
             return
         self._until_s = now_s + PATIENCE_S if self._until_s is None else self._until_s
         if now_s >= self._until_s or min(map(_token_of, others)) < self._token:
-            raise Refused(
+            raise Busy(
                 "another bench of this application started at the same time: this one ends its machine",
                 *others,
                 "let that bench finish where it runs, then run this one again",

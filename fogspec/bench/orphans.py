@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Sequence
 
 from fogspec.backends.protocol import Unreachable
-from fogspec.base.errors import CloudError, Refused
+from fogspec.base.errors import Busy, CloudError
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.journal import ORPHAN, LaunchRecord
 from fogspec.bench.types import SAMPLE_IN_NAME
@@ -14,7 +14,7 @@ from fogspec.plan.schema import Sample
 def adopt_orphans(campaign: Campaign, samples: Sequence[Sample], resume: bool, starts: bool = True) -> None:
     """Take over the application's machines that are not in the journal: they are taken down, and paid in full.
 
-    Raise Refused unless `resume`, since a bench in another folder or on another host may still need them; CloudError if the
+    Raise Busy unless `resume`, since a bench in another folder or on another host may still need them; CloudError if the
     backend cannot list them. A bench that starts nothing and has a journal need not list them.
     """
     backend, state, config = campaign.backend, campaign.journal.state, campaign.config
@@ -27,7 +27,7 @@ def adopt_orphans(campaign: Campaign, samples: Sequence[Sample], resume: bool, s
     orphans = [name for name in found if config.owner.has_sample(name) and name not in state.open]
     strangers = [name for name in orphans if name not in state.ended]
     if strangers and not resume:
-        raise Refused(
+        raise Busy(
             "machines of another bench of this application are up",
             *strangers,
             "let that bench finish where it runs; if it was killed, bench --resume takes them down",

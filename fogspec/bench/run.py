@@ -92,7 +92,7 @@ class _Bench:
 def bench(prepared: Prepared, backend: SampleBackend, watch: Watch, options: BenchOptions | None = None) -> BenchResult:
     """Measure the samples of the plan that are still to do.
 
-    Raise Refused while another bench, apply or down of this application runs, or if its journal names machines of another
+    Raise Busy while another bench, apply or down of this application runs, Refused if its journal names machines of another
     application, OutOfDate if results changed meanwhile,
     CloudError for machines that could not be verified gone, Interrupted after Ctrl-C, InvalidInput for a disk
     that cannot be written; results are on disk in every case.

@@ -13,7 +13,7 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, UsageError
 
 GROUPS = {
-    "Author": ("init", "validate", "config", "lock"),
+    "Author": ("init", "validate", "config", "lock", "mv"),
     "Plan and measure": ("compile", "doctor", "bench", "join", "status"),
     "Choose": ("menu", "explain", "report"),
     "Deploy": ("apply", "ps", "logs", "down", "keys"),
@@ -25,6 +25,7 @@ EXAMPLES = {
     "validate": "fogspec validate specs/my-robot.yaml",
     "config": "fogspec config my-robot -f overlays/cheap.yaml",
     "lock": "fogspec lock my-robot",
+    "mv": "fogspec mv my-robot my-arm",
     "compile": "fogspec compile my-robot",
     "doctor": "fogspec doctor my-robot",
     "bench": "fogspec bench my-robot --dry-run",
@@ -49,7 +50,7 @@ EXAMPLES = {
 }
 EXITS = (
     "Exit codes: 0 done, 1 invalid file, 2 wrong usage, 3 out of date, 4 infeasible,\n"
-    "            5 refused, 6 cloud error, 7 not measured, 70 bug, 130 interrupted"
+    "            5 refused, 6 cloud error, 7 not measured, 8 busy, 70 bug, 130 interrupted"
 )
 
 VERBS = {
@@ -60,6 +61,7 @@ VERBS = {
     "compile": "Write plan and tasks; once measured, models, menu and manifest",
     "keys": "Generate the robot's key of the link, on the robot",
     "lock": "Pin catalog, images, workspace and workload to digests",
+    "mv": "Rename an application with its spec, lock, results and compiled files",
     "status": "Show what is up to date, what is deployed and what was spent",
     "doctor": "Show what is wrong on this side, before any money is spent",
     "bench": "Measure the plan's samples; costs money, and asks first",

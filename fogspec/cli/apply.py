@@ -22,6 +22,19 @@ if TYPE_CHECKING:
 @POLICIES
 @click.option("--prices", metavar="FROM", help="where prices are looked up now, as --catalog; otherwise that catalog")
 @click.option("--max", "most", metavar="'$0.60/h'", help="the highest price allowed, in place of the one approved")
+@click.option(
+    "--require-attestation",
+    "key",
+    type=click.Path(path_type=str),
+    metavar="PEM",
+    help="refuse without a statement of exactly these files (fogspec attest) that is signed with this public key",
+)
+@click.option(
+    "--attestation",
+    type=click.Path(path_type=str),
+    metavar="FILE",
+    help="where that statement is  [default: compiled/NAME/attestation.json]",
+)
 @click.option("--resolve-image", is_flag=True, help="launch what an image's tag stands for now, where it is not pinned")
 @click.option("--dry-run", is_flag=True, help="say what would run and what it costs, and stop")
 @click.option("--yes", is_flag=True, help="skip the confirmation prompt")
@@ -32,6 +45,8 @@ def command(
     policies: tuple[str, ...],
     prices: str | None,
     most: str | None,
+    key: str | None,
+    attestation: str | None,
     resolve_image: bool,
     dry_run: bool,
     yes: bool,
@@ -50,9 +65,16 @@ def command(
     from fogspec.deploy.preflight import as_text, check_fresh, launch_plan
     from fogspec.deploy.state import SystemWallClock
 
+    if attestation is not None and key is None:
+        raise click.UsageError("--attestation needs --require-attestation")
     opened = open_manifest(manifest, catalog_path)
     check_policies(policies, [opened.inputs])
     check_fresh(opened)
+    if key is not None:
+        from fogspec.audit.sign import require_signed
+
+        require_signed(opened, attestation, key)
+        say(f"{opened.layout.name}: attested by a statement signed with {key}", err=True)
     ordered = launch_plan(opened, _prices(opened, prices), _price(most), resolve_image, Registry().digest)
     say(*as_text(ordered), err=True)
     if dry_run:

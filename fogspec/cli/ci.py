@@ -81,6 +81,8 @@ def command(
         raise click.exceptions.Exit(1)
     if failed := [one.name for one in verdicts if one.problems] or others:
         raise OutOfDate(
-            f"not what apply would deploy: {', '.join(failed[:9])}", "fogspec status and fogspec verify say more"
+            f"not what apply would deploy: {', '.join(failed[:9])}",
+            "fogspec status and fogspec verify say more",
+            *(["what has no spec is removed by: fogspec compile --prune"] if others else []),
         )
     say("apply deploys what is committed", err=True)

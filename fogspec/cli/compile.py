@@ -1,11 +1,14 @@
 """Implement `fogspec compile`: write the plan and its tasks; once measured, models, menu and manifest."""
 
+import sys
+from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.console import say, say_json, say_text
-from fogspec.base.errors import OutOfDate
+from fogspec.base.console import ask, say, say_json, say_text
+from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused
 from fogspec.base.text import count, shell_command
 from fogspec.cli.options import (
     CATALOG,
@@ -19,6 +22,11 @@ from fogspec.cli.options import (
     require_ready,
 )
 
+if TYPE_CHECKING:
+    from fogspec.base.diagnostics import Diagnostic
+    from fogspec.compile.artifacts import Artifacts
+    from fogspec.compile.inputs import Inputs
+
 
 @click.command()
 @SPECS
@@ -27,6 +35,10 @@ from fogspec.cli.options import (
 @POLICIES
 @OUTPUT
 @click.option("--partial", is_flag=True, help="a manifest also where the plan was not carried out, which it says")
+@click.option(
+    "--prune", "prune_", is_flag=True, help="then remove files of applications without a spec; lists them, and asks"
+)
+@click.option("--yes", is_flag=True, help="skip the confirmation prompt of --prune")
 @click.option("--check", is_flag=True, help="write nothing; exit 3 when something differs from what would be written")
 def command(
     specs: tuple[str, ...],
@@ -35,28 +47,35 @@ def command(
     policies: tuple[str, ...],
     output: str,
     partial: bool,
+    prune_: bool,
+    yes: bool,
     check: bool,
 ) -> None:
     """Write all that can be derived now from SPECS, and say what is missing for the rest. SPECS are those in specs/."""
-    from fogspec.compile.compiler import compile_application
+    from fogspec.base.diagnostics import DiagnosticError
     from fogspec.report import summary
     from fogspec.spec.discover import find_specs
-    from fogspec.spec.lockfile import some
     from fogspec.spec.rules.policies import Policies
 
-    inputs, rules = load_inputs(find_specs(specs), catalog_path, priors, audit=True), Policies(policies)
+    if prune_ and specs:
+        raise click.UsageError("--prune is about all specs in specs/: name none")
+    paths = _all_specs() if prune_ else find_specs(specs)
+    inputs, rules = load_inputs(paths, catalog_path, priors, audit=True), Policies(policies)
     require_ready([one.spec for one in inputs])
     echo_notes(note for one in inputs for note in one.catalog_notes)
     rules.require_specs([one.spec for one in inputs])
-    compiled = [compile_application(one, partial) for one in inputs]
+    compiled, refused, damaged = _compiled(inputs, partial)
     changed = [path for one in compiled for path in (one.compare() if check else one.write())]
     for path in () if check else (path for one in compiled for path in one.removed):
         say(f"{path}: removed: it no longer follows from its inputs", err=True)
     if output == "json":
         say_json([summary.as_dict(one) for one in compiled])
-    else:
+    elif compiled:
         given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
         say_text("\n\n".join(summary.summary(one, given) for one in compiled))
+    if damaged:
+        say(*(f"error: {one.message}" for one in refused), err=True)
+        raise DiagnosticError(damaged)
     if any(one.decision is not None for one in compiled):
         from fogspec.compile.manifest import Manifest
 
@@ -71,9 +90,70 @@ def command(
             *map(str, changed),
             *(stale or [f"write them: {again}"]),
         )
+    _check_lock(specs, inputs, check)
+    if prune_:
+        _prune({one.layout.root for one in inputs} or {Path()}, [one.layout.name for one in inputs], yes, check)
+    raise_together([*refused, *(None if one.decision is None else one.decision.refusal for one in compiled)])
+
+
+def _compiled(
+    inputs: "Sequence[Inputs]", partial: bool
+) -> "tuple[list[Artifacts], list[FogspecError], list[Diagnostic]]":
+    """Compile each application; what one lacks, such as budget, is no reason to leave the others as they are."""
+    from fogspec.base.diagnostics import DiagnosticError
+    from fogspec.compile.compiler import compile_application
+
+    compiled, refused, damaged = list["Artifacts"](), list[FogspecError](), list["Diagnostic"]()
+    for one in inputs:
+        try:
+            compiled.append(compile_application(one, partial))
+        except FogspecError as refusal:
+            if not refusal.message.startswith(one.layout.name):
+                refusal.message = f"{one.layout.name}: {refusal.message}"
+            refused.append(refusal)
+        except DiagnosticError as problems:
+            damaged += problems.diagnostics
+    return compiled, refused, damaged
+
+
+def _check_lock(specs: Sequence[str], inputs: "Sequence[Inputs]", check: bool) -> None:
+    """Say which files are not what the lock says; with `check` raise OutOfDate."""
+    from fogspec.spec.lockfile import some
+
     if drifted := list(dict.fromkeys(name for one in inputs for name in one.drifted)):
         lock = shell_command("fogspec", "lock", *specs)
         if check:
             raise OutOfDate(f"{some(drifted)}: not what the lock says", lock)
         say(f"{some(drifted)}: not what the lock says, so that bench and apply refuse it: {lock}", err=True)
-    raise_together(None if one.decision is None else one.decision.refusal for one in compiled)
+
+
+def _all_specs() -> list[str]:
+    """Return the specs in specs/, none if the last one was removed."""
+    from fogspec.spec.discover import find_specs
+
+    try:
+        return find_specs(())
+    except InvalidInput:
+        return []
+
+
+def _prune(roots: Collection[Path], names: Collection[str], yes: bool, check: bool) -> None:
+    """List what fogspec wrote for applications without a spec, and remove it once that is confirmed."""
+    from fogspec.deploy.housekeeping import leftovers, prune
+    from fogspec.deploy.state import SystemWallClock
+
+    left = [one for root in sorted(roots) for one in leftovers(root, names)]
+    say(*(f"without a spec: {one.line}" for one in left), err=True)
+    if not left:
+        return
+    if check:
+        raise OutOfDate(
+            f"{count(len(left), 'application')} without a spec", "remove what is left: fogspec compile --prune"
+        )
+    if not yes and not sys.stdin.isatty():
+        raise Refused("confirmation required, and no terminal is attached", "pass --yes to remove these files")
+    if not yes and not ask("remove these files?"):
+        raise Refused("nothing was removed")
+    for one in left:
+        removed = list(prune(one, SystemWallClock()))
+        say(f"{one.layout.name}: {count(len(removed), 'file')} removed", err=True)

@@ -166,9 +166,13 @@ def echo_notes(notes: Iterable[str]) -> None:
 def raise_together(refusals: Iterable[FogspecError | None]) -> None:
     """Raise one error for those of applications that have no choice: the first of a kind that ends with the lowest code."""
     found = sorted((one for one in refusals if one is not None), key=lambda one: one.exit_code)
+    if len(found) == 1:
+        raise found[0]
     if found:
         texts = dict.fromkeys(one.message for one in found)
-        raise type(found[0])("; ".join(texts), *dict.fromkeys(hint for one in found for hint in one.hints))
+        together = FogspecError("; ".join(texts), *dict.fromkeys(hint for one in found for hint in one.hints))
+        together.exit_code = found[0].exit_code
+        raise together
 
 
 def named(what: str, name: str | None = None) -> tuple[str, str | None]:

@@ -292,6 +292,15 @@ def _ours(layout: Layout) -> Iterator[Path]:
     yield from _matching(layout, layout.tasks, "*.sky.yaml")
 
 
+def compiled_files(layout: Layout) -> list[Path]:
+    """Return the compiled files of one application that fogspec wrote; the agent belongs to all applications."""
+    files = (path for path in _ours(layout) if path != layout.agent)
+    named = (path for path in files if path == layout.deploy or not path.name.endswith(".sky.yaml"))
+    tasks = [*_matching(layout, layout.compiled, "deploy.*.sky.yaml"), *_matching(layout, layout.tasks, "*.sky.yaml")]
+    written = (path for path in tasks if layout.files.read(path, len(GENERATED)) == GENERATED)
+    return list(dict.fromkeys([*named, *written]))
+
+
 def _matching(layout: Layout, folder: Path, pattern: str) -> list[Path]:
     """Return the files in a folder whose names match, sorted."""
     found = (folder / name for name in layout.files.names(folder) if fnmatch.fnmatchcase(name, pattern))

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable, no_access
-from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, Refused
+from fogspec.base.errors import Busy, CloudError, FogspecError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
 from fogspec.base.redaction import check_set
 from fogspec.base.signals import interruptible
@@ -162,7 +162,7 @@ class Rollout:
         raise CloudError("the manifest names no machine that may be started")
 
     def _check_alone(self, machine: DeployedMachine) -> None:
-        """Stop the machine and raise Refused if lists show one that another apply started.
+        """Stop the machine and raise Busy if lists show one that another apply started.
 
         Both may see each other, and both then stop their own. By now every list shows this machine: who started later sees it.
         """
@@ -170,7 +170,7 @@ class Rollout:
             self.live.times.sleep(self._backend(machine).poll_s)
         if others:
             self._stop(machine)
-            raise Refused(
+            raise Busy(
                 f"another apply of {self.live.layout.name} started a machine at the same time: this one ended its own",
                 *others,
                 "see whether that one serves; fogspec down ends all of them",

@@ -65,7 +65,7 @@ def down(
 
     Machines that are not in the live state are found by the application's name, also those of a bench that died. If one
     backend is unavailable, the machines of the others are still stopped.
-    Raise Refused while a bench or an apply runs, CloudError for machines that could not be verified gone.
+    Raise Busy while a bench or an apply runs, CloudError for machines that could not be verified gone.
     """
     try:
         with finishing(), application_lock(layout, f"down of {layout.name}", remove=True):

@@ -72,7 +72,10 @@ def _verb(command: click.Command, context: click.Context, level: int) -> list[st
 
 def _exit_codes() -> dict[int, str]:
     kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and kind is not errors.FogspecError]
-    return OTHER_ENDS | {kind.exit_code: " ".join((kind.__doc__ or "").split()) for kind in kinds}
+    found: dict[int, str] = {}
+    for kind in kinds:
+        found[kind.exit_code] = " ".join([*found.get(kind.exit_code, "").split(), *(kind.__doc__ or "").split()])
+    return OTHER_ENDS | found
 
 
 def files_page() -> str:

@@ -177,7 +177,7 @@ def test_machines_whose_journal_is_lost_are_found_and_taken_down(halting):
     mark = f"FOGSPEC_JOB={name}@".encode()
     (scene.folder / ".fogspec" / "tiny" / "journal.jsonl").unlink()
     careful = scene.bench()
-    assert (careful.returncode, name in careful.stderr, "--resume" in careful.stderr) == (5, True, True)
+    assert (careful.returncode, name in careful.stderr, "--resume" in careful.stderr) == (8, True, True)
     assert scene.started() == []
     (scene.folder / "specs" / "go").touch()
     ended = scene.bench("--resume")
@@ -190,7 +190,7 @@ def test_machines_whose_journal_is_lost_are_found_and_taken_down(halting):
 def test_two_benches_at_once_are_one_too_many(halting):
     scene, bench = halting
     second = scene.bench()
-    assert second.returncode == 5
+    assert second.returncode == 8
     assert f"process {bench.pid}" in second.stderr
     assert (scene.started(), bench.poll()) == ([FIRST], None)
 

@@ -295,6 +295,74 @@ def test_a_signed_statement_is_checked(keys: Shell) -> None:
     keys(*check, "mine.pub", code=3)
 
 
+def openssl(keys: Shell, *words: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(["openssl", *words], cwd=keys.folder, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize(
+    "kind", [["RSA", "-pkeyopt", "rsa_keygen_bits:2048"], ["EC", "-pkeyopt", "ec_paramgen_curve:P-256"]]
+)
+def test_a_signature_is_what_cosign_and_openssl_verify(keys: Shell, kind: list[str]) -> None:
+    """DSSE's own definition, apart from any of its libraries: the signature is over PAE(type, body)."""
+    pytest.importorskip("securesystemslib", reason="signing needs securesystemslib: pip install 'fogspec[attest]'")
+    assert openssl(keys, "genpkey", "-algorithm", *kind, "-out", "key.pem").returncode == 0
+    assert openssl(keys, "pkey", "-in", "key.pem", "-pubout", "-out", "key.pub").returncode == 0
+    keys("attest", MANIFEST, *AT, "--key", "key.pem", "--out", "signed.json")
+    envelope = json.loads(keys.read("signed.json"))
+    (signature,) = envelope["signatures"]
+    body, kind_of = base64.b64decode(envelope["payload"]), envelope["payloadType"]
+    whole = f"DSSEv1 {len(kind_of)} {kind_of} {len(body)} ".encode() + body
+    (keys.folder / "signed").write_bytes(whole)
+    (keys.folder / "sig").write_bytes(base64.b64decode(signature["sig"]))
+    # Without -sigopt, openssl verifies PKCS#1 v1.5 for RSA, as cosign's verifier does.
+    assert (
+        openssl(keys, "dgst", "-sha256", "-verify", "key.pub", "-signature", "sig", "signed").stdout == "Verified OK\n"
+    )
+    (keys.folder / "signed").write_bytes(whole.replace(b"demo", b"dem0"))
+    assert openssl(keys, "dgst", "-sha256", "-verify", "key.pub", "-signature", "sig", "signed").returncode != 0
+    check = ("verify", MANIFEST, *AT, "--attestation", "signed.json", "--key")
+    assert "signed with key.pub" in keys(*check, "key.pub").out
+    if kind[0] == "RSA":
+        # What was signed with PSS before counts on.
+        from cryptography.hazmat.primitives import serialization
+        from securesystemslib import dsse, signer
+
+        private = serialization.load_pem_private_key((keys.folder / "key.pem").read_bytes(), None)
+        former = dsse.Envelope(body, kind_of, {})
+        former.sign(signer.CryptoSigner(private))
+        keys.write("signed.json", json.dumps(former.to_dict()))
+        assert "signed with key.pub" in keys(*check, "key.pub").out
+
+
+def test_apply_requires_a_statement_of_exactly_these_files(keys: Shell) -> None:
+    pytest.importorskip("securesystemslib", reason="signing needs securesystemslib: pip install 'fogspec[attest]'")
+    apply = ("apply", MANIFEST, *AT, "--dry-run", "--resolve-image", "--require-attestation", "mine.pub")
+    assert "no lock pins them" in keys(*apply, code=5).err
+    keys("lock", *AT)
+    keys("compile", "specs/demo.yaml")
+    where = "compiled/demo/attestation.json"
+    said = keys(*apply, code=5).err
+    assert f"is not attested: there is no {where}" in said
+    assert f"fogspec attest {MANIFEST} --key PRIVATE.pem --out {where}" in said
+    keys("attest", MANIFEST, "--key", "other.pem", "--out", where)
+    assert "not signed with mine.pub" in keys(*apply, code=5).err
+    keys("attest", MANIFEST, "--key", "mine.pem", "--out", where)
+    assert "demo: attested by a statement signed with mine.pub" in keys(*apply).err
+    # Another choice, compiled and reviewed, is not what was signed; neither is a statement of more than these files.
+    edit(keys, "specs/demo.yaml", lambda text: text.replace("alpha: 0.5", "alpha: 0.9"))
+    keys("compile", "specs/demo.yaml")
+    assert f"{MANIFEST} is not what was attested" in keys(*apply, code=5).err
+    keys("attest", MANIFEST, "--key", "mine.pem", "--out", "elsewhere.json")
+    keys(*apply, "--attestation", "elsewhere.json")
+    assert "--attestation needs --require-attestation" in keys("apply", MANIFEST, "--attestation", "x", code=2).err
+    # Node code that changed is in the lock, and so in the statement.
+    keys.write("specs/work.py", "print('other')\n")
+    keys(*apply, "--attestation", "elsewhere.json", code=3)
+    keys("lock")
+    keys("compile", "specs/demo.yaml", code=None)
+    keys(*apply, "--attestation", "elsewhere.json", code=5)
+
+
 def test_an_attestation_of_another_manifest_does_not_count(keys: Shell) -> None:
     pytest.importorskip("securesystemslib", reason="signing needs securesystemslib: pip install 'fogspec[attest]'")
     keys("attest", MANIFEST, *AT, "--key", "mine.pem", "--out", "signed.json")

@@ -255,7 +255,7 @@ def test_whoever_applies_is_alone(app: Make) -> None:
     until(lambda: tiny.machines())
     holder = f"must wait: apply of tiny (process {first.pid} on {os.uname().nodename}) has not ended"
     for words in (["apply", "tiny", "--yes"], ["down", "tiny"], ["bench", "tiny", "--runner", "local"]):
-        assert f"{words[0]} of tiny {holder}" in tiny(*words, code=5).stderr
+        assert f"{words[0]} of tiny {holder}" in tiny(*words, code=8).stderr
     first.send_signal(signal.SIGTERM)
     first.communicate(timeout=240)
 

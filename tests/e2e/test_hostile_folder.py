@@ -171,6 +171,8 @@ LIFE = (
     ("logs", "tiny"),
     ("diff", "specs/tiny.yaml"),
     ("down", "tiny"),
+    ("mv", "tiny", "small"),
+    ("mv", "small", "tiny"),
 )
 NEVER_WELL = (
     ("doctor", "specs/tiny.yaml"),

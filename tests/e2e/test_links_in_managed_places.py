@@ -33,6 +33,7 @@ VERBS = {
     "measure": ("bench", SPEC, "--runner", "local", "--only", "local-1cpu-1gib"),
     "start": ("apply", NAME, "--yes"),
     "down": ("down", NAME),
+    "mv": ("mv", NAME, "renamed"),
 }
 STARTING = ("measure", "start")  # seconds each, so only where they may write
 FOLDERS = ("compiled", f"compiled/{NAME}", f"compiled/{NAME}/tasks", f"compiled/{NAME}/link", "compiled/_agent", "results",

@@ -125,7 +125,7 @@ def test_a_dry_run_needs_no_skypilot(shell: Shell, cloud: Cloud, monkeypatch: py
     monkeypatch.setattr(client.importlib.metadata, "version", missing)
     monkeypatch.setattr(registry, "sample_backend", lambda _: backend.SkyPilotSamples)
     assert "at most $" in bench(shell, "--dry-run").err
-    assert "pip install 'fogspec[sky]'" in bench(shell, code=6).err
+    assert "pip install 'fogspec[sky]'" in bench(shell, code=2).err
     assert not (shell.folder / "results").exists()
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.errors import Refused
+from fogspec.base.errors import Busy
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.claim import ClaimingBackend
 from fogspec.bench.journal import Journal
@@ -94,7 +94,7 @@ def life(world: Shared, me: int, campaign: Campaign, outcomes: dict[int, str]) -
         adopt_orphans(campaign, samples(3), resume=False)
         campaign.run(samples(3))
         outcomes[me] = "done"
-    except Refused as no:
+    except Busy as no:
         outcomes[me] = no.message
     except BaseException as wrong:
         outcomes[me] = repr(wrong)

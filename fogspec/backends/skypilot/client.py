@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any
 from fogspec.backends.protocol import Unreachable
 from fogspec.backends.skypilot.errors import CloudProblem, plain
 from fogspec.base import child
-from fogspec.base.errors import CloudError
+from fogspec.base.errors import CloudError, NotInstalled
 
 if TYPE_CHECKING:
     from packaging.specifiers import SpecifierSet
@@ -46,11 +46,11 @@ class Client:
 
     @property
     def version(self) -> str:
-        """SkyPilot's version; raise CloudError if it is not installed."""
+        """SkyPilot's version; raise NotInstalled if it is not installed."""
         try:
             return importlib.metadata.version("skypilot")
         except importlib.metadata.PackageNotFoundError:
-            raise CloudError("SkyPilot is not installed here", "pip install 'fogspec[sky]'") from None
+            raise NotInstalled("SkyPilot is not installed here", "pip install 'fogspec[sky]'") from None
 
     def __enter__(self) -> "Client":
         return self

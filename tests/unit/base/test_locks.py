@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.base.errors import FogspecError, InvalidInput, Refused
+from fogspec.base.errors import Busy, FogspecError, InvalidInput
 from fogspec.base.layout import Layout
 from fogspec.base.locks import application_lock, start_ticks
 
@@ -53,7 +53,7 @@ def free(path: Path) -> bool:
 def test_one_at_a_time_and_the_holder_is_named(layout: Layout) -> None:
     with holding(layout) as other:
         assert not free(layout.application_lock)
-        with pytest.raises(Refused) as refused, application_lock(layout, "down of app"):
+        with pytest.raises(Busy) as refused, application_lock(layout, "down of app"):
             raise AssertionError("it is held")
         here = os.uname().nodename
         assert refused.value.message == (
@@ -95,7 +95,7 @@ def test_what_stands_in_the_file_decides_nothing(layout: Layout, kept: str) -> N
     layout.application_lock.write_text(kept)
     with open(layout.application_lock) as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        with pytest.raises(Refused, match="another process has not ended"), application_lock(layout, "down of app"):
+        with pytest.raises(Busy, match="another process has not ended"), application_lock(layout, "down of app"):
             pass
 
 

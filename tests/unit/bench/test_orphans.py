@@ -3,7 +3,7 @@
 import pytest
 
 from fogspec.backends.protocol import Unreachable
-from fogspec.base.errors import CloudError, Refused
+from fogspec.base.errors import Busy, CloudError
 from fogspec.bench.orphans import adopt_orphans
 from tests.faults.controllers import campaign_of, samples
 from tests.faults.simulation import FaultyBackend, World
@@ -47,7 +47,7 @@ def test_they_are_left_alone_unless_that_is_asked_for(campaign, monkeypatch, ben
     monkeypatch.setattr(FaultyBackend, "list", lambda *_: [named(campaign, "s1")])
     for _ in range(benches):
         campaign.journal.begin("simulated", "a", "p", 0.0)
-    with pytest.raises(Refused, match="another bench"):
+    with pytest.raises(Busy, match="another bench"):
         adopt_orphans(campaign, samples(3), resume=False)
     assert campaign.journal.state.open == {}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.backends.protocol import DeploymentStatus, Job, LaunchRefused, Unreachable
-from fogspec.base.errors import CloudError, InvalidInput, Refused
+from fogspec.base.errors import Busy, CloudError, InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.catalog.machine import Machine
 from fogspec.deploy.apply import Rollout
@@ -143,7 +143,7 @@ def test_a_machine_that_another_clone_started_meanwhile_leaves_one_of_them_at_mo
     (served,) = rollout.live.machines
     other = rollout.live.owner.deployment_name(SECOND, "abcdef")
     raced = world.backend = RacedBackend(world.backend.says, other=other, up=world.backend.up)
-    with pytest.raises(Refused, match="at the same time") as no:
+    with pytest.raises(Busy, match="at the same time") as no:
         rollout.run()
     assert other in no.value.hints
     assert set(raced.up) == {served.name, other}, "what served still does, and the other's is not touched"

@@ -1,0 +1,44 @@
+"""Implement `fogspec mv`: rename an application."""
+
+import click
+
+from fogspec.base.console import say
+from fogspec.base.errors import UsageError
+from fogspec.base.text import shell_command
+from fogspec.cli.options import CATALOG, applications_of, complete_application
+
+
+@click.command()
+@click.argument("old", metavar="OLD", shell_complete=complete_application)
+@click.argument("new", metavar="NEW")
+@CATALOG
+def command(old: str, new: str, catalog_path: str | None) -> None:
+    """Rename the application OLD, a name or its spec, to NEW: spec, lock, results with raw timings, and compiled files.
+
+    Nothing is measured again. What runs is bound to the name, so that an application that runs is refused: end it first, and
+    apply it under its new name.
+    """
+    from fogspec.base.layout import Layout
+    from fogspec.deploy.housekeeping import rename
+    from fogspec.deploy.state import SystemWallClock
+    from fogspec.spec.discover import applications
+
+    found = applications_of(old)
+    if len(found) > 1:
+        names = [one.application.metadata.name for one in found]
+        raise UsageError(f"{old} has several applications: {', '.join(names)}", "name one of them")
+    (one,) = found
+    renamed = rename(one, new, applications(), SystemWallClock(), catalog_path)
+    say(f"{renamed.before.name} is {renamed.after.name} now, in {renamed.after.spec}")
+    say(*(f"{path}: not fogspec's, left there" for path in renamed.stay), err=True)
+    if one.application.spec.connectivity.link != "none":
+        say(
+            f"on the robot, its key of the link is under the old name: {shell_command('fogspec', 'keys', new)}",
+            err=True,
+        )
+    manifest = Layout.of(renamed.after.spec, new).manifest
+    todo = [
+        shell_command("git", "add", "-A"),
+        *([shell_command("fogspec", "apply", manifest)] if manifest.exists() else []),
+    ]
+    say(f"next: {', review, then '.join(todo)}")
