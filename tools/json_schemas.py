@@ -23,6 +23,8 @@ KINDS = {
     "Menu": "fogspec.choice.menu:Menu",
     "DeploymentManifest": "fogspec.compile.manifest:Manifest",
     "LiveState": "fogspec.deploy.schema:LiveState",
+    "SharedState": "fogspec.deploy.schema:SharedState",
+    "Project": "fogspec.deploy.schema:Project",
 }
 POSITIVE = "(?=[^eE/]*[1-9])"  # a quantity above zero, before its exponent and its unit
 

@@ -16,6 +16,8 @@ from fogspec.base.errors import Refused
 
 ENVIRONMENT = "default"
 OWNER_LABEL = "fogspec-owner"
+# What a deployment was started for, all that it was given, and how many machines before it in its manifest were unavailable.
+MANIFEST_LABEL, RUNS_LABEL, FALLBACK_LABEL = "fogspec-manifest", "fogspec-runs", "fogspec-fallback"
 IN_NAME = 16  # characters of 5 bits
 LONGEST = 24
 

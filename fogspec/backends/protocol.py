@@ -32,7 +32,7 @@ class Job:
 
     A sample's machine shuts itself down after `lifetime_s` seconds, even if its controller has died; a deployment has no
     lifetime. The machine may cost at most `cap_usd_per_hour`, without it its own price. `replicate` counts the samples on
-    the same type of machine; `parts` of the machine are measured after it.
+    the same type of machine; `parts` of the machine are measured after it. `labels` are put on its machine beside the owner's.
     """
 
     name: str
@@ -46,6 +46,7 @@ class Job:
     cap_usd_per_hour: float | None = None
     replicate: int = 1
     parts: tuple[Part, ...] = ()
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Raise ForeignMachine for a name that is not one of the owner's."""
@@ -221,6 +222,10 @@ class SampleBackend(Backend[SampleStatus], Protocol):
 
 class DeploymentBackend(Backend[DeploymentStatus], Protocol):
     """Keeps deployments running."""
+
+    def labels(self, job: Job) -> Mapping[str, str]:
+        """Return the labels that the job's machine was started with, by whatever process; raise Unreachable."""
+        ...
 
     def read_log(self, job: Job) -> bytes:
         """Return the end of what the job has printed, as its machine keeps it; raise Unreachable.

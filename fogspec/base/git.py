@@ -1,10 +1,14 @@
-"""Run git on a checkout that others wrote: it reads, and runs nothing that the checkout or its configuration names."""
+"""Run git on a checkout that others wrote: it reads, and runs nothing that the checkout or its configuration names.
+
+What reaches a remote (`exchange`) runs in a repository of fogspec's own, with the user's own settings and log-in.
+"""
 
 import os
 import subprocess
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import IO
@@ -30,6 +34,30 @@ OVERRIDES = {
 # A partial clone fetches what is missing from where its configuration says, by a protocol that may be a command.
 QUIET = {"GIT_NO_LAZY_FETCH": "1", "GIT_ALLOW_PROTOCOL": "none", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
 
+# A repository of fogspec's own has no hooks; what the user configured for every repository must not sign or follow either.
+OWN = {
+    "core.hooksPath": os.devnull,
+    "core.fsmonitor": "false",
+    "core.pager": "cat",
+    "push.gpgSign": "false",
+    "push.followTags": "false",
+    "push.recurseSubmodules": "no",
+    "fetch.recurseSubmodules": "no",
+    "commit.gpgSign": "false",
+    "gc.auto": "0",
+    "maintenance.auto": "false",
+}
+REACHED = {
+    "GIT_ALLOW_PROTOCOL": "https:http:ssh:git:file",
+    "GIT_TERMINAL_PROMPT": "0",
+    "GIT_NO_LAZY_FETCH": "1",
+    "GIT_AUTHOR_NAME": "fogspec",
+    "GIT_AUTHOR_EMAIL": "fogspec@localhost",
+    "GIT_COMMITTER_NAME": "fogspec",
+    "GIT_COMMITTER_EMAIL": "fogspec@localhost",
+}
+LOG_IN = ("GIT_CONFIG", "GIT_SSH", "GIT_ASKPASS", "GIT_PROXY", "GIT_SSL", "GIT_HTTP")
+
 GIT_S = 60.0
 LONGEST_OUTPUT = 64 << 20  # bytes; what a checkout holds is not ours to bound
 LONGEST_REPORT = 1 << 16
@@ -37,12 +65,61 @@ LONGEST_REPORT = 1 << 16
 
 def git(*words: str, folder: str | os.PathLike[str] = ".") -> bytes:
     """Return the output of a git command that reads; raise UsageError with git's own first line if it fails."""
-    settings = [word for name, value in OVERRIDES.items() for word in ("-c", f"{name}={value}")]
     kept = {k: v for k, v in child.environment().items() if not k.startswith("GIT_") or k.startswith("GIT_CONFIG")}
+    ended = _run(words, folder, OVERRIDES, kept | QUIET)
+    if ended.code:
+        raise UsageError(f"git {words[0]}: {ended.report.splitlines()[0]}")
+    return ended.output
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a git command ended; `report` is what it said of it, never empty."""
+
+    code: int
+    output: bytes
+    report: str
+
+
+def exchange(*words: str, folder: Path, stdin: bytes = b"", headers: Mapping[str, str] | None = None) -> Ended:
+    """Run a git command in a bare repository of fogspec's own, which may read from a remote and write to it.
+
+    It logs in as the user's git does; `headers` are settings `http.URL.extraheader`, which are not shown in a list of
+    processes. Raise UsageError if git cannot be started or does not end.
+    """
+    kept = {k: v for k, v in child.environment().items() if not k.startswith("GIT_") or k.startswith(LOG_IN)}
+    # A Ctrl-C in the terminal must not cut an exchange off in the middle: who runs this decides what is ended.
+    return _run(
+        words, folder, OWN, _configured(kept | REACHED | {"GIT_DIR": os.path.abspath(folder)}, headers or {}), stdin
+    )
+
+
+def _configured(environment: dict[str, str], settings: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment with these settings of git, after those that it has."""
+    try:
+        count = int(environment.get("GIT_CONFIG_COUNT") or 0)
+    except ValueError:
+        count = 0
+    for number, (name, value) in enumerate(settings.items(), count):
+        environment |= {f"GIT_CONFIG_KEY_{number}": name, f"GIT_CONFIG_VALUE_{number}": value}
+    return environment | ({"GIT_CONFIG_COUNT": str(count + len(settings))} if settings else {})
+
+
+def _run(
+    words: Sequence[str],
+    folder: str | os.PathLike[str],
+    overrides: Mapping[str, str],
+    environment: Mapping[str, str],
+    stdin: bytes | None = None,
+) -> Ended:
+    """Run a git command; raise UsageError if it cannot be started, does not end, or prints too much."""
+    settings = [word for name, value in overrides.items() for word in ("-c", f"{name}={value}")]
     try:
         command = [child.program("git"), "--no-pager", *settings, "-C", os.path.abspath(folder), *words]
-        with tempfile.TemporaryFile() as errors:
-            code, content = _output(command, kept | QUIET, errors)
+        with tempfile.TemporaryFile() as errors, tempfile.TemporaryFile() as given:
+            given.write(stdin or b"")
+            given.seek(0)
+            code, content = _output(command, environment, errors, None if stdin is None else given)
             errors.seek(0)
             report = errors.read(LONGEST_REPORT).decode("utf-8", "replace").strip() or f"exit code {code}"
     except OSError as problem:
@@ -51,21 +128,25 @@ def git(*words: str, folder: str | os.PathLike[str] = ".") -> bytes:
         raise UsageError(f"git {words[0]}: it has not ended within {GIT_S:g} s")
     if len(content) > LONGEST_OUTPUT:
         raise UsageError(f"git {words[0]}: it prints more than {LONGEST_OUTPUT >> 20} MiB")
-    if code:
-        raise UsageError(f"git {words[0]}: {report.splitlines()[0]}")
-    return content
+    return Ended(code, content, report)
 
 
-def _output(command: Sequence[str], environment: Mapping[str, str], errors: IO[bytes]) -> tuple[int, bytes | None]:
-    """Return the exit code and the output, one byte more than allowed at most; None if it did not end in time."""
+def _output(
+    command: Sequence[str], environment: Mapping[str, str], errors: IO[bytes], given: IO[bytes] | None
+) -> tuple[int, bytes | None]:
+    """Return the exit code and the output, one byte more than allowed at most; None if it did not end in time.
+
+    With something `given` to read, the command has a session of its own.
+    """
     late = threading.Event()
     with subprocess.Popen(
         command,
-        stdin=subprocess.DEVNULL,
+        stdin=subprocess.DEVNULL if given is None else given,
         stdout=subprocess.PIPE,
         stderr=errors,
         cwd=child.ELSEWHERE,
         env=environment,
+        start_new_session=given is not None,
     ) as process:
 
         def end() -> None:

@@ -48,6 +48,11 @@ class Layout:
         return self.root / "fogspec.lock"
 
     @property
+    def project(self) -> Path:
+        """The settings of all applications with this root."""
+        return self.root / "fogspec.yaml"
+
+    @property
     def plan(self) -> Path:
         """The sampling plan."""
         return self.compiled / "plan.yaml"

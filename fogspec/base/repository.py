@@ -29,14 +29,22 @@ def repository_of(root: Path) -> str:
     All clones of one origin return the same, by whatever protocol they were cloned; forks return another.
     """
     real = Path(os.path.realpath(root))
+    if (found := origin_of(root)) is not None:
+        url, top = found
+        if (origin := normalized(url, top)) is not None:
+            inside = real.relative_to(top).as_posix()
+            return origin if inside == "." else f"{origin}//{inside}"
+    return f"file://{os.uname().nodename}{real.as_posix()}"
+
+
+def origin_of(root: Path) -> tuple[str, Path] | None:
+    """Return the URL of the remote `origin` as it is configured, and the top of the clone; None without one."""
+    real = Path(os.path.realpath(root))
     for top in (real, *real.parents):
         if os.path.lexists(top / ".git"):
             url = _origin(top / ".git")
-            if url is not None and (origin := normalized(url, top)) is not None:
-                inside = real.relative_to(top).as_posix()
-                return origin if inside == "." else f"{origin}//{inside}"
-            break
-    return f"file://{os.uname().nodename}{real.as_posix()}"
+            return None if url is None else (url, top)
+    return None
 
 
 def committed(root: Path, path: Path) -> bytes | None:

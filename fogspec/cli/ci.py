@@ -29,7 +29,8 @@ def command(
     """Say whether apply would deploy exactly what is committed: one line per application. SPECS are those in specs/.
 
     Every spec is valid and meets the policies; plan, results, models, menu and manifest follow from one another and from
-    the lock; no manifest was taken away, and no compiled file is left without its spec. Nothing is written.
+    the lock; no manifest was taken away, and no compiled file and nothing that runs is left without its spec. Nothing is
+    written.
 
     Exit code 1 for an invalid spec, 3 for anything else that is not so.
     """
@@ -37,6 +38,9 @@ def command(
     from fogspec.audit.git import Repository
     from fogspec.audit.review import removed
     from fogspec.base.layout import Layout
+    from fogspec.deploy.git_store import StoreUnavailable
+    from fogspec.deploy.running import without_spec
+    from fogspec.deploy.state import SystemWallClock
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import check_file
@@ -67,7 +71,14 @@ def command(
     whole = not broken and all(map(os.path.isdir, specs))
     roots = {Layout.of(one.path, one.application.metadata.name).root for one in loaded} or {Path()}
     others = [text for root in sorted(roots) for text in gate.leftovers(root, names)] if whole else []
-    for name in (name for name in gone if whole and name not in names):
+    files = len(others)
+    if whole:
+        try:
+            others += [text for root in sorted(roots) for text in without_spec(root, names, SystemWallClock())]
+        except StoreUnavailable as lost:
+            say(f"what runs without a spec is not checked: {lost.message}", err=True)
+    known = {text.partition(":")[0] for text in others}
+    for name in (name for name in gone if whole and name not in names and name not in known):
         say(
             f"{name}: its spec and its manifest are gone; if it still runs: {shell_command('fogspec', 'down', name)}",
             err=True,
@@ -83,6 +94,6 @@ def command(
         raise OutOfDate(
             f"not what apply would deploy: {', '.join(failed[:9])}",
             "fogspec status and fogspec verify say more",
-            *(["what has no spec is removed by: fogspec compile --prune"] if others else []),
+            *(["what has no spec is removed by: fogspec compile --prune"] if files else []),
         )
     say("apply deploys what is committed", err=True)

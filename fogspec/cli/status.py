@@ -2,8 +2,9 @@
 
 import click
 
-from fogspec.base.console import say_json, say_text
+from fogspec.base.console import say, say_json, say_text
 from fogspec.base.errors import OutOfDate
+from fogspec.base.text import line
 from fogspec.cli.options import CATALOG, OUTPUT, echo_notes, load_inputs
 
 
@@ -15,6 +16,8 @@ from fogspec.cli.options import CATALOG, OUTPUT, echo_notes, load_inputs
 def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_code: bool) -> None:
     """Say how things stand, from spec to what runs. SPECS are those in specs/; nothing is written.
 
+    Without SPECS, applications that run and have no spec any more are listed, too.
+
     The deployed state has two words: sync (Synced, OutOfSync: is it what the manifest says) and health (Healthy, Drifted,
     Degraded, Progressing, Missing, Unknown: do its nodes answer, as fast as the model predicted).
     """
@@ -23,14 +26,27 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     from fogspec.base.git import tracked_note
     from fogspec.compile.compiler import try_compile
     from fogspec.deploy import health
+    from fogspec.deploy.git_store import StoreUnavailable
+    from fogspec.deploy.running import without_spec
     from fogspec.deploy.state import SystemWallClock
     from fogspec.spec.discover import find_specs
 
     inputs = load_inputs(find_specs(specs), catalog_path, audit=True)
+    names = {one.layout.name for one in inputs}
+    others, away = list[str](), None
+    try:
+        # With the first look, so that a store without contact is said once, beside all that is known without it.
+        roots = sorted({one.layout.root for one in inputs})
+        listed = [text for root in roots for text in without_spec(root, names, SystemWallClock())]
+        others = [] if specs else listed
+    except StoreUnavailable as lost:
+        away = lost
     found = [freshness.status(one, try_compile(one)) for one in inputs]
     echo_notes(note for one in inputs if (note := tracked_note(one.layout)) is not None)
     lives = [
-        health.health_report(
+        None
+        if away is not None
+        else health.health_report(
             one.inputs.application, one.layout, one.inputs.sent, one.fresh, SystemWallClock(), deployment_backend
         )
         for one in found
@@ -41,15 +57,19 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
             for one, live in zip(found, lives, strict=True)
         ]
         say_json(data)
+        say(*others, err=True)
     else:
         texts = [
             status.as_text(one, health.as_text(live) if live else ()) for one, live in zip(found, lives, strict=True)
         ]
-        say_text("\n\n".join(texts))
-    others = [
+        say_text("\n\n".join([*texts, *map(line, others)]))
+    if away is not None:
+        raise away
+    unwell = [
         one.layout.name
         for one, live in zip(found, lives, strict=True)
         if not (one.fresh and (live is None or live.well))
     ]
-    if exit_code and others:
-        raise OutOfDate(f"not everything is fresh and as predicted: {', '.join(others)}")
+    unwell += [text.partition(":")[0] for text in others]
+    if exit_code and unwell:
+        raise OutOfDate(f"not everything is fresh and as predicted: {', '.join(unwell)}")

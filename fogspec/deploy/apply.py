@@ -20,9 +20,11 @@ from fogspec.base.text import shell_command
 from fogspec.compile.links import link_of
 from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate
+from fogspec.deploy.git_store import StoreUnavailable
 from fogspec.deploy.preflight import LaunchPlan
 from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import DeployedMachine, date_of
+from fogspec.deploy.shared_state import holding
 from fogspec.deploy.state import SENT, DeploymentState, WallClock
 from fogspec.spec.lock_io import snapshot
 
@@ -216,9 +218,11 @@ class Rollout:
         name = self.live.owner.deployment_name(self.digest, secrets.token_hex(3))
         self.live.layout.files.remove(self.live.layout.last_words)
         self.send(self.live.folder(name) / SENT)
+        deployer = self.backend_of(one.machine.infra).name
         machine = DeployedMachine(
             name=name,
-            deployer=self.backend_of(one.machine.infra).name,
+            deployer=deployer,
+            place=self.live.place(deployer),
             state="starting",
             manifest=self.digest,
             machine=one.machine.model_copy(update={"price": one.price_usd_per_hour}),
@@ -235,8 +239,10 @@ class Rollout:
 
     def _started(self, machine: DeployedMachine, one: Candidate) -> DeployedMachine:
         """Start it, unless an earlier apply did."""
-        if self.live.layout.files.exists(self.live.folder(machine.name) / "manifest.yaml"):
+        if self.live.manifest_of(machine.name) is not None:
             return machine
+        if not self.live.layout.files.exists(self.live.folder(machine.name)):
+            self.send(self.live.folder(machine.name) / SENT)  # another clone recorded it and was ended before it began
         self.report(f"{one.machine.instance} in {one.machine.infra}: starting {machine.name}")
         self.live.keep_manifest(machine.name, self.manifest)
         try:
@@ -327,10 +333,11 @@ def stop_machine(
 ) -> None:
     """Stop a machine and forget it once it is verified gone; raise CloudError if that cannot be verified.
 
-    A full disk keeps no machine alive: a record that cannot be written now is written by the next command that stops it.
+    Neither a full disk nor a shared state without contact keeps a machine alive: a record that cannot be written now is
+    written by the next command that stops it.
     """
     if machine.state != "ending":
-        with contextlib.suppress(InvalidInput, OSError):
+        with contextlib.suppress(InvalidInput, StoreUnavailable, OSError):
             live.put(machine.model_copy(update={"state": "ending"}))
     try:
         backend.stop(live.job(machine))
@@ -382,8 +389,13 @@ def apply(
     begun_s = times.now_s()
     live: DeploymentState | None = None
     try:
-        with application_lock(layout, f"apply of {layout.name}"), interruptible() as interrupt:
-            live = DeploymentState.read(layout, times)
+        what = f"apply of {layout.name}"
+        with (
+            application_lock(layout, what),
+            interruptible() as interrupt,
+            holding(layout, what, times, report) as record,
+        ):
+            live = DeploymentState.read(layout, times, record)
             live.check_owned()
             rollout = Rollout(
                 live=live,
@@ -409,11 +421,11 @@ def apply(
                 raise Refused(
                     f"{layout.name} runs already, started from another folder or by an apply whose live state is lost",
                     *unknown,
-                    f"fogspec down {layout.name} ends it",
+                    f"fogspec adopt {layout.name} takes it over, fogspec down {layout.name} ends it",
                 )
             for machine in (one for one in live.machines if one.state == "serving"):
-                what = f"{machine.machine.instance} in {machine.machine.infra}"
-                report(f"  replaces  {machine.name}: {what}, which ends when the new one answers")
+                old = f"{machine.machine.instance} in {machine.machine.infra}"
+                report(f"  replaces  {machine.name}: {old}, which ends when the new one answers")
             first = plan.candidates[0].machine.infra
             rollout.backend_of(first).check_access([first])
             with interrupt.question():

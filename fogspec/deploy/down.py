@@ -14,6 +14,7 @@ from fogspec.base.repository import committed
 from fogspec.base.signals import finishing
 from fogspec.bench.journal import JournalState
 from fogspec.deploy.apply import stop_machine
+from fogspec.deploy.shared_state import SharedRecord, holding, shared_layouts, store_of
 from fogspec.deploy.state import DeploymentState, WallClock
 
 
@@ -42,7 +43,10 @@ def layout_of(spec_or_name: str) -> Layout:
         raise InvalidInput(f"{spec_or_name!r} is not an application's name", "name one, or its spec")
     known = layout.files.is_folder(layout.state) or layout.files.is_folder(layout.compiled)
     known = known or layout.files.exists(layout.spec)
-    if not known and not any(committed(layout.root, path) for path in (layout.plan, layout.spec)):
+    known = known or any(committed(layout.root, path) for path in (layout.plan, layout.spec))
+    if not known and (store := store_of(layout)) is not None:
+        known = any(one.name == layout.name for one in shared_layouts(store, layout.root))
+    if not known:
         raise InvalidInput(f"there is no application named {spec_or_name} here", f"looked for {layout.state}")
     return layout
 
@@ -68,8 +72,13 @@ def down(
     Raise Busy while a bench or an apply runs, CloudError for machines that could not be verified gone.
     """
     try:
-        with finishing(), application_lock(layout, f"down of {layout.name}", remove=True):
-            done = _down(_live(layout, times, report), backends, report)
+        what = f"down of {layout.name}"
+        with (
+            finishing(),
+            application_lock(layout, what, remove=True),
+            holding(layout, what, times, report, salvage=True) as record,
+        ):
+            done = _down(readable_state(layout, times, report, record), backends, report)
         if layout.files.remove_folder(layout.state):
             layout.files.remove_folder(layout.state.parent)
         return done
@@ -83,10 +92,15 @@ def down(
         raise InvalidInput(message, f"run it again: fogspec down {layout.name}") from None
 
 
-def _live(layout: Layout, times: WallClock, report: Callable[[str], None]) -> DeploymentState:
-    """Return the live state; a damaged file hides no machine, since all are found by name too, and is kept."""
+def readable_state(
+    layout: Layout, times: WallClock, report: Callable[[str], None], record: SharedRecord | None
+) -> DeploymentState:
+    """Return the live state; a damaged record hides no machine, since all are found by name too, and is kept."""
+    if record is not None and record.damaged is not None:
+        report(f"{record.path}: it is damaged: machines are found by their names")
+        return DeploymentState(layout, times, [], unreadable=True, record=record, manifests={}, where=record.path)
     try:
-        return DeploymentState.read(layout, times)
+        return DeploymentState.read(layout, times, record)
     except DiagnosticError as problems:
         report(f"{layout.live}: {problems.diagnostics[0].message}: machines are found by their names")
         return DeploymentState(layout, times, [], unreadable=True)

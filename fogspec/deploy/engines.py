@@ -12,6 +12,7 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.base.repository import committed
+from fogspec.deploy.shared_state import look, store_of
 from fogspec.spec.loader import SourceFile
 
 UNKNOWN = "unknown"  # a cloud like any other: SkyPilot is asked
@@ -46,6 +47,11 @@ def engines_of(layout: Layout) -> Engines:
             else:
                 clouds |= found
                 known = known or bool(found)
+    try:
+        shared = None if (store := store_of(layout)) is None else look(store, layout)
+        clouds |= {cloud_name(one.machine.infra) for one in (shared.spec.machines if shared is not None else ())}
+    except (DiagnosticError, FogspecError):
+        doubts.append(f"the shared state of {layout.name}: cannot be read")
     clouds |= set(_journaled(layout, doubts))
     if not known:
         doubts.append(f"{layout.spec}: neither it nor a plan says where its machines may be")

@@ -21,7 +21,7 @@ from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, WallClock
 from fogspec.results.io import read_results
-from fogspec.spec.loader import read_document, read_plain
+from fogspec.spec.loader import SourceFile, read_plain
 from fogspec.spec.lockfile import differing
 from fogspec.spec.schema import Application
 
@@ -108,8 +108,8 @@ def manifest_changes(
         return []
     secrets = application.spec.secrets
     try:
-        kept = live.folder(machine.name) / "manifest.yaml"
-        before: Any = read_plain(kept, layout.files.read(kept))
+        kept = live.manifest_of(machine.name)
+        before: Any = {"digest": machine.manifest} if kept is None else read_plain(f"manifest of {machine.name}", kept)
     except (DiagnosticError, FogspecError, OSError):
         before = {"digest": machine.manifest}
     return significant(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets)))
@@ -122,7 +122,8 @@ def _committed(layout: Layout) -> str | None:
 
 def _files_changed(sent: Mapping[str, str], machine: DeployedMachine) -> list[Change]:
     """Return the files that differ from those that the machine was sent."""
-    return [Change(name, "as it was started", "changed since") for name in differing(machine.files, sent)]
+    known = sent if machine.files is None else machine.files
+    return [Change(name, "as it was started", "changed since") for name in differing(known, sent)]
 
 
 def running_changes(
@@ -150,8 +151,9 @@ def _poll(
 def _manifest(live: DeploymentState, machine: DeployedMachine) -> Manifest | None:
     """Return the manifest that the machine was started for."""
     try:
-        return read_document(live.folder(machine.name) / "manifest.yaml", Manifest, live.layout.files)
-    except (DiagnosticError, FogspecError):
+        kept = live.manifest_of(machine.name)
+        return None if kept is None else SourceFile(f"manifest of {machine.name}", kept).document(Manifest)
+    except (DiagnosticError, FogspecError, OSError):
         return None
 
 

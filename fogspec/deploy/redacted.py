@@ -1,6 +1,6 @@
 """A deployment backend whose messages contain no secrets: they come from machines and clouds."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +31,11 @@ class RedactingBackend:
         with self._redacted():
             status = self._backend.poll(job)
         return status if status.detail is None else replace(status, detail=self._secrets.redact(status.detail))
+
+    def labels(self, job: Job) -> Mapping[str, str]:
+        """Return its labels, which are digests."""
+        with self._redacted():
+            return self._backend.labels(job)
 
     def read_log(self, job: Job) -> bytes:
         """Return what it has printed, from which its machine took the secrets."""

@@ -1,16 +1,17 @@
 """What runs of all applications of a project, by their live state, and what their nodes print."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from fogspec.backends.agent_state import printed
 from fogspec.backends.protocol import DeploymentBackend, LaunchRefused, Unreachable
 from fogspec.base.diagnostics import DiagnosticError
-from fogspec.base.errors import CloudError, InvalidInput
+from fogspec.base.errors import CloudError, InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
 from fogspec.deploy.schema import DeployedMachine
+from fogspec.deploy.shared_state import shared_layouts, store_of
 from fogspec.deploy.state import DeploymentState, WallClock
 
 FOLLOW_EVERY_S = 1.0
@@ -38,15 +39,19 @@ def running(
     `names` are the applications that have a spec. Nothing is written.
     """
     found, problems = list[Running](), list[str]()
-    for layout in _layouts(root):
+    for layout in layouts(root):
         try:
             live = DeploymentState.look(layout, times)
         except DiagnosticError as damaged:
             problems.append(
-                f"{layout.live}: {damaged.diagnostics[0].message}; fogspec down {layout.name} ends what runs"
+                f"{damaged.diagnostics[0].span.path}: {damaged.diagnostics[0].message}; "
+                f"fogspec down {layout.name} ends what runs"
             )
             continue
-        problems += [f"{layout.live}: {one.name} is a machine of another application" for one in live.foreign]
+        except Refused as foreign:
+            problems.append(foreign.message)
+            continue
+        problems += [f"{live.where}: {one.name} is a machine of another application" for one in live.foreign]
         found += [
             Running(
                 application=layout.name,
@@ -61,13 +66,31 @@ def running(
     return found, problems
 
 
-def _layouts(root: Path) -> Iterator[Layout]:
-    """Yield the layout of each application with live state."""
-    files = Layout(root, root / "specs" / "any.yaml", "any").files
-    for name in files.names(root / ".fogspec"):
-        layout = Layout(root, root / "specs" / f"{name}.yaml", name)
-        if files.is_file(layout.live):
-            yield layout
+def layouts(root: Path) -> list[Layout]:
+    """Return the layout of each application below a root with live state; raise StoreUnavailable, and as `store_of` does."""
+    any_one = Layout(root, root / "specs" / "any.yaml", "any")
+    if (store := store_of(any_one)) is not None:
+        return shared_layouts(store, root)
+    found = [Layout(root, root / "specs" / f"{name}.yaml", name) for name in any_one.files.names(root / ".fogspec")]
+    return [one for one in found if any_one.files.is_file(one.live)]
+
+
+def without_spec(root: Path, names: Collection[str], times: WallClock) -> list[str]:
+    """Return a sentence for each application below a root that runs and has no spec, by its live state alone.
+
+    Raise StoreUnavailable.
+    """
+    found = []
+    for layout in (one for one in layouts(root) if one.name not in names):
+        try:
+            live = DeploymentState.look(layout, times)
+        except (DiagnosticError, Refused):
+            found.append(f"{layout.name}: no spec has an application of this name, and its live state cannot be read")
+            continue
+        if live.machines:
+            machines = ", ".join(one.name for one in live.machines)
+            found.append(f"{layout.name}: no spec has an application of this name, and {machines} runs")
+    return [f"{text}; {shell_command('fogspec', 'down', text.partition(':')[0])} ends it" for text in found]
 
 
 def _answers(live: DeploymentState, machine: DeployedMachine, backend_for: Backends) -> str:

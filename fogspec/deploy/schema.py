@@ -1,9 +1,10 @@
 """The live state of an application: written before anything is started, so that no machine is ever lost."""
 
+import re
 from datetime import UTC, datetime
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 
 from fogspec.base.quantities import Duration, Id, Money, Strict
 from fogspec.catalog.machine import Machine
@@ -16,13 +17,21 @@ def _date(text: str) -> str:
     return text
 
 
+class Place(Strict):
+    """The computer on which a machine of the local runner runs, and the project's folder there."""
+
+    host: str
+    root: str
+
+
 class DeployedMachine(Strict):
     """One machine that was started, or was about to be.
 
     `starting` until its nodes have answered once, then `serving`; `ending` when it is to go. `manifest` is the digest
     of the manifest that it was started for, `image` the one it runs where it has one, `fallback` counts how many
     machines before it in that manifest could not be had. `runs` is the digest of all that the machine is given, `files`
-    the digests of the files and folders beside the spec among that.
+    the digests of the files and folders beside the spec among that, None if they are unknown. `place` is where a process of
+    this host runs, if clones share the state.
     `at` is the reading, in seconds, of this host's clock since its `boot`; `since` is the date in UTC.
     """
 
@@ -32,7 +41,8 @@ class DeployedMachine(Strict):
     manifest: str
     machine: Machine
     runs: str
-    files: dict[str, str]
+    files: dict[str, str] | None
+    place: Place | None = None
     fallback: int = 0
     image: str | None = None
     address: str | None = None
@@ -61,6 +71,66 @@ class LiveState(Strict):
     kind: Literal["LiveState"] = "LiveState"
     metadata: PlanMetadata
     spec: DeploymentBody
+
+
+class Lease(Strict):
+    """The command that works on an application now; no other one may until it has ended, or does not renew this any more.
+
+    `holder` is random. `process` identifies the process on its computer. `renewed` counts; `until` is the date by the
+    holder's own clock, for people: whether the lease still holds is seen by its changing.
+    """
+
+    holder: str
+    what: str
+    host: str
+    process: str
+    renewed: int = 0
+    until: Annotated[str, AfterValidator(_date)]
+
+
+class SharedBody(DeploymentBody):
+    """What `LiveState` has, with the owner of the machines, their manifests by their names, and the lease."""
+
+    repository: str
+    owner: str
+    manifests: dict[str, str] = Field(default_factory=dict)
+    lease: Lease | None = None
+
+
+class SharedState(Strict):
+    """`kind: SharedState`: the live state of one application in a store that clones share."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
+    kind: Literal["SharedState"] = "SharedState"
+    metadata: PlanMetadata
+    spec: SharedBody
+
+
+def _state(text: str) -> str:
+    if text not in ("folder", "git") and not re.fullmatch(
+        r"git\+(https|ssh)://[^\s:@/]+(@[^\s:@/]+)?(:\d+)?/\S+", text
+    ):
+        raise ValueError("write folder, git, or git+https://HOST/PATH or git+ssh://git@HOST/PATH without a password")
+    return text
+
+
+class ProjectBody(Strict):
+    """Settings of all applications of a project."""
+
+    state: Annotated[str, AfterValidator(_state)] = Field(
+        default="folder",
+        description="where the live state of deployments is: folder (.fogspec of this clone), git (refs of the remote "
+        "origin, shared by all clones), or git+URL (refs of another repository)",
+        examples=["git"],
+    )
+
+
+class Project(Strict):
+    """`kind: Project`: `fogspec.yaml` beside `specs/`."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"]
+    kind: Literal["Project"]
+    spec: ProjectBody
 
 
 def date_of(unix_s: float) -> str:

@@ -1,25 +1,35 @@
-"""The live state on disk: one file that is written whole before each step, and a directory per machine."""
+"""The live state: one record that is written whole before each step, and a directory per machine.
+
+The record is a file of this clone, or where clones share it what `fogspec.deploy.shared_state` holds.
+"""
 
 import contextlib
 import dataclasses
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from fogspec.backends.naming import ForeignMachine, Owner
+from fogspec.backends.naming import FALLBACK_LABEL, MANIFEST_LABEL, RUNS_LABEL, ForeignMachine, Owner
 from fogspec.backends.protocol import Job
 from fogspec.backends.registry import owner_of
+from fogspec.base import digest
 from fogspec.base.clock import SystemClock
+from fogspec.base.clouds import LOCAL
 from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import CloudError, FogspecError
 from fogspec.base.git import tracked_state
 from fogspec.base.layout import Layout
+from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell_command
-from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState
+from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState, Place, SharedState
+from fogspec.deploy.shared_state import SharedRecord, key_of, look, store_of
 from fogspec.plan.schema import PlanMetadata
 from fogspec.spec.loader import read_document
 
+MANIFEST = "manifest.yaml"  # in a machine's directory: what it was started for
 SENT = "sent"  # in a machine's directory: the snapshot of the files that it was sent
 
 
@@ -56,7 +66,8 @@ class DeploymentState:
     """The machines of one application, as on disk: every change is written before it takes effect.
 
     `foreign` are records of machines that are not this application's: they are kept as they are, and nothing acts on them.
-    `unreadable` tells that there is a file that cannot be read.
+    `unreadable` tells that there is a file that cannot be read. Where clones share the state, `record` holds it for a command
+    that changes it, and `manifests` are the texts of the machines' manifests in it; `where` is the record's place for people.
     """
 
     layout: Layout
@@ -65,24 +76,48 @@ class DeploymentState:
     spent_usd: float = 0.0
     foreign: list[DeployedMachine] = field(default_factory=list)
     unreadable: bool = False
+    record: SharedRecord | None = None
+    manifests: dict[str, str] | None = None
+    where: str = ""
     _owner: Owner | None = None
 
     def __post_init__(self) -> None:
         """Divide the machines into those of the application and others."""
+        self.where = self.where or str(self.layout.live)
         self.foreign += [one for one in self.machines if not self.owner.has(one.name)]
         self.machines = [one for one in self.machines if self.owner.has(one.name)]
 
     @classmethod
-    def read(cls, layout: Layout, times: WallClock) -> "DeploymentState":
-        """Return the state in the file, empty if there is none; raise DiagnosticError if it was damaged."""
+    def read(cls, layout: Layout, times: WallClock, record: SharedRecord | None = None) -> "DeploymentState":
+        """Return the state, empty if there is none; raise DiagnosticError if it was damaged.
+
+        Where clones share it, a command that changes it holds the `record`. Raise StoreUnavailable, and Refused for a record of
+        another repository.
+        """
+        if record is not None:
+            return cls._shared(layout, times, record.state, record.path, record)
+        if (store := store_of(layout)) is not None:
+            try:
+                return cls._shared(layout, times, look(store, layout), store.path(key_of(owner_of(layout))))
+            except DiagnosticError as wrong:
+                raise _ended_by_name(wrong, layout) from None
         if not layout.files.exists(layout.live):
             return cls(layout, times, [])
         try:
             body = read_document(layout.live, LiveState, layout.files).spec
         except DiagnosticError as wrong:
-            fix = f"fogspec down {layout.name} finds what runs by its name and ends it"
-            raise DiagnosticError([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics]) from None
+            raise _ended_by_name(wrong, layout) from None
         return cls(layout, times, list(body.machines), body.spent)
+
+    @classmethod
+    def _shared(
+        cls, layout: Layout, times: WallClock, state: SharedState | None, where: str, record: SharedRecord | None = None
+    ) -> "DeploymentState":
+        if state is None:
+            return cls(layout, times, [], record=record, manifests={}, where=where)
+        body = state.spec
+        manifests = dict(body.manifests)
+        return cls(layout, times, list(body.machines), body.spent, record=record, manifests=manifests, where=where)
 
     @classmethod
     def look(cls, layout: Layout, times: WallClock) -> "DeploymentState":
@@ -99,7 +134,7 @@ class DeploymentState:
     def check_owned(self) -> None:
         """Raise ForeignMachine if there are records of machines that are not this application's."""
         if self.foreign:
-            raise ForeignMachine([one.name for one in self.foreign], self.owner, str(self.layout.live))
+            raise ForeignMachine([one.name for one in self.foreign], self.owner, self.where)
 
     def put(self, machine: DeployedMachine, *, ends: bool = False) -> None:
         """Add the machine, or change its record; with `ends` mark all others for stopping, in the same write."""
@@ -110,35 +145,43 @@ class DeploymentState:
 
     def gone(self, name: str) -> None:
         """Add the cost of a machine that is verified gone, and remove its record and directory."""
-        spent = sum(self.spent(one) for one in self.machines if one.name == name)
-        self._write([one for one in self.machines if one.name != name], self.spent_usd + spent)
-        with contextlib.suppress(OSError):
-            self.layout.files.remove_tree(self.folder(name))
+        ended = [one for one in self.machines if one.name == name]
+        self._write([one for one in self.machines if one.name != name], self.spent_usd + sum(map(self.spent, ended)))
+        folders = [self.folder(name), *(self._place(one)[1] for one in ended if one.place is not None)]
+        for folder in folders:
+            with contextlib.suppress(OSError, FogspecError):
+                ProjectFiles(folder.parents[3]).remove_tree(folder)
 
     def set_aside(self) -> Path | None:
         """Rename a file that cannot be read, and return its new path; None if there is no such."""
         if not self.unreadable:
             return None
+        damaged = None if self.record is None else self.record.damaged
         files, number = self.layout.files, 1
         while files.exists(path := self.layout.state / f"{self.layout.live.name}.unreadable-{number}"):
             number += 1
-        files.move(self.layout.live, path)
+        if damaged is None:
+            files.move(self.layout.live, path)
+        else:
+            files.write(path, damaged)
         return path
 
-    def clear(self) -> Iterator[Path]:
+    def clear(self) -> Iterator[str]:
         """Remove the file and what is left next to it, once no machine is left, and yield each; raise OSError if that fails.
 
         Of `deployed`, only what belongs to machines of the application goes: other things there belong to others.
         """
         if self.machines or self.foreign:
             raise ValueError("machines are left")
+        if self.record is not None and self.record.clear():
+            yield self.where
         # A process that was killed in the middle of a write leaves a part.
         layout, files = self.layout, self.layout.files
         parts = [name for name in files.names(layout.state) if name.startswith(f".{layout.live.name}.")]
         ours = (layout.live, layout.last_words, *(layout.state / name for name in parts))
-        yield from (path for path in ours if files.remove(path))
+        yield from (str(path) for path in ours if files.remove(path))
         folders = [self.folder(name) for name in files.names(layout.deployed) if self.owner.has(name)]
-        yield from (path for path in folders if files.remove_tree(path))
+        yield from (str(path) for path in folders if files.remove_tree(path))
         files.remove_folder(layout.deployed)
 
     def spent(self, machine: DeployedMachine) -> float:
@@ -161,7 +204,7 @@ class DeploymentState:
         self, machine: DeployedMachine, task: Mapping[str, Any] | None = None, cap_usd_per_hour: float | None = None
     ) -> Job:
         """Return the machine's job; only starting it needs the task, and the most that it may cost."""
-        root, directory = self.layout.root, self.folder(machine.name)
+        root, directory = self._place(machine)
         tree = directory / SENT
         return Job(
             name=machine.name,
@@ -169,17 +212,50 @@ class DeploymentState:
             task=task or {},
             root=root,
             directory=directory,
-            tree=tree if self.layout.files.is_folder(tree) else None,
+            tree=tree if ProjectFiles(root).is_folder(tree) else None,
             machine=machine.machine,
             cap_usd_per_hour=cap_usd_per_hour,
+            labels=labels_of(machine),
         )
+
+    def place(self, deployer: str) -> Place | None:
+        """Return where a machine of this deployer is recorded to run: clones share what runs on this computer, too."""
+        if self.record is None or deployer != LOCAL:
+            return None
+        return Place(host=os.uname().nodename, root=os.path.realpath(self.layout.root))
+
+    def _place(self, machine: DeployedMachine) -> tuple[Path, Path]:
+        """Return the root and the directory of a machine's job; raise CloudError for one on another computer."""
+        if machine.place is None or machine.place.root == os.path.realpath(self.layout.root):
+            root = self.layout.root
+        elif machine.place.host != os.uname().nodename:
+            raise CloudError(f"{machine.name} runs on the computer {machine.place.host}", "run this command there")
+        else:
+            root = Path(machine.place.root)
+        return root, dataclasses.replace(self.layout, root=root).deployed / machine.name
 
     def keep_manifest(self, name: str, content: bytes) -> None:
         """Keep the manifest that a machine is started for, for later comparisons."""
-        self.layout.files.write(self.folder(name) / "manifest.yaml", content)
+        if self.manifests is None:
+            self.layout.files.write(self.folder(name) / MANIFEST, content)
+            return
+        self.manifests[name] = content.decode("utf-8", "surrogateescape")
+        self._write(self.machines)
+
+    def manifest_of(self, name: str) -> bytes | None:
+        """Return the manifest that a machine was started for; None if it was not started yet, or it is lost."""
+        if self.manifests is not None:
+            text = self.manifests.get(name)
+            return None if text is None else text.encode("utf-8", "surrogateescape")
+        path = self.folder(name) / MANIFEST
+        return self.layout.files.read(path) if self.layout.files.is_file(path) else None
 
     def _write(self, machines: list[DeployedMachine], spent_usd: float | None = None) -> None:
         spent = round(self.spent_usd if spent_usd is None else spent_usd, 6)
+        if self.record is not None:
+            self.record.save([*self.foreign, *machines], spent, self.manifests or {})
+            self.machines, self.spent_usd = machines, spent
+            return
         state = LiveState(
             metadata=PlanMetadata(name=self.layout.name),
             spec=DeploymentBody(machines=[*self.foreign, *machines], spent=spent),
@@ -191,3 +267,14 @@ class DeploymentState:
             f"fogspec down {self.layout.name}; {apply}",
         )
         self.machines, self.spent_usd = machines, spent
+
+
+def labels_of(machine: DeployedMachine) -> dict[str, str]:
+    """Return the labels that a machine is started with: what it was started for, and all that it was given."""
+    found = {MANIFEST_LABEL: digest.as_label(machine.manifest), RUNS_LABEL: digest.as_label(machine.runs)}
+    return {name: text for name, text in found.items() if text is not None} | {FALLBACK_LABEL: str(machine.fallback)}
+
+
+def _ended_by_name(wrong: DiagnosticError, layout: Layout) -> DiagnosticError:
+    fix = f"fogspec down {layout.name} finds what runs by its name and ends it, fogspec adopt {layout.name} keeps it"
+    return DiagnosticError([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics])

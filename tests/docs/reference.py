@@ -28,6 +28,8 @@ WHERE = {
     "DeploymentManifest": ("compiled/NAME/manifest.yaml", "`fogspec compile`, when a machine meets the limits"),
     "Lock": ("fogspec.lock", "`fogspec lock`"),
     "LiveState": (".fogspec/NAME/deployment.yaml", "`fogspec apply`; not in git"),
+    "SharedState": ("state.yaml in refs/fogspec/state/NAME-…", "`fogspec apply`, where clones share the state"),
+    "Project": ("fogspec.yaml", "you; optional"),
 }
 OTHER_ENDS = {
     0: "Done; nothing differs.",

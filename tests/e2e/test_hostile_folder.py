@@ -170,6 +170,7 @@ LIFE = (
     ("ps",),
     ("logs", "tiny"),
     ("diff", "specs/tiny.yaml"),
+    ("adopt", "tiny"),
     ("down", "tiny"),
     ("mv", "tiny", "small"),
     ("mv", "small", "tiny"),

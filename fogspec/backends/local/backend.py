@@ -7,6 +7,7 @@ must match, so that a copy of a name in another checkout leads to no process. Th
 
 import contextlib
 import hashlib
+import json
 import math
 import os
 import shutil
@@ -29,6 +30,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.results.schema import Reason
 
 MARK = "FOGSPEC_JOB"
+LABELS = "FOGSPEC_LABELS"
 WORK = "work"
 GRACE_S = 10.0
 BUILT = "FOGSPEC_BUILT"  # the spec's own folder: a colcon workspace in it is used as its owner built it
@@ -129,6 +131,8 @@ class LocalBackend:
                 given[variable] = os.path.abspath(job.root / str(mounts[target]) / folder)
         if "workdir" in job.task:
             given[BUILT] = os.path.abspath(job.root / str(job.task["workdir"]))
+        if job.labels:
+            given[LABELS] = json.dumps(dict(job.labels))
         return {**given, MARK: mark_of(job)}
 
 
@@ -274,6 +278,16 @@ class LocalDeployments(LocalBackend):
             return status
         ended = status.state == "ended"
         return DeploymentStatus(state="ended" if ended else "gone", detail=status.detail or _last_detail(log))
+
+    def labels(self, job: Job) -> Mapping[str, str]:
+        """Return the labels in the environment of the job's processes; none if there is no process."""
+        mark, labels = f"{MARK}={mark_of(job)}".encode(), f"{LABELS}=".encode()
+        for _, words in processes.environments():
+            found = [word.removeprefix(labels) for word in words if word.startswith(labels)]
+            if mark in words and found:
+                with contextlib.suppress(ValueError, RecursionError):
+                    return {str(name): str(text) for name, text in _mapping(json.loads(found[0])).items()}
+        return {}
 
     def read_log(self, job: Job) -> bytes:
         """Return the end of its log."""

@@ -347,6 +347,14 @@ class SkyPilotDeployments(SkyPilotBackend):
             raise Unreachable(str(problem)) from None
         self._jobs.pop(job.name, None)
 
+    def labels(self, job: Job) -> Mapping[str, str]:
+        """Return the labels of the job's machine; none if there is no machine."""
+        try:
+            found = self._call("clusters", names=[job.name])
+        except (CloudProblem, CloudError) as problem:
+            raise Unreachable(str(problem)) from None
+        return next((one.get("labels") or {} for one in found if one["name"] == job.name), {})
+
     def read_log(self, job: Job) -> bytes:
         """Return the last lines of the job's log; raise Unreachable."""
         try:
@@ -408,11 +416,11 @@ def _absolute(root: Path, path: Path) -> dict[str, str]:
 
 
 def _labelled(job: Job) -> dict[str, Any]:
-    """Return the task to launch, with the owner's labels, which are not in the compiled file: it is the same in every fork."""
+    """Return the task to launch, with the labels of owner and job; the compiled file has none: it is the same in every fork."""
     resources: Any = job.task.get("resources") or {}
     return {
         **job.launched,
-        "resources": {**resources, "labels": {**(resources.get("labels") or {}), **job.owner.labels}},
+        "resources": {**resources, "labels": {**(resources.get("labels") or {}), **job.labels, **job.owner.labels}},
     }
 
 
