@@ -30,6 +30,7 @@ OUTCOME_BYTES = 64 * 2**10
 TAIL_BYTES = 2**20
 LOG_BYTES = 16384
 TEXT_LIMIT = 500
+NODES, MOST_RESTARTS = 100, 10**9
 # SkyPilot's prefix of each line of a job, and its own and Slurm's lines that a job ended, without a reason.
 PREFIX = re.compile(r"^\([^()]*pid=\d+[^()]*\) ")
 PLATFORM = re.compile(
@@ -141,6 +142,7 @@ def deployment_status(state: bytes, timings: bytes, address: str | None) -> Depl
         observed=values.get("observed") is not False,
         link=_public_key(values.get("link")),
         server=server_facts(values.get("server")),
+        restarts=_restarts(values.get("restarts")),
     )
 
 
@@ -214,6 +216,15 @@ def _is_record(row: object) -> TypeGuard[list[Any]]:
 
 def _record(row: list[Any]) -> dict[str, Any]:
     return {"name": str(row[0]), "latency_s": row[1], "ok": row[2] is True, "scenario": row[3]}
+
+
+def _restarts(value: object) -> dict[str, int]:
+    """Return the counts of the first `NODES` nodes, by printable names."""
+    found = {}
+    for name, count in list(value.items())[:NODES] if isinstance(value, dict) else ():
+        if isinstance(count, int) and not isinstance(count, bool) and 0 <= count <= MOST_RESTARTS:
+            found["".join(c for c in str(name) if c.isprintable())[:100]] = count
+    return found
 
 
 def _public_key(value: object) -> str | None:

@@ -30,9 +30,10 @@ class Job:
     directory for logs and fetched files. `tree` is the snapshot of the files that the machine is sent in place of the task's
     `workdir`; None sends that as it is. `machine` may be None and `task` empty where the job is only polled or stopped.
 
-    A sample's machine shuts itself down after `lifetime_s` seconds, even if its controller has died; a deployment has no
-    lifetime. The machine may cost at most `cap_usd_per_hour`, without it its own price. `replicate` counts the samples on
-    the same type of machine; `parts` of the machine are measured after it. `labels` are put on its machine beside the owner's.
+    A sample's machine shuts itself down after `lifetime_s` seconds, even if its controller has died, and so does that of a
+    deployment with an end; without one it has no lifetime. The machine may cost at most `cap_usd_per_hour`, without it its
+    own price. `replicate` counts the samples on the same type of machine; `parts` of the machine are measured after it. `labels` are
+    put on its machine beside the owner's.
     """
 
     name: str
@@ -120,6 +121,7 @@ class DeploymentStatus:
     still be up; `gone` when there is no machine. `timings` are the latest probe records, whole lines, at most a MiB.
     `observed` is False when nothing records them any more, and `detail` gives the reason. `address` is where the robot finds
     the machine, `link` the public half of the cloud's end of their link, `server` the machine's facts about itself.
+    `restarts` is how often the machine started a node again, for each node that has `respawn`.
     """
 
     state: Literal["starting", "ready", "ended", "gone"]
@@ -130,6 +132,7 @@ class DeploymentStatus:
     observed: bool = True
     link: str | None = None
     server: ServerFacts | None = None
+    restarts: Mapping[str, int] = field(default_factory=dict)
 
 
 class LaunchRefused(Exception):

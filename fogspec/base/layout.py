@@ -181,6 +181,11 @@ class Layout:
         return self.state / "last-words.log"
 
     @property
+    def events(self) -> Path:
+        """What `fogspec watch` saw and did, one line of JSON each."""
+        return self.state / "events.jsonl"
+
+    @property
     def deployed(self) -> Path:
         """Folder of what belongs to machines that run."""
         return self.state / "deployed"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -118,6 +119,7 @@ def _range(
 
 _N = r"(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?"
 _D = rf"{_N}\s*(ns|us|ms|s|min|h|d)"
+_DATE = r"\d{4}-\d{2}-\d{2}T\d{2}:\d{2}(:\d{2})?(Z|[+-]\d{2}:\d{2})"
 _M = rf"{_N}\s*(MiB|GiB|TiB|MB|GB|TB)"
 _USD = rf"(\$\s*{_N}|{_N}\s*(cents?|¢))"
 _COST = rf"{_USD}\s*/\s*({_N})?\s*requests?"
@@ -125,6 +127,11 @@ _RATE = rf"{_N}\s*(Hz|(requests?)?\s*/\s*(s|min|h|day|week|month))"
 
 Count = Annotated[float, Field(allow_inf_nan=False), PlainSerializer(_whole, return_type=int | float)]
 Duration = Annotated[float, *_quantity(units.parse_duration_s, units.format_duration, _D, "1.5s")]
+Until = Annotated[
+    str,
+    AfterValidator(units.check_until),
+    WithJsonSchema({"type": "string", "pattern": rf"^\s*({_D}|{_DATE})\s*$", "examples": ["8h"]}),
+]
 Memory = Annotated[float, *_quantity(units.parse_memory_gib, units.format_memory, _M, "64GiB")]
 Money = Annotated[float, *_quantity(units.parse_money_usd, units.format_money, _USD, "$2.50")]
 Cost = Annotated[float, *_quantity(units.parse_cost_usd_per_request, units.format_cost, _COST, "$0.001/request")]

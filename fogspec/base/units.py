@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from decimal import Decimal
 from typing import Any
 
@@ -70,6 +71,28 @@ MEMORY_SPELLINGS = {
 def parse_duration_s(text: Any) -> float:
     """Return seconds from `1.5s`, `50ms`, `5min`, `2h`."""
     return _parse_scaled(text, DURATION_S, SPELLINGS, "a duration", "s")
+
+
+def parse_until(text: str) -> float | datetime:
+    """Return seconds from `8h`, or the date of `2027-03-31T18:00:00Z`."""
+    body = _body(text)
+    if not re.match(r"\d{4}-\d", body):
+        return parse_duration_s(text)
+    try:
+        date = datetime.fromisoformat(body)
+    except ValueError:
+        raise UnitError("must be a date such as 2027-03-31T18:00:00Z, or a time such as 8h") from None
+    if date.tzinfo is None:
+        fix = f"{body if 'T' in body else f'{body}T00:00:00'}Z"
+        raise UnitError("must say its time zone", fix, "FS202")
+    return date
+
+
+def check_until(text: str) -> str:
+    """Return the text if `parse_until` reads it; raise UnitError, also for a time that is not more than zero."""
+    if parse_until(text) == 0:
+        raise UnitError("must be more than zero")
+    return text.strip()
 
 
 def parse_memory_gib(text: Any) -> float:

@@ -5,13 +5,19 @@ import click
 from fogspec.base.console import say, say_json, say_text
 from fogspec.base.errors import OutOfDate
 from fogspec.base.text import line
-from fogspec.cli.options import CATALOG, OUTPUT, echo_notes, load_inputs
+from fogspec.cli.options import CATALOG, echo_notes, load_inputs
 
 
 @click.command()
 @click.argument("specs", nargs=-1, type=click.Path(path_type=str))
 @CATALOG
-@OUTPUT
+@click.option(
+    "-o",
+    "--output",
+    type=click.Choice(["text", "json", "openmetrics"]),
+    default="text",
+    help="output format; openmetrics: what runs, as metrics, also for node_exporter's textfile collector",
+)
 @click.option("--exit-code", is_flag=True, help="exit 3 when a stage is not fresh, or what runs is not well")
 def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_code: bool) -> None:
     """Say how things stand, from spec to what runs. SPECS are those in specs/; nothing is written.
@@ -57,6 +63,14 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
             for one, live in zip(found, lives, strict=True)
         ]
         say_json(data)
+        say(*others, err=True)
+    elif output == "openmetrics":
+        from fogspec.deploy.events import Events
+        from fogspec.deploy.openmetrics import Metrics
+
+        reports = {one.layout.name: live for one, live in zip(found, lives, strict=True)}
+        restarts = {one.layout.name: Events(one.layout, SystemWallClock()).restarts() for one in found}
+        say_text(Metrics(reports, restarts).text(), end="")
         say(*others, err=True)
     else:
         texts = [

@@ -17,7 +17,7 @@ from fogspec.choice.choose import Choice
 from fogspec.choice.shortlist import fallback_rows
 from fogspec.compile.launch_files import launch_files, link_of_machine, robot_launch
 from fogspec.compile.links import link_of
-from fogspec.compile.tasks import deploy_task, deployed_processes, listener, ros_environment
+from fogspec.compile.tasks import deploy_task, deployed_processes, has_end, launched_together, listener, ros_environment
 from fogspec.plan.schema import TaskRef
 from fogspec.spec.schema import Application
 
@@ -81,6 +81,7 @@ def _task(application: Application, layout: Layout, choice: Choice, row: int) ->
         listeners=listener(spec),
         link=link,
         ready=spec.deployment.ready,
+        ends=has_end(spec),
     )
     parts = [] if ros["distro"] is None else [render("setup_ros2.sh.j2", **ros)]
     parts += [render("setup_link.sh.j2", **link)] if link else []
@@ -91,7 +92,7 @@ def _task(application: Application, layout: Layout, choice: Choice, row: int) ->
         agent=layout.relative(layout.agent),
         setup="\n".join(parts) or None,
         run=run,
-        launch=layout.relative(layout.cloud) if spec.ros else None,
+        launch=layout.relative(layout.cloud) if spec.ros and launched_together(spec) else None,
         link=layout.relative(layout.link) if link else None,
     )
     return yaml_text(task, shell_command("fogspec", "compile", source), source).encode()

@@ -12,6 +12,7 @@ from fogspec.compile.links import link_of, port_of
 from fogspec.compile.links.sros2_policy import policy
 from fogspec.compile.links.wireguard import interface
 from fogspec.compile.links.zenoh import common_name
+from fogspec.compile.tasks import launched_together
 from fogspec.spec.schema import Application, Node
 
 SIDES: tuple[Literal["cloud", "robot"], ...] = ("cloud", "robot")
@@ -20,10 +21,8 @@ SIDES: tuple[Literal["cloud", "robot"], ...] = ("cloud", "robot")
 def launch_files(application: Application, layout: Layout) -> dict[Path, bytes]:
     """Return the files sent to the machine besides the agent: the cloud launch file and the link directory."""
     files: dict[Path, str] = {}
-    if application.spec.ros is not None:
-        files[layout.cloud] = render(
-            "cloud.launch.py.j2", **_words(application, layout, application.spec.cloud), together=True
-        )
+    if application.spec.ros is not None and (nodes := launched_together(application.spec)):
+        files[layout.cloud] = render("cloud.launch.py.j2", **_words(application, layout, nodes), together=True)
     if link_of(application).protocol is not None:
         files[layout.link / "link.sh"] = link_script(application, layout)
         for side in SIDES:

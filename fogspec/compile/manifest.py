@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from pydantic import Field, field_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, field_serializer, model_serializer
 
 from fogspec import __version__
 from fogspec.base import units
-from fogspec.base.quantities import Cost, Duration, Lean, Memory, Price, Strict
+from fogspec.base.quantities import Cost, Duration, Lean, Memory, Money, Price, Strict, Until
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
@@ -35,7 +35,7 @@ class Pinned(ListedMachine):
     """What will run: one machine, its image, its nodes, and the reviewed task that starts them.
 
     `sent` are the files of the spec's directory that the machine gets, `files` the compiled ones; `fallbacks` may take the
-    machine's place, in this order, if it is unavailable.
+    machine's place, in this order, if it is unavailable. With `until` or `max_spend` the deployment ends by itself.
     """
 
     image: str | None
@@ -51,6 +51,14 @@ class Pinned(ListedMachine):
     ready: list[str] | None
     ready_timeout: Duration
     fallbacks: list[Fallback]
+    until: Until | None = None
+    max_spend: Money | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_unset(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit what later versions added while it is not set."""
+        found: dict[str, Any] = dump(self)
+        return {name: value for name, value in found.items() if value is not None or name not in ("until", "max_spend")}
 
     @field_serializer("cloud", "robot")
     def _only_what_is_set(self, nodes: list[Node]) -> list[dict[str, Any]]:
@@ -349,6 +357,8 @@ def _pinned(application: Application, entry: Entry, sources: Sources, choice: Ch
         ready=spec.deployment.ready,
         ready_timeout=spec.deployment.ready_timeout,
         fallbacks=[_fallback(entry_of(choice, row), task) for row, task in sources.fallbacks.items()],
+        until=spec.deployment.until,
+        max_spend=spec.deployment.max_spend,
     )
 
 

@@ -27,6 +27,8 @@ LAUNCH_FILE = "~/.fogspec/launch/cloud.launch.py"
 LINK_FOLDER = "~/.fogspec/link"
 # The robot's public half, given when the task is launched: the task itself is the same for every robot.
 LINK_PEER = "FOGSPEC_LINK_PEER"
+# How long the deployment may run, given when it is launched: it depends on the date, and on what was spent before.
+LIFETIME, ENDS = "FOGSPEC_LIFETIME_S", "FOGSPEC_ENDS"
 # The release of ros-infrastructure/ros-apt-source that sets up ROS 2's package source; by distribution, the code name of
 # its Ubuntu (REP 2000) and the package's sha256, as Docker's official `ros` images check it.
 ROS_APT_SOURCE = "1.2.0"
@@ -100,12 +102,18 @@ def deploy_task(
         task = {**{key: task[key] for key in ("name", "resources")}, "workdir": workdir, **task}
     if launch is not None:
         task["file_mounts"][LAUNCH_FILE] = launch
-    if link is None:
-        return task
-    task["file_mounts"][LINK_FOLDER] = link
-    if link_of(application).protocol == "tcp" and cloud_of(machine.infra).containers:
-        task["resources"]["ports"] = [port_of(application)]
-    return {**task, "envs": {LINK_PEER: None}}
+    given = [LIFETIME, ENDS] if has_end(application.spec) else []
+    if link is not None:
+        given.append(LINK_PEER)
+        task["file_mounts"][LINK_FOLDER] = link
+        if link_of(application).protocol == "tcp" and cloud_of(machine.infra).containers:
+            task["resources"]["ports"] = [port_of(application)]
+    return {**task, "envs": dict.fromkeys(given)} if given else task
+
+
+def has_end(spec: Spec) -> bool:
+    """Return whether the deployment ends by itself."""
+    return spec.deployment.until is not None or spec.deployment.max_spend is not None
 
 
 def _task(
@@ -175,15 +183,39 @@ def measured_processes(spec: Spec) -> list[list[str]]:
     return [*listener(spec), *nodes, *([command(client)] if client else []), *player(spec)]
 
 
-def deployed_processes(application: Application) -> list[list[str]]:
-    """Return every process of a deployment: the link's end, and the nodes, by `ros2 launch` where there is ROS 2."""
-    link = [_found("${FOGSPEC_LINK:-$HOME/.fogspec/link}/link.sh", "exec bash", "cloud up")]
-    nodes = [command(node) for node in application.spec.cloud]
-    if application.spec.ros is not None:
-        nodes = [_found("${FOGSPEC_LAUNCH:-$HOME/.fogspec/launch}/cloud.launch.py", "exec ros2 launch", "")]
+def deployed_processes(application: Application) -> list[list[str] | dict[str, Any]]:
+    """Return every process of a deployment for the supervisor: the link's end, and the nodes.
+
+    Where there is ROS 2, `ros2 launch` starts the nodes that end all others when they end. Each node with `respawn` is a
+    process of its own, which the supervisor starts again.
+    """
+    found: list[list[str] | dict[str, Any]] = []
+    if link_of(application).protocol is not None:
+        found.append(_found("${FOGSPEC_LINK:-$HOME/.fogspec/link}/link.sh", "exec bash", "cloud up"))
     # What serves people must not depend on what watches it.
-    watched = [optional(probe_parts(application.spec).inside, argv) for argv in nodes]
-    return [*(link if link_of(application).protocol is not None else []), *watched]
+    inside, spec = probe_parts(application.spec).inside, application.spec
+    if spec.ros is not None and launched_together(spec):
+        launch = _found("${FOGSPEC_LAUNCH:-$HOME/.fogspec/launch}/cloud.launch.py", "exec ros2 launch", "")
+        found.append(optional(inside, launch))
+    for node in spec.cloud:
+        argv = optional(inside, command(node))
+        if node.respawn:
+            found.append(
+                {
+                    "argv": argv,
+                    "name": node.name or node.executable or " ".join(node.cmd or [])[:60],
+                    "respawn": "always" if node.respawn is True else node.respawn,
+                    **({"respawn_delay": node.respawn_delay} if node.respawn_delay else {}),
+                }
+            )
+        elif spec.ros is None:
+            found.append(argv)
+    return found
+
+
+def launched_together(spec: Spec) -> list[Node]:
+    """Return the cloud nodes that one launch file starts: those that are not started again when they end."""
+    return [node for node in spec.cloud if not node.respawn]
 
 
 def _found(path: str, program: str, words: str) -> list[str]:

@@ -21,6 +21,7 @@ from fogspec.compile.links import link_of
 from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate
 from fogspec.deploy.git_store import StoreUnavailable
+from fogspec.deploy.lifetime import NO_END, End, left_s, limited
 from fogspec.deploy.preflight import LaunchPlan
 from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import DeployedMachine, date_of
@@ -54,7 +55,8 @@ class Rollout:
 
     `send` makes the snapshot of the files that a machine is sent, and raises OutOfDate if they are not `files` any more.
     `backend_of` returns the backend of an infra; `link_check` connects robot and cloud once the nodes are ready, and returns
-    why the link does not answer yet.
+    why the link does not answer yet. `end` is what ends the machines by itself; `ends`, in place of its `until`, the date in
+    UTC at which a machine was to end whose place this one takes.
     """
 
     live: DeploymentState
@@ -69,6 +71,8 @@ class Rollout:
     stopping: Callable[[], bool] = lambda: False
     link_check: LinkCheck = lambda _machine, _status: None
     send: Callable[[Path], object] = lambda _target: None
+    end: End = NO_END
+    ends: str | None = None
 
     def current(self) -> DeployedMachine | None:
         """Return the machine that serves this manifest already; None if there is none, or its nodes have ended.
@@ -215,6 +219,7 @@ class Rollout:
     def _recorded(self, one: Candidate) -> DeployedMachine:
         """Return the machine's record, on disk before anything is started."""
         times = self.live.times
+        ends = self._ends(one)
         name = self.live.owner.deployment_name(self.digest, secrets.token_hex(3))
         self.live.layout.files.remove(self.live.layout.last_words)
         self.send(self.live.folder(name) / SENT)
@@ -233,9 +238,20 @@ class Rollout:
             at=times.now_s(),
             boot=times.boot(),
             since=date_of(times.date().timestamp()),
+            ends=ends,
         )
         self.live.put(machine)
         return machine
+
+    def _ends(self, one: Candidate) -> str | None:
+        """Return when the machine is to end by itself, None if it is not; raise Refused if that is now."""
+        if not self.end:
+            return None
+        # What serves now is paid until this one answers.
+        meanwhile = sum(other.machine.price for other in self.live.machines) * self.ready_timeout_s / 3600
+        machine = one.machine.model_copy(update={"price": one.price_usd_per_hour})
+        end = self.end if self.ends is None else End(self.ends, self.end.max_spend_usd)
+        return end.date(machine, self.live.times.date(), self.live.total_usd() + meanwhile)
 
     def _started(self, machine: DeployedMachine, one: Candidate) -> DeployedMachine:
         """Start it, unless an earlier apply did."""
@@ -245,8 +261,12 @@ class Rollout:
             self.send(self.live.folder(machine.name) / SENT)  # another clone recorded it and was ended before it began
         self.report(f"{one.machine.instance} in {one.machine.infra}: starting {machine.name}")
         self.live.keep_manifest(machine.name, self.manifest)
+        task, lifetime_s = one.task, None
+        if machine.ends is not None:
+            lifetime_s = max(1.0, left_s(machine.ends, self.live.times.date()))
+            task = limited(task, machine.machine, machine.ends, lifetime_s)
         try:
-            self._backend(machine).start(self.live.job(machine, one.task, one.cap_usd_per_hour))
+            self._backend(machine).start(self.live.job(machine, task, one.cap_usd_per_hour, lifetime_s))
         except Unreachable as lost:
             self.report(f"lost contact: {lost}")
         return machine
@@ -377,8 +397,13 @@ def apply(
     times: WallClock,
     report: Callable[[str], None],
     confirm: Callable[[], None],
+    ends: str | None = None,
+    admit: Callable[[DeploymentState], None] = lambda _live: None,
 ) -> RolloutResult:
     """Make the deployment what the manifest asks for; `confirm` is called before money is spent, and may raise.
+
+    `ends` is the date at which it ends by itself, in place of what `spec.deployment.until` says from now on. `admit` is given the
+    state before `confirm`, and may raise as well.
 
     Raise CloudError, InvalidInput or Interrupted as `Rollout.run` does, Refused while another apply, bench or down runs,
     if the live state names a machine of another application, or if a machine serves that this directory does not know,
@@ -410,6 +435,8 @@ def apply(
                 stopping=lambda: interrupt.asked,
                 link_check=link_check(plan, report),
                 send=lambda target: snapshot(plan.opened.loaded.application, layout, target, plan.files),
+                end=End.of(plan.opened.manifest.spec),
+                ends=ends,
             )
             if (served := rollout.current()) is not None:
                 return RolloutResult(served, rollout.stop_others([served.name]), times.now_s() - begun_s)
@@ -428,6 +455,7 @@ def apply(
                 report(f"  replaces  {machine.name}: {old}, which ends when the new one answers")
             first = plan.candidates[0].machine.infra
             rollout.backend_of(first).check_access([first])
+            admit(live)
             with interrupt.question():
                 confirm()
             return RolloutResult(rollout.run(), True, times.now_s() - begun_s)

@@ -14,6 +14,7 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
+from fogspec.base.text import count
 from fogspec.base.units import dollars, rounded
 from fogspec.compile.manifest import Manifest
 from fogspec.deploy.drift import Observed, observe, violation_text
@@ -203,6 +204,11 @@ def as_text(one: HealthReport) -> list[str]:
         f"  {'':<9} {machine.instance} in {machine.infra} at {subject.address or 'no address yet'}{up}, "
         f"{units.format_price(machine.price)}, {dollars(one.spent_usd)} so far"
     )
+    if subject.ends is not None:
+        lines.append(f"  {'':<9} ends by itself at {subject.ends}")
+    if restarted := {name: times for name, times in (one.live.restarts if one.live else {}).items() if times}:
+        each = ", ".join(f"{name} {count(times, 'time')}" for name, times in restarted.items())
+        lines.append(f"  {'':<9} restarted: {each}")
     if one.manifest is not None and one.observed is not None:
         lines.append(f"  {'':<9} {_observed_words(one.observed, one.manifest)}")
     return lines
@@ -234,7 +240,9 @@ def as_dict(one: HealthReport) -> dict[str, Any]:
         "machines": [machine.model_dump(mode="json") for machine in one.machines],
         "spent_usd": round(one.spent_usd, 6),
         "up_s": one.up_s,
+        "ends": (one.serving or one.machines[-1]).ends,
         "ready_s": one.live and one.live.ready_s,
+        "restarts": {} if one.live is None else dict(one.live.restarts),
         "server": None if one.live is None or one.live.server is None else one.live.server.model_dump(mode="json"),
         "predicted": None if one.manifest is None else _predicted(one.manifest),
         "observed": None if one.observed is None or one.manifest is None else _observed(one.observed, one.manifest),

@@ -16,6 +16,7 @@ from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.manifest import Fallback, Pinned
 from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
+from fogspec.deploy.lifetime import End
 from fogspec.plan.schema import TaskRef
 from fogspec.results.progress import state_text
 from fogspec.spec.lock_io import check_sent
@@ -101,9 +102,9 @@ def runs_digest(task: Mapping[str, Any], machine: Machine, opened: ManifestBundl
     """Return the digest of everything that the machine is given: a new price or expectation needs no other machine."""
     resources = {key: value for key, value in task["resources"].items() if key != "max_hourly_cost"}
     sent = {one.path: one.digest for one in opened.manifest.spec.files if one.path != opened.layout.robot.name}
-    return digest.of_value(
-        [{**task, "resources": resources}, machine.infra, machine.instance, machine.spot, sent, files]
-    )
+    end = opened.manifest.spec.model_dump(mode="json", include={"until", "max_spend"})
+    given = [{**task, "resources": resources}, machine.infra, machine.instance, machine.spot, sent, files]
+    return digest.of_value([*given, end] if end else given)
 
 
 def read_task(opened: ManifestBundle, reference: TaskRef) -> dict[str, Any]:
@@ -134,6 +135,8 @@ def as_text(plan: LaunchPlan) -> list[str]:
         f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}"
         f"{interval_text(latency.interval)}{limit}; {units.shown_cost(manifest.expected.cost.predicted)}",
     ]
+    if end := End.of(spec):
+        lines.append(f"  ends      {end.text(spec.infra)}")
     if (partial := manifest.provenance.partial) is not None:
         lines.append(f"  partial   {state_text(partial.measured, partial.planned)}")
     if plan.image is not None:

@@ -31,7 +31,7 @@ class DeployedMachine(Strict):
     of the manifest that it was started for, `image` the one it runs where it has one, `fallback` counts how many
     machines before it in that manifest could not be had. `runs` is the digest of all that the machine is given, `files`
     the digests of the files and folders beside the spec among that, None if they are unknown. `place` is where a process of
-    this host runs, if clones share the state.
+    this host runs, if clones share the state. `ends` is the date in UTC at which it ends by itself.
     `at` is the reading, in seconds, of this host's clock since its `boot`; `since` is the date in UTC.
     """
 
@@ -49,6 +49,7 @@ class DeployedMachine(Strict):
     at: Duration
     boot: str
     since: Annotated[str, AfterValidator(_date)]
+    ends: Annotated[str, AfterValidator(_date)] | None = None
 
     def up_s(self, now_s: float, boot: str, today: datetime) -> float:
         """Return the seconds since its start: by the monotonic clock, or over a restart of this host by the date."""

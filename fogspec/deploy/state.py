@@ -201,9 +201,13 @@ class DeploymentState:
         return self.layout.deployed / name
 
     def job(
-        self, machine: DeployedMachine, task: Mapping[str, Any] | None = None, cap_usd_per_hour: float | None = None
+        self,
+        machine: DeployedMachine,
+        task: Mapping[str, Any] | None = None,
+        cap_usd_per_hour: float | None = None,
+        lifetime_s: float | None = None,
     ) -> Job:
-        """Return the machine's job; only starting it needs the task, and the most that it may cost."""
+        """Return the machine's job; only starting it needs the task, the most that it may cost and how long it may run."""
         root, directory = self._place(machine)
         tree = directory / SENT
         return Job(
@@ -214,6 +218,7 @@ class DeploymentState:
             directory=directory,
             tree=tree if ProjectFiles(root).is_folder(tree) else None,
             machine=machine.machine,
+            lifetime_s=lifetime_s,
             cap_usd_per_hour=cap_usd_per_hour,
             labels=labels_of(machine),
         )

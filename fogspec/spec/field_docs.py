@@ -7,12 +7,13 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from fogspec.base.quantities import Cost, CountRange, Duration, MemoryRange, Money, Percent, Price, Rate
+from fogspec.base.quantities import Cost, CountRange, Duration, MemoryRange, Money, Percent, Price, Rate, Until
 from fogspec.base.yaml.writer import flow
 from fogspec.spec.introspect import part
 
 QUANTITIES = (
     (Duration, "a duration", "ns, us, ms, s, min or h"),
+    (Until, "a duration, or a date", "ns, us, ms, s, min, h or d; a date has its time zone, such as 2027-03-31T18:00:00Z"),
     (Money, "an amount of money", "$ or cent"),
     (Cost, "a cost per request", "$ or cent, per request or per a number of requests"),
     (Price, "a price per hour", "$ or cent, per hour"),
@@ -110,7 +111,7 @@ def _type(annotation: Any, metadata: list[Any]) -> tuple[str, str]:
             return words, unit
     kind, items = part(annotation)
     if get_origin(kind) is Literal:
-        return f"one of {', '.join(map(str, get_args(kind)))}", ""
+        return f"one of {', '.join(map(flow, get_args(kind)))}", ""
     if get_origin(kind) is list:
         return f"a list; each: {_type(items, [])[0]}", ""
     if get_origin(kind) is dict:

@@ -51,7 +51,7 @@ def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
 
 def _choice(model: Any, path: Path, name: str, span: Any, found: Node | None) -> Diagnostic:
     kind = part(annotation_at(model, path))[0]
-    known = [str(one) for one in get_args(kind)] if get_origin(kind) is Literal else []
+    known = [flow(one) for one in get_args(kind)] if get_origin(kind) is Literal else []
     near = closest(str(found.value), known) if found else None
     fix = f"write '{near}'" if near else None
     if len(known) == 1:

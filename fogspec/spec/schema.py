@@ -23,6 +23,7 @@ from fogspec.base.quantities import (
     Rate,
     Strict,
     Transfer,
+    Until,
 )
 
 API_VERSION = "fogspec.dev/v1alpha1"
@@ -134,12 +135,18 @@ class Node(Strict):
     prefix: str | None = Field(
         None, description="command in front of the executable, as in launch_ros", examples=["nice -n 5"]
     )
-    respawn: bool = Field(
+    respawn: Literal[False, True, "always", "on_failure"] = Field(
         False,
-        description="start the process again when it ends, as in launch_ros; not while a sample is measured",
-        examples=[True],
+        description="start the process again when it ends, as in launch_ros; true is always, on_failure only when its exit "
+        "code is not 0; not while a sample is measured",
+        examples=[True, "on_failure"],
     )
-    respawn_delay: Duration | None = Field(None, gt=0, description="time until it is started again", examples=["2s"])
+    respawn_delay: Duration | None = Field(
+        None,
+        gt=0,
+        description="time until it is started again; in the cloud 1s by default, and doubled for each restart in a row",
+        examples=["2s"],
+    )
     composable_node_descriptions: list[ComposableNode] = Field(
         [],
         description="components that run in this process, which is then a component container, as in launch_ros",
@@ -566,6 +573,17 @@ class Deployment(Strict):
         le=5,
         examples=[2],
         description="how many other machines may take its place, best first, if the chosen one is unavailable",
+    )
+    until: Until | None = Field(
+        None,
+        examples=["8h", "2027-03-31T18:00:00Z"],
+        description="when the deployment ends by itself: a time after apply, or a date with its time zone",
+    )
+    max_spend: Money | None = Field(
+        None,
+        gt=0,
+        examples=["$25"],
+        description="the most that its machines may cost from apply to down; the machine ends by itself before",
     )
 
 

@@ -167,6 +167,7 @@ LIFE = (
     ("join", "results/tiny.yaml", "results/tiny.yaml"),
     ("apply", "tiny", "--yes"),
     ("status", "specs/tiny.yaml"),
+    ("watch", "tiny", "--once", "--max-restarts", "0"),
     ("ps",),
     ("logs", "tiny"),
     ("diff", "specs/tiny.yaml"),

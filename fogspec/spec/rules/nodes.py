@@ -64,6 +64,17 @@ def environment_of_nodes(application: Application) -> Iterator[Finding]:
         yield Finding("FS503", path, message, "add 'ros: {distro: jazzy}'", (("spec", "cloud"),))
 
 
+def respawn_of_robot(application: Application) -> Iterator[Finding]:
+    """Reject `respawn: on_failure` on the robot, where launch starts nodes again."""
+    for i, node in enumerate(application.spec.robot):
+        if node.respawn == "on_failure":
+            path: Path = ("spec", "robot", i, "respawn")
+            message = (
+                f"{dotted(path)} is on_failure, which launch does not have: the robot's nodes are started by launch"
+            )
+            yield Finding("FS549", path, message, "write 'true', or remove it")
+
+
 def unique_names(application: Application) -> Iterator[Finding]:
     """Reject two nodes with the same full name."""
     seen: dict[str, Path] = {}
@@ -166,6 +177,7 @@ def secrets(application: Application) -> Iterator[Finding]:
 RULES = (
     kind_of_node,
     environment_of_nodes,
+    respawn_of_robot,
     unique_names,
     graph_names,
     parameter_values,

@@ -1,0 +1,162 @@
+"""Implement `fogspec watch`: keep deployments serving."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fogspec.base.console import ask, say, say_json
+from fogspec.base.errors import Interrupted, InvalidInput, Refused, UsageError
+from fogspec.base.units import format_price, parse_duration_s
+from fogspec.cli.options import CATALOG, OUTPUT, complete_application, quantity
+
+if TYPE_CHECKING:
+    from fogspec.base.layout import Layout
+    from fogspec.deploy.watch import Watched, Watcher
+    from fogspec.spec.schema import Application
+
+STEP_S = 0.2
+
+
+@click.command()
+@click.argument("apps", nargs=-1, metavar="[APP]...", shell_complete=complete_application)
+@click.option("--once", is_flag=True, help="look once, restart what does not serve, and stop; for cron")
+@click.option("--interval", default="30s", show_default=True, metavar="TIME", help="time between two looks")
+@click.option(
+    "--max-restarts",
+    default=3,
+    show_default=True,
+    type=click.IntRange(0, 60),
+    metavar="N",
+    help="machines started in an hour for one application, at most; 0 reports only",
+)
+@click.option("--listen", metavar="HOST:PORT", help="serve OpenMetrics at http://HOST:PORT/metrics")
+@CATALOG
+@click.option("--prices", metavar="FROM", help="where prices are looked up now, as --catalog; otherwise that catalog")
+@click.option("--yes", is_flag=True, help="skip the confirmation prompt")
+@OUTPUT
+def command(
+    apps: tuple[str, ...],
+    once: bool,
+    interval: str,
+    max_restarts: int,
+    listen: str | None,
+    catalog_path: str | None,
+    prices: str | None,
+    yes: bool,
+    output: str,
+) -> None:
+    """Look at deployments at regular intervals, and start a machine in place of one that does not serve.
+
+    APPs are names or specs, by default all in specs/ that run. A machine is started only where nodes have ended for good, or
+    where the machine is gone: by the manifest that it ran, at the approved price at most, and before what is left of the old
+    one ends. Where a machine cannot be reached, nothing is started. Drift and other manifests are reported.
+
+    Events are kept in .fogspec/NAME/events.jsonl. Ctrl-C ends the watch and leaves the deployments. With --once the exit
+    code is 6 if something does not serve.
+    """
+    from functools import cache, partial
+
+    from fogspec.backends.registry import deployment_backend
+    from fogspec.base.signals import interruptible
+    from fogspec.deploy.metrics_server import serve_metrics
+    from fogspec.deploy.state import SystemWallClock
+    from fogspec.deploy.watch import Watcher, check_serving
+
+    every_s = quantity("--interval", interval, parse_duration_s)
+    if every_s <= 0:
+        raise UsageError(f"--interval {interval}: must be more than zero", "write --interval 30s")
+    times = SystemWallClock()
+    watcher = Watcher(
+        times=times,
+        backend_for=cache(deployment_backend),
+        restarts_per_hour=max_restarts,
+        tell=partial(_tell, output),
+        catalog=catalog_path,
+        prices=None if prices is None else partial(_prices, prices),
+    )
+    watcher.take(_applications(apps, {}))
+    _confirm(watcher, yes or max_restarts == 0)
+    with serve_metrics(listen, lambda url: say(f"metrics: {url}", err=True)) as publish, interruptible() as interrupt:
+        while True:
+            watcher.round(lambda: interrupt.asked)
+            publish(watcher.metrics())
+            if once:
+                check_serving([*watcher.watched.values()])
+                return
+            end_s = times.now_s() + every_s
+            while times.now_s() < end_s and not interrupt.asked:
+                times.sleep(min(STEP_S, max(0.0, end_s - times.now_s())))
+            if interrupt.asked:
+                raise Interrupted("the watch is over: what runs is left as it is")
+            watcher.take(_applications(apps, watcher.watched))
+
+
+def _applications(apps: Sequence[str], before: "Mapping[str, Watched]") -> "dict[str, tuple[Application, Layout]]":
+    """Return the applications that are watched, by name.
+
+    One whose spec is damaged or gone for now stays as it was. Raise DiagnosticError for that at the start.
+    """
+    from fogspec.base.diagnostics import DiagnosticError
+    from fogspec.base.layout import Layout
+    from fogspec.cli.options import applications_of
+    from fogspec.spec.discover import find_specs
+    from fogspec.spec.loader import check_file
+
+    found = {name: (one.application, one.layout) for name, one in before.items()}
+    try:
+        loaded = [one for app in apps for one in applications_of(app)] if apps else check_file(find_specs(()))[0]
+    except (DiagnosticError, UsageError, InvalidInput):
+        if not before and apps:
+            raise
+        loaded = []
+    for one in loaded:
+        name = one.application.metadata.name
+        layout = Layout.of(one.path, name)
+        if apps or layout.files.is_file(layout.live):
+            found[name] = one.application, layout
+    return found
+
+
+def _confirm(watcher: "Watcher", sure: bool) -> None:
+    """Show what each restart may cost, and ask."""
+    from fogspec.base.diagnostics import DiagnosticError
+    from fogspec.deploy.state import DeploymentState
+
+    times = watcher.restarts_per_hour
+    for name, one in watcher.watched.items():
+        try:
+            machines = DeploymentState.look(one.layout, watcher.times).machines
+        except DiagnosticError:
+            machines = []
+        what = [f"{m.machine.instance} in {m.machine.infra}, {format_price(m.machine.price)}" for m in machines[-1:]]
+        said = f"; started again at most {times} times an hour, at the approved price" if times else "; reported only"
+        say(f"{name}: {what[0] if what else 'nothing runs'}{said}", err=True)
+    if not watcher.watched:
+        say("nothing runs", err=True)
+    if sure or not watcher.watched:
+        return
+    if not sys.stdin.isatty():
+        raise Refused(
+            "confirmation required, and no terminal is attached",
+            "pass --yes to approve restarts at these prices, or --max-restarts 0 to report only",
+        )
+    if not ask("restart them when they do not serve?"):
+        raise Refused("nothing is watched")
+
+
+def _prices(origin: str, opened: Any) -> Any:
+    from fogspec.catalog.sources import load_catalog
+    from fogspec.compile.inputs import clouds_of
+
+    return load_catalog(origin, clouds_of(opened.loaded))
+
+
+def _tell(output: str, event: Mapping[str, Any]) -> None:
+    if output == "json":
+        say_json(event, indent=None)
+        return
+    date = f"{event['date']}  " if "date" in event else ""
+    machine = f" ({event['machine']})" if event.get("machine") else ""
+    say(f"{date}{event['application']}: {event['event']}: {event['text']}{machine}")
