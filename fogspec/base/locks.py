@@ -15,10 +15,6 @@ from fogspec.base.layout import Layout
 MOST_BYTES = 4096
 
 
-class Busy(Refused):
-    """Another process works on the application."""
-
-
 def start_ticks(pid: int) -> int | None:
     """Return when a living process was started, in clock ticks since boot; None if there is no such process.
 

@@ -271,7 +271,7 @@ class Watcher:
             self._tell(one, event, text, machine)
 
     def _tell(self, one: Watched, event: str, text: str, machine: str | None = None) -> None:
-        """Keep an event and tell it. One that cannot be kept is told; a restart that cannot be kept is not made."""
+        """Keep an event and tell it. One that cannot be kept is reported; a restart that cannot be kept is not made."""
         try:
             found = one.events.add(event, text, machine)
         except FogspecError as problem:
