@@ -160,6 +160,52 @@ def test_a_machine_that_was_reclaimed(shell: Shell, cloud: Cloud) -> None:
     shell("down", "demo")
 
 
+def test_a_watch_replaces_a_reclaimed_machine_once_and_starts_nothing_without_contact(
+    shell: Shell, cloud: Cloud
+) -> None:
+    watch = ("watch", "demo", "--once", "--yes", *AT)
+    shell("apply", MANIFEST, *AT, "--yes")
+    (name,) = cloud.machines
+    shell(*watch)
+    assert list(cloud.machines) == [name]
+    cloud.fails = lambda _op, _words: Unreachable("the network is down")
+    shell(*watch, code=6)
+    cloud.fails = lambda _op, _words: None
+    assert list(cloud.machines) == [name], "it may be fine"
+    cloud.end(name)
+    cloud.fails = lambda op, _words: CloudProblem("budget", "it costs $9 an hour now") if op == "launch" else None
+    assert "it costs $9 an hour now" in shell(*watch, code=6).err
+    assert cloud.machines == {}
+    (shell.folder / ".fogspec/demo/events.jsonl").unlink()
+    cloud.fails = lambda _op, _words: None
+    shell(*watch)
+    (other,) = cloud.machines
+    assert other != name
+    shell("down", "demo")
+    shell(*watch)
+    assert cloud.machines == {}, "what was ended stays ended"
+
+
+def test_a_deployment_with_an_end_is_given_it_with_its_task(shell: Shell, cloud: Cloud) -> None:
+    change(shell, "  probe:", "  deployment: {until: 2h, max_spend: $1}\n  probe:")
+    shell("compile", "specs/demo.yaml", *AT)
+    said = shell("apply", MANIFEST, *AT, "--yes").err
+    assert "2h after apply, and before $1.00 are spent, by autostop on the machine, and a power-off timer" in said
+    (machine,) = cloud.machines.values()
+    stop = machine.task["resources"]["autostop"]
+    assert (stop["wait_for"], stop["down"]) == ("none", True)
+    assert 0 < stop["idle_minutes"] <= 120
+    assert 0 < float(machine.task["envs"]["FOGSPEC_LIFETIME_S"]) <= 7200
+    assert status(shell)["ends"] is not None
+    # The machine comes to its end while nobody looks: nothing takes its place.
+    live = shell.folder / ".fogspec/demo/deployment.yaml"
+    live.write_text(live.read_text().replace(status(shell)["ends"], "2020-01-01T00:00:00+00:00"))
+    cloud.end(next(iter(cloud.machines)))
+    shell("watch", "demo", "--once", "--yes", *AT)
+    assert cloud.machines == {}
+    assert status(shell) is None
+
+
 def test_an_image_without_a_digest(shell: Shell, cloud: Cloud) -> None:
     change(shell, "  probe:", "  ros: {distro: jazzy, image: 'ros:jazzy'}\n  probe:")
     shell("compile", "specs/demo.yaml", *AT)

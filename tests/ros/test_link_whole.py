@@ -40,7 +40,13 @@ def test_the_generated_files_bring_the_robots_request_to_the_cloud_and_back(tmp_
         both.layout.robot.write_bytes(text)
 
         public = both.script("robot", "keys").stdout.strip()
-        words = {**ros_environment(app.spec), "processes": deployed_processes(app), "listeners": [], "ready": None}
+        words = {
+            **ros_environment(app.spec),
+            "processes": deployed_processes(app),
+            "listeners": [],
+            "ready": None,
+            "ends": False,
+        }
         run = render("run_deploy.sh.j2", **words, link=link_of_machine(app))
         out = tmp_path / "out"
         machine = both.nets["cloud"].start(

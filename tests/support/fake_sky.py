@@ -31,6 +31,7 @@ class Machine:
     process: "subprocess.Popen[bytes] | None" = None
     ended_s: float | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
+    task: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -59,6 +60,7 @@ class Cloud:
             copy(Path(root) / source, there)
         (machine.folder / "run.sh").write_text(str(task["run"]))
         machine.labels = task.get("resources", {}).get("labels", {})
+        machine.task = task
         return {"request": name}
 
     def launched(self, request: str, name: str) -> dict[str, Any] | None:
@@ -70,7 +72,8 @@ class Cloud:
         if machine.process is None:
             home = machine.folder / "home"
             home.mkdir(exist_ok=True)
-            environment = {"PATH": os.environ["PATH"], "HOME": str(machine.folder), "SKYPILOT_TASK_ID": request}
+            environment = {"PATH": os.environ["PATH"], "HOME": str(machine.folder), "SKYPILOT_TASK_ID": request,
+                           **machine.task.get("envs", {})}  # fmt: skip
             with open(machine.folder / "log", "wb") as log:
                 machine.process = subprocess.Popen(
                     ["bash", str(machine.folder / "run.sh")], cwd=machine.folder / "sky_workdir", env=environment,

@@ -13,6 +13,8 @@ from fogspec.catalog.machine import Gpu, Machine
 from fogspec.compile.tasks import (
     command,
     deploy_task,
+    deployed_processes,
+    launched_together,
     left_out,
     measured_processes,
     parameter,
@@ -143,7 +145,25 @@ def test_hostile_words_reach_the_process_unchanged(tmp_path):
     assert not (tmp_path / "owned").exists()
 
 
-DEPLOYED = {"ready": ["true"], "listeners": [["sleep", "1"]], "link": None}
+def test_a_node_with_respawn_is_a_process_of_its_own():
+    plain = application(cloud=[{"cmd": ["python3", "a.py"], "respawn": True, "respawn_delay": "2s"}, {"cmd": ["b"]}])
+    assert deployed_processes(plain) == [
+        {"argv": ["python3", "a.py"], "name": "python3 a.py", "respawn": "always", "respawn_delay": 2.0}, ["b"],
+    ]  # fmt: skip
+    nodes = [
+        {"package": "p", "executable": "e", "respawn": "on_failure"},
+        {"package": "p", "executable": "f", "name": "g"},
+    ]
+    ros = application(cloud=nodes, ros={"distro": "jazzy"})
+    launch, node = deployed_processes(ros)
+    assert "ros2 launch" in launch[-1]
+    assert (node["name"], node["respawn"], node["argv"]) == ("e", "on_failure", ["ros2", "run", "p", "e"])
+    assert [one.executable for one in launched_together(ros.spec)] == ["f"]
+    alone = application(cloud=nodes[:1], ros={"distro": "jazzy"})
+    assert [one["name"] for one in deployed_processes(alone)] == ["e"]
+
+
+DEPLOYED = {"ready": ["true"], "listeners": [["sleep", "1"]], "link": None, "ends": True}
 
 
 def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_path):
@@ -154,6 +174,8 @@ def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_p
         "HOME": "/",
         "FOGSPEC_AGENT": str(AGENT),
         "FOGSPEC_OUT": str(tmp_path / "out"),
+        "FOGSPEC_LIFETIME_S": "3600",
+        "FOGSPEC_ENDS": "4000000000",
     }
     subprocess.run(["bash", "-c", script], cwd=tmp_path, timeout=120, env=environment)
     assert (tmp_path / "said").read_text() == NASTY

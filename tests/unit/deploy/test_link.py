@@ -183,6 +183,7 @@ def run_script(app: Application) -> str:
         processes=deployed_processes(app),
         listeners=[],
         ready=None,
+        ends=False,
         link=link_of_machine(app),
     )
 
