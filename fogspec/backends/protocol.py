@@ -32,8 +32,8 @@ class Job:
 
     A sample's machine shuts itself down after `lifetime_s` seconds, even if its controller has died, and so does that of a
     deployment with an end; without one it has no lifetime. The machine may cost at most `cap_usd_per_hour`, without it its
-    own price. `replicate` counts the samples on the same type of machine; `parts` of the machine are measured after it. `labels` are
-    put on its machine beside the owner's.
+    own price. `replicate` counts the samples on the same type of machine; `parts` of the machine are measured after it.
+    `labels` are put on its machine beside the owner's.
     """
 
     name: str

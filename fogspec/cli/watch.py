@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fogspec.base.console import ask, say, say_json
-from fogspec.base.errors import Interrupted, InvalidInput, Refused, UsageError
+from fogspec.base.errors import FogspecError, Interrupted, InvalidInput, Refused, UsageError
 from fogspec.base.units import format_price, parse_duration_s
 from fogspec.cli.options import CATALOG, OUTPUT, complete_application, quantity
 
@@ -101,6 +101,7 @@ def _applications(apps: Sequence[str], before: "Mapping[str, Watched]") -> "dict
     from fogspec.base.diagnostics import DiagnosticError
     from fogspec.base.layout import Layout
     from fogspec.cli.options import applications_of
+    from fogspec.deploy.shared_state import store_of
     from fogspec.spec.discover import find_specs
     from fogspec.spec.loader import check_file
 
@@ -114,7 +115,7 @@ def _applications(apps: Sequence[str], before: "Mapping[str, Watched]") -> "dict
     for one in loaded:
         name = one.application.metadata.name
         layout = Layout.of(one.path, name)
-        if apps or layout.files.is_file(layout.live):
+        if apps or layout.files.is_file(layout.live) or store_of(layout) is not None:
             found[name] = one.application, layout
     return found
 
@@ -128,7 +129,7 @@ def _confirm(watcher: "Watcher", sure: bool) -> None:
     for name, one in watcher.watched.items():
         try:
             machines = DeploymentState.look(one.layout, watcher.times).machines
-        except DiagnosticError:
+        except (DiagnosticError, FogspecError):
             machines = []
         what = [f"{m.machine.instance} in {m.machine.infra}, {format_price(m.machine.price)}" for m in machines[-1:]]
         said = f"; started again at most {times} times an hour, at the approved price" if times else "; reported only"

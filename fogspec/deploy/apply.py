@@ -402,8 +402,8 @@ def apply(
 ) -> RolloutResult:
     """Make the deployment what the manifest asks for; `confirm` is called before money is spent, and may raise.
 
-    `ends` is the date at which it ends by itself, in place of what `spec.deployment.until` says from now on. `admit` is given the
-    state before `confirm`, and may raise as well.
+    `ends` is the date at which it ends by itself, in place of what `spec.deployment.until` says from now on. `admit` is given
+    the state before `confirm`, and may raise as well.
 
     Raise CloudError, InvalidInput or Interrupted as `Rollout.run` does, Refused while another apply, bench or down runs,
     if the live state names a machine of another application, or if a machine serves that this directory does not know,
