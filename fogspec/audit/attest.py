@@ -69,13 +69,14 @@ def subjects(opened: ManifestBundle) -> list[dict[str, Any]]:
 
 
 def materials(opened: ManifestBundle) -> list[dict[str, Any]]:
-    """Return the inputs of the manifest: spec, lock, plan, results with raw timings, models, catalog, and a pinned image.
+    """Return the inputs of the manifest: spec, overlay, lock, plan, results with raw timings, models, catalog, a pinned image.
 
     Digests are over the files' bytes, which any tool can check; annotations have fogspec's digests over the parsed content.
     """
     layout, named, inputs = opened.layout, opened.manifest.provenance, opened.inputs
     found = [
         _file("spec", layout, layout.spec, inputs.spec_content, named.application.digest),
+        *([] if layout.overlay is None else [_file("overlay", layout, layout.overlay, inputs.overlay_content)]),
         *([] if inputs.lock is None else [_file("lock", layout, layout.lock, inputs.lock.content)]),
         _file("plan", layout, layout.plan, inputs.content(layout.plan), named.plan.digest),
         _file("results", layout, layout.results, inputs.results_content, named.results.digest),

@@ -73,7 +73,7 @@ def _summary(whole: Whole, touched: Sequence[Review]) -> Iterator[str]:
     kinds = [(name, sum(one.rollout == name for one in touched)) for name in ("start", "replace", "in place")]
     if said := [f"{number} {ROLLOUTS[name]}" for name, number in kinds if number]:
         yield f"- On `apply`: {', '.join(said)}."
-    if samples := sum(one.samples for one in touched):
+    if samples := whole.samples:
         yield f"- **To measure first**: {count(samples, 'sample')}, at most {units.dollars(whole.measuring_usd)}."
     else:
         yield "- No benchmark needed."

@@ -140,8 +140,7 @@ def _plan(compiled: Artifacts, differing: Sequence[Path]) -> Stage:
 
 def _plan_reasons(compiled: Artifacts, was: PlanBody, drifted: Sequence[str]) -> list[str]:
     """Return why the plan on disk differs from a compiled one; reasons to measure again come first."""
-    inputs, now = compiled.inputs, compiled.plan.spec
-    application = inputs.application
+    now, application = compiled.plan.spec, compiled.inputs.measured.application
     reasons = [*changed_reads(was.application.field_digests, application), *_changed_pins(was.pins, now.pins), *drifted]
     other_catalog = was.catalog.digest != now.catalog.digest
     if _samples(was, other_catalog) != _samples(now, other_catalog):
@@ -187,7 +186,7 @@ def _results(compiled: Artifacts) -> Stage:
     unlocked = () if body.pins or not compiled.plan.spec.pins else ("measured before anything was locked",)
     waived = compiled.standing.waived if compiled.standing else ()
     unlocked = (*unlocked, *(f"waived: {change_since(one)}: {one.reason}" for one in waived), *unused_waivers(compiled))
-    left = unfinished(inputs.application, compiled.plan, compiled.results)
+    left = unfinished(inputs.measured.application, compiled.plan, compiled.results)
     if left is not None:
         return Stage("results", path, "partial", (f"{left.state}; {left.why}",), unlocked)
     return Stage("results", path, "fresh", (), unlocked)

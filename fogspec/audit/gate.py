@@ -57,15 +57,15 @@ class Gate:
             return self._judge(loaded)
         with processes(workers) as pool:
             # By turns: those of one file, which are alike, are shared out.
-            parts = [[(one.path, one.document) for one in loaded[first::workers]] for first in range(workers)]
+            parts = [[(one.path, one.name) for one in loaded[first::workers]] for first in range(workers)]
             found = [verdict for part in pool.map(self.judge_files, parts) for verdict in part]
-        order = {one.application.metadata.name: place for place, one in enumerate(loaded)}
+        order = {one.name: place for place, one in enumerate(loaded)}
         return sorted(found, key=lambda one: order[one.name])
 
-    def judge_files(self, documents: Sequence[tuple[str, int]]) -> list[Verdict]:
-        """Return a verdict on each of these documents: the path of a spec, and the document's number in it."""
-        loaded = load(list(dict.fromkeys(path for path, _ in documents)))
-        return self._judge([one for one in loaded if (one.path, one.document) in set(documents)])
+    def judge_files(self, applications: Sequence[tuple[str, str]]) -> list[Verdict]:
+        """Return a verdict on each of these applications: the path of a spec, and the name."""
+        loaded = load(list(dict.fromkeys(path for path, _ in applications)))
+        return self._judge([one for one in loaded if (one.path, one.name) in set(applications)])
 
     def _judge(self, loaded: Sequence[LoadedSpec]) -> list[Verdict]:
         repository = None if self.commit is None else Repository()
@@ -159,26 +159,24 @@ def leftovers(root: Path, names: Collection[str]) -> list[str]:
 def changed(loaded: Sequence[LoadedSpec], paths: Collection[Path]) -> set[str]:
     """Return the applications for which a change of these files may matter, paths as they are named on disk.
 
-    Their spec, its compiled files and results; any other file beside the spec, for it is sent to machines; lock and policies.
+    Their spec, its compiled files and results, and the overlay of the environment; any other file beside the spec, for it is
+    sent to machines; lock and policies.
     """
     whole = {os.path.abspath(path) for path in paths}
     specs = {os.path.abspath(one.path) for one in loaded}
-    return {
-        one.application.metadata.name
-        for one in loaded
-        if any(_matters(path, Layout.of(one.path, one.application.metadata.name), specs) for path in whole)
-    }
+    return {one.name for one in loaded if any(_matters(path, one.layout, specs) for path in whole)}
 
 
 def _matters(path: str, layout: Layout, specs: Collection[str]) -> bool:
     spec, root = os.path.abspath(layout.spec), os.path.abspath(layout.root)
-    if path == spec or path in (os.path.abspath(layout.lock), os.path.abspath(layout.agent)):
+    if path == spec or path in map(os.path.abspath, (layout.lock, layout.agent, layout.overlay or layout.spec)):
         return True
     if path in specs:
         return False
     results = os.path.abspath(layout.results)
     folders = (
         os.path.abspath(layout.compiled),
+        os.path.abspath(layout.planned),
         results.removesuffix(".yaml"),
         os.path.join(root, "policies"),
         os.path.dirname(spec),

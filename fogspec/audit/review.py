@@ -153,7 +153,16 @@ class Whole:
     @property
     def measuring_usd(self) -> float:
         """The most that it costs to measure what must be measured first, in USD."""
-        return sum(one.measuring_usd for one in self.reviews)
+        return sum(one.measuring_usd for one in self._plans())
+
+    @property
+    def samples(self) -> int:
+        """How many samples must be measured first."""
+        return sum(one.samples for one in self._plans())
+
+    def _plans(self) -> Sequence["Review"]:
+        """Return one application for each plan: its environments share it."""
+        return list({one.status.layout.plan: one for one in self.reviews}.values())
 
     @property
     def broken(self) -> int:
@@ -247,10 +256,11 @@ def _spec_changes(status: Status, base: Base) -> Iterator[Change]:
     """Yield the fields of the spec that differ, defaults filled in; the file itself if it was no valid spec before."""
     layout, one = status.layout, status.inputs.spec
     content = base.at(layout.spec)
-    if content is None or content == status.inputs.spec_content:
+    overlay = None if layout.overlay is None else base.at(layout.overlay)
+    if content is None or (content, overlay) == (status.inputs.spec_content, status.inputs.overlay_content):
         return
-    known = check_text(content, one.path)[0]
-    was = next((found for found in known if found.application.metadata.name == layout.name), None)
+    known = check_text(content, one.path, None if overlay is None else (overlay, str(layout.overlay)))[0]
+    was = next((found for found in known if found.application.metadata.name == layout.application), None)
     if was is None:
         yield Change(layout.relative(layout.spec), "not a valid spec", "a valid spec")
         return
@@ -344,7 +354,7 @@ def as_dict(whole: Whole) -> dict[str, Any]:
         "total": {
             "before_usd_per_month": before_usd,
             "after_usd_per_month": after_usd,
-            "to_measure": sum(one.samples for one in whole.reviews),
+            "to_measure": whole.samples,
             "measuring_usd_at_most": whole.measuring_usd,
             "policies_broken": whole.broken,
         },

@@ -13,8 +13,8 @@ from functools import cached_property
 
 from fogspec.base import digest
 from fogspec.base.errors import Refused
+from fogspec.base.layout import DEFAULT_ENVIRONMENT
 
-ENVIRONMENT = "default"
 OWNER_LABEL = "fogspec-owner"
 # What a deployment was started for, all that it was given, and how many machines before it in its manifest were unavailable.
 MANIFEST_LABEL, RUNS_LABEL, FALLBACK_LABEL = "fogspec-manifest", "fogspec-runs", "fogspec-fallback"
@@ -31,8 +31,13 @@ class Owner:
     application: str
 
     def __str__(self) -> str:
-        place = "" if self.environment == ENVIRONMENT else f" ({self.environment})"
-        return f"{self.application}{place} of {self.repository}"
+        return f"{self.name} of {self.repository}"
+
+    @property
+    def name(self) -> str:
+        """The name of the application, with `@` and the environment behind it unless that is the default one."""
+        own = self.environment != DEFAULT_ENVIRONMENT
+        return f"{self.application}@{self.environment}" if own else self.application
 
     @cached_property
     def digest(self) -> str:
@@ -40,6 +45,11 @@ class Owner:
         parts = [self.repository, self.environment, self.application]
         whole = hashlib.sha256("\0".join(parts).encode("utf-8", "surrogateescape")).digest()
         return base64.b32encode(whole).decode().rstrip("=").lower()
+
+    @property
+    def _words(self) -> str:
+        """What people read in the name of a deployment."""
+        return self.name.replace("@", "-")
 
     @property
     def prefix(self) -> str:
@@ -53,15 +63,12 @@ class Owner:
 
     def deployment_name(self, manifest: str, token: str) -> str:
         """Return the name of a deployment: the application, the manifest's digest, and a token that no other one has."""
-        return f"{self.prefix}{_short(self.application)}-{digest.shorten(manifest, 8)}-{token}"
+        return f"{self.prefix}{_short(self._words)}-{digest.shorten(manifest, 8)}-{token}"
 
     def has_deployment(self, name: str) -> bool:
         """Return whether a machine with this name is a deployment, not a sample, of this owner."""
         rest = name.removeprefix(self.prefix)
-        return (
-            self.has(name)
-            and re.fullmatch(rf"{_short(self.application)}-[0-9a-f]{{8}}-[0-9a-f]{{6}}", rest) is not None
-        )
+        return self.has(name) and re.fullmatch(rf"{_short(self._words)}-[0-9a-f]{{8}}-[0-9a-f]{{6}}", rest) is not None
 
     def has_sample(self, name: str) -> bool:
         """Return whether a machine with this name measures a sample of this owner."""

@@ -3,7 +3,7 @@
 import importlib
 from typing import Any
 
-from fogspec.backends.naming import ENVIRONMENT, Owner
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import DeploymentBackend
 from fogspec.base.clouds import cloud_of
 from fogspec.base.layout import Layout
@@ -31,9 +31,9 @@ def deployment_backend(infra: str) -> DeploymentBackend:
     return backend
 
 
-def owner_of(layout: Layout, environment: str = ENVIRONMENT) -> Owner:
-    """Return the owner of the machines of an application."""
-    return Owner(repository_of(layout.root), environment, layout.name)
+def owner_of(layout: Layout) -> Owner:
+    """Return the owner of the machines of an application in its environment."""
+    return Owner(repository_of(layout.root), layout.environment, layout.application)
 
 
 def _load(name: str) -> Any:

@@ -6,14 +6,23 @@ from pathlib import Path
 
 from fogspec.base.project_files import ProjectFiles
 
+DEFAULT_ENVIRONMENT = "default"
+ENVIRONMENTS = "environments"  # the folder of their overlays
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Paths of one application; `root` is the folder that compiled tasks' relative paths are relative to."""
+    """Paths of one application; `root` is the folder that compiled tasks' relative paths are relative to.
+
+    `name` is the application's, in an environment with `@` and the environment's behind it. What is measured serves all
+    environments of an application: plan, tasks and results are the same paths in each, and so are the models unless an
+    environment has `own_models`.
+    """
 
     root: Path
     spec: Path
     name: str
+    own_models: bool = False
 
     @classmethod
     def of(cls, spec_path: str | os.PathLike[str], name: str) -> "Layout":
@@ -31,6 +40,37 @@ class Layout:
             if os.path.lexists(folder / ".git"):
                 break
         return cls(root, spec, name)
+
+    @classmethod
+    def named(cls, root: Path, name: str) -> "Layout":
+        """Return the layout of an application by its name, where its spec would be by that name: it may be gone."""
+        return cls(root, root / "specs" / f"{name.partition('@')[0]}.yaml", name)
+
+    @property
+    def application(self) -> str:
+        """The name of the application without that of the environment."""
+        return self.name.partition("@")[0]
+
+    @property
+    def environment(self) -> str:
+        """The name of the environment."""
+        return self.name.partition("@")[2] or DEFAULT_ENVIRONMENT
+
+    @property
+    def overlay(self) -> Path | None:
+        """The file of the environment; None for the default one, which is the spec itself."""
+        own = self.environment != DEFAULT_ENVIRONMENT
+        return self.root / ENVIRONMENTS / f"{self.environment}.yaml" if own else None
+
+    @property
+    def argument(self) -> str | Path:
+        """What names the application on a command line: its spec, or its name in an environment."""
+        return self.spec if self.overlay is None else self.name
+
+    @property
+    def measured(self) -> "Layout":
+        """The layout of the application that is measured: of its default environment."""
+        return Layout(self.root, self.spec, self.application)
 
     @property
     def files(self) -> ProjectFiles:
@@ -53,14 +93,19 @@ class Layout:
         return self.root / "fogspec.yaml"
 
     @property
+    def planned(self) -> Path:
+        """Folder of the plan."""
+        return self.root / "compiled" / self.application
+
+    @property
     def plan(self) -> Path:
         """The sampling plan."""
-        return self.compiled / "plan.yaml"
+        return self.planned / "plan.yaml"
 
     @property
     def tasks(self) -> Path:
         """Folder of the compiled tasks."""
-        return self.compiled / "tasks"
+        return self.planned / "tasks"
 
     def task(self, sample: str) -> Path:
         """Return the compiled task of a sample."""
@@ -79,7 +124,7 @@ class Layout:
     @property
     def models(self) -> Path:
         """The fitted models."""
-        return self.compiled / "models.yaml"
+        return (self.compiled if self.own_models else self.planned) / "models.yaml"
 
     @property
     def menu(self) -> Path:
@@ -138,12 +183,12 @@ class Layout:
     @property
     def results(self) -> Path:
         """What was measured."""
-        return self.root / "results" / f"{self.name}.yaml"
+        return self.root / "results" / f"{self.application}.yaml"
 
     @property
     def timings(self) -> Path:
         """Folder of raw timings."""
-        return self.root / "results" / self.name / "timings"
+        return self.root / "results" / self.application / "timings"
 
     @property
     def state(self) -> Path:
@@ -193,6 +238,12 @@ class Layout:
     def beside_manifest(self, path: Path) -> str:
         """Return a path as the manifest writes it: relative to its folder."""
         return Path(os.path.relpath(path, self.compiled)).as_posix()
+
+    @property
+    def source(self) -> str:
+        """What the files of an environment are made from, as their first lines say: the spec, and the overlay."""
+        overlay = "" if self.overlay is None else f" and {self.relative(self.overlay)}"
+        return f"{self.relative(self.spec)}{overlay}"
 
     def relative(self, path: Path) -> str:
         """Return a path as written into files: relative to the root, with forward slashes."""

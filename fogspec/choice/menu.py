@@ -12,7 +12,7 @@ from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
 from fogspec.choice.rule import Violation
-from fogspec.plan.schema import PlanMetadata
+from fogspec.plan.schema import EnvironmentMetadata
 from fogspec.spec.schema import Application, Billing, Statistic, Usage
 
 LEVEL = 0.9
@@ -104,7 +104,7 @@ class Menu(Strict):
 
     apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
     kind: Literal["Menu"] = "Menu"
-    metadata: PlanMetadata
+    metadata: EnvironmentMetadata
     spec: MenuBody
 
 
@@ -138,7 +138,7 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
         hourly_front=[entry_of(choice, row) for row in thinned(choice.hourly_front)],
         warnings=warnings,
     )
-    return Menu(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+    return Menu(metadata=EnvironmentMetadata(name=application.name), spec=body)
 
 
 def _solve_intervals(choice: Choice) -> None:

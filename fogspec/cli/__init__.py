@@ -23,7 +23,7 @@ GROUPS = {
 EXAMPLES = {
     "init": "fogspec init my-robot",
     "validate": "fogspec validate specs/my-robot.yaml",
-    "config": "fogspec config my-robot -f overlays/cheap.yaml",
+    "config": "fogspec config my-robot@prod --origins",
     "lock": "fogspec lock my-robot",
     "mv": "fogspec mv my-robot my-arm",
     "compile": "fogspec compile my-robot",

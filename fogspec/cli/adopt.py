@@ -78,7 +78,7 @@ def _as_text(layout: "Layout", found: "Adopted") -> list[str]:
             change = "what it was given is unknown: apply replaces it"
         lines.append(f"{layout.name}: {one.name} taken over, {what}; {change}")
     if found.machines:
-        lines.append(f"next: {shell_command('fogspec', 'status', layout.spec)}")
+        lines.append(f"next: {shell_command('fogspec', 'status', layout.argument)}")
     return lines
 
 

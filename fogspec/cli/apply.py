@@ -92,7 +92,7 @@ def command(
         say(f"{opened.layout.name}: runs on {what}, at {machine.address}; answered after {applied.waited_s:.1f} s")
         if opened.manifest.spec.robot_launch is not None:
             say(f"on the robot: {shell_command('ros2', 'launch', opened.layout.robot)}")
-        say(f"next: {shell_command('fogspec', 'status', opened.layout.spec)}")
+        say(f"next: {shell_command('fogspec', 'status', opened.layout.argument)}")
     else:
         say(f"{opened.layout.name}: no changes; runs on {what}, at {machine.address}")
 

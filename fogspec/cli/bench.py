@@ -10,7 +10,7 @@ import click
 from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
 from fogspec.base.text import shell_command
-from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from, load_inputs, require_ready
+from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from, load_named, require_ready
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -109,14 +109,13 @@ def command(
     unusable, refuted = [], []
     known: dict[Path, SourceFile] = {}
     applications = applications_of(spec)
+    _check_measured(applications)
     require_ready(applications, started=True, files=recorded is None)
     for one in applications:
         prepared = prepare(one.application, one.path, names, known)
         expected = None
         if confirm:
-            prepared, expected = confirming(
-                prepared, load_inputs([one.path], catalog_path, priors, name=prepared.layout.name)[0]
-            )
+            prepared, expected = confirming(prepared, load_named(one.path, one.name, catalog_path, priors)[0])
         backend = _backend(prepared, runner_name, recorded, pace)
         backend.at_once = min(backend.at_once, at_once or backend.at_once)
         _check_place(prepared, backend)
@@ -170,6 +169,17 @@ def _offer(prepared: "Prepared", backend: "SampleBackend", offering: "Quote", ex
     if prepared.outdated:
         kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
         say(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)
+
+
+def _check_measured(applications: "list[LoadedSpec]") -> None:
+    """Raise UsageError for an application in an environment: the default one is measured for all."""
+    for one in applications:
+        if one.base is not None:
+            name = one.layout.application
+            raise UsageError(
+                f"{one.name}: what is measured of {name} serves all of its environments",
+                shell_command("fogspec", "bench", name),
+            )
 
 
 def _backend(prepared: "Prepared", name: str | None, recorded: str | None, pace: float) -> "SampleBackend":

@@ -37,13 +37,11 @@ def command(
     from fogspec.audit import gate
     from fogspec.audit.git import Repository
     from fogspec.audit.review import removed
-    from fogspec.base.layout import Layout
     from fogspec.deploy.git_store import StoreUnavailable
     from fogspec.deploy.running import without_spec
     from fogspec.deploy.state import SystemWallClock
     from fogspec.report.diagnostics import show_diagnostics
-    from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import check_file
+    from fogspec.spec.discover import check_specs
 
     repository, commit = None, None
     try:
@@ -54,22 +52,22 @@ def command(
             raise
     gone = [] if repository is None or commit is None else [one.name for one in removed(repository, commit, ())]
     try:
-        loaded, wrong = check_file(find_specs(specs))
+        loaded, wrong = check_specs(specs)
     except InvalidInput:
         if not gone:
             raise
         loaded, wrong = [], []  # the change removes the last of them
     show_diagnostics(wrong)
     broken = any(one.severity == "error" for one in wrong)
-    names = {one.application.metadata.name for one in loaded}
+    names = {one.name for one in loaded}
     wanted = names
     if since is not None and repository is not None and commit is not None:
         wanted = gate.changed(loaded, repository.changed(commit))
-    chosen = [one for one in loaded if one.application.metadata.name in wanted]
+    chosen = [one for one in loaded if one.name in wanted]
     judged_by = gate.Gate(catalog_path, policies, commit)
     verdicts = judged_by.judge(chosen, min(workers or gate.useful_workers(len(chosen)), max(1, len(chosen))))
     whole = not broken and all(map(os.path.isdir, specs))
-    roots = {Layout.of(one.path, one.application.metadata.name).root for one in loaded} or {Path()}
+    roots = {one.layout.root for one in loaded} or {Path()}
     others = [text for root in sorted(roots) for text in gate.leftovers(root, names)] if whole else []
     files = len(others)
     if whole:

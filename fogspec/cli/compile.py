@@ -54,13 +54,13 @@ def command(
     """Write all that can be derived now from SPECS, and say what is missing for the rest. SPECS are those in specs/."""
     from fogspec.base.diagnostics import DiagnosticError
     from fogspec.report import summary
-    from fogspec.spec.discover import find_specs
     from fogspec.spec.rules.policies import Policies
 
     if prune_ and specs:
         raise click.UsageError("--prune is about all specs in specs/: name none")
-    paths = _all_specs() if prune_ else find_specs(specs)
-    inputs, rules = load_inputs(paths, catalog_path, priors, audit=True), Policies(policies)
+    gone = prune_ and not _has_specs()
+    inputs = [] if gone else load_inputs(specs, catalog_path, priors, audit=True)
+    rules = Policies(policies)
     require_ready([one.spec for one in inputs])
     echo_notes(note for one in inputs for note in one.catalog_notes)
     rules.require_specs([one.spec for one in inputs])
@@ -127,14 +127,14 @@ def _check_lock(specs: Sequence[str], inputs: "Sequence[Inputs]", check: bool) -
         say(f"{some(drifted)}: not what the lock says, so that bench and apply refuse it: {lock}", err=True)
 
 
-def _all_specs() -> list[str]:
-    """Return the specs in specs/, none if the last one was removed."""
+def _has_specs() -> bool:
+    """Return whether there are specs in specs/: the last one may have been removed."""
     from fogspec.spec.discover import find_specs
 
     try:
-        return find_specs(())
+        return bool(find_specs(()))
     except InvalidInput:
-        return []
+        return False
 
 
 def _prune(roots: Collection[Path], names: Collection[str], yes: bool, check: bool) -> None:

@@ -25,15 +25,14 @@ if TYPE_CHECKING:
 @click.option("--origins", is_flag=True, help='annotate each value with its source line, or "default"')
 @OUTPUT
 def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, output: str) -> None:
-    """Print the applications of SPECS as fogspec reads them. SPECS are those in specs/.
+    """Print the applications of SPECS as fogspec reads them. SPECS are those in specs/; NAME@ENVIRONMENT is one of them.
 
     Maps merge, lists whose items have names merge by name, other lists replace; null takes a value away.
     """
-    from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import load
+    from fogspec.spec.discover import load_specs
     from fogspec.spec.render import render_document
 
-    loaded = load(find_specs(specs), overlays)
+    loaded = [one for one in load_specs(specs, overlays) if one.base is None or one.name in specs]
     if output == "json":
         say_json([render_document(one.application) for one in loaded])
     else:

@@ -26,9 +26,8 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     from fogspec.compile.compiler import try_compile
     from fogspec.deploy.health import running_changes
     from fogspec.deploy.state import SystemWallClock
-    from fogspec.spec.discover import find_specs
 
-    inputs = load_inputs(find_specs(specs), catalog_path, audit=True)
+    inputs = load_inputs(specs, catalog_path, audit=True)
     echo_notes(note for one in inputs if (note := tracked_note(one.layout)) is not None)
     found = []
     for one in inputs:

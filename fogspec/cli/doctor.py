@@ -20,10 +20,9 @@ def command(spec: str | None, catalog_path: str | None, output: str) -> None:
     from fogspec.backends.registry import deployment_backend
     from fogspec.deploy.doctor import State, as_dict, as_text, checks
     from fogspec.deploy.state import SystemWallClock
-    from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import load
+    from fogspec.spec.discover import load_specs
 
-    loaded = load(find_specs()) if spec is None else applications_of(spec)
+    loaded = load_specs() if spec is None else applications_of(spec)
     found = checks(loaded, catalog_path, SystemWallClock(), deployment_backend)
     if output == "json":
         say_json([as_dict(one) for one in found])

@@ -12,13 +12,11 @@ def command(specs: tuple[str, ...]) -> None:
 
     The private halves are made here and stay here, in ~/.fogspec/links, readable by you alone.
     """
-    from fogspec.base.layout import Layout
     from fogspec.deploy.link import folder_of, make_keys
-    from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import load
+    from fogspec.spec.discover import load_specs
 
-    for one in load(find_specs(specs)):
-        name = one.application.metadata.name
-        public = make_keys(one.application, Layout.of(one.path, name))
+    for one in load_specs(specs):
+        name = one.name
+        public = make_keys(one.application, one.layout)
         say(f"{name}: {public}")
         say(f"{name}: the private key is in {folder_of(name)} and stays there", err=True)

@@ -35,7 +35,6 @@ def command(
     What is locked stays as it is, except for files next to the specs: these are read again.
     """
     from fogspec.backends.images.registry import Registry
-    from fogspec.base.layout import Layout
     from fogspec.base.project_files import ProjectFiles
     from fogspec.catalog.sources import default_origin, load_catalog
     from fogspec.compile import lock_update
@@ -47,10 +46,10 @@ def command(
 
     library = library_from(priors)
     wanted = []
-    loaded = load(find_specs(specs))
+    loaded = [one for one in load(find_specs(specs)) if one.base is None]
     require_ready(loaded)
     for one in loaded:
-        layout = Layout.of(one.path, one.application.metadata.name)
+        layout = one.layout
         pins = read_pins(layout)
         origin = _origin(catalog_path, layout.root) or (pins.catalog.origin if pins else default_origin(clouds_of(one)))
         about = load_catalog(located(origin, layout), clouds_of(one)).about

@@ -25,9 +25,13 @@ def command(old: str, new: str, catalog_path: str | None) -> None:
 
     found = applications_of(old)
     if len(found) > 1:
-        names = [one.application.metadata.name for one in found]
+        names = [one.name for one in found]
         raise UsageError(f"{old} has several applications: {', '.join(names)}", "name one of them")
     (one,) = found
+    if one.base is not None:
+        raise UsageError(
+            f"{one.name}: an environment is named by its file", shell_command("git", "mv", one.layout.overlay, "FILE")
+        )
     renamed = rename(one, new, applications(), SystemWallClock(), catalog_path)
     say(f"{renamed.before.name} is {renamed.after.name} now, in {renamed.after.spec}")
     say(*(f"{path}: not fogspec's, left there" for path in renamed.stay), err=True)

@@ -94,17 +94,13 @@ def quantity(option: str, text: str, parse: Callable[[str], float]) -> float:
 
 
 def load_inputs(
-    specs: Sequence[str],
-    catalog: str | None,
-    priors: Path | None = None,
-    *,
-    name: str | None = None,
-    audit: bool = False,
+    specs: Sequence[str], catalog: str | None, priors: Path | None = None, *, audit: bool = False
 ) -> "list[Inputs]":
-    """Read the inputs of the applications in these specs; see `Inputs.load`."""
+    """Read the inputs of the applications that arguments lead to, in all environments; see `check_specs` and `Inputs.load`."""
     from fogspec.compile.inputs import Inputs
+    from fogspec.spec.discover import load_specs
 
-    return Inputs.load(specs, catalog=catalog, priors=priors, name=name, audit=audit)
+    return Inputs.load([], catalog=catalog, priors=priors, audit=audit, loaded=load_specs(specs))
 
 
 def require_ready(loaded: "Sequence[LoadedSpec]", started: bool = False, files: bool = True) -> None:
@@ -130,13 +126,11 @@ def require_ready(loaded: "Sequence[LoadedSpec]", started: bool = False, files: 
 def load_named(what: str, name: str | None, catalog: str | None, priors: Path | None) -> "list[Inputs]":
     """Read the applications of a spec, or the one in specs/ that `what` names; `name` selects one of several.
 
-    Raise UsageError if there is none, and the errors of `Inputs.load`.
+    Those in environments are named. Raise UsageError if there is none, and the errors of `Inputs.load`.
     """
-    path, wanted = named(what, name)
-    found = load_inputs([path], catalog, priors, name=wanted)
-    if not found:
-        raise UsageError(f"{path} has no application named {wanted}")
-    return found
+    from fogspec.compile.inputs import Inputs
+
+    return Inputs.load([], catalog=catalog, priors=priors, loaded=applications_of(what, name))
 
 
 def open_manifest(path: str, catalog: str | None) -> "ManifestBundle":
@@ -185,15 +179,15 @@ def named(what: str, name: str | None = None) -> tuple[str, str | None]:
     return named_spec(what), name or (what if is_name(what) else None)
 
 
-def applications_of(what: str) -> list["LoadedSpec"]:
-    """Return the applications of a spec, or the one in specs/ that `what` names.
+def applications_of(what: str, name: str | None = None) -> list["LoadedSpec"]:
+    """Return the applications of a spec, or the one in specs/ that `what` names; `name` selects one of several.
 
-    Raise UsageError if there is none, DiagnosticError if the spec is invalid.
+    Those in environments are named. Raise UsageError if there is none, DiagnosticError if the spec is invalid.
     """
     from fogspec.spec.loader import load
 
-    path, wanted = named(what)
-    found = [one for one in load([path]) if wanted in (None, one.application.metadata.name)]
+    path, wanted = named(what, name)
+    found = [one for one in load([path]) if (one.base is None if wanted is None else wanted == one.name)]
     if not found:
         raise UsageError(f"{path} has no application named {wanted}")
     return found

@@ -29,7 +29,7 @@ def command(output: str) -> None:
         loaded, _ = check_file(find_specs(()))
     except InvalidInput:
         loaded = []
-    names = [one.application.metadata.name for one in loaded]
+    names = [one.name for one in loaded]
     found, problems = running(Path(), names, SystemWallClock(), cache(deployment_backend))
     say(*problems, err=True)
     if output == "json":

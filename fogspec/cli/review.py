@@ -47,14 +47,13 @@ def command(
     from fogspec.base.project_files import write_output
     from fogspec.compile.compiler import try_compile
     from fogspec.compile.inputs import Inputs
-    from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import check_file
+    from fogspec.spec.discover import check_specs
     from fogspec.spec.rules.policies import Policies
 
     repository = Repository()
     base = Base.of(repository, repository.base_of(range_))
     try:
-        loaded, said = check_file(find_specs(specs))
+        loaded, said = check_specs(specs)
     except InvalidInput:
         if not removed(repository, base.commit, ()):
             raise

@@ -35,9 +35,8 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     from fogspec.deploy.git_store import StoreUnavailable
     from fogspec.deploy.running import without_spec
     from fogspec.deploy.state import SystemWallClock
-    from fogspec.spec.discover import find_specs
 
-    inputs = load_inputs(find_specs(specs), catalog_path, audit=True)
+    inputs = load_inputs(specs, catalog_path, audit=True)
     names = {one.layout.name for one in inputs}
     others, away = list[str](), None
     try:

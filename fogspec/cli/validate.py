@@ -26,12 +26,11 @@ def command(
     """Check FILES, or the specs in folders, or those that patterns match; without any, those in specs/."""
     from fogspec.catalog.names import unknown_names
     from fogspec.report.diagnostics import show_diagnostics
-    from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import check_file
+    from fogspec.spec.discover import check_specs, find_specs
     from fogspec.spec.rules.policies import Policies
 
     paths = find_specs(files)
-    loaded, diagnostics = check_file(paths, overlays)
+    loaded, diagnostics = check_specs(files, overlays)
     absent = dict.fromkeys(error for one in loaded for error in one.absent())
     strange = [said for one in loaded for said in unknown_names(one, partial(_catalog, one))]
     diagnostics = [*diagnostics, *absent, *strange, *Policies(policies).check_specs(loaded)]
@@ -39,7 +38,7 @@ def command(
     if any(one.severity == "error" for one in diagnostics):
         raise click.exceptions.Exit(1)
     if output == "text":
-        names = ", ".join(one.application.metadata.name for one in loaded[:10])
+        names = ", ".join(one.name for one in loaded[:10])
         more = f" and {len(loaded) - 10} more" if len(loaded) > 10 else ""
         say(f"{count(len(loaded), 'application')} in {count(len(paths), 'file')} valid: {names}{more}")
 

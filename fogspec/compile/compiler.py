@@ -4,6 +4,7 @@ What compile writes is a function of its inputs: files that no longer follow are
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fogspec.base.diagnostics import DiagnosticError
@@ -29,21 +30,17 @@ if TYPE_CHECKING:
 def compile_application(inputs: Inputs, partial: bool = False) -> Artifacts:
     """Return every file that follows from the inputs, and what they say.
 
+    Plan and tasks are of the application that is measured, whose environments all have the same.
     With `partial`, there is a manifest also if the plan was not carried out.
 
     Raise DiagnosticError for damaged results, InvalidInput for a listed machine that is not on offer, Infeasible if no
     machine is admissible, Refused if the plan may cost more than the budget.
     """
-    application, layout = inputs.application, inputs.layout
-    exact = pinned(application, inputs.pins)
+    exact = pinned(inputs.application, inputs.pins)
     found = standing_of(inputs)
     results, stale = usable(inputs, found)
-    admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
-    bare = plan_for(inputs, admissible, results)
-    check_budget(application, bare, admissible, results)
-    plan, tasks = with_tasks(exact, with_substitutes(exact, bare, admissible), layout)
-    files = {**inputs.agent, **tasks, **substitute_tasks(exact, plan, layout, results)}
-    files[layout.plan] = plan_file(plan, layout)
+    admissible = _admissible(inputs)
+    plan, files = _planned(inputs.measured, admissible if inputs.base is None else _admissible(inputs.base), results)
     decision: Decision | None = None
     if results is not None:
         from fogspec.compile.decision import decide
@@ -61,6 +58,22 @@ def compile_application(inputs: Inputs, partial: bool = False) -> Artifacts:
         decision=decision,
         files=files,
     )
+
+
+def _admissible(inputs: Inputs) -> Filtered:
+    spec = inputs.application.spec
+    return filter_offers(inputs.catalog, spec.hardware, spec.infra)
+
+
+def _planned(inputs: Inputs, admissible: Filtered, results: Results | None) -> tuple[Plan, dict[Path, bytes]]:
+    """Return the plan of what is measured, and its files."""
+    application, layout = inputs.application, inputs.layout
+    exact = pinned(application, inputs.pins)
+    bare = plan_for(inputs, admissible, results)
+    check_budget(application, bare, admissible, results)
+    plan, tasks = with_tasks(exact, with_substitutes(exact, bare, admissible), layout)
+    files = {**inputs.agent, **tasks, **substitute_tasks(exact, plan, layout, results)}
+    return plan, {**files, layout.plan: plan_file(plan, layout)}
 
 
 def try_compile(inputs: Inputs) -> Artifacts | FogspecError:

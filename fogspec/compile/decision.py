@@ -122,12 +122,13 @@ def decide(
     `partial` accepts that the plan was not carried out, as does the manifest on disk for the same plan. `waived` are the
     changes since the results were measured.
     """
-    plan_digest, left = digest_without_budget(plan), unfinished(application, plan, results)
+    plan_digest, left = digest_without_budget(plan), unfinished(inputs.measured.application, plan, results)
     selection = select(inputs, application, admissible, results)
     models, choice, layout = selection.models, selection.choice, inputs.layout
     warnings = warnings_for(application, models, choice, results, left, waived)
     menu = make_menu(application, choice, warnings)
-    files = {layout.models: _yaml(models, layout), layout.menu: _yaml(menu, layout)}
+    shared = layout if layout.own_models else layout.measured
+    files = {layout.models: _yaml(models, shared), layout.menu: _yaml(menu, layout)}
     files |= _charts(application, choice, models, layout)
     manifest = None
     if choice.chosen is not None and (left is None or partial or _accepted(inputs, left, plan_digest)):
@@ -316,8 +317,8 @@ def _caveats_of_machine(choice: Choice, row: int) -> list[str]:
 
 
 def _yaml(artifact: Models | Menu | Manifest, layout: Layout) -> bytes:
-    source = layout.relative(layout.spec)
-    return yaml_text(artifact.model_dump(mode="json"), shell_command("fogspec", "compile", source), source).encode()
+    again = shell_command("fogspec", "compile", layout.relative(layout.spec))
+    return yaml_text(artifact.model_dump(mode="json"), again, layout.source).encode()
 
 
 def _charts(application: Application, choice: Choice, models: Models, layout: Layout) -> dict[Path, bytes]:

@@ -71,7 +71,7 @@ def reference(layout: Layout, path: Path, content: bytes) -> TaskRef:
 
 
 def _task(application: Application, layout: Layout, choice: Choice, row: int) -> bytes:
-    spec, source = application.spec, layout.relative(layout.spec)
+    spec = application.spec
     ros: dict[str, Any] = ros_environment(spec)
     link = link_of_machine(application)
     run = render(
@@ -95,4 +95,5 @@ def _task(application: Application, layout: Layout, choice: Choice, row: int) ->
         launch=layout.relative(layout.cloud) if spec.ros and launched_together(spec) else None,
         link=layout.relative(layout.link) if link else None,
     )
-    return yaml_text(task, shell_command("fogspec", "compile", source), source).encode()
+    again = shell_command("fogspec", "compile", layout.relative(layout.spec))
+    return yaml_text(task, again, layout.source).encode()

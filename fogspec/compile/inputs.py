@@ -53,7 +53,7 @@ class Inputs:
     `damaged` is the error of unusable results on disk. `agent` are the files copied to every machine, by their path in
     `compiled/`. `on_disk` are the compiled files on disk, `lock` is the lock file. `sent` are the digests of the files that
     machines are sent, `drifted` names those that do not match the lock: both only for an audit. `catalog_notes` are what the
-    user should know of the catalog.
+    user should know of the catalog. In an environment, `base` are the inputs of the application that is measured for it.
     """
 
     spec: LoadedSpec
@@ -70,6 +70,7 @@ class Inputs:
     sent: Mapping[str, str] = field(default_factory=dict)
     drifted: tuple[str, ...] = ()
     catalog_notes: tuple[str, ...] = ()
+    base: "Inputs | None" = None
 
     @classmethod
     def load(
@@ -92,7 +93,7 @@ class Inputs:
         from the locked one.
         """
         every = load(specs) if loaded is None else loaded
-        loaded = [one for one in every if name in (None, one.application.metadata.name)]
+        loaded = [one for one in every if name in (None, one.name)]
         reader = _Reader(files=dict(known or {}), catalog_path=catalog, priors=priors)
         return [reader.inputs(one, audit) for one in loaded]
 
@@ -105,6 +106,11 @@ class Inputs:
     def source(self) -> str:
         """The path of the spec relative to the root of the project, as compiled files name it."""
         return self.layout.relative(self.layout.spec)
+
+    @property
+    def measured(self) -> "Inputs":
+        """The inputs of the application that is measured, whose plan and results serve all of its environments."""
+        return self.base or self
 
     def content(self, path: Path) -> bytes | None:
         """Return the bytes of a compiled file on disk, None if it is missing or unreadable."""
@@ -125,6 +131,12 @@ class Inputs:
         return self.spec.texts.content[self.spec.path]
 
     @property
+    def overlay_content(self) -> bytes | None:
+        """The bytes of the file of the environment; None in the default one."""
+        overlay = self.spec.overlay
+        return None if overlay is None else self.spec.texts.content[overlay.path]
+
+    @property
     def results_content(self) -> bytes | None:
         """The bytes of the results file; None without one."""
         return None if self.results_file is None else self.results_file.content
@@ -140,8 +152,7 @@ def catalogs_for(loaded: Sequence[LoadedSpec], path: str | None) -> list[Catalog
     Raise the errors of `Inputs.load`.
     """
     reader = _Reader(files={}, catalog_path=path, priors=None)
-    layouts = [Layout.of(one.path, one.application.metadata.name) for one in loaded]
-    return [reader.catalog(one, layout, reader.pins(layout)) for one, layout in zip(loaded, layouts, strict=True)]
+    return [reader.catalog(one, one.layout, reader.pins(one.layout)) for one in loaded]
 
 
 def catalog_beside_snapshot(one: LoadedSpec) -> Catalog | None:
@@ -150,15 +161,15 @@ def catalog_beside_snapshot(one: LoadedSpec) -> Catalog | None:
     Raise the errors of `Inputs.load`.
     """
     reader = _Reader(files={}, catalog_path=None, priors=None)
-    layout = Layout.of(one.path, one.application.metadata.name)
+    layout = one.layout
     pins = reader.pins(layout)
     origin = pins.catalog.origin if pins else default_origin(clouds_of(one))
     return None if origin == "snapshot" else reader.catalog(one, layout, pins)
 
 
 def clouds_of(one: LoadedSpec) -> tuple[str, ...]:
-    """Return the names of the clouds in a spec, sorted."""
-    return tuple(sorted({cloud_name(entry) for entry in one.application.spec.infra}))
+    """Return the names of the clouds of an application in all of its environments, sorted."""
+    return tuple(sorted({cloud_name(entry) for entry in one.infra}))
 
 
 def located(origin: str, layout: Layout) -> str:
@@ -177,10 +188,15 @@ class _Reader:
     catalogs: dict[tuple[str, tuple[str, ...]], Catalog] = field(default_factory=dict)
     libraries: "dict[Path, PriorData]" = field(default_factory=dict)
     trees: dict[Tree, Mapping[str, str]] = field(default_factory=dict)
+    bases: dict[int, Inputs] = field(default_factory=dict)
 
     def inputs(self, one: LoadedSpec, audit: bool) -> Inputs:
-        application = one.application
-        layout = Layout.of(one.path, application.metadata.name)
+        if id(one) not in self.bases:
+            self.bases[id(one)] = self.read(one, audit, None if one.base is None else self.inputs(one.base, audit))
+        return self.bases[id(one)]
+
+    def read(self, one: LoadedSpec, audit: bool, base: Inputs | None) -> Inputs:
+        application, layout = one.application, one.layout
         pins = self.pins(layout)
         catalog = self.catalog(one, layout, pins)
         file = self.file(layout.results, layout) if layout.files.exists(layout.results) else None
@@ -202,6 +218,7 @@ class _Reader:
             sent=sent,
             drifted=tuple(lock_drift(pins, sent)) if audit else (),
             catalog_notes=tuple(_catalog_notes(one, catalog)),
+            base=base,
         )
 
     def sent(self, application: Application, layout: Layout) -> Mapping[str, str]:
@@ -230,7 +247,7 @@ class _Reader:
             if not layout.files.exists(path):
                 return None
             self.locks[path] = self.file(path, layout).document(Lock)
-        return self.locks[path].spec.applications.get(layout.name)
+        return self.locks[path].spec.applications.get(layout.application)
 
     def catalog(self, one: LoadedSpec, layout: Layout, pins: Pins | None) -> Catalog:
         """Return the catalog of the command line, else of the lock, else SkyPilot's if it is here, else the snapshot."""
@@ -277,6 +294,7 @@ def _ours(layout: Layout) -> Iterator[Path]:
         layout.agent,
         layout.plan,
         layout.models,
+        layout.compiled / layout.models.name,
         layout.menu,
         layout.picture,
         layout.latencies,
@@ -287,16 +305,20 @@ def _ours(layout: Layout) -> Iterator[Path]:
         layout.cloud,
         *(layout.link / name for name in LINK_FILES),
     ]
-    yield from (path for path in named if layout.files.is_file(path))
+    yield from (path for path in dict.fromkeys(named) if layout.files.is_file(path))
     yield from _matching(layout, layout.compiled, "deploy.*.sky.yaml")
     yield from _matching(layout, layout.tasks, "*.sky.yaml")
 
 
 def compiled_files(layout: Layout) -> list[Path]:
-    """Return the compiled files of one application that fogspec wrote; the agent belongs to all applications."""
-    files = (path for path in _ours(layout) if path != layout.agent)
+    """Return the compiled files of one application that fogspec wrote; the agent belongs to all applications.
+
+    Those of an environment are the ones in its own folder: the plan is the application's.
+    """
+    files = (path for path in _ours(layout) if layout.compiled in path.parents)
     named = (path for path in files if path == layout.deploy or not path.name.endswith(".sky.yaml"))
-    tasks = [*_matching(layout, layout.compiled, "deploy.*.sky.yaml"), *_matching(layout, layout.tasks, "*.sky.yaml")]
+    tasks = _matching(layout, layout.compiled, "deploy.*.sky.yaml")
+    tasks += _matching(layout, layout.tasks, "*.sky.yaml") if layout.overlay is None else []
     written = (path for path in tasks if layout.files.read(path, len(GENERATED)) == GENERATED)
     return list(dict.fromkeys([*named, *written]))
 

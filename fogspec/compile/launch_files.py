@@ -59,12 +59,13 @@ def robot_launch(application: Application, layout: Layout) -> bytes | None:
 
 def link_script(application: Application, layout: Layout) -> str:
     """Return the script that makes keys, imports the peer's public key and runs the link, identical at both ends."""
-    name = application.metadata.name
+    name = application.name
     return render(
         "link.sh.j2",
         kind=link_of(application).name,
         name=name,
         source=layout.relative(layout.spec),
+        origin=layout.source,
         port=port_of(application),
         common_name={side: common_name(name, side) for side in SIDES},
         interface={side: interface(name, side) for side in SIDES},
@@ -86,6 +87,7 @@ def link_of_machine(application: Application) -> dict[str, Any] | None:
 def _words(application: Application, layout: Layout, nodes: Sequence[Node]) -> dict[str, Any]:
     return {
         "source": layout.relative(layout.spec),
-        "name": application.metadata.name,
+        "origin": layout.source,
+        "name": application.name,
         **launch_source.words(nodes),
     }

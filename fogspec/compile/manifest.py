@@ -17,7 +17,7 @@ from fogspec.choice.relaxed import Relaxed
 from fogspec.choice.rule import latency_limit_s
 from fogspec.choice.shortlist import shortlist
 from fogspec.model.fit import Model, Models
-from fogspec.plan.schema import ApplicationRef, CatalogRef, PlanMetadata, TaskRef
+from fogspec.plan.schema import ApplicationRef, CatalogRef, EnvironmentMetadata, TaskRef
 from fogspec.results.schema import Carried
 from fogspec.spec.lockfile import SentFiles
 from fogspec.spec.schema import Application, Billing, Connectivity, Node, Statistic
@@ -252,7 +252,7 @@ class Manifest(Strict):
 
     apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
     kind: Literal["DeploymentManifest"] = "DeploymentManifest"
-    metadata: PlanMetadata
+    metadata: EnvironmentMetadata
     spec: Pinned
     expected: Expected
     warnings: list[str]
@@ -299,7 +299,7 @@ def make_manifest(
         raise ValueError("there is no manifest without a choice")
     entry = entry_of(choice, row)
     return Manifest(
-        metadata=PlanMetadata(name=application.metadata.name),
+        metadata=EnvironmentMetadata(name=application.name),
         spec=_pinned(application, entry, sources, choice),
         expected=_expected(application, choice, row, entry),
         warnings=warnings,

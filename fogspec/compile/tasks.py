@@ -10,6 +10,7 @@ from typing import Any
 
 from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
+from fogspec.base.layout import DEFAULT_ENVIRONMENT
 from fogspec.catalog.machine import Machine
 from fogspec.compile.launch_source import node_launch
 from fogspec.compile.links import link_of, port_of
@@ -88,6 +89,8 @@ def deploy_task(
     """
     autostop = {"idle_minutes": DEPLOYMENT_IDLE_MINUTES, "down": True}
     labels = {"fogspec-application": application.metadata.name}
+    if application.environment != DEFAULT_ENVIRONMENT:
+        labels["fogspec-environment"] = application.environment
     task = _task(
         application,
         machine,

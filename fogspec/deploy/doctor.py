@@ -90,7 +90,7 @@ def as_text(found: Sequence[Check]) -> list[str]:
 
 
 def _application(one: LoadedSpec, catalog: str | None, times: WallClock) -> Iterator[Check]:
-    application, layout = one.application, Layout.of(one.path, one.application.metadata.name)
+    application, layout = one.application, one.layout
     name = layout.name
 
     def tried(what: str, fine: str, check: Callable[[], object]) -> Check:

@@ -27,7 +27,7 @@ def layout_of(spec_or_name: str) -> Layout:
         from fogspec.spec.loader import load
 
         try:
-            found = load([spec_or_name])
+            found = [one for one in load([spec_or_name]) if one.base is None]
         except DiagnosticError as wrong:
             what = wrong.diagnostics[0]
             raise InvalidInput(
@@ -35,15 +35,16 @@ def layout_of(spec_or_name: str) -> Layout:
                 f"what runs is ended by its application's name too: fogspec down {Path(spec_or_name).stem}",
             ) from None
         if len(found) > 1:
-            names = ", ".join(one.application.metadata.name for one in found)
+            names = ", ".join(one.name for one in found)
             raise InvalidInput(f"{spec_or_name} has several applications", f"name one of them: {names}")
-        return Layout.of(spec_or_name, found[0].application.metadata.name)
-    layout = Layout(Path(), Path("specs") / f"{spec_or_name}.yaml", spec_or_name)
+        return found[0].layout
+    layout = Layout.named(Path(), spec_or_name)
     if os.path.basename(spec_or_name) != spec_or_name or spec_or_name in (".", "..", ""):
         raise InvalidInput(f"{spec_or_name!r} is not an application's name", "name one, or its spec")
     known = layout.files.is_folder(layout.state) or layout.files.is_folder(layout.compiled)
-    known = known or layout.files.exists(layout.spec)
-    known = known or any(committed(layout.root, path) for path in (layout.plan, layout.spec))
+    sources = (layout.plan, layout.spec) if layout.overlay is None else (layout.manifest, layout.overlay)
+    known = known or layout.files.exists(sources[1])
+    known = known or any(committed(layout.root, path) for path in sources)
     if not known and (store := store_of(layout)) is not None:
         known = any(one.name == layout.name for one in shared_layouts(store, layout.root))
     if not known:
@@ -58,7 +59,7 @@ def leave_link(layout: Layout) -> None:
 
     with contextlib.suppress(DiagnosticError, InvalidInput):
         for one in load([layout.spec]):
-            if one.application.metadata.name == layout.name:
+            if one.name == layout.name:
                 leave(one.application, layout)
 
 

@@ -33,12 +33,13 @@ class Engines:
 
 
 def engines_of(layout: Layout) -> Engines:
-    """Return what spec, plan, manifest, live state, journal, and the last commit of the first three name.
+    """Return what spec, overlay, plan, manifest, live state, journal, and the last commit of all but the last two name.
 
     A record that is missing is no doubt as long as another one says where machines of the application may be.
     """
     clouds, doubts, known = set[str](), list[str](), False
-    for path in (layout.spec, layout.plan, layout.manifest, layout.live):
+    overlay = [] if layout.overlay is None else [layout.overlay]
+    for path in (layout.spec, *overlay, layout.plan, layout.manifest, layout.live):
         for content in _versions(layout, path, doubts):
             try:
                 found = set(_clouds(SourceFile(path, content).plain()))

@@ -257,12 +257,12 @@ class Leftover:
 
 def leftovers(root: Path, names: Collection[str]) -> list[Leftover]:
     """Return what fogspec wrote below a root for applications that are not among these names."""
-    files = Layout(root, root / "specs" / "any.yaml", "any").files
+    files = Layout.named(root, "any").files
     found = [name for name in files.names(root / "compiled") if files.is_folder(root / "compiled" / name)]
     found += [name.removesuffix(".yaml") for name in files.names(root / "results") if name.endswith(".yaml")]
     left = []
     for name in sorted(set(found) - set(names)):
-        layout = Layout(root, root / "specs" / f"{name}.yaml", name)
+        layout = Layout.named(root, name)
         ours = [path for path in _compiled(layout) if files.is_file(path)]
         if not any(path in ours for path in (layout.plan, layout.manifest)):
             ours = []  # not a folder of ours, whatever is in it
@@ -296,8 +296,8 @@ def prune(left: Leftover, times: WallClock) -> Iterator[Path]:
 
 def _readable(layout: Layout) -> Results | None:
     """Return results that fogspec wrote, None without any: another YAML file is not fogspec's to remove."""
-    if not layout.files.is_file(layout.results):
-        return None
+    if layout.overlay is not None or not layout.files.is_file(layout.results):
+        return None  # an environment has none of its own
     try:
         return SourceFile.read(layout.results, layout.files).document(Results)
     except DiagnosticError:

@@ -43,11 +43,11 @@ def environment(application: Application, layout: Layout) -> dict[str, str]:
     """Return the variables that the task gets at launch; none without a link. Raise Refused before `fogspec keys`."""
     if link_of(application).protocol is None:
         return {}
-    public = folder_of(application.metadata.name) / "public"
+    public = folder_of(application.name) / "public"
     if not public.is_file():
         raise Refused(
-            f"{application.metadata.name}: the robot has no key for its link yet: {public} is missing",
-            f"on the robot: {shell_command('fogspec', 'keys', layout.spec)}",
+            f"{application.name}: the robot has no key for its link yet: {public} is missing",
+            f"on the robot: {shell_command('fogspec', 'keys', layout.argument)}",
             "on another computer: copy that file, the public half, from the robot to the same place here",
         )
     return {LINK_PEER: public.read_text("ascii", "replace").strip()}
@@ -62,7 +62,7 @@ def join(application: Application, layout: Layout, address: str, public: str) ->
         return []
     _run(application, layout, "peer", stdin=public.strip() + "\n")
     _run(application, layout, "address", address)
-    return [folder_of(application.metadata.name) / name for name in ("peer", "address")]
+    return [folder_of(application.name) / name for name in ("peer", "address")]
 
 
 def leave(application: Application, layout: Layout) -> None:
@@ -103,5 +103,5 @@ def _run(application: Application, layout: Layout, *words: str, stdin: str = "")
         raise CloudError(f"the link's script did not end: {problem}") from None
     if run.returncode != 0:
         lines = [line.removeprefix("link: ") for line in run.stderr.splitlines()] or ["the link's script failed"]
-        raise InvalidInput(f"{application.metadata.name}: {lines[0]}", *lines[1:4])
+        raise InvalidInput(f"{application.name}: {lines[0]}", *lines[1:4])
     return run.stdout

@@ -68,10 +68,10 @@ def running(
 
 def layouts(root: Path) -> list[Layout]:
     """Return the layout of each application below a root with live state; raise StoreUnavailable, and as `store_of` does."""
-    any_one = Layout(root, root / "specs" / "any.yaml", "any")
+    any_one = Layout.named(root, "any")
     if (store := store_of(any_one)) is not None:
         return shared_layouts(store, root)
-    found = [Layout(root, root / "specs" / f"{name}.yaml", name) for name in any_one.files.names(root / ".fogspec")]
+    found = [Layout.named(root, name) for name in any_one.files.names(root / ".fogspec")]
     return [one for one in found if any_one.files.is_file(one.live)]
 
 

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field
 
 from fogspec.base.quantities import Duration, Id, Money, Strict
 from fogspec.catalog.machine import Machine
-from fogspec.plan.schema import PlanMetadata
+from fogspec.plan.schema import EnvironmentMetadata
 
 
 def _date(text: str) -> str:
@@ -70,7 +70,7 @@ class LiveState(Strict):
 
     apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
     kind: Literal["LiveState"] = "LiveState"
-    metadata: PlanMetadata
+    metadata: EnvironmentMetadata
     spec: DeploymentBody
 
 
@@ -103,7 +103,7 @@ class SharedState(Strict):
 
     apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
     kind: Literal["SharedState"] = "SharedState"
-    metadata: PlanMetadata
+    metadata: EnvironmentMetadata
     spec: SharedBody
 
 

@@ -29,7 +29,7 @@ from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.deploy.git_store import GitStore, Overtaken, Stored, StoreUnavailable
 from fogspec.deploy.schema import DeployedMachine, Lease, Project, SharedBody, SharedState, date_of
-from fogspec.plan.schema import PlanMetadata
+from fogspec.plan.schema import EnvironmentMetadata
 from fogspec.spec.loader import SourceFile, read_document
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _store(root: str, setting: str, where: str) -> GitStore:
 
 def key_of(owner: Owner) -> str:
     """Return the key of an owner's record."""
-    return f"{owner.application}-{owner.digest[:IN_NAME]}"
+    return f"{owner.name}-{owner.digest[:IN_NAME]}"
 
 
 @dataclass(slots=True)
@@ -106,7 +106,7 @@ def look(store: GitStore, layout: Layout) -> SharedState | None:
 def shared_layouts(store: GitStore, root: Path) -> list[Layout]:
     """Return the layouts of the applications below a root that have a record; raise StoreUnavailable."""
     names = [key.rpartition("-")[0] for key in sorted(_records(store))]
-    layouts = [Layout(root, root / "specs" / f"{name}.yaml", name) for name in names if name]
+    layouts = [Layout.named(root, name) for name in names if name]
     return [one for one in layouts if key_of(owner_of(one)) in _records(store)]
 
 
@@ -308,7 +308,7 @@ class SharedRecord:
     def _document(self, machines: Sequence[DeployedMachine], spent: float, manifests: Mapping[str, str]) -> SharedState:
         names = {one.name for one in machines}
         return SharedState(
-            metadata=PlanMetadata(name=self.layout.name),
+            metadata=EnvironmentMetadata(name=self.layout.name),
             spec=SharedBody(
                 repository=self.owner.repository,
                 owner=self.owner.digest,

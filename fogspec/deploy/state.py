@@ -26,7 +26,7 @@ from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell_command
 from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState, Place, SharedState
 from fogspec.deploy.shared_state import SharedRecord, key_of, look, store_of
-from fogspec.plan.schema import PlanMetadata
+from fogspec.plan.schema import EnvironmentMetadata
 from fogspec.spec.loader import read_document
 
 MANIFEST = "manifest.yaml"  # in a machine's directory: what it was started for
@@ -262,7 +262,7 @@ class DeploymentState:
             self.machines, self.spent_usd = machines, spent
             return
         state = LiveState(
-            metadata=PlanMetadata(name=self.layout.name),
+            metadata=EnvironmentMetadata(name=self.layout.name),
             spec=DeploymentBody(machines=[*self.foreign, *machines], spent=spent),
         )
         apply = shell_command("fogspec", "apply", self.layout.relative(self.layout.manifest))

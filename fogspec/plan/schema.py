@@ -16,7 +16,7 @@ from fogspec.base.quantities import Duration, Id, Lean, Money, Strict
 from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import Commitment
-from fogspec.spec.schema import Hardware, Name
+from fogspec.spec.schema import Hardware, Name, NameInEnvironment
 
 Sampler = Literal["grid", "adaptive", "list"]
 PartName = Literal["half", "quarter", "eighth"]
@@ -172,6 +172,12 @@ class PlanMetadata(Strict):
     """The name of the application."""
 
     name: Name
+
+
+class EnvironmentMetadata(Strict):
+    """The name of the application, with `@` and the environment behind it unless that is the default one."""
+
+    name: NameInEnvironment
 
 
 class Plan(Strict):

@@ -70,7 +70,12 @@ def menu_view(inputs: Inputs, changes: Changes) -> MenuView:
     application = pinned(changed(inputs.application, changes), inputs.pins)
     admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
     found = select(inputs, application, admissible, results)
-    left = unfinished(inputs.application, plan_for(inputs, admissible, results), results)
+    measured = inputs.measured
+    if inputs.base is not None:
+        admissible = filter_offers(
+            measured.catalog, measured.application.spec.hardware, measured.application.spec.infra
+        )
+    left = unfinished(measured.application, plan_for(measured, admissible, results), results)
     waived = () if standing is None else standing.waived
     warnings = warnings_for(application, found.models, found.choice, results, left, waived)
     menu = make_menu(application, found.choice, warnings)
@@ -83,7 +88,7 @@ def changed(application: Application, changes: Changes) -> Application:
     named = [*changes.limits, *([changes.metric] if changes.metric not in (None, "latency") else [])]
     if unknown := sorted(set(named) - spec.metrics.keys()):
         has = ", ".join(sorted(spec.metrics)) or "none"
-        raise UsageError(f"{application.metadata.name} has no metric named {unknown[0]}; spec.metrics: {has}")
+        raise UsageError(f"{application.name} has no metric named {unknown[0]}; spec.metrics: {has}")
     limits: dict[str, Any] = {}
     if changes.latency is not None:
         limits["latency"] = None if changes.latency == NO_LIMIT else units.parse_duration_s(changes.latency)

@@ -41,7 +41,7 @@ def menu_data(application: Application, choice: Choice) -> dict[str, Any]:
     }
     low, high = _ends(choice, rows, metric)
     return {
-        "name": application.metadata.name,
+        "name": application.name,
         "alpha": spec.objective.alpha,
         "statistic": spec.constraints.statistic,
         "metric": metric,

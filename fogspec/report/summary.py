@@ -71,7 +71,7 @@ def _outcome(compiled: Artifacts, decision: "Decision", given: "Sequence[str]") 
         return [*card, *none, f"next: {measure}, or {again}"]
     partial = "" if left is None else f", partial: {left.state}"
     manifest = _row("manifest", str(layout.manifest), f"with {layout.deploy.name}{partial}")
-    why = shell_command("fogspec", "explain", layout.spec, *given)
+    why = shell_command("fogspec", "explain", layout.argument, *given)
     return [manifest, *card, f"next: {why}, then review {layout.manifest}"]
 
 

@@ -2,35 +2,58 @@
 
 import glob
 import os
-import re
 from collections.abc import Sequence
 
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import InvalidInput, UsageError
-from fogspec.base.files import read_file
-from fogspec.spec.loader import check_file
+from fogspec.spec.loader import LoadedSpec, check_file
 from fogspec.spec.lockfile import some
+from fogspec.spec.overlays import spec_files
 from fogspec.spec.suggest import did_you_mean
-
-VERSION = re.compile(rb"""^[{\s"']*apiVersion["']?\s*:(.*)$""", re.MULTILINE)
-KEYS = re.compile(rb"""^[{\s]{0,2}["']?(kind|metadata|spec)["']?\s*:""", re.MULTILINE)
 
 
 def find_specs(arguments: Sequence[str] = ()) -> list[str]:
     """Return the files named, those in directories (`*.yaml`, `*.yml`, at any depth), and those that patterns match, each once.
 
-    A bare word that is not a file is the name of an application in specs/. Without arguments, return those in specs/. In
-    a directory, hidden files, files that do not mention fogspec, and files that fogspec wrote are left out. Raise
-    InvalidInput if an argument leads to nothing.
+    A bare word that is not a file is the name of an application in specs/, in an environment too. Without arguments, return
+    those in specs/. In a directory, hidden files, files that do not mention fogspec, and files that fogspec wrote are left
+    out. Raise InvalidInput if an argument leads to nothing.
     """
+    return list(_found(arguments))
+
+
+def check_specs(
+    arguments: Sequence[str] = (), overlays: Sequence[str] = ()
+) -> tuple[list[LoadedSpec], list[Diagnostic]]:
+    """Return the valid applications that arguments lead to, in all of their environments, and all errors and warnings.
+
+    `NAME@ENVIRONMENT` leads to that one alone. Raise the errors of `find_specs`.
+    """
+    found = _found(arguments)
+    loaded, wrong = check_file(list(found), overlays)
+    return [one for one in loaded if (only := found[os.path.normpath(one.path)]) is None or one.name in only], wrong
+
+
+def load_specs(arguments: Sequence[str] = (), overlays: Sequence[str] = ()) -> list[LoadedSpec]:
+    """Return what `check_specs` does; raise DiagnosticError with every error in any of the files."""
+    loaded, wrong = check_specs(arguments, overlays)
+    if any(one.severity == "error" for one in wrong):
+        raise DiagnosticError(wrong)
+    return loaded
+
+
+def _found(arguments: Sequence[str]) -> dict[str, set[str] | None]:
+    """Return the files by path, each with the names of the applications in environments that alone are meant; None for all."""
     if not arguments and not os.path.isdir("specs"):
         raise InvalidInput(
             "there is no directory specs/ here",
             "name files, directories or patterns, or write a first spec: fogspec init",
         )
-    found: dict[str, None] = {}
+    found: dict[str, set[str] | None] = {}
     for argument in arguments or ("specs",):
+        only = {argument} if "@" in argument and is_name(argument) else None
         if os.path.isdir(argument):
-            here = _specs_in(argument)
+            here = spec_files(argument)
             nothing = "has no spec"
         elif glob.has_magic(argument) and not os.path.lexists(argument):
             here = sorted(path for path in glob.glob(argument, recursive=True) if os.path.isfile(path))
@@ -39,8 +62,10 @@ def find_specs(arguments: Sequence[str] = ()) -> list[str]:
             here, nothing = [named_spec(argument)], ""
         if not here:
             raise InvalidInput(f"{argument} {nothing}", "name a file, a directory or a pattern, such as specs/*.yaml")
-        found |= dict.fromkeys(os.path.normpath(path) for path in here)
-    return list(found)
+        for path in map(os.path.normpath, here):
+            before = found.get(path, set())
+            found[path] = None if only is None or before is None else before | only
+    return found
 
 
 def is_name(argument: str) -> bool:
@@ -52,11 +77,17 @@ def spec_of(name: str) -> str | None:
     """Return the spec in specs/ with an application of this name; None if there is none or it is not a name."""
     if not is_name(name) or not os.path.isdir("specs"):
         return None
-    guess = os.path.join("specs", f"{name}.yaml")
-    for path in sorted(_specs_in("specs"), key=lambda path: path != guess):
-        if any(one.application.metadata.name == name for one in check_file([path])[0]):
+    guess = os.path.join("specs", f"{name.partition('@')[0]}.yaml")
+    for path in sorted(spec_files("specs"), key=lambda path: path != guess):
+        if any(one.name == name for one in check_file([path])[0]):
             return path
-    return guess if os.path.exists(guess) else None  # its error hides its name: loading it reports the error
+    if not os.path.exists(guess) or ("@" in name and not _is_wrong(guess)):
+        return None
+    return guess  # its error hides its name: loading it reports the error
+
+
+def _is_wrong(path: str) -> bool:
+    return any(one.severity == "error" for one in check_file([path])[1])
 
 
 def named_spec(argument: str) -> str:
@@ -75,32 +106,6 @@ def named_spec(argument: str) -> str:
 
 
 def applications() -> list[str]:
-    """Return the names of the applications of the valid specs in specs/, sorted."""
-    paths = _specs_in("specs") if os.path.isdir("specs") else []
-    return sorted({one.application.metadata.name for path in paths for one in check_file([path])[0]})
-
-
-def _specs_in(folder: str) -> list[str]:
-    found = []
-    for parent, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        paths = (os.path.join(parent, name) for name in sorted(files) if not name.startswith("."))
-        found += [path for path in paths if path.endswith((".yaml", ".yml")) and _is_application(path)]
-    return found
-
-
-def _is_application(path: str) -> bool:
-    """Return whether the file is meant to be a spec, with or without mistakes.
-
-    It is not one of the other files that stand beside specs: parameters of ROS nodes, resources of Kubernetes, or what fogspec
-    wrote, also if it mentions fogspec.
-    """
-    try:
-        content = read_file(path, 1 << 20)
-    except OSError:
-        return True
-    if b"fogspec" not in content or content.startswith(b"# Generated by fogspec"):
-        return False
-    if versions := VERSION.findall(content):
-        return any(b"fog" in one for one in versions)
-    return KEYS.search(content) is not None
+    """Return the names of the applications of the valid specs in specs/, sorted, also those in environments."""
+    paths = spec_files("specs") if os.path.isdir("specs") else []
+    return sorted({one.name for one in check_file(paths)[0]})

@@ -9,6 +9,7 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 from fogspec.base import digest
+from fogspec.base.clouds import LOCAL
 from fogspec.base.quantities import Strict
 from fogspec.spec.introspect import part
 from fogspec.spec.schema import Affects, Application, Benchmark, Stage
@@ -77,6 +78,13 @@ def chosen_part(application: Application) -> dict[str, Any]:
     chosen: dict[str, Any] = part_read_by("choice", application)["spec"]
     waivers = chosen.pop("benchmark")["waivers"]
     return {**chosen, "benchmark.waivers": waivers} if waivers else chosen
+
+
+def fitted_part(application: Application) -> dict[str, Any]:
+    """Return what the models depend on, besides results and machine library: the statistic, their targets, and this host."""
+    spec = application.spec
+    targets = {*spec.constraints.metrics, *([spec.objective.metric] if spec.objective.metric else [])}
+    return {"statistic": spec.constraints.statistic, "targets": sorted(targets), "local": spec.infra == [LOCAL]}
 
 
 def field_of_measured(name: str) -> str:

@@ -4,7 +4,7 @@ import copy
 import dataclasses
 import os
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,15 +15,17 @@ from pydantic import BaseModel, ValidationError
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
 from fogspec.base.files import read_file
+from fogspec.base.layout import DEFAULT_ENVIRONMENT, Layout
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell, shell_command
 from fogspec.base.yaml import reader
-from fogspec.base.yaml.positions import Node, key_span, plain, span_of, spans
+from fogspec.base.yaml.positions import Node, find, key_span, plain, span_of, spans
 from fogspec.base.yaml.positions import Path as Steps
-from fogspec.spec import rules
+from fogspec.spec import fingerprints, rules
 from fogspec.spec.documents import SourceMap, documents_in, documents_of, unreadable
+from fogspec.spec.environments import environments_beside, folder_of_specs, shared_fields
 from fogspec.spec.files_there import missing_files
-from fogspec.spec.overlays import merge
+from fogspec.spec.overlays import NAME, Overlay, merge
 from fogspec.spec.rules.benchmark import PLACEHOLDERS, sender
 from fogspec.spec.schema import Application
 from fogspec.spec.validate import Validation, validate
@@ -37,8 +39,9 @@ MOST_BYTES_OF_OUR_OWN = reader.MOST_BYTES_OF_CANONICAL
 class LoadedSpec:
     """One valid `Application` document, and the spans of its values.
 
-    `path` is the file as given, `document` counts the file's documents from 0, `places` maps the path of a value
-    such as `("spec", "constraints", "cost")` to its place.
+    `path` is the file as given, `document` counts the file's documents from 0. In an environment, `node` is merged with the
+    `overlay`, and `base` is the application without it, whose measurement it shares. `infra` are the places of the
+    application in all of its environments, which have one catalog.
     """
 
     application: Application
@@ -47,6 +50,22 @@ class LoadedSpec:
     node: Node
     texts: SourceMap
     warnings: tuple[Diagnostic, ...]
+    infra: tuple[str, ...]
+    overlay: Overlay | None = None
+    base: "LoadedSpec | None" = None
+
+    @property
+    def name(self) -> str:
+        """The name of the application, with `@` and the environment behind it unless that is the default one."""
+        return self.application.name
+
+    @property
+    def layout(self) -> Layout:
+        """The paths of the application's files."""
+        own = self.base is not None and (
+            fingerprints.fitted_part(self.application) != fingerprints.fitted_part(self.base.application)
+        )
+        return dataclasses.replace(Layout.of(self.path, self.name), own_models=own)
 
     @property
     def spans(self) -> dict[Steps, Span]:
@@ -72,7 +91,7 @@ class LoadedSpec:
 
 
 def load(paths: Sequence[str | os.PathLike[str]], overlays: Sequence[str | os.PathLike[str]] = ()) -> list[LoadedSpec]:
-    """Return all applications of the files, each merged with the overlays.
+    """Return all applications of the files, each merged with the overlays, and behind it those of its environments.
 
     Raise DiagnosticError with every error in any of the files.
     """
@@ -87,26 +106,31 @@ def check_file(
 ) -> tuple[list[LoadedSpec], list[Diagnostic]]:
     """Return the valid applications, and all errors and warnings."""
     texts, wrong = SourceMap(), list[Diagnostic]()
-    layers = [documents_of(path, texts, wrong)[0] for path in overlays]
+    layers = [Overlay(os.fspath(path), tuple(documents_of(path, texts, wrong)[0])) for path in overlays]
     files = [(os.fspath(path), *documents_of(path, texts, wrong)) for path in paths]
     return _checked(files, layers, texts, wrong)
 
 
-def check_text(content: bytes, path: str) -> tuple[list[LoadedSpec], list[Diagnostic]]:
-    """Return the same for content that is not, or not yet, in the file at `path`."""
+def check_text(
+    content: bytes, path: str, overlay: tuple[bytes, str] | None = None
+) -> tuple[list[LoadedSpec], list[Diagnostic]]:
+    """Return the same for content that is not, or not yet, in the file at `path`, merged with the content of an overlay."""
     texts, wrong = SourceMap(), list[Diagnostic]()
-    return _checked([(path, *documents_in(content, path, texts, wrong))], [], texts, wrong, on_disk=False)
+    layers = [] if overlay is None else [Overlay(overlay[1], tuple(documents_in(*overlay, texts, wrong)[0]))]
+    return _checked([(path, *documents_in(content, path, texts, wrong))], layers, texts, wrong, on_disk=False)
 
 
 def _checked(
     files: Sequence[tuple[str, list[Node], bool]],
-    layers: Sequence[list[Node]],
+    layers: Sequence[Overlay],
     texts: SourceMap,
     wrong: list[Diagnostic],
     on_disk: bool = True,
 ) -> tuple[list[LoadedSpec], list[Diagnostic]]:
     found: list[tuple[str, int, Node, Validation[Application]]] = []
     refused = {one.span for one in wrong}
+    roots = {_root(path): path for path, _, _ in files} if on_disk else {}
+    environments = {root: environments_beside(path, texts, wrong) for root, path in roots.items()}
     for path, nodes, clean in files:
         if not nodes and clean:
             wrong.append(_nothing_in(path, texts.last_line(path)))
@@ -119,21 +143,81 @@ def _checked(
             wrong.extend(texts.at_the_cut(said) if index == len(nodes) - 1 else said)
             found.append((path, index, merged, checked))
     wrong.extend(rules.run_rules_together([(node, checked) for _, _, node, checked in found]))
-    shown = texts.shown(wrong)
+    names = [
+        one.value for _, _, node, _ in found if (one := find(node, NAME)) is not None and isinstance(one.value, str)
+    ]
+    for overlay in (*layers, *(one for them in environments.values() for one in them.values())):
+        wrong.extend(overlay.unknown(names, [folder_of_specs(path) for path in roots.values()]))
+    before = list(wrong)
+    merged_for = [_in_environments(one, environments.get(_root(one[0]), {}), before, wrong) for one in found]
+    shown = texts.shown(dict.fromkeys(wrong))
     warnings = [one for one in shown if one.severity == "warning"]
-    loaded = [
-        LoadedSpec(
+    loaded = list[LoadedSpec]()
+    for (path, index, node, checked), others in zip(found, merged_for, strict=True):
+        if checked.value is None:
+            continue
+        places = [place for one in (checked.value, *(app for app, _, _ in others)) for place in one.spec.infra]
+        default = LoadedSpec(
             application=checked.value,
             path=path,
             document=index,
             node=node,
             texts=texts,
             warnings=tuple(one for one in warnings if one.span.path == path),
+            infra=tuple(dict.fromkeys(places)),
         )
-        for path, index, node, checked in found
-        if checked.value is not None
-    ]
+        loaded.append(default)
+        for application, overlay, merged in others:
+            own = tuple(warning for warning in warnings if warning.span.path == overlay.path)
+            loaded.append(
+                dataclasses.replace(
+                    default,
+                    application=application,
+                    node=merged,
+                    warnings=(*default.warnings, *own),
+                    overlay=overlay,
+                    base=default,
+                )
+            )
     return loaded, shown
+
+
+def _root(path: str) -> Path:
+    return Layout.of(path, DEFAULT_ENVIRONMENT).root
+
+
+def _in_environments(
+    one: tuple[str, int, Node, Validation[Application]],
+    environments: Mapping[str, Overlay],
+    before: Sequence[Diagnostic],
+    wrong: list[Diagnostic],
+) -> list[tuple[Application, Overlay, Node]]:
+    """Return the valid applications that overlays make of one; what is wrong with others goes to `wrong`.
+
+    `before` are the diagnostics without environments. What an overlay makes wrong elsewhere names the environment.
+    """
+    path, _, node, checked = one
+    base, found = checked.value, []
+    if base is None or any(said.severity == "error" and said.span.path == path for said in before):
+        return []
+    for name, overlay in environments.items():
+        documents = overlay.applying(node)
+        if not documents:
+            continue
+        merged = merge(node, [overlay])
+        again = validate(Application, merged)
+        said = [*again.wrong, *rules.run_rules(again)]
+        if again.value is not None:
+            said += shared_fields(base, again.value, documents, name)
+        for diagnostic in said:
+            if diagnostic.span.path == overlay.path:
+                wrong.append(diagnostic)
+            elif not any(known.code == diagnostic.code and known.span == diagnostic.span for known in before):
+                message = f"in environment {name}: {diagnostic.message}"
+                wrong.append(dataclasses.replace(diagnostic, message=message))
+        if again.value is not None and not any(diagnostic.severity == "error" for diagnostic in said):
+            found.append((again.value.in_environment(name), overlay, merged))
+    return found
 
 
 def _nothing_in(path: str, line: int) -> Diagnostic:

@@ -33,7 +33,7 @@ def read_lock(path: Path) -> Lock | None:
 def read_pins(layout: Layout) -> Pins | None:
     """Return the lock's pins for this application."""
     lock = read_lock(layout.lock)
-    return None if lock is None else lock.spec.applications.get(layout.name)
+    return None if lock is None else lock.spec.applications.get(layout.application)
 
 
 def lock_text(lock: Lock) -> str:

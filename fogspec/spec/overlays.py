@@ -1,22 +1,114 @@
 """Overlays: a spec merged with partial specs. Maps merge, lists whose items have names merge by name, others replace."""
 
-from collections.abc import Sequence
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
-from fogspec.base.yaml.positions import Node, find
+from fogspec.base.diagnostics import Diagnostic
+from fogspec.base.files import read_file
+from fogspec.base.yaml.positions import Node, find, span_of
+from fogspec.spec.documents import SourceMap, documents_in
+from fogspec.spec.suggest import closest
+
+NAME = ("metadata", "name")
+SUFFIXES = (".yaml", ".yml")
+VERSION = re.compile(rb"""^[{\s"']*apiVersion["']?\s*:(.*)$""", re.MULTILINE)
+KEYS = re.compile(rb"""^[{\s]{0,2}["']?(kind|metadata|spec)["']?\s*:""", re.MULTILINE)
 
 
-def merge(node: Node, overlays: Sequence[Sequence[Node]]) -> Node:
-    """Return the document merged with every overlay that applies to it, later ones on top.
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """The documents of a file of partial specs. One with a `metadata.name` applies to that application, others to all."""
 
-    An overlay's document with a `metadata.name` applies to the application of that name, one without to all.
-    """
-    name = find(node, ("metadata", "name"))
-    for documents in overlays:
-        for overlay in documents:
-            meant = find(overlay, ("metadata", "name"))
-            if meant is None or (name is not None and meant.value == name.value):
-                node = _over(node, overlay)
+    path: str
+    documents: tuple[Node, ...]
+
+    def applying(self, node: Node) -> list[Node]:
+        """Return the documents that apply to an application's."""
+        name = find(node, NAME)
+        return [
+            one
+            for one in self.documents
+            if (meant := find(one, NAME)) is None or (name is not None and meant.value == name.value)
+        ]
+
+    def unknown(self, names: Iterable[str], elsewhere: Sequence[str]) -> Iterator[Diagnostic]:
+        """Yield an error for each document that is meant for an application that is not there.
+
+        `names` are applications that were read; those in the folders `elsewhere` are looked up if a document names another.
+        """
+        known = set(names)
+        for one in self.documents:
+            meant = find(one, NAME)
+            if meant is None or (isinstance(meant.value, str) and meant.value in known):
+                continue
+            fix = "name an application of the specs, or leave metadata out for all"
+            if not isinstance(meant.value, str):
+                yield Diagnostic("FS551", "metadata.name is not the name of an application", span_of(one, NAME), fix)
+                continue
+            known |= names_in(elsewhere, meant.value)
+            if meant.value not in known:
+                near = closest(meant.value, sorted(known))
+                fix = f"did you mean {near}?" if near else fix
+                yield Diagnostic("FS551", f"no spec has an application named {meant.value}", span_of(one, NAME), fix)
+
+
+def merge(node: Node, overlays: Sequence[Overlay]) -> Node:
+    """Return the document merged with every overlay that applies to it, later ones on top."""
+    for overlay in overlays:
+        for document in overlay.applying(node):
+            node = _over(node, document)
     return node
+
+
+def names_in(folders: Iterable[str], wanted: str) -> set[str]:
+    """Return the names of the applications in the specs of these folders; only `wanted` if a spec has it."""
+    found = set[str]()
+    paths = {path: _content(path) for folder in folders for path in spec_files(folder)}
+    # Few specs have the text of a name, and parsing is what takes time.
+    for path in sorted(paths, key=lambda path: wanted.encode() not in paths[path]):
+        for node in documents_in(paths[path], path, SourceMap(), [])[0]:
+            name = find(node, NAME)
+            if name is not None and isinstance(name.value, str):
+                found.add(name.value)
+        if wanted in found:
+            return {wanted}
+    return found
+
+
+def spec_files(folder: str) -> list[str]:
+    """Return the files in a directory, at any depth, that are meant to be specs; hidden ones are left out."""
+    found = []
+    for parent, folders, files in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        paths = (os.path.join(parent, name) for name in sorted(files) if not name.startswith("."))
+        found += [path for path in paths if path.endswith(SUFFIXES) and _is_application(path)]
+    return found
+
+
+def _is_application(path: str) -> bool:
+    """Return whether the file is meant to be a spec, with or without mistakes.
+
+    It is not one of the other files that stand beside specs: parameters of ROS nodes, resources of Kubernetes, or what fogspec
+    wrote, also if it mentions fogspec.
+    """
+    try:
+        content = read_file(path, 1 << 20)
+    except OSError:
+        return True
+    if b"fogspec" not in content or content.startswith(b"# Generated by fogspec"):
+        return False
+    if versions := VERSION.findall(content):
+        return any(b"fog" in one for one in versions)
+    return KEYS.search(content) is not None
+
+
+def _content(path: str) -> bytes:
+    try:
+        return read_file(path, 1 << 20)
+    except OSError:
+        return b""
 
 
 def _over(below: Node, above: Node) -> Node:

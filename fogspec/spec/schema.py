@@ -9,8 +9,9 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, PrivateAttr, SerializerFunctionWrapHandler, model_serializer
 
+from fogspec.base.layout import DEFAULT_ENVIRONMENT
 from fogspec.base.quantities import (
     Cost,
     CountRange,
@@ -29,6 +30,9 @@ from fogspec.base.quantities import (
 API_VERSION = "fogspec.dev/v1alpha1"
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?$")]
+NameInEnvironment = Annotated[
+    str, Field(pattern=r"^[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?(@[a-z0-9]([-a-z0-9]{0,30}[a-z0-9])?)?$")
+]
 Identifier = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Pattern = Annotated[str, Field(pattern=r"^[^\s\\!](.*[^\s\\])?$")]
 Condition = Annotated[
@@ -670,6 +674,26 @@ class Application(Strict):
     )
     metadata: Metadata = Field(description="names the application", examples=[{"name": "grasp-planning"}])
     spec: Spec = Field(description="what to offload, what it must meet, and what may be spent")
+
+    # No document says it: the name of the file in environments/ does.
+    _environment: str = PrivateAttr(DEFAULT_ENVIRONMENT)
+
+    @property
+    def environment(self) -> str:
+        """The environment that its overlay was merged for."""
+        return self._environment
+
+    @property
+    def name(self) -> str:
+        """The name, with `@` and the environment behind it unless that is the default one."""
+        own = self._environment != DEFAULT_ENVIRONMENT
+        return f"{self.metadata.name}@{self._environment}" if own else self.metadata.name
+
+    def in_environment(self, environment: str) -> "Application":
+        """Return this application as the one of an environment."""
+        found = self.model_copy()
+        found._environment = environment
+        return found
 
 
 LOCAL_SHAPE = re.compile(r"^local/(?P<cpus>[1-9]\d*)cpu-(?P<memory_gib>[1-9]\d*)gib$")

@@ -90,7 +90,8 @@ def files_page() -> str:
         where, by = WHERE[kind]
         parts.append(f"| [{kind}](#{kind.lower()}) | `{where}` | {by} | `schemas/{kind}.json` |")
     parts.append(
-        "\nOther files: `compiled/NAME/*.svg` are charts, `report.html` the page of `fogspec report`, `*.launch.py` and "
+        "\nOther files: `environments/ENVIRONMENT.yaml` is an overlay, for which `compiled/NAME@ENVIRONMENT/` has menu and "
+        "manifest; `compiled/NAME/*.svg` are charts, `report.html` the page of `fogspec report`, `*.launch.py` and "
         "`link/` what both sides start; `compiled/agent.pyz` runs on every machine; `compiled/NAME/tasks/*.sky.yaml` and "
         "`deploy.sky.yaml` are SkyPilot tasks, as `sky launch` reads them; `.fogspec/` is live state and stays out of git."
     )

@@ -34,7 +34,7 @@ def _enclave(application: Application, side: str, nodes: Sequence[Node]) -> list
     if not named:
         return []
     inner = [f"        {line}" for node in named for line in _profile(application, node)]
-    path = xml(f"/{application.metadata.name.replace('-', '_')}/{side}")
+    path = xml(f"/{application.name.replace('-', '_').replace('@', '/')}/{side}")
     return [f'    <enclave path="{path}">', "      <profiles>", *inner, "      </profiles>", "    </enclave>"]
 
 

@@ -29,7 +29,7 @@ class WireGuard:
 
     def end(self, application: Application, side: Literal["cloud", "robot"]) -> LinkEnd:
         """Return the configuration of the tunnel for wg-quick."""
-        here, there = addresses(application.metadata.name)
+        here, there = addresses(application.name)
         if side == "cloud":
             here, there = there, here
         port = application.spec.connectivity.port or self.port

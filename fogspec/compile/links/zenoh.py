@@ -87,7 +87,7 @@ def router(application: Application, side: Literal["cloud", "robot"], port: int)
                 }
             }
         },
-        "access_control": access(application.metadata.name, peer, exposed(application.spec)),
+        "access_control": access(application.name, peer, exposed(application.spec)),
     }
 
 

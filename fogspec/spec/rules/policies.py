@@ -19,7 +19,6 @@ from pydantic import BaseModel
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.files import read_file
-from fogspec.base.layout import Layout
 from fogspec.base.signals import TookTooLong, processor_time
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import Node, Path, dotted, find, span_of
@@ -66,7 +65,7 @@ class Policies:
         """Return where the applications break a policy, and what is wrong with the policies themselves."""
         found: list[Diagnostic] = []
         for one in loaded:
-            root = Layout.of(one.path, one.application.metadata.name).root
+            root = one.layout.root
             broken = self._broken(APPLICATION, one.application, one.node, root)
             found += one.texts.shown(broken)
         return [*self._taken(), *found]
@@ -80,7 +79,7 @@ class Policies:
         """
         found: list[Diagnostic] = []
         for one in loaded:
-            layout = Layout.of(one.path, one.application.metadata.name)
+            layout = one.layout
             path = layout.manifest
             if not self._of(MANIFEST, layout.root) or not (path in known or layout.files.is_file(path)):
                 continue

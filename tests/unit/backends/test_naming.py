@@ -56,4 +56,4 @@ def test_no_job_has_the_name_of_another_owners_machine(tmp_path: Path) -> None:
 
 def test_an_owner_is_named_with_its_environment_where_it_has_one() -> None:
     assert str(Owner("github.com/a/b", "default", "demo")) == "demo of github.com/a/b"
-    assert str(Owner("github.com/a/b", "staging", "demo")) == "demo (staging) of github.com/a/b"
+    assert str(Owner("github.com/a/b", "staging", "demo")) == "demo@staging of github.com/a/b"
