@@ -1,19 +1,20 @@
 """Rename an application with its files, and remove the files of applications that have no spec any more."""
 
-from collections.abc import Collection, Iterator, Mapping
+import contextlib
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
 from fogspec.audit.sign import ATTESTATION
-from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.diagnostics import DiagnosticError, Span
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
 from fogspec.base.layout import Layout
 from fogspec.base.locks import application_lock
 from fogspec.base.text import count, shell_command
 from fogspec.base.units import dollars
-from fogspec.base.yaml.positions import span_of
+from fogspec.base.yaml.positions import find, plain, span_of
 from fogspec.base.yaml.writer import body_text, yaml_text
 from fogspec.bench.journal import JournalState
 from fogspec.compile.compiler import compile_application, try_compile
@@ -22,8 +23,10 @@ from fogspec.deploy.state import DeploymentState, WallClock
 from fogspec.plan.schema import Plan, PlanMetadata
 from fogspec.results.io import read_results
 from fogspec.results.schema import Results, with_checksum
-from fogspec.spec.loader import LoadedSpec, SourceFile, check_text
+from fogspec.spec.documents import SourceMap, documents_in
+from fogspec.spec.loader import LoadedSpec, SourceFile, check_text, load
 from fogspec.spec.lock_io import lock_text, read_lock
+from fogspec.spec.overlays import NAME as NAMED
 from fogspec.spec.render import render_document
 from fogspec.spec.schema import Name
 
@@ -60,13 +63,15 @@ def rename(one: LoadedSpec, name: str, known: Collection[str], times: WallClock,
     moves = before.spec.stem == old
     after = replace(before, name=name, spec=before.spec.with_stem(name) if moves else before.spec)
     _check_free(before, after, known)
-    with application_lock(before, f"mv of {old}", remove=True):
-        check_ended(before, times)
-        check_ended(after, times)
-        (inputs,) = Inputs.load([one.path], catalog=catalog, name=old, audit=True)
-        _check_compiles(inputs)
+    others = [other for other in load([one.path]) if other.base is not None and other.application.metadata.name == old]
+    layouts = [before, *(other.layout for other in others)]
+    with contextlib.ExitStack() as locks:
+        every = _idle(one, others, after, locks, times, catalog)
+        inputs = every[0]
         gone = [path for path in _own(before) if before.files.exists(path)]
+        gone += [path for layout in layouts[1:] for path in _compiled(layout) if before.files.exists(path)]
         text, results = _spec_text(one, name, after.spec), _results(before, after)
+        overlays = _overlay_texts(others, old, name)
         partial = _is_partial(inputs)
         # First what is beside the old files, then the spec in one step: a rename that is killed before leaves the old
         # application whole, one that is killed after it the new one; the rest are leftovers, which compile --prune removes.
@@ -80,16 +85,39 @@ def rename(one: LoadedSpec, name: str, known: Collection[str], times: WallClock,
         files.write(after.spec, text)
         if moves:
             files.remove(before.spec)
+        for path, content in overlays.items():
+            files.write(path, content)
         _relock(before, {old: name}, keep=False)
         if compiled_files(before):
-            (now,) = Inputs.load([after.spec], catalog=catalog, name=name, audit=True)
-            compile_application(now, partial).write()
+            compiled = {layout.environment for layout in layouts if compiled_files(layout)}
+            _compile(after, compiled, catalog, partial)
         for path in gone:
             files.remove(path)
-        _remove_empty(before)
-    if files.remove_folder(before.state):
-        files.remove_folder(before.state.parent)
+        for layout in layouts:
+            _remove_empty(layout)
+    for layout in layouts:
+        if files.remove_folder(layout.state):
+            files.remove_folder(layout.state.parent)
     return Renamed(before, after, tuple(files.files(before.compiled)) if files.is_folder(before.compiled) else ())
+
+
+def _idle(
+    one: LoadedSpec,
+    others: Sequence[LoadedSpec],
+    after: Layout,
+    locks: contextlib.ExitStack,
+    times: WallClock,
+    catalog: str | None,
+) -> list[Inputs]:
+    """Lock an application in all of its environments, and return their inputs; raise what `rename` does."""
+    for layout in (one.layout, *(other.layout for other in others)):
+        locks.enter_context(application_lock(layout, f"mv of {one.name}", remove=True))
+        check_ended(layout, times)
+    check_ended(after, times)
+    every = Inputs.load([], catalog=catalog, audit=True, loaded=[one, *others])
+    for inputs in every:
+        _check_compiles(inputs)
+    return every
 
 
 def check_ended(layout: Layout, times: WallClock) -> None:
@@ -140,9 +168,7 @@ def _spec_text(one: LoadedSpec, name: str, path: Path) -> bytes:
     span = span_of(one.node, ("metadata", "name"))
     content = one.texts.content[one.path]
     lines = content.decode("utf-8").split("\n")
-    text = lines[span.line - 1]
-    before, after = text[: span.column - 1], text[span.column - 1 + span.width :]
-    lines[span.line - 1] = f'{before}"{name}"{after}' if _needs_quotes(name) else f"{before}{name}{after}"
+    lines[span.line - 1] = _replaced(lines[span.line - 1], span, name)
     changed = "\n".join(lines).encode()
     found, _ = check_text(changed, str(path))
     documents = [render_document(loaded.application) for loaded in found]
@@ -158,9 +184,52 @@ def _spec_text(one: LoadedSpec, name: str, path: Path) -> bytes:
     return changed
 
 
+def _overlay_texts(others: Sequence[LoadedSpec], old: str, name: str) -> dict[Path, bytes]:
+    """Return the overlays of environments that name the application, with its other name and nothing else changed.
+
+    Raise InvalidInput for a name that is not written in a place of its own.
+    """
+    found: dict[Path, bytes] = {}
+    for one in others:
+        overlay = one.overlay
+        if overlay is None:
+            continue
+        named = [node for node in overlay.documents if (meant := find(node, NAMED)) is not None and meant.value == old]
+        lines = one.texts.content[overlay.path].decode("utf-8").split("\n")
+        for node in reversed(named):
+            span = span_of(node, NAMED)
+            lines[span.line - 1] = _replaced(lines[span.line - 1], span, name)
+        content = "\n".join(lines).encode()
+        wanted = [plain(node) for node in overlay.documents]
+        for document in wanted:
+            if isinstance(document, dict) and (document.get("metadata") or {}).get("name") == old:
+                document["metadata"]["name"] = name
+        if [plain(node) for node in documents_in(content, overlay.path, SourceMap(), [])[0]] != wanted:
+            raise InvalidInput(
+                f"{overlay.path}: the name {old} cannot be replaced here by itself",
+                f"write metadata.name: {old} in a line of its own, and run it again",
+            )
+        if named:
+            found[Path(overlay.path)] = content
+    return found
+
+
+def _replaced(line: str, span: Span, name: str) -> str:
+    """Return a line with the name in place of what is at the span."""
+    word = f'"{name}"' if _needs_quotes(name) else name
+    return f"{line[: span.column - 1]}{word}{line[span.column - 1 + span.width :]}"
+
+
 def _needs_quotes(name: str) -> bool:
     """Return whether YAML 1.1 or 1.2 could read the plain word as something else than text."""
     return not name[0].isalpha() or name in ("y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf")
+
+
+def _compile(layout: Layout, environments: Collection[str], catalog: str | None, partial: bool) -> None:
+    """Compile an application in these of its environments."""
+    for one in Inputs.load([layout.spec], catalog=catalog, audit=True):
+        if one.layout.application == layout.name and one.layout.environment in environments:
+            compile_application(one, partial).write()
 
 
 def _results(before: Layout, after: Layout) -> bytes | None:

@@ -292,3 +292,25 @@ def test_two_environments_run_beside_one_another(tiny: Deployed) -> None:
     assert "tiny@prod (no spec)" in tiny("ps").stdout
     assert "1 ended" in tiny("down", "tiny@prod").stdout
     assert tiny("ps").stderr.strip() == "nothing runs" or "nothing runs" in tiny("ps").stdout
+
+
+def test_a_renamed_application_keeps_its_environments(repo: Shell) -> None:
+    before = files(repo.folder)
+    repo("mv", "demo", "arm", *AT)
+    assert repo.read("environments/staging.yaml").startswith("metadata: {name: arm}\n")
+    assert repo.read("environments/prod.yaml") == PROD
+    assert set(files(repo.folder)) == {name.replace("/demo", "/arm") for name in before}
+    assert repo("ci", *AT).out.count("manifest verified") == 3
+    repo("mv", "arm", "demo", *AT)
+    assert files(repo.folder) == before
+    assert "an environment is named by its file" in repo("mv", "demo@prod", "arm", code=2).err
+
+
+def test_pruning_an_environment_leaves_what_is_shared(repo: Shell) -> None:
+    before = files(repo.folder)
+    (repo.folder / "environments/prod.yaml").unlink()
+    said = repo("compile", *AT, "--prune", "--yes")
+    assert "without a spec: demo@prod: " in said.err
+    after = files(repo.folder)
+    assert after == {name: one for name, one in before.items() if not name.startswith("compiled/demo@prod/")}
+    assert repo("ci", *AT).code == 0
