@@ -44,7 +44,7 @@ def conclusion() -> list[str]:
     answer = subprocess.run(
         [*FOGSPEC, "menu", NAME, "-o", "json"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=False
     )
-    menu: dict[str, Any] = json.loads(answer.stdout)[0]["spec"]
+    menu: dict[str, Any] = json.loads(answer.stdout)[0]
     found, _ = documents(RESULTS.read_text("utf-8"), str(RESULTS))
     samples = [one for one in plain(found[0])["spec"]["samples"] if one["state"] == "ok"]
     means = sorted(units.parse_duration_s(one["latency"]["mean"]) for one in samples)
@@ -54,10 +54,9 @@ def conclusion() -> list[str]:
     entry = menu["balanced"] or menu["nearest"]
     if entry is None:
         return _rows([*rows, ("chosen", "nothing: no sample counts"), ("next", f"fogspec bench {NAME} --runner local")])
-    latency = units.shown_duration(units.parse_duration_s(entry["latency"]))
-    met = f"within the limit of {menu['limits']['latency']}" if menu["balanced"] else "no machine meets the limits"
-    price = units.parse_price_usd_per_hour(entry["price"])
-    cost = units.shown_cost(units.parse_cost_usd_per_request(entry["cost"]))
+    latency, limit = (units.shown_duration(seconds) for seconds in (entry["latency_s"], menu["limits"]["latency_s"]))
+    met = f"within the limit of {limit}" if menu["balanced"] else "no machine meets the limits"
+    price, cost = entry["price_usd_per_hour"], units.shown_cost(entry["cost_usd_per_request"])
     return _rows(
         [
             *rows,

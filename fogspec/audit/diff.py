@@ -30,6 +30,12 @@ COSTS = {
     "request": ("expected", "cost", "predicted"),
     "latency": ("expected", "latency", "predicted"),
 }
+KEYS = {
+    "price": "price_usd_per_hour",
+    "month": "usd_per_month",
+    "request": "cost_usd_per_request",
+    "latency": "latency_s",
+}
 NAMES = {"price": "machine", "month": "a month", "request": "a request", "latency": "latency"}
 
 
@@ -262,7 +268,9 @@ def as_dict(one: Difference, running: Sequence[Change] | None = None) -> dict[st
         "differs": one.differs,
         "refused": one.refused,
         "changes": [_change(change) for change in one.changes],
-        "costs": {name: {"before": was, "after": now, "relative": rel} for name, (was, now, rel) in one.costs.items()},
+        "costs": {
+            KEYS[name]: {"before": number(was), "after": number(now)} for name, (was, now, _) in one.costs.items()
+        },
         "why": list(one.why),
         "to_measure": list(one.to_measure),
         "measuring_usd_at_most": one.measuring_usd,

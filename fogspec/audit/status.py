@@ -4,15 +4,17 @@ from collections.abc import Sequence
 from typing import Any
 
 from fogspec.audit.freshness import Status
-from fogspec.base import units
-from fogspec.base.text import paragraph, shell_command
-from fogspec.base.units import dollars, rounded
+from fogspec.base.text import paragraph
+from fogspec.base.units import dollars
 from fogspec.results.standing import ways_to_keep
 from fogspec.spec.schema import Waiver
 
 
-def as_text(one: Status, running: Sequence[str] = ()) -> str:
-    """Return the status as text, each stage with its reasons; `running` are lines about the deployment."""
+def as_text(one: Status, running: Sequence[str] = (), following: Sequence[str] = ()) -> str:
+    """Return the status as text, each stage with its reasons.
+
+    `running` are lines about the deployment, `following` about what comes next.
+    """
     lines = [one.layout.name]
     for stage in one.stages:
         lines.append(f"  {stage.name:<9} {stage.state:<8} {stage.path}")
@@ -23,21 +25,7 @@ def as_text(one: Status, running: Sequence[str] = ()) -> str:
         lines.append(f"  cannot be compiled: {one.refused}")
     budget = "" if one.budget_usd is None else f" of a budget of {dollars(one.budget_usd)}"
     lines.append(f"  {'spent':<9} {dollars(one.spent_usd)}{budget}")
-    return paragraph([*lines, *running, *_next(one)])
-
-
-def interval_text(ends_s: tuple[float, float] | None) -> str:
-    """Format an interval, such as ` [1.58s, 1.72s]`; an empty string for None."""
-    return "" if ends_s is None else f" [{', '.join(units.format_duration(rounded(end)) for end in ends_s)}]"
-
-
-def _next(one: Status) -> list[str]:
-    states = {stage.name: stage.state for stage in one.stages}
-    if one.fresh or one.artifacts is None:
-        return []
-    if states.get("plan") == "fresh" and (one.to_measure or states.get("results") == "partial"):
-        return [f"next: {one.artifacts.plan.bench_command(one.layout.spec)}"]
-    return [f"next: {shell_command('fogspec', 'compile', one.layout.spec)}"]
+    return paragraph([*lines, *running, *following])
 
 
 def _suggested(one: Status) -> Sequence[Waiver]:

@@ -1,15 +1,18 @@
 """The one way to the terminal: everything that is printed passes here, and no text from a file can steer a terminal."""
 
+import contextlib
 import errno
 import json
 import os
 import re
-import shutil
 import sys
+from collections.abc import Iterator
+from enum import IntEnum
 from typing import IO, TYPE_CHECKING, Any
 
 import click
 
+from fogspec.base.clock import SystemClock
 from fogspec.base.text import json_text, line, visible
 
 if TYPE_CHECKING:
@@ -19,14 +22,78 @@ if TYPE_CHECKING:
 GONE = (errno.EIO, errno.EPIPE)  # what a write to a closed terminal or pipe fails with
 MARK = f"\0{os.urandom(8).hex()}"
 STYLE = re.compile(f"{MARK}([0-9;]*)m")
-LEAST_COLUMNS = 40
+LEAST_COLUMNS, USUAL_COLUMNS = 40, 80
 DRAWN = re.compile(r" *[\d.$µms ]*[|+]|[<>=]{7}")  # a line of a chart, or of a source file with its number
+COPIED = re.compile(r" *(next: |\$ )?fogspec \S")  # a command: a break would be copied too
 HANGING = re.compile(r" *\S+(?: \S+)? {2,}| +")
+
+
+class Verbosity(IntEnum):
+    """How much is printed besides errors and the result."""
+
+    QUIET = -1
+    NORMAL = 0
+    VERBOSE = 1
+
+
+_verbosity = Verbosity.NORMAL
+
+
+def set_verbosity(wanted: Verbosity) -> None:
+    """Set how much this process prints from now on."""
+    global _verbosity
+    _verbosity = wanted
+
+
+def is_quiet() -> bool:
+    """Return whether only errors and the result are printed."""
+    return _verbosity is Verbosity.QUIET
+
+
+def is_verbose() -> bool:
+    """Return whether details are printed too."""
+    return _verbosity is Verbosity.VERBOSE
 
 
 def say(*lines: str, err: bool = False) -> None:
     """Print lines, of which none can become two."""
-    say_text("\n".join(map(line, lines)), err=err)
+    if lines:
+        say_text("\n".join(map(line, lines)), err=err)
+
+
+def note(*lines: str) -> None:
+    """Print lines on standard error that are neither an error nor the result; nothing with `--quiet`."""
+    if lines and not is_quiet():
+        say(*lines, err=True)
+
+
+def detail(*lines: str) -> None:
+    """Print lines on standard error with `--verbose`."""
+    if lines and is_verbose():
+        say(*(f"verbose: {one}" for one in lines), err=True)
+
+
+@contextlib.contextmanager
+def timed(stage: str) -> Iterator[None]:
+    """Print with `--verbose` how long a stage took."""
+    clock = SystemClock()
+    began_s = clock.now_s()
+    yield
+    detail(f"{stage} took {clock.now_s() - began_s:.2f} s")
+
+
+def columns(err: bool = False) -> int:
+    """Return the width of the terminal, or the environment's COLUMNS; 80 where neither says one."""
+    try:
+        wide = int(os.environ.get("COLUMNS", ""))
+    except ValueError:
+        wide = 0
+    if wide <= 0:
+        try:
+            wide = os.get_terminal_size((sys.stderr if err else sys.stdout).fileno()).columns
+        except (OSError, ValueError, AttributeError):
+            wide = USUAL_COLUMNS
+    return max(wide or USUAL_COLUMNS, LEAST_COLUMNS)
 
 
 def say_text(text: str, *, err: bool = False, end: str = "\n", color: bool | None = None) -> None:
@@ -36,7 +103,7 @@ def say_text(text: str, *, err: bool = False, end: str = "\n", color: bool | Non
     """
     color = has_color(err) if color is None else color
     if (sys.stderr if err else sys.stdout).isatty():
-        text = wrapped(text, shutil.get_terminal_size().columns)
+        text = wrapped(text, columns(err))
     parts = STYLE.split(text)
     parts[::2] = map(visible, parts[::2])
     parts[1::2] = [f"\x1b[{codes}m" if color else "" for codes in parts[1::2]]
@@ -46,15 +113,16 @@ def say_text(text: str, *, err: bool = False, end: str = "\n", color: bool | Non
 def wrapped(text: str, width: int) -> str:
     """Return text whose lines are at most `width` cells wide, broken at blanks; rows keep their column.
 
-    A line of a chart or of a file that is shown stays as it is. `styled` parts take no cells.
+    A line of a chart, of a file that is shown, or with a command stays as it is. `styled` parts take no cells.
     """
     return "\n".join(_wrapped_line(one, max(width, LEAST_COLUMNS)) for one in text.split("\n"))
 
 
 def _wrapped_line(text: str, width: int) -> str:
-    if len(STYLE.sub("", text)) <= width or DRAWN.match(STYLE.sub("", text)):
+    plain = STYLE.sub("", text)
+    if len(plain) <= width or DRAWN.match(plain) or COPIED.match(plain):
         return text
-    lead = HANGING.match(STYLE.sub("", text))
+    lead = HANGING.match(plain)
     indent = " " * (len(lead[0]) if lead and len(lead[0]) <= width // 3 else 2)
     lines, now = [], ""
     for word in re.split(r"(?<=\S) (?=\S)", text):

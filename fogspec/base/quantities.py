@@ -1,9 +1,10 @@
 """Field types of the spec: floats in base units, read from and written as text with a unit."""
 
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -17,6 +18,7 @@ from pydantic import (
     WithJsonSchema,
     model_serializer,
 )
+from pydantic_core import to_jsonable_python
 
 from fogspec.base import units
 from fogspec.base.units import Range, UnitError
@@ -148,3 +150,48 @@ Rate = Annotated[float, *_quantity(units.parse_rate_per_s, units.format_rate, _R
 Percent = Annotated[float, *_quantity(units.parse_percent, units.format_percent, rf"{_N}\s*%", "5%")]
 CountRange = Annotated[Range, *_range(units.parse_count, units.format_number, _N, "2..64", number=True)]
 MemoryRange = Annotated[Range, *_range(units.parse_memory_gib, units.format_memory, _M, "4GiB..512GiB")]
+
+# The ends of keys whose values are numbers in base units, by what writes the quantity as text.
+SUFFIXES: dict[Callable[..., str], str] = {
+    units.format_duration: "_s",
+    units.format_memory: "_gib",
+    units.format_money: "_usd",
+    units.format_cost: "_usd_per_request",
+    units.format_price: "_usd_per_hour",
+    units.format_transfer: "_usd_per_gib",
+    units.format_rate: "_per_s",
+    units.format_percent: "_fraction",
+}
+
+
+def as_numbers(value: Any) -> Any:
+    """Return a value as programs read it in JSON: a quantity is a number in base units, whose key ends with the unit.
+
+    A machine has `memory_gib` and `price_usd_per_hour`, where a file has `memory: 16GiB` and `price: $0.526/h`.
+    """
+    if isinstance(value, BaseModel):
+        added = value.ADDED if isinstance(value, Lean) else frozenset[str]()
+        fields = {name: (field, getattr(value, name)) for name, field in type(value).model_fields.items()}
+        return {
+            f"{name}{_suffix(field.annotation, field.metadata)}": as_numbers(one)
+            for name, (field, one) in fields.items()
+            if one or name not in added
+        }
+    if isinstance(value, Mapping):
+        return {str(name): as_numbers(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [as_numbers(one) for one in value]
+    if isinstance(value, float):
+        return _whole(value) if math.isfinite(value) else None
+    return to_jsonable_python(value)
+
+
+def _suffix(annotation: Any, metadata: Sequence[Any] = ()) -> str:
+    """Return how the key of a field ends whose value, or each item of it, is a quantity of this type; empty for others."""
+    if get_origin(annotation) is Annotated:
+        annotation, *more = get_args(annotation)
+        metadata = (*metadata, *more)
+    for one in metadata:
+        if isinstance(one, PlainSerializer) and (found := SUFFIXES.get(one.func)) is not None:
+            return found
+    return next(filter(None, (_suffix(one) for one in get_args(annotation) if one is not type(None))), "")

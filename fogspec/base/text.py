@@ -4,9 +4,11 @@ A name in a checkout may hold terminal escapes, Markdown, markup or a change of 
 as it is, and shows what cannot be seen as an escape: `\\x1b`, `\\u202e`.
 """
 
+import itertools
 import re
 import shlex
-from collections.abc import Iterable
+import textwrap
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 # What a terminal obeys or a reader cannot see: controls, zero-width and direction marks, tags, separators, and surrogates.
@@ -106,3 +108,50 @@ def _json_escape(code: int) -> str:
     if code < 0x10000:
         return f"\\u{code:04x}"
     return f"\\u{0xD800 + (code - 0x10000 >> 10):04x}\\u{0xDC00 + (code & 0x3FF):04x}"
+
+
+def table(rows: Sequence[Sequence[str]], width: int, indent: int = 2) -> list[str]:
+    """Return the lines of a table whose first row has the headings, at most `width` wide where its longest words fit.
+
+    Where it would be wider, headings are broken at blanks first, then cells.
+    """
+    columns = list(zip(*rows, strict=True))
+    wide = [max(map(len, column)) for column in columns]
+    words = [max((len(word) for cell in column for word in cell.split(" ")), default=0) for column in columns]
+    bodies = [
+        max(word, *map(len, column[1:])) if column[1:] else word for word, column in zip(words, columns, strict=True)
+    ]
+    room = width - indent - 2 * (len(columns) - 1)
+    for least in (bodies, words):
+        while sum(wide) > room and any(map(int.__gt__, wide, least)):
+            at = max((n for n in range(len(wide)) if wide[n] > least[n]), key=lambda n: wide[n])
+            wide[at] -= 1
+    lines = []
+    for row in rows:
+        cells = [textwrap.wrap(cell, size, break_long_words=False, break_on_hyphens=False) or [""]
+                 for cell, size in zip(row, wide, strict=True)]  # fmt: skip
+        for parts in itertools.zip_longest(*cells, fillvalue=""):
+            text = "  ".join(part.ljust(size) for part, size in zip(parts, wide, strict=True))
+            lines.append((" " * indent + text).rstrip())
+    return lines
+
+
+def blocks(rows: Sequence[Sequence[str]], width: int, keys: int = 1) -> list[str]:
+    """Return the lines of a table of figures, at most `width` wide: in several blocks if need be, each with the first columns.
+
+    The first row has the headings; the first `keys` columns are aligned to the left, the others to the right.
+    """
+    wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lead = sum(wide[:keys]) + 2 * (keys - 1)
+    parts: list[list[int]] = [[]]
+    for n in range(keys, len(wide)):
+        if parts[-1] and lead + sum(wide[i] + 2 for i in (*parts[-1], n)) > width:
+            parts.append([])
+        parts[-1].append(n)
+    lines: list[str] = []
+    for part in parts:
+        lines += [""] if lines else []
+        for row in rows:
+            names = [row[n].ljust(wide[n]) for n in range(keys)]
+            lines.append("  ".join([*names, *(row[n].rjust(wide[n]) for n in part)]).rstrip())
+    return lines

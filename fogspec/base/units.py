@@ -293,7 +293,7 @@ def dollars(usd: float) -> str:
 def short_dollars(usd: float) -> str:
     """Return `$0.0015`, with three significant digits and no exponent."""
     digits = max(0, 2 - math.floor(math.log10(usd))) if usd > 0 else 0
-    text = f"{usd:.{digits}f}"
+    text = f"{usd:,.{digits}f}"
     return "$" + (text.rstrip("0").rstrip(".") if "." in text else text)
 
 
@@ -306,13 +306,23 @@ def shown(value: float, digits: int = 3) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def shown_duration(seconds: float) -> str:
-    """Return `1.65 s`, `26 ms`, `10 min`, for people."""
+def shown_duration(seconds: float, digits: int = 3) -> str:
+    """Return `1.65 s`, `26 ms`, `10 min`, for people, with so many significant digits."""
     steps = ((1e-3, 1e-6, "µs"), (1.0, 1e-3, "ms"), (120.0, 1.0, "s"), (7200.0, 60.0, "min"), (math.inf, 3600.0, "h"))
     if not seconds:
         return "0 s"
     scale, unit = next((scale, unit) for below, scale, unit in steps if seconds < below)
-    return f"{shown(seconds / scale)} {unit}"
+    return f"{shown(seconds / scale, digits)} {unit}"
+
+
+def shown_interval(ends_s: tuple[float, float] | None) -> str:
+    """Return ` [1.56, 1.74]`, for people, with a space before it; units are left out that the upper end has too."""
+    if ends_s is None:
+        return ""
+    low, high = map(shown_duration, ends_s)
+    unit = high.rpartition(" ")[2]
+    same = low.rpartition(" ")[2] == unit
+    return f" [{low.removesuffix(f' {unit}')}, {high.removesuffix(f' {unit}')}]" if same else f" [{low}, {high}]"
 
 
 def shown_price(usd_per_hour: float) -> str:

@@ -11,8 +11,8 @@ from rich.text import Text
 
 from fogspec.base.console import live_console
 from fogspec.base.text import line
-from fogspec.base.units import dollars
-from fogspec.bench.progress import Tail, machine, seconds, verdict
+from fogspec.base.units import shown_duration
+from fogspec.bench.progress import Tail, Totals, machine, seconds, verdict
 from fogspec.bench.types import Event, EventKind
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
@@ -28,16 +28,17 @@ class LiveTable:
     """
 
     def __init__(self, samples: Sequence[Sample], steps: int | None, budget_usd: float | None,
-                 now_s: Callable[[], float], console: Console | None = None, warmup: int = 0) -> None:  # fmt: skip
+                 now_s: Callable[[], float], console: Console | None = None, warmup: int = 0,
+                 more: bool = False) -> None:  # fmt: skip
         self._samples = {sample.id: sample for sample in samples}
-        self._steps, self._budget_usd, self._now_s, self._warmup = steps, budget_usd, now_s, warmup
+        self._steps, self._now_s, self._warmup = steps, now_s, warmup
+        self._totals = Totals(samples, budget_usd, now_s, more)
         self._console = console or live_console()
         self._state: dict[str, str] = {}
         self._tails: dict[str, Tail] = {}
         self._began: dict[str, float] = {}
         self._ends: dict[str, float] = {}
         self._records: dict[str, Measured] = {}
-        self._money = ""
         self._live = Live(console=self._console, get_renderable=self.table, refresh_per_second=4, transient=True)
 
     def __enter__(self) -> Self:
@@ -62,12 +63,11 @@ class LiveTable:
             self._tails.setdefault(name, Tail()).update(event.status)
         if event.record is not None:
             self._records[name] = event.record
-        of = "" if self._budget_usd is None else f" of {dollars(self._budget_usd)}"
-        self._money = f"spent {dollars(event.spent_usd)}{of}, committed at most {dollars(event.committed_usd)}"
+        self._totals.take(event)
 
     def table(self) -> Table:
         """Return the table as of now."""
-        table = Table(box=box.SIMPLE, caption=self._money)
+        table = Table(box=box.SIMPLE, caption=self._totals.line(), caption_justify="left")
         shown = [n for n, title in enumerate(COLUMNS) if title != "machine" or self._console.width >= WIDE]
         for n in shown:
             table.add_column(COLUMNS[n], no_wrap=n == 0)
@@ -88,6 +88,6 @@ class LiveTable:
         return [
             name, machine(sample), self._state.get(name, "waits"),
             f"{count}{'' if self._steps is None else f' of {self._steps}'}" if count else "",
-            "" if mean_s is None else seconds(mean_s), "" if took is None else f"{took:.0f} s",
-            "" if left is None else f"at most {left:.0f} s",
+            "" if mean_s is None else seconds(mean_s), "" if took is None else shown_duration(round(took)),
+            "" if left is None else f"at most {shown_duration(round(left))}",
         ]  # fmt: skip

@@ -1,7 +1,7 @@
 """Progress of a benchmark: one line or one JSON object per change; `fogspec.bench.live_table` has the table."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,8 +11,10 @@ from fogspec.agent.redaction import Secrets
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base import units
 from fogspec.base.files import open_untrusted
+from fogspec.base.quantities import as_numbers
 from fogspec.base.redaction import redact_files
-from fogspec.base.units import rounded
+from fogspec.base.text import count
+from fogspec.base.units import dollars
 from fogspec.bench.types import Event, EventKind
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
@@ -74,11 +76,77 @@ class Tail:
         return self.total_s / self.ok if self.ok else None
 
 
-class Lines:
-    """One line per change."""
+class Totals:
+    """Progress of a whole bench; `more` says that samples may follow that are not planned yet.
 
-    def __init__(self, write: Callable[[str], None]) -> None:
-        self._write = write
+    The time left is estimated from the samples that this bench has finished, and from how many it ran at once.
+    """
+
+    def __init__(
+        self, samples: Sequence[Sample], budget_usd: float | None, now_s: Callable[[], float], more: bool = False
+    ) -> None:
+        self._planned = {sample.id for sample in samples}
+        self._budget_usd, self._now_s, self._more = budget_usd, now_s, more
+        self._done: set[str] = set()
+        self._began: dict[str, float] = {}
+        self._took_s: list[float] = []
+        self._at_once = 0
+        self._money = ""
+
+    def take(self, event: Event) -> None:
+        """Count the event."""
+        name = event.sample.id
+        self._planned.add(name)
+        if event.kind is EventKind.STARTS:
+            self._done.discard(name)
+            self._began[name] = self._now_s()
+            self._at_once = max(self._at_once, len(self._began))
+        elif event.kind in FINAL:
+            began = self._began.pop(name, None)
+            if event.kind is EventKind.UNWANTED:
+                self._planned.discard(name)
+            elif event.kind is EventKind.DONE:
+                self._done.add(name)
+                if began is not None:
+                    self._took_s.append(self._now_s() - began)
+        of = "" if self._budget_usd is None else f" of {dollars(self._budget_usd)}"
+        committed = f", committed at most {dollars(event.committed_usd)}" if event.committed_usd else ""
+        self._money = f"; spent {dollars(event.spent_usd)}{of}{committed}"
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds until all planned samples are done, if they take as long as those before; None before one is."""
+        if not self._took_s:
+            return None
+        each_s, now_s = sum(self._took_s) / len(self._took_s), self._now_s()
+        running_s = sum(max(each_s - (now_s - began), 0.0) for began in self._began.values())
+        waiting = len(self._planned - self._done - self._began.keys())
+        return (running_s + each_s * waiting) / max(self._at_once, 1)
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """How many samples are done, and how many are planned so far."""
+        return len(self._done), len(self._planned)
+
+    def line(self) -> str:
+        """Return the totals in one line, and what the time left rests on."""
+        done, planned = self.counts
+        text = f"{done} of {count(planned, 'sample')} done{', more may follow' if self._more else ''}{self._money}"
+        left_s = self.left_s
+        if done >= planned:
+            return text
+        if left_s is None:
+            return f"{text}; time left: known once a sample is done"
+        each = units.shown_duration(sum(self._took_s) / len(self._took_s), 2)
+        basis = f"{count(len(self._took_s), 'sample')} took {each}{' each' if len(self._took_s) > 1 else ''}"
+        return f"{text}; about {units.shown_duration(left_s, 2)} left, as {basis}"
+
+
+class Lines:
+    """One line per change, and the totals whenever a sample is done."""
+
+    def __init__(self, write: Callable[[str], None], totals: Totals | None = None) -> None:
+        self._write, self._totals = write, totals
         self._last: dict[str, str] = {}
 
     def __enter__(self) -> Self:
@@ -96,13 +164,17 @@ class Lines:
         if self._last.get(event.sample.id) != text:
             self._last[event.sample.id] = text
             self._write(f"{event.sample.id} ({machine(event.sample)}) {text}")
+        if self._totals is not None:
+            self._totals.take(event)
+            if event.kind is EventKind.DONE:
+                self._write(self._totals.line())
 
 
 class Events:
-    """One JSON object per change."""
+    """One JSON object per change, with the totals."""
 
-    def __init__(self, write: Callable[[str], None]) -> None:
-        self._write = write
+    def __init__(self, write: Callable[[str], None], totals: Totals | None = None) -> None:
+        self._write, self._totals = write, totals
         self._last: dict[str, str] = {}
 
     def __enter__(self) -> Self:
@@ -120,12 +192,16 @@ class Events:
             "logs": None if event.folder is None else str(event.folder),
             "spent_usd": event.spent_usd,
             "committed_usd": event.committed_usd,
-            "record": None if event.record is None else event.record.model_dump(mode="json", exclude_none=True),
+            "record": None if event.record is None else as_numbers(event.record),
         }
         text = json.dumps(facts)
+        if self._totals is not None:
+            self._totals.take(event)
+            done, planned = self._totals.counts
+            facts |= {"samples_done": done, "samples_planned": planned, "left_s": self._totals.left_s}
         if self._last.get(event.sample.id) != text:
             self._last[event.sample.id] = text
-            self._write(text)
+            self._write(json.dumps(facts))
 
 
 @dataclass(slots=True)
@@ -168,4 +244,4 @@ def outcome(record: Measured) -> str:
 
 def seconds(value: float) -> str:
     """Return a latency with three significant digits."""
-    return units.format_duration(rounded(value, 3))
+    return units.shown_duration(value)

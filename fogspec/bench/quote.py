@@ -104,7 +104,7 @@ class Quote:
         for sample in self.todo:
             machine = sample.machine
             price = (
-                f"{units.format_price(machine.price)}, at most {dollars(self.usd(sample))}" if machine.price else "free"
+                f"{units.shown_price(machine.price)}, at most {dollars(self.usd(sample))}" if machine.price else "free"
             )
             yield f"  {sample.id}: {machine.infra} {machine.instance}, {price}"
 

@@ -1,13 +1,13 @@
 """The menu: the named choices and the Pareto fronts, as people and programs read them."""
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base import units
-from fogspec.base.quantities import Cost, Duration, Lean, Strict
+from fogspec.base.quantities import Cost, Duration, Lean, Strict, as_numbers
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
@@ -16,6 +16,7 @@ from fogspec.plan.schema import EnvironmentMetadata
 from fogspec.spec.schema import Application, Billing, Statistic, Usage
 
 LEVEL = 0.9
+LIMIT_UNITS = {"latency": "s", "rate": "s", "cost": "usd_per_request", "price": "usd_per_hour"}
 SHOWN = 40
 
 
@@ -139,6 +140,70 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
         warnings=warnings,
     )
     return Menu(metadata=EnvironmentMetadata(name=application.name), spec=body)
+
+
+def shown_limit(name: str, value: float, unit: str = "") -> str:
+    """Return a bound or a value of a limit for people, with three significant digits."""
+    match LIMIT_UNITS.get(name):
+        case "s":
+            return units.shown_duration(value)
+        case "usd_per_request":
+            return units.shown_cost(value)
+        case "usd_per_hour":
+            return units.shown_price(value)
+        case _:
+            return f"{units.shown(value)} {unit}".strip()
+
+
+def shown_text(name: str, text: str) -> str:
+    """Return for people what `limit_text` wrote."""
+    return shown_limit(name, _limit_number(name, text)[1], text.partition(" ")[2])
+
+
+def menu_data(menu: Menu) -> dict[str, Any]:
+    """Return a menu as programs read it: numbers, with the unit in the key."""
+    body = menu.spec
+    found: dict[str, Any] = as_numbers(body)
+    for name, texts in (("limits", body.limits), ("scale", body.scale)):
+        found[name] = dict(_limit_number(limit, text) for limit, text in texts.items())
+    found["missed"] = [
+        {
+            **as_numbers(one),
+            "unit": LIMIT_UNITS.get(one.limit, one.bound.partition(" ")[2]),
+            "bound": _limit_number(one.limit, one.bound)[1],
+            "nearest_value": _limit_number(one.limit, one.nearest_value)[1],
+        }
+        for one in body.missed
+    ]
+    for name in ("balanced", "cheapest", "fastest", "least", "nearest"):
+        found[name] = entry_data(getattr(body, name))
+    for name in ("front", "hourly_front"):
+        found[name] = [entry_data(one) for one in getattr(body, name)]
+    return {"name": menu.metadata.name, **found}
+
+
+def _limit_number(name: str, text: str) -> tuple[str, float]:
+    """Return the key and the number of what `limit_text` wrote."""
+    unit = LIMIT_UNITS.get(name)
+    match unit:
+        case "s":
+            value = units.parse_duration_s(text)
+        case "usd_per_request":
+            value = units.parse_cost_usd_per_request(text)
+        case "usd_per_hour":
+            value = units.parse_price_usd_per_hour(text)
+        case _:
+            value = float(text.partition(" ")[0])
+    return (f"{name}_{unit}" if unit else name), value
+
+
+def entry_data(entry: Entry | None) -> dict[str, Any] | None:
+    """Return an entry as programs read it; None for none."""
+    if entry is None:
+        return None
+    found: dict[str, Any] = as_numbers(entry)
+    del found["month"]
+    return {**found, "usd_per_month": float(entry.month.removeprefix("$").removesuffix("/month"))}
 
 
 def _solve_intervals(choice: Choice) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import click
 
 from fogspec import __version__
-from fogspec.base.console import say
+from fogspec.base.console import Verbosity, say, set_verbosity
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, UsageError
 
@@ -87,6 +87,31 @@ VERBS = {
 }
 
 
+def _verbosity(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    if not wanted:
+        return
+    root = context.find_root()
+    if root.meta.setdefault("verbosity", parameter.name) != parameter.name:
+        raise click.UsageError("--quiet and --verbose exclude each other", context)
+    set_verbosity(Verbosity.QUIET if parameter.name == "quiet" else Verbosity.VERBOSE)
+
+
+VERBOSITY = (
+    ("-q", "--quiet", "print only errors and the result"),
+    ("-v", "--verbose", "also print which files are read, with their digests, and how long each stage takes"),
+)
+
+
+def _add_verbosity(command: click.Command) -> None:
+    """Add the options that each command has."""
+    if not any(one.name == "quiet" for one in command.params):
+        for short, long, text in VERBOSITY:
+            option = click.Option([short, long], is_flag=True, expose_value=False, callback=_verbosity, help=text)
+            command.params.append(option)
+    for inner in command.commands.values() if isinstance(command, click.Group) else ():
+        _add_verbosity(inner)
+
+
 class _Verbs(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
@@ -99,6 +124,7 @@ class _Verbs(click.Group):
             raise UsageError(f"there is no command {name}", *hints)
         module = importlib.import_module(f"fogspec.cli.{name}")
         command: click.Command = module.command
+        _add_verbosity(command)
         command.epilog = f"\b\nExample: {EXAMPLES[name]}\n{EXITS}"
         return command
 
@@ -120,6 +146,9 @@ def fogspec() -> None:
     """Find the right cloud machine for a robot's ROS 2 nodes, from measurements, and pin it in a pull request."""
 
 
+_add_verbosity(fogspec)
+
+
 def usage(wrong: click.ClickException) -> list[str]:
     """Return what click says of a wrong command line, as lines."""
     found = [f"error: {wrong.format_message().removesuffix('.')}"]
@@ -131,8 +160,11 @@ def usage(wrong: click.ClickException) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the documented exit code."""
+    set_verbosity(Verbosity.NORMAL)
     try:
-        ended = fogspec.main(args=list(arguments) if arguments is not None else None, standalone_mode=False)
+        ended = fogspec.main(
+            args=list(arguments) if arguments is not None else None, prog_name="fogspec", standalone_mode=False
+        )
         code = ended if isinstance(ended, int) else 0
     except click.ClickException as wrong:
         say(*usage(wrong), err=True)

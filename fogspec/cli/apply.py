@@ -8,7 +8,8 @@ import click
 from fogspec.base.console import ask, say, say_json, say_on
 from fogspec.base.errors import Refused
 from fogspec.base.text import shell_command
-from fogspec.base.units import format_price, parse_price_usd_per_hour
+from fogspec.base.units import parse_price_usd_per_hour, shown_price
+from fogspec.cli.next_steps import next_command, same_command, say_next
 from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_policies, open_manifest, quantity
 
 if TYPE_CHECKING:
@@ -78,23 +79,27 @@ def command(
     ordered = launch_plan(opened, _prices(opened, prices), _price(most), resolve_image, Registry().digest)
     say(*as_text(ordered), err=True)
     if dry_run:
+        if output == "text":
+            say_next(same_command(without="dry_run"))
         return
     applied = apply(ordered, deployment_backend, SystemWallClock(), say_on, lambda: _ask(yes))
     machine = applied.machine
     if output == "json":
-        found = {"changed": applied.changed, "waited_s": applied.waited_s, **machine.model_dump(mode="json")}
+        from fogspec.base.quantities import as_numbers
+
+        found = {"changed": applied.changed, "waited_s": applied.waited_s, **as_numbers(machine)}
         say_json(found, indent=None)
         return
-    what = f"{machine.machine.instance} in {machine.machine.infra}, {format_price(machine.machine.price)}"
+    what = f"{machine.machine.instance} in {machine.machine.infra}, {shown_price(machine.machine.price)}"
     if applied.kept:
         say(f"{opened.layout.name}: the machine stays, under the new manifest: {what}, at {machine.address}")
     elif applied.changed:
         say(f"{opened.layout.name}: runs on {what}, at {machine.address}; answered after {applied.waited_s:.1f} s")
         if opened.manifest.spec.robot_launch is not None:
             say(f"on the robot: {shell_command('ros2', 'launch', opened.layout.robot)}")
-        say(f"next: {shell_command('fogspec', 'status', opened.layout.argument)}")
     else:
         say(f"{opened.layout.name}: no changes; runs on {what}, at {machine.address}")
+    say_next(next_command("status", opened.layout.argument))
 
 
 def _prices(opened: "ManifestBundle", origin: str | None) -> "Catalog":

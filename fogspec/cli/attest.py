@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from fogspec.base.console import say, say_text
+from fogspec.cli.next_steps import next_command, say_next
 from fogspec.cli.options import CATALOG, MANIFEST, open_manifest
 
 
@@ -36,3 +37,5 @@ def command(manifest: str, catalog_path: str | None, key: str | None, out: Path 
     else:
         write_output(out, text.encode())
         say(f"{out}: {'signed with ' + key if key else 'not signed'}")
+        if key is not None:
+            say_next(next_command("verify", opened.layout.manifest, "--attestation", out, "--key", "PUBLIC.pem"))

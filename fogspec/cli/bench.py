@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.console import ask, say, say_json
+from fogspec.base.console import ask, is_quiet, note, say, say_json
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
 from fogspec.base.text import shell_command
+from fogspec.cli.next_steps import next_command, same_command, say_next
 from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from, load_named, require_ready
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ def command(
     names = [name.strip() for name in only.split(",") if name.strip()]
     if confirm and names:
         raise UsageError("--confirm and --only exclude each other", "--confirm measures the chosen machine")
-    unusable, refuted = [], []
+    unusable, refuted, measures = [], [], False
     known: dict[Path, SourceFile] = {}
     applications = applications_of(spec)
     _check_measured(applications)
@@ -125,6 +126,7 @@ def command(
         if prices is not None:
             check_prices(prepared.todo, prices, shell_command("fogspec", "compile", prepared.layout.spec))
         if dry_run:
+            measures |= bool(offering.todo) or offering.adaptive
             say(*offering.lines(), *_payoff(prepared, catalog, priors))
             continue
         _check_needed(prepared, backend)
@@ -133,12 +135,15 @@ def command(
         _confirm(offering, yes)
         library = _library(prepared, priors) if catalog is not None else None
         terms = BenchOptions(max_usd, resume, catalog, prices, library, expected)
-        benched = bench(prepared, backend, lambda campaign, p=prepared: _watcher(campaign, p, output), terms)  # type: ignore[misc]
+        watcher = partial(_watcher, prepared=prepared, output=output, more=offering.adaptive)
+        benched = bench(prepared, backend, watcher, terms)
         _report(prepared, benched, output)
         if not any(record.state == "ok" for record in benched.results.spec.samples):
             unusable.append(prepared.layout.name)
         if expected is not None and benched.confirmed is None:
             refuted.append(prepared.layout.name if benched.compared else f"{prepared.layout.name} (not measured)")
+    if dry_run and output == "text":
+        say_next(same_command(without="dry_run") if measures else next_command("compile", applications[0].path))
     if unusable:
         raise InvalidInput(
             f"{', '.join(unusable)}: no sample could be measured", "the lines above say why, and where the logs are"
@@ -156,19 +161,15 @@ def _require_confirmed(refuted: "Sequence[str]") -> None:
 
 def _offer(prepared: "Prepared", backend: "SampleBackend", offering: "Quote", expected: "Expected | None") -> None:
     """Say what would be measured, what it costs, and what becomes of the results on disk."""
-    say(offering.line(), err=True)
+    tell = partial(say, err=True) if offering.needs_consent else note  # what money is asked for is always said
     lines = [*([] if expected is None else [expected.line]), *offering.unattended()]
-    for text in lines:
-        say(f"  {text}", err=True)
+    tell(offering.line(), *(f"  {text}" for text in lines))
     if (spent := offering.spent_line(prepared)) is not None:
-        say(spent, err=True)
-    for note in backend.notes:
-        say(note, err=True)
-    for text in prepared.not_admitted:
-        say(f"  {text}", err=True)
+        tell(spent)
+    note(*backend.notes, *(f"  {text}" for text in prepared.not_admitted))
     if prepared.outdated:
         kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
-        say(f"{prepared.layout.results} measured something else than the spec says now: {kept}", err=True)
+        note(f"{prepared.layout.results} measured something else than the spec says now: {kept}")
 
 
 def _check_measured(applications: "list[LoadedSpec]") -> None:
@@ -246,9 +247,7 @@ def _catalogs(
     try:
         prices = load_catalog("skypilot", clouds_of(one))
     except FogspecError as unavailable:
-        say(
-            f"prices are compared with {catalog.about.source}, not with SkyPilot's own: {unavailable.message}", err=True
-        )
+        note(f"prices are compared with {catalog.about.source}, not with SkyPilot's own: {unavailable.message}")
         prices = catalog
     return catalog if adaptive else None, prices
 
@@ -286,18 +285,17 @@ def _confirm(offering: "Quote", yes: bool) -> None:
         raise Refused("not confirmed: nothing was started")
 
 
-def _watcher(campaign: "Campaign", prepared: "Prepared", output: str) -> "ProgressReporter":
+def _watcher(campaign: "Campaign", prepared: "Prepared", output: str, more: bool) -> "ProgressReporter":
     from fogspec.bench import progress
 
+    body, budget_usd, now_s = prepared.plan.spec, campaign.config.budget_usd, campaign.clock.now_s
     if output == "json":
-        return progress.Events(say)
-    if sys.stderr.isatty():
+        return progress.Events(say, progress.Totals(prepared.todo, budget_usd, now_s, more))
+    if sys.stderr.isatty() and not is_quiet():
         from fogspec.bench.live_table import LiveTable
 
-        body = prepared.plan.spec
-        wall_usd, now_s = campaign.config.budget_usd, campaign.clock.now_s
-        return LiveTable(prepared.todo, body.requests, wall_usd, now_s, warmup=body.warmup)
-    return progress.Lines(partial(say, err=True))
+        return LiveTable(prepared.todo, body.requests, budget_usd, now_s, warmup=body.warmup, more=more)
+    return progress.Lines(note, progress.Totals(prepared.todo, budget_usd, now_s, more))
 
 
 def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
@@ -308,7 +306,9 @@ def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
 
     layout, results = prepared.layout, benched.results
     if output == "json":
-        say_json(results.model_dump(mode="json", exclude_none=True), indent=None)
+        from fogspec.base.quantities import as_numbers
+
+        say_json({"kind": results.kind, "name": layout.name, **as_numbers(results.spec)}, indent=None)
         return
     for record in results.spec.samples:
         say(f"  {record.id}: {progress.outcome(record)}")
@@ -327,4 +327,4 @@ def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
         say(f"sampling ended: {results.spec.sampling.stop_reason}")
     say(f"results   {layout.results}")
     if any(record.state == "ok" for record in results.spec.samples):
-        say(f"next: {shell_command('fogspec', 'compile', layout.spec)}")
+        say_next(next_command("compile", layout.spec))

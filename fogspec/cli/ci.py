@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.console import say, say_json, say_text
+from fogspec.base.console import note, say_json, say_text
 from fogspec.base.errors import InvalidInput, OutOfDate, UsageError
 from fogspec.base.text import shell_command
 from fogspec.cli.options import CATALOG, OUTPUT, POLICIES
@@ -74,13 +74,10 @@ def command(
         try:
             others += [text for root in sorted(roots) for text in without_spec(root, names, SystemWallClock())]
         except StoreUnavailable as lost:
-            say(f"what runs without a spec is not checked: {lost.message}", err=True)
+            note(f"what runs without a spec is not checked: {lost.message}")
     known = {text.partition(":")[0] for text in others}
     for name in (name for name in gone if whole and name not in names and name not in known):
-        say(
-            f"{name}: its spec and its manifest are gone; if it still runs: {shell_command('fogspec', 'down', name)}",
-            err=True,
-        )
+        note(f"{name}: its spec and its manifest are gone; if it still runs: {shell_command('fogspec', 'down', name)}")
     skipped = sorted(names - wanted)
     if output == "json":
         say_json(gate.as_dict(verdicts, others, skipped))
@@ -94,4 +91,4 @@ def command(
             "fogspec status and fogspec verify say more",
             *(["what has no spec is removed by: fogspec compile --prune"] if files else []),
         )
-    say("apply deploys what is committed", err=True)
+    note("apply deploys what is committed")

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.console import ask, say, say_json, say_text
+from fogspec.base.console import ask, detail, is_quiet, note, say, say_json, say_text, timed
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused
 from fogspec.base.text import count, shell_command
+from fogspec.cli.next_steps import after_compile, next_lines
 from fogspec.cli.options import (
     CATALOG,
     OUTPUT,
     POLICIES,
     PRIORS,
     SPECS,
-    echo_notes,
     load_inputs,
     raise_together,
     require_ready,
@@ -62,17 +62,24 @@ def command(
     inputs = [] if gone else load_inputs(specs, catalog_path, priors, audit=True)
     rules = Policies(policies)
     require_ready([one.spec for one in inputs])
-    echo_notes(note for one in inputs for note in one.catalog_notes)
+    note(*dict.fromkeys(said for one in inputs for said in one.catalog_notes))
     rules.require_specs([one.spec for one in inputs])
     compiled, refused, damaged = _compiled(inputs, partial)
-    changed = [path for one in compiled for path in (one.compare() if check else one.write())]
+    with timed("comparing" if check else "writing"):
+        changed = [path for one in compiled for path in (one.compare() if check else one.write())]
+    detail(*(f"{path}: {'differs' if check else 'written'}" for path in changed))
     for path in () if check else (path for one in compiled for path in one.removed):
-        say(f"{path}: removed: it no longer follows from its inputs", err=True)
+        note(f"{path}: removed: it no longer follows from its inputs")
     if output == "json":
         say_json([summary.as_dict(one) for one in compiled])
     elif compiled:
-        given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
-        say_text("\n\n".join(summary.summary(one, given) for one in compiled))
+        following = [[] if check else next_lines([after_compile(one)]) for one in compiled]
+        say_text(
+            "\n\n".join(
+                summary.result(one) if is_quiet() else summary.summary(one, lines)
+                for one, lines in zip(compiled, following, strict=True)
+            )
+        )
     if damaged:
         say(*(f"error: {one.message}" for one in refused), err=True)
         raise DiagnosticError(damaged)
@@ -106,7 +113,8 @@ def _compiled(
     compiled, refused, damaged = list["Artifacts"](), list[FogspecError](), list["Diagnostic"]()
     for one in inputs:
         try:
-            compiled.append(compile_application(one, partial))
+            with timed(f"{one.layout.name}: compiling"):
+                compiled.append(compile_application(one, partial))
         except FogspecError as refusal:
             if not refusal.message.startswith(one.layout.name):
                 refusal.message = f"{one.layout.name}: {refusal.message}"
@@ -124,7 +132,7 @@ def _check_lock(specs: Sequence[str], inputs: "Sequence[Inputs]", check: bool) -
         lock = shell_command("fogspec", "lock", *specs)
         if check:
             raise OutOfDate(f"{some(drifted)}: not what the lock says", lock)
-        say(f"{some(drifted)}: not what the lock says, so that bench and apply refuse it: {lock}", err=True)
+        note(f"{some(drifted)}: not what the lock says, so that bench and apply refuse it: {lock}")
 
 
 def _has_specs() -> bool:

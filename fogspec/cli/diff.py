@@ -2,9 +2,10 @@
 
 import click
 
-from fogspec.base.console import say_json, say_text
+from fogspec.base.console import note, say_json, say_text
 from fogspec.base.errors import OutOfDate
-from fogspec.cli.options import CATALOG, echo_notes, load_inputs
+from fogspec.cli.next_steps import after_diff, say_next
+from fogspec.cli.options import CATALOG, load_inputs
 
 
 @click.command()
@@ -28,7 +29,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     from fogspec.deploy.state import SystemWallClock
 
     inputs = load_inputs(specs, catalog_path, audit=True)
-    echo_notes(note for one in inputs if (note := tracked_note(one.layout)) is not None)
+    note(*dict.fromkeys(said for one in inputs if (said := tracked_note(one.layout)) is not None))
     found = []
     for one in inputs:
         differing = diff.difference(status(one, try_compile(one)))
@@ -39,5 +40,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     else:
         show = diff.markdown if output == "markdown" else diff.as_text
         say_text("\n\n".join(show(differing, live) for differing, live in found))
+        if output == "text":
+            say_next(*(after_diff(one, *pair) for one, pair in zip(inputs, found, strict=True)))
     if exit_code and (others := [differing.layout.name for differing, live in found if differing.differs or live]):
         raise OutOfDate(f"not what compile would write now, or not what runs: {', '.join(others)}")

@@ -1,9 +1,16 @@
 """Implement `fogspec doctor`: what is wrong on this side, before any money is spent."""
 
+from typing import TYPE_CHECKING
+
 import click
 
 from fogspec.base.console import say, say_json
+from fogspec.base.layout import Layout
+from fogspec.cli.next_steps import next_command, say_next
 from fogspec.cli.options import CATALOG, OUTPUT, applications_of
+
+if TYPE_CHECKING:
+    from fogspec.spec.loader import LoadedSpec
 
 
 @click.command()
@@ -28,5 +35,15 @@ def command(spec: str | None, catalog_path: str | None, output: str) -> None:
         say_json([as_dict(one) for one in found])
     else:
         say(*as_text(found))
+        if not any(one.state is State.PROBLEM for one in found):
+            say_next(*map(_following, loaded))
     if any(one.state is State.PROBLEM for one in found):
         raise click.exceptions.Exit(1)
+
+
+def _following(one: "LoadedSpec") -> str | None:
+    """Return the command that this computer is ready for: to measure, if there is a plan."""
+    layout = Layout.of(one.path, one.application.metadata.name)
+    if not layout.files.exists(layout.plan):
+        return next_command("compile", one.path)
+    return next_command("bench", one.path, "--dry-run")

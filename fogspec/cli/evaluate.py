@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fogspec.base.console import say, say_json
+from fogspec.base.console import columns, say, say_json
 from fogspec.base.errors import UsageError
+from fogspec.base.text import blocks
 from fogspec.cli.options import CATALOG, OUTPUT, applications_of
 
 if TYPE_CHECKING:
@@ -135,7 +136,8 @@ def _of_suite(
         say_json(reports[0] if len(reports) == 1 else reports)
         return
     titles = [name for name, _, _ in ROWS] if len(reports) > 1 else [""]
-    say(HEAD, *(line(t, row) for t, one in zip(titles, reports, strict=True) for row in one["by_kind"]))
+    texts = [row_texts(title, row) for title, one in zip(titles, reports, strict=True) for row in one["by_kind"]]
+    say(*blocks([HEAD, *texts], columns(), keys=2))
 
 
 def _of_volumes(
@@ -149,14 +151,12 @@ def _of_volumes(
     if output == "json":
         say_json(rows)
         return
-    sizes = "".join(f"{f'{size} samples':>12}" for size in SIZES)
-    say(f"{'kind':10} {'requests':>9} {'own rule':>10} {'relative':>10}{sizes} {'own/best':>9}")
+    shown = [["kind", "requests", "own rule", "relative", *(f"{size} samples" for size in SIZES), "own/best"]]
     for row in rows:
-        fixed = "".join(f"{usd:12.4g}" for usd in row["fixed_usd"].values())
-        say(
-            f"{row['kind']:10} {row['requests']:9.0e} {row['own_usd']:10.4g} {row['relative_usd']:10.4g}{fixed} "
-            f"{row['over_best']:9.3f}"
-        )
+        fixed = [f"{usd:.4g}" for usd in row["fixed_usd"].values()]
+        own = [f"{row['requests']:.0e}", f"{row['own_usd']:.4g}", f"{row['relative_usd']:.4g}"]
+        shown.append([row["kind"], *own, *fixed, f"{row['over_best']:.3f}"])
+    say(*blocks(shown, columns()))
 
 
 def _check_kinds(kinds: tuple[str, ...]) -> None:
@@ -205,7 +205,7 @@ def _of_sweep(
         say_json(reports if many else reports[0])
     elif many:
         say(f"{application.metadata.name}: {len(read.names)} machines, noise {reports[0]['noise']}")
-        say(HEAD, *(line(title, one.row) for title, one in done))
+        say(*blocks([HEAD, *(row_texts(title, one.row) for title, one in done)], columns(), keys=2))
     else:
         report = {name: value for name, value in reports[0].items() if name not in ("metrics", "title")}
         say(*(f"{name:18} {_shown(value)}" for name, value in report.items()))
@@ -231,18 +231,14 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-HEAD = (
-    f"{'':30} {'kind':10} {'problems':>8} {'ok1':>6} {'ok5':>6} {'ok10':>6} {'bench':>6} {'samples':>7} {'broken':>6} "
-    f"{'no':>5} {'regret p90':>10} {'mdape':>6} {'cover':>6} {'volume':>6}"
-)
+HEAD = ["", "kind", "problems", "ok1", "ok5", "ok10", "bench", "samples", "broken", "no", "regret p90", "mdape", "cover",
+        "volume"]  # fmt: skip
 
 
-def line(title: str, row: dict[str, Any]) -> str:
-    """Format the scores of a kind of problem, fractions as percentages."""
+def row_texts(title: str, row: dict[str, Any]) -> list[str]:
+    """Format the scores of a kind of problem, fractions as percentages, in the columns of HEAD."""
     shares = [row["regret"]["p90"], row["mdape"], row["coverage90"], row["hypervolume"]]
     known = ["-" if value is None else f"{100 * value:.1f}" for value in shares]
-    return (
-        f"{title:30} {row['kind']:10} {row['problems']:8d} {100 * row['ok1']:6.1f} {100 * row['ok5']:6.1f} "
-        f"{100 * row['ok10']:6.1f} {100 * row['bench']:6.2f} {row['samples']:7.1f} {100 * row['violation5']:6.2f} "
-        f"{100 * row['false_infeasible']:5.2f} {known[0]:>10} {known[1]:>6} {known[2]:>6} {known[3]:>6}"
-    )
+    ok = [f"{100 * row[name]:.1f}" for name in ("ok1", "ok5", "ok10")]
+    return [title, row["kind"], f"{row['problems']:,}", *ok, f"{100 * row['bench']:.2f}", f"{row['samples']:.1f}",
+            f"{100 * row['violation5']:.2f}", f"{100 * row['false_infeasible']:.2f}", *known]  # fmt: skip

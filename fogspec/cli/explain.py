@@ -8,10 +8,13 @@ import click
 
 from fogspec.base.console import say_json, say_text
 from fogspec.base.errors import UsageError
+from fogspec.cli.next_steps import after_look, next_lines
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, load_named
 
 if TYPE_CHECKING:
     from fogspec.spec.field_docs import FieldPage
+
+WIDEST_NAME = 24
 
 
 def _completions(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[str]:
@@ -57,7 +60,7 @@ def _choices(what: str, catalog_path: str | None, priors: Path | None, output: s
     if output == "json":
         say_json([explain.as_dict(one) for one in compiled])
     else:
-        say_text("\n\n".join(explain.explain(one) for one in compiled))
+        say_text("\n\n".join(explain.explain(one, following=next_lines([after_look(one)])) for one in compiled))
 
 
 def _code(name: str, output: str) -> None:
@@ -111,5 +114,8 @@ def _below(known: list["FieldPage"], found: list["FieldPage"]) -> list[str]:
         page for page in known if page.path.startswith((f"{found[0].path}.", f"{found[0].path}[", f"{found[0].path}.<"))
     ]
     rows = [(page.path.removeprefix(found[0].path).lstrip("."), page.meaning) for page in inside]
-    width = max((len(name) for name, _ in rows), default=0)
-    return ["fields:\n" + "\n".join(f"  {name:<{width}}  {meaning}" for name, meaning in rows)] if rows else []
+    width = min(max((len(name) for name, _ in rows), default=0), WIDEST_NAME)
+    # A meaning stands below a name that is too long for its column.
+    lines = [f"  {name}\n  {'':<{width}}  {meaning}" if len(name) > width else f"  {name:<{width}}  {meaning}"
+             for name, meaning in rows]  # fmt: skip
+    return ["fields:\n" + "\n".join(lines)] if rows else []

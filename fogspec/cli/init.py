@@ -8,7 +8,7 @@ import click
 
 from fogspec.base.console import say
 from fogspec.base.errors import UsageError
-from fogspec.base.text import shell_command
+from fogspec.cli.next_steps import next_command, say_next
 
 if TYPE_CHECKING:
     from fogspec.base.project_files import ProjectFiles
@@ -129,12 +129,13 @@ def command(
         say(f"{path}: the parameter file that the launch file makes of its own")
     write_output(spec, text.encode())
     todo = "read what it says" if data else "name your topics under probe"
-    say(f"{spec}: written; {todo}, then: {shell_command('fogspec', 'validate', spec)}")
+    say(f"{spec}: written; {todo}")
     show_diagnostics(found.notes if found else [])
     wrong = [one for one in check_file([spec])[1] if one.severity == "error"]
     if wrong:
         show_diagnostics(wrong)
         raise click.exceptions.Exit(1)
+    say_next(next_command("validate", spec))
 
 
 def _for_git(root: Path, files: "ProjectFiles") -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from fogspec.base.console import say
 from fogspec.base.errors import UsageError
 from fogspec.base.templates import shipped
+from fogspec.cli.next_steps import next_command, say_next
 
 SUFFIX = "-recorded"
 
@@ -40,10 +41,5 @@ def copy_example(name: str) -> None:
         files.write(path, source.read_bytes())
         say(f"{path}: written")
     first = applications[0]
-    say("", "measured already; nothing is rented. Next:")
-    say(
-        *(
-            f"  fogspec {words}"
-            for words in (f"compile {first}", f"menu {first}", f"explain {first}", f"report {first}")
-        )
-    )
+    say("measured already; nothing is rented")
+    say_next(*(next_command(verb, first) for verb in ("compile", "menu", "explain", "report")))

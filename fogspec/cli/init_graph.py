@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base import child
-from fogspec.base.console import say
+from fogspec.base.console import note, say
 from fogspec.base.errors import CloudError, InvalidInput, UsageError
 from fogspec.cli.options import library_from
 
@@ -145,13 +145,13 @@ def from_graph(
     if record_s and (folder / bag).exists():
         raise UsageError(f"{folder / bag} is there already", "name another application, or remove it")
     if observed is None:
-        say(f"watching the robot for {watch}: nothing on it is changed", err=True)
+        note(f"watching the robot for {watch}: nothing on it is changed")
     seen = read_observed(observed) if observed else observe(seconds or 0.0)
     proposal = propose(seen)
     data = first_of(name, proposal)
     for line in proposal.lines:
         say(line)
-    say(f"watching took {seen.overhead.cpu:.1%} of a core and {seen.overhead.bytes / 1e6:.3g} MB", err=True)
+    note(f"watching took {seen.overhead.cpu:.1%} of a core and {seen.overhead.bytes / 1e6:.3g} MB")
     if record_s and proposal.record:
         record(proposal.record, record_s, folder / bag, files)
         say(f"{folder / bag}: {', '.join(proposal.record)}, recorded as the workload")
@@ -163,7 +163,7 @@ def from_graph(
         proposal.lines.append(guessed)
         say(guessed)
     for warning in proposal.warnings:
-        say(f"note: {warning}", err=True)
+        note(f"note: {warning}")
     return data, ["From a robot that ran:", *proposal.lines]
 
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.console import say
+from fogspec.base.console import note
+from fogspec.cli.next_steps import next_command, say_next
 
 if TYPE_CHECKING:
     from fogspec.results.schema import Results
@@ -55,11 +56,11 @@ def command(results: Path, other: Path, base: Path | None) -> None:
             made = shell_command("fogspec", "join", "RESULTS", "OTHER")
             ProjectFiles(results.parent).write_yaml(results, final.model_dump(mode="json", exclude_none=True), made)
     before, after = len(ours.spec.samples), len(final.spec.samples)
-    say(f"{name}: {count(after, 'sample')}, {after - before} more than before", err=True)
+    note(f"{name}: {count(after, 'sample')}, {after - before} more than before")
     for sample in joined.twice:
-        say(f"  {sample} was measured by both sides: the other one is {joined.theirs[sample].id} now", err=True)
+        note(f"  {sample} was measured by both sides: the other one is {joined.theirs[sample].id} now")
     if base is None:
-        say(f"next: {shell_command('fogspec', 'compile', name)}")
+        say_next(next_command("compile", name))
 
 
 def _base(path: Path) -> "Results | None":

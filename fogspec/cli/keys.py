@@ -2,7 +2,7 @@
 
 import click
 
-from fogspec.base.console import say
+from fogspec.base.console import note, say
 
 
 @click.command()
@@ -19,4 +19,4 @@ def command(specs: tuple[str, ...]) -> None:
         name = one.name
         public = make_keys(one.application, one.layout)
         say(f"{name}: {public}")
-        say(f"{name}: the private key is in {folder_of(name)} and stays there", err=True)
+        note(f"{name}: the private key is in {folder_of(name)} and stays there")

@@ -7,6 +7,7 @@ import click
 
 from fogspec.base.console import say, say_json
 from fogspec.base.errors import OutOfDate
+from fogspec.cli.next_steps import next_command, say_next
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from, require_ready
 
 SHOWN = 40
@@ -64,6 +65,8 @@ def command(
             if changes[path] or not files.is_file(path):
                 files.write(path, lock_text(lock).encode())
     _print(changes, output)
+    if output == "text" and not check:
+        say_next(next_command("compile", *specs))
     if check and any(changes.values()):
         count = sum(map(len, changes.values()))
         raise OutOfDate(

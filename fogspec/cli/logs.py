@@ -2,7 +2,7 @@
 
 import click
 
-from fogspec.base.console import say, say_text
+from fogspec.base.console import note, say_text
 
 
 @click.command()
@@ -28,8 +28,8 @@ def command(spec_or_name: str, follow: bool) -> None:
         return
     machine, lines = log_lines(layout, times, backend_for)
     if machine is None:
-        say(f"{layout.name}: nothing runs; these are the last words of a start that never got ready", err=True)
+        note(f"{layout.name}: nothing runs; these are the last words of a start that never got ready")
     elif layout.files.is_file(layout.last_words):
-        say(f"{layout.last_words}: the last words of a later start that never got ready", err=True)
+        note(f"{layout.last_words}: the last words of a later start that never got ready")
     if lines:
         say_text("\n".join(lines))

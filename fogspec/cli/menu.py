@@ -1,15 +1,21 @@
 """Implement `fogspec menu`: show the choices of a measured application, also under other constraints."""
 
 import math
-import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.console import has_color, say_json, say_text
+from fogspec.base.console import columns, has_color, say_json, say_text
 from fogspec.base.errors import UsageError
+from fogspec.base.text import shell_command
 from fogspec.base.units import parse_cost_usd_per_request, parse_duration_s
+from fogspec.cli.next_steps import next_command, say_next
 from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named, quantity, raise_together
+
+if TYPE_CHECKING:
+    from fogspec.compile.inputs import Inputs
+    from fogspec.report.menu import Changes
 
 
 @click.command()
@@ -49,6 +55,7 @@ def command(
 
     Nothing is measured again and nothing is written.
     """
+    from fogspec.choice.menu import menu_data
     from fogspec.compile.decision import no_choice
     from fogspec.report.menu import NO_LIMIT, Changes, menu_view, show
 
@@ -60,13 +67,23 @@ def command(
     views = [menu_view(one, changes) for one in inputs]
     menus = [one.menu for one in views]
     if output == "json":
-        say_json([menu.model_dump(mode="json") for menu in menus])
+        say_json([menu_data(menu) for menu in menus])
     else:
-        width = shutil.get_terminal_size().columns
+        width = columns()
         if color is None:
             color = has_color()
-        say_text("\n\n".join(show(one.menu, one.plot(width, color)) for one in views), color=color)
+        say_text("\n\n".join(show(one.menu, one.plot(width, color), width) for one in views), color=color)
+        if all(menu.spec.balanced is not None for menu in menus):
+            say_next(*(_following(one, changes) for one in inputs))
     raise_together(map(no_choice, menus))
+
+
+def _following(inputs: "Inputs", changes: "Changes") -> str | None:
+    """Return what comes next: to explain the choice, or to write what was tried into the spec."""
+    layout = inputs.layout
+    if changes == type(changes)():
+        return next_command("explain", layout.argument)
+    return f"to keep it, write it into {shell_command(layout.spec)} ({changes.text()}), then {next_command('compile', layout.spec)}"
 
 
 def _bound(text: str) -> tuple[str, float | None]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 from click.shell_completion import CompletionItem
 
-from fogspec.base.console import say
+from fogspec.base.console import detail, is_verbose, timed
 from fogspec.base.errors import FogspecError, UsageError
 from fogspec.base.text import shell
 from fogspec.base.units import UnitError
@@ -100,7 +100,28 @@ def load_inputs(
     from fogspec.compile.inputs import Inputs
     from fogspec.spec.discover import load_specs
 
-    return Inputs.load([], catalog=catalog, priors=priors, audit=audit, loaded=load_specs(specs))
+    with timed("reading"):
+        found = Inputs.load([], catalog=catalog, priors=priors, audit=audit, loaded=load_specs(specs))
+    _show_read(found)
+    return found
+
+
+def _show_read(inputs: "Sequence[Inputs]") -> None:
+    """Print with `--verbose` what was read, with digests."""
+    if not is_verbose():
+        return
+    from fogspec.base.digest import of_bytes
+
+    files: dict[str, bytes] = {}
+    others: dict[str, None] = {}
+    for one in inputs:
+        files |= {os.fspath(path): content for path, content in one.spec.texts.content.items()}
+        files |= {file.name: file.content for file in (one.lock, one.results_file, *one.on_disk.values()) if file}
+        about = one.catalog.about
+        others[f"catalog {about.source}: {len(one.catalog):,} offers, {about.digest}"] = None
+        if one.library is not None:
+            others[f"machine library: {len(one.library.workloads):,} workloads, {one.library.digest}"] = None
+    detail(*(f"read {path}: {len(content):,} bytes, {of_bytes(content)}" for path, content in files.items()), *others)
 
 
 def require_ready(loaded: "Sequence[LoadedSpec]", started: bool = False, files: bool = True) -> None:
@@ -137,7 +158,10 @@ def open_manifest(path: str, catalog: str | None) -> "ManifestBundle":
     """Open a manifest with its inputs."""
     from fogspec.compile.bundle import open_bundle
 
-    return open_bundle(path, catalog)
+    with timed("reading"):
+        found = open_bundle(path, catalog)
+    _show_read([found.inputs])
+    return found
 
 
 def check_policies(policies: Sequence[str], inputs: "Sequence[Inputs]") -> None:
@@ -149,12 +173,6 @@ def check_policies(policies: Sequence[str], inputs: "Sequence[Inputs]") -> None:
     rules.require_specs(loaded)
     known = {path: file for one in inputs for path, file in one.on_disk.items()}
     rules.require_manifests(loaded, Manifest, known)
-
-
-def echo_notes(notes: Iterable[str]) -> None:
-    """Print notes for the user, each once."""
-    for note in dict.fromkeys(notes):
-        say(note, err=True)
 
 
 def raise_together(refusals: Iterable[FogspecError | None]) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from fogspec.base.console import say
+from fogspec.cli.next_steps import next_command, say_next
 
 
 @click.group()
@@ -32,3 +33,4 @@ def build(source: Path | None, out: Path) -> None:
     write_priors(out, machines, latencies)
     library = read_priors(out)
     say(f"{out}: {len(library.workloads)} workloads on {len(library.names)} machines, {library.digest}")
+    say_next(next_command("compile", "--priors", out))

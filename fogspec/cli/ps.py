@@ -4,7 +4,9 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.console import say, say_json, say_text
+from fogspec.base.console import columns, say, say_json
+from fogspec.base.text import table
+from fogspec.cli.next_steps import next_command, say_next
 from fogspec.cli.options import OUTPUT
 
 
@@ -19,7 +21,8 @@ def command(output: str) -> None:
 
     from fogspec.backends.registry import deployment_backend
     from fogspec.base.errors import InvalidInput
-    from fogspec.base.units import dollars, format_duration, format_price, rounded
+    from fogspec.base.quantities import as_numbers
+    from fogspec.base.units import dollars, rounded, shown_duration, shown_price
     from fogspec.deploy.running import running
     from fogspec.deploy.state import SystemWallClock
     from fogspec.spec.discover import find_specs
@@ -41,7 +44,7 @@ def command(output: str) -> None:
                     "answers": one.answers,
                     "up_s": one.up_s,
                     "spent_usd": round(one.spent_usd, 6),
-                    **one.machine.model_dump(mode="json"),
+                    **as_numbers(one.machine),
                 }
                 for one in found
             ]
@@ -50,6 +53,8 @@ def command(output: str) -> None:
     if not found:
         say("nothing runs")
         return
+    lost = [one.application for one in found if not one.has_spec]
+    following = [next_command("down", name) for name in lost] or [next_command("status")]
     rows = [("application", "machine", "instance", "infra", "record", "nodes", "up", "price", "spent")]
     for one in found:
         machine = one.machine.machine
@@ -61,10 +66,10 @@ def command(output: str) -> None:
                 machine.infra,
                 one.machine.state,
                 one.answers,
-                format_duration(rounded(one.up_s, 2)),
-                format_price(machine.price),
+                shown_duration(rounded(one.up_s, 2)),
+                shown_price(machine.price),
                 dollars(one.spent_usd),
             )
         )
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    say_text("\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows))
+    say(*table(rows, columns(), indent=0))
+    say_next(*following)

@@ -8,6 +8,7 @@ import click
 from fogspec.base.console import say, say_text
 from fogspec.base.errors import UsageError
 from fogspec.base.text import shell_command
+from fogspec.cli.next_steps import after_look, next_lines
 from fogspec.cli.options import CATALOG, PRIORS, load_named
 
 
@@ -41,4 +42,4 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
                 compiled.layout.files.write(target, content)
             else:
                 write_output(target, content)
-            say(f"{target}: {len(content) / 1000:,.0f} kB")
+            say(f"{target}: {len(content) / 1000:,.0f} kB", *next_lines([after_look(compiled)]))

@@ -2,10 +2,11 @@
 
 import click
 
-from fogspec.base.console import say, say_json, say_text
+from fogspec.base.console import note, say, say_json, say_text
 from fogspec.base.errors import OutOfDate
 from fogspec.base.text import line
-from fogspec.cli.options import CATALOG, echo_notes, load_inputs
+from fogspec.cli.next_steps import after_status, next_lines
+from fogspec.cli.options import CATALOG, load_inputs
 
 
 @click.command()
@@ -47,7 +48,7 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
     except StoreUnavailable as lost:
         away = lost
     found = [freshness.status(one, try_compile(one)) for one in inputs]
-    echo_notes(note for one in inputs if (note := tracked_note(one.layout)) is not None)
+    note(*dict.fromkeys(said for one in inputs if (said := tracked_note(one.layout)) is not None))
     lives = [
         None
         if away is not None
@@ -73,7 +74,8 @@ def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_
         say(*others, err=True)
     else:
         texts = [
-            status.as_text(one, health.as_text(live) if live else ()) for one, live in zip(found, lives, strict=True)
+            status.as_text(one, health.as_text(live) if live else (), next_lines([after_status(one, live)]))
+            for one, live in zip(found, lives, strict=True)
         ]
         say_text("\n\n".join([*texts, *map(line, others)]))
     if away is not None:

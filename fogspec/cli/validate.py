@@ -7,6 +7,7 @@ import click
 
 from fogspec.base.console import say
 from fogspec.base.text import count
+from fogspec.cli.next_steps import next_command, say_next
 from fogspec.cli.options import COLOR, POLICIES
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ def command(
     from fogspec.catalog.names import unknown_names
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import check_specs, find_specs
+    from fogspec.spec.rules.benchmark import PLACEHOLDERS
     from fogspec.spec.rules.policies import Policies
 
     paths = find_specs(files)
@@ -41,6 +43,8 @@ def command(
         names = ", ".join(one.name for one in loaded[:10])
         more = f" and {len(loaded) - 10} more" if len(loaded) > 10 else ""
         say(f"{count(len(loaded), 'application')} in {count(len(paths), 'file')} valid: {names}{more}")
+        if not any(one.code == PLACEHOLDERS for one in diagnostics):
+            say_next(next_command("compile", *files))
 
 
 def _catalog(one: "LoadedSpec") -> "Catalog | None":

@@ -4,6 +4,7 @@ import click
 
 from fogspec.base.console import say_json, say_text
 from fogspec.base.errors import OutOfDate
+from fogspec.cli.next_steps import say_next, to_deploy
 from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_policies, open_manifest
 
 
@@ -43,6 +44,8 @@ def command(
     else:
         say_text(verify.as_text(opened, links))
     check_policies(policies, [opened.inputs])
+    if output == "text" and not any(link.breaks for link in links):
+        say_next(to_deploy(opened.inputs))
     if broken := [link for link in links if link.breaks]:
         raise OutOfDate(
             f"{opened.layout.manifest}: the chain breaks at {broken[0].name}", verify.remedy(opened, broken[0])

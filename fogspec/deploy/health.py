@@ -7,12 +7,12 @@ from typing import Any, Literal
 
 from fogspec.audit.compare import Change, changes
 from fogspec.audit.diff import read_manifest, significant
-from fogspec.audit.status import interval_text
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base import digest, units
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
+from fogspec.base.quantities import as_numbers
 from fogspec.base.redaction import redacted
 from fogspec.base.text import count
 from fogspec.base.units import dollars, rounded
@@ -199,10 +199,10 @@ def as_text(one: HealthReport) -> list[str]:
     machine = subject.machine
     lines = [f"  {'running':<9} {one.sync}, {one.health}"]
     lines += [f"  {'':<9} {text}" for text in one.reasons]
-    up = "" if one.up_s is None else f", up {units.format_duration(round(one.up_s))}"
+    up = "" if one.up_s is None else f", up {units.shown_duration(round(one.up_s))}"
     lines.append(
         f"  {'':<9} {machine.instance} in {machine.infra} at {subject.address or 'no address yet'}{up}, "
-        f"{units.format_price(machine.price)}, {dollars(one.spent_usd)} so far"
+        f"{units.shown_price(machine.price)}, {dollars(one.spent_usd)} so far"
     )
     if subject.ends is not None:
         lines.append(f"  {'':<9} ends by itself at {subject.ends}")
@@ -216,12 +216,10 @@ def as_text(one: HealthReport) -> list[str]:
 
 def _observed_words(seen: Observed, manifest: Manifest) -> str:
     expected = manifest.expected.latency
-    predicted = f"predicted {units.format_duration(expected.predicted)}{interval_text(expected.interval)}"
+    predicted = f"predicted {units.shown_duration(expected.predicted)}{units.shown_interval(expected.interval)}"
     if seen.value_s is None:
         return f"{predicted}; no request was observed yet"
-    value = (
-        f"observed {expected.statistic} {units.format_duration(rounded(seen.value_s))}{interval_text(seen.interval_s)}"
-    )
+    value = f"observed {expected.statistic} {units.shown_duration(seen.value_s)}{units.shown_interval(seen.interval_s)}"
     failed = f", {seen.failed} failed" if seen.failed else ""
     cost = "" if seen.cost_usd_per_request is None else f", {units.shown_cost(seen.cost_usd_per_request)}"
     unsaid = ", without an interval: drift cannot be seen" if expected.interval is None else ""
@@ -237,13 +235,13 @@ def as_dict(one: HealthReport) -> dict[str, Any]:
         "changes": [
             {"field": change.field, "running": change.before, "manifest": change.after} for change in one.changes
         ],
-        "machines": [machine.model_dump(mode="json") for machine in one.machines],
+        "machines": [as_numbers(machine) for machine in one.machines],
         "spent_usd": round(one.spent_usd, 6),
         "up_s": one.up_s,
         "ends": (one.serving or one.machines[-1]).ends,
         "ready_s": one.live and one.live.ready_s,
         "restarts": {} if one.live is None else dict(one.live.restarts),
-        "server": None if one.live is None or one.live.server is None else one.live.server.model_dump(mode="json"),
+        "server": None if one.live is None or one.live.server is None else as_numbers(one.live.server),
         "predicted": None if one.manifest is None else _predicted(one.manifest),
         "observed": None if one.observed is None or one.manifest is None else _observed(one.observed, one.manifest),
     }

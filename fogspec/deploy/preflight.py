@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fogspec.audit.status import interval_text
 from fogspec.audit.verify import remedy, verify
 from fogspec.base import digest, units
 from fogspec.base.diagnostics import DiagnosticError
@@ -124,7 +123,7 @@ def as_text(plan: LaunchPlan) -> list[str]:
     """Return the lines that describe the launch and its cost."""
     manifest, first = plan.opened.manifest, plan.candidates[0]
     spec, latency = manifest.spec, manifest.expected.latency
-    limit = "" if latency.limit is None else f", limit {units.format_duration(latency.limit)}"
+    limit = "" if latency.limit is None else f", limit {units.shown_duration(latency.limit)}"
     gpu = f", {spec.gpu.label}" if spec.gpu else ""
     lines = [
         f"{manifest.metadata.name}: {spec.instance} in {spec.infra}{' spot' if spec.spot else ''} "
@@ -132,8 +131,8 @@ def as_text(plan: LaunchPlan) -> list[str]:
         f"  nodes     {len(spec.cloud)} in the cloud, {len(spec.robot)} on the robot; link {spec.connectivity.link}",
         f"  task      {plan.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
         f"  costs     {price_words(first.price_usd_per_hour)}",
-        f"  expected  {latency.statistic} latency {units.format_duration(latency.predicted)}"
-        f"{interval_text(latency.interval)}{limit}; {units.shown_cost(manifest.expected.cost.predicted)}",
+        f"  expected  {latency.statistic} latency {units.shown_duration(latency.predicted)}"
+        f"{units.shown_interval(latency.interval)}{limit}; {units.shown_cost(manifest.expected.cost.predicted)}",
     ]
     if end := End.of(spec):
         lines.append(f"  ends      {end.text(spec.infra)}")

@@ -190,8 +190,12 @@ class Plan(Strict):
 
     def bench_command(self, spec: str | PathLike[str]) -> str:
         """Return the command that measures this plan, with the spec at this path."""
-        local = all(sample.machine.is_local for sample in self.spec.samples)
-        return shell_command("fogspec", "bench", fspath(spec), *(["--runner", "local"] if local else []))
+        return shell_command("fogspec", "bench", fspath(spec), *self.runner_options)
+
+    @property
+    def runner_options(self) -> list[str]:
+        """The options of `fogspec bench` that say where this plan is measured, if it is on this host."""
+        return ["--runner", "local"] if all(sample.machine.is_local for sample in self.spec.samples) else []
 
 
 NO_PINS: Mapping[str, str] = MappingProxyType({})

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from fogspec import __version__
-from fogspec.base.console import has_color, say, say_json, say_text, styled
+from fogspec.base.console import has_color, is_quiet, say, say_json, say_text, styled
 from fogspec.base.diagnostics import Diagnostic
 from fogspec.base.text import line, visible
 
@@ -28,6 +28,8 @@ def show_diagnostics(diagnostics: Sequence[Diagnostic], output: str = "text", co
         for one in diagnostics:
             say(annotation(one))
     else:
+        if is_quiet():
+            diagnostics = [one for one in diagnostics if one.severity == "error"]
         if color is None:
             color = has_color(err=True)
         for one in diagnostics[:MOST_SHOWN]:
@@ -89,11 +91,12 @@ def annotation(one: Diagnostic) -> str:
 
 
 def summary(diagnostics: Sequence[Diagnostic]) -> str:
-    """Count the diagnostics by severity and file, and name the command that explains the first."""
+    """Count the diagnostics by severity and file, and name the command that explains the first error, or warning."""
     count = Counter(one.severity for one in diagnostics)
     files = len({one.span.path for one in diagnostics})
+    first = next((one for one in diagnostics if one.severity == "error"), diagnostics[0])
     counts = [f"{number} {word}{'' if number == 1 else 's'}" for word, number in sorted(count.items())]
-    return f"{', '.join(counts)} in {files} file{'' if files == 1 else 's'}; details: fogspec explain {diagnostics[0].code}"
+    return f"{', '.join(counts)} in {files} file{'' if files == 1 else 's'}; details: fogspec explain {first.code}"
 
 
 def bug_paragraph(bug: BaseException) -> str:

@@ -1,13 +1,15 @@
 """Explain a choice: the funnel, binding limits, influential samples, weak predictions, and close alternatives."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from fogspec.base import units
+from fogspec.base.quantities import as_numbers
 from fogspec.base.text import count, paragraph
 from fogspec.base.units import dollars, rounded
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import entry_of, limit_text
+from fogspec.choice.menu import LIMIT_UNITS, entry_of, menu_data, shown_limit, shown_text
 from fogspec.choice.next_samples import NextSample, best_next_sample, probability_better
 from fogspec.choice.sensitivity import (
     LEVEL,
@@ -57,14 +59,15 @@ class Analysis:
         )
 
 
-def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
+def explain(compiled: Artifacts, refits: Refits | None = None, following: Sequence[str] = ()) -> str:
     """Return the explanation of a measured application, feasible or not, or the plan of an unmeasured one.
 
-    `refits` caches fits without some of the samples, to share them with other analyses.
+    `refits` caches fits without some of the samples, to share them with other analyses; `following` are lines about what
+    comes next.
     """
     decision = compiled.decision
     if decision is None:
-        return _unmeasured(compiled)
+        return paragraph([*_unmeasured(compiled), *following])
     menu, choice = decision.menu, decision.choice
     found = Analysis.of(compiled, decision, refits or refits_of(compiled, decision))
     local = decision.models.spec.measured_on_local
@@ -94,7 +97,7 @@ def explain(compiled: Artifacts, refits: Refits | None = None) -> str:
     lines += ["", "others", *_others(compiled, decision)]
     if menu.spec.warnings:
         lines += ["", *(f"warning: {text}" for text in menu.spec.warnings)]
-    return paragraph(lines)
+    return paragraph([*lines, *(["", *following] if following else [])])
 
 
 def as_dict(compiled: Artifacts) -> dict[str, Any]:
@@ -104,7 +107,7 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         return found
     decision = compiled.decision
     analysis = Analysis.of(compiled, decision, refits_of(compiled, decision))
-    choice, menu = decision.choice, decision.menu.spec.model_dump(mode="json")
+    choice, menu = decision.choice, menu_data(decision.menu)
     return {
         **found,
         **{
@@ -124,10 +127,10 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
             {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in widest_intervals(choice)
         ],
         "next_sample": None if analysis.next is None else _next_sample_dict(choice, analysis.next),
-        "models": [model.model_dump(mode="json") for model in decision.models.spec.models],
+        "models": [as_numbers(model) for model in decision.models.spec.models],
         "alternatives": []
         if choice.chosen is None
-        else [one.model_dump(mode="json") for one in alternatives(choice, choice.chosen)],
+        else [as_numbers(one) for one in alternatives(choice, choice.chosen)],
     }
 
 
@@ -150,19 +153,20 @@ def _next_sample_dict(choice: Choice, sample: NextSample) -> dict[str, Any]:
         "gain": sample.gain,
         "saves_usd": sample.saves_usd,
         "probability_better": sample.probability_better,
-        "usd": sample.usd,
+        "cost_usd": sample.usd,
     }
 
 
 def _slack_dict(b: Slack) -> dict[str, Any]:
     return {
         "limit": b.limit,
-        "bound": limit_text(b.limit, b.bound, b.unit),
-        "value": limit_text(b.limit, b.value, b.unit),
-        "needs": limit_text(b.limit, b.required, b.unit),
+        "unit": LIMIT_UNITS.get(b.limit, b.unit),
+        "bound": rounded(b.bound),
+        "value": rounded(b.value),
+        "needs": rounded(b.required),
         "rules_out_alone": b.rules_out_alone,
         "changes_to": b.changes_to,
-        "changes_at": None if b.changes_at is None else limit_text(b.limit, b.changes_at, b.unit),
+        "changes_at": None if b.changes_at is None else rounded(b.changes_at),
     }
 
 
@@ -170,7 +174,7 @@ def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
     row = choice.chosen
     if row is None:
         return []
-    terms = " and ".join(f"{name} / {divisor}" for name, divisor in scale.items())
+    terms = " and ".join(f"{name} / {shown_text(name, divisor)}" for name, divisor in scale.items())
     pool, meet = int(choice.candidates.sum()), int(choice.feasible.sum())
     among = "the only machine that meets all limits" if meet == 1 else f"the {meet} machines that meet all limits"
     if pool < meet:
@@ -219,12 +223,12 @@ def _funnel_dict(compiled: Artifacts) -> list[dict[str, Any]]:
 def _slack_text(binding: Slack) -> str:
     name = binding.limit
     room = (1 - binding.value / binding.bound) if binding.bound else 0.0
-    value, bound = (limit_text(name, one, binding.unit) for one in (binding.value, binding.bound))
+    value, bound = (shown_limit(name, one, binding.unit) for one in (binding.value, binding.bound))
     words = f"{name}: {value} of at most {bound}, {room:.0%} headroom"
-    words += f"; the choice holds down to {limit_text(name, binding.required, binding.unit)}"
+    words += f"; the choice holds down to {shown_limit(name, binding.required, binding.unit)}"
     words += f"; alone it excludes {count(binding.rules_out_alone, 'machine')}"
     if binding.changes_at is not None:
-        at = limit_text(name, binding.changes_at, binding.unit)
+        at = shown_limit(name, binding.changes_at, binding.unit)
         words += f"; at {at} it would let in {binding.changes_to}, which is better"
     elif binding.rules_out_alone:
         words += ", none of them better"
@@ -261,17 +265,14 @@ def _model(decision: Decision, found: Analysis) -> list[str]:
             f"  surrogate on {len(body.observations)} samples{beside}{_leave_one_out_text(choice, found.influences)}"
         )
     for one in widest_intervals(choice):
-        interval = choice.latency.interval(one.row, LEVEL) or (0.0, 0.0)
-        low, high = (units.format_duration(rounded(end)) for end in interval)
-        lines.append(f"  weak: {choice.offers.instance[one.row]} [{low}, {high}], a factor of {one.ratio:.2f}")
+        ends = units.shown_interval(choice.latency.interval(one.row, LEVEL) or (0.0, 0.0))
+        lines.append(f"  weak: {choice.offers.instance[one.row]}{ends}, a factor of {one.ratio:.2f}")
     return lines + [f"  curve: {_model_text(model)}" for model in body.models]
 
 
 def _server_dicts(compiled: Artifacts) -> list[dict[str, Any]]:
     samples = [] if compiled.results is None else compiled.results.spec.samples
-    return [
-        {"id": one.id, **one.server.model_dump(mode="json")} for one in own_records(samples) if one.server is not None
-    ]
+    return [{"id": one.id, **as_numbers(one.server)} for one in own_records(samples) if one.server is not None]
 
 
 def _servers(compiled: Artifacts) -> list[str]:
@@ -322,7 +323,7 @@ def _nested_text(one: Measured, where: NestedIn) -> str:
     """Return what a record of a part of a machine says of the type that it stands for."""
     held = where.confined
     by = "" if held is None else f", vCPUs held by {held.cpus_by}" + (", memory by cgroup" if held.memory_by else "")
-    value = one.state if one.latency is None else units.format_duration(rounded(one.latency.mean))
+    value = one.state if one.latency is None else units.shown_duration(one.latency.mean)
     return f"{one.machine.instance}: {value} on {where.label}, not on {one.machine.instance} itself{by}"
 
 
@@ -403,10 +404,10 @@ def _difference_text(compiled: Artifacts, decision: Decision, row: int) -> str:
     return f" ({words})" + ("" if better is None else f"; better after all with probability {better:.2f}")
 
 
-def _unmeasured(compiled: Artifacts) -> str:
+def _unmeasured(compiled: Artifacts) -> list[str]:
     lines = [
         f"{compiled.layout.name}: {compiled.stale or 'not measured yet'}",
         f"funnel    {compiled.admissible.funnel.line()}",
     ]
     lines += ["samples", *(f"  {s.machine.infra} {s.machine.instance}: {s.reason}" for s in compiled.plan.spec.samples)]
-    return paragraph([*lines, f"next: {compiled.plan.bench_command(compiled.layout.spec)}"])
+    return lines

@@ -6,12 +6,12 @@ from typing import Any
 
 from fogspec.base import units
 from fogspec.base.errors import NotMeasured, OutOfDate, UsageError
-from fogspec.base.text import paragraph, shell_command
+from fogspec.base.text import count, line, paragraph, shell_command, table
 from fogspec.catalog.filters import filter_offers
 from fogspec.charts.menu_chart import menu_chart
 from fogspec.charts.terminal import plot
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LEVEL, Entry, Menu, MenuBody, make_menu, metric_text
+from fogspec.choice.menu import LEVEL, Entry, Menu, MenuBody, make_menu, metric_text, shown_text
 from fogspec.compile.compiler import plan_for, standing_of, usable
 from fogspec.compile.decision import select, warnings_for
 from fogspec.compile.inputs import Inputs
@@ -51,6 +51,18 @@ class Changes:
     cost: str | None = None
     metric: str | None = None
     limits: Mapping[str, float | None] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """Return the fields of the spec that say the same, such as `constraints.latency: 3s`; none is no such field."""
+        named = {
+            "objective.alpha": None if self.alpha is None else units.format_number(self.alpha),
+            "objective.metric": self.metric,
+            "constraints.latency": self.latency,
+            "constraints.cost": self.cost,
+        }
+        for name, bound in self.limits.items():
+            named[f"constraints.metrics.{name}"] = NO_LIMIT if bound is None else units.format_number(bound)
+        return ", ".join(f"{name}: {value}" for name, value in named.items() if value is not None)
 
 
 def menu_view(inputs: Inputs, changes: Changes) -> MenuView:
@@ -111,14 +123,14 @@ def changed(application: Application, changes: Changes) -> Application:
     )
 
 
-def show(menu: Menu, picture: str = "") -> str:
-    """Return the menu as text: the named choices, the chart, then the Pareto fronts."""
+def show(menu: Menu, picture: str = "", width: int = 80) -> str:
+    """Return the menu as text, tables at most `width` wide: the named choices, the chart, then the Pareto fronts."""
     body = menu.spec
-    limits = ", ".join(f"{name} at most {bound}" for name, bound in body.limits.items()) or "none"
+    limits = ", ".join(f"{name} at most {shown_text(name, bound)}" for name, bound in body.limits.items()) or "none"
     against = _against(body)
     lines = [
         f"{menu.metadata.name}: {body.objective}, {billing_text(menu)}, {body.statistic} latency",
-        f"limits: {limits}; {body.meet} of {body.predicted} machines meet them",
+        f"limits: {limits}; {_meet(body)}",
         *(f"warning: {text}" for text in body.warnings),
     ]
     if body.balanced is None:
@@ -132,9 +144,17 @@ def show(menu: Menu, picture: str = "") -> str:
         ):
             if entry is not None:
                 lines.append(f"{role:<9} {entry_text(entry)}")
-    fronts = ["", f"Pareto front, cost per request against {against}:", *_table(body.front)]
-    fronts += ["", f"Pareto front, price per hour against {against}:", *_table(body.hourly_front)]
+    places = {entry.infra for entry in (*body.front, *body.hourly_front)}
+    where = f" in {min(places)}" if len(places) == 1 else ""
+    fronts = list[str]()
+    for money, entries in (("cost per request", body.front), ("price per hour", body.hourly_front)):
+        fronts += ["", f"Pareto front{where}, {money} against {against}:"]
+        fronts += _table(entries, width, place=not where)
     return "\n".join([paragraph(lines), *(["", picture] if picture else []), paragraph(fronts)])
+
+
+def _meet(body: MenuBody) -> str:
+    return f"{body.meet} of {count(body.predicted, 'machine')} {'meets' if body.meet == 1 else 'meet'} them"
 
 
 def _against(body: MenuBody) -> str:
@@ -147,29 +167,27 @@ def _against(body: MenuBody) -> str:
     return f"{body.metric} in {unit}" if unit else body.metric
 
 
-def _table(entries: list[Entry]) -> list[str]:
+def _table(entries: list[Entry], width: int, place: bool) -> list[str]:
     metrics = list(dict.fromkeys(name for e in entries for name in e.metrics))
     heads = [f"{name} [{LEVEL:.0%}]" + _limit_of(entries, name) for name in metrics]
-    rows = [("instance type", "infra", "vCPU", "memory", "price", "latency", *heads, f"per {units.REQUESTS_TEXT}", "")]
+    places = ["infra"] if place else []
+    rows = [["instance type", *places, "vCPU", "GiB", "price", "latency", *heads, f"per {units.REQUESTS_TEXT}", ""]]
     for e in entries:
         gpu = f" {e.gpu.count:g}x{e.gpu.name}" if e.gpu else ""
         rows.append(
-            (
+            [
                 e.instance + (" spot" if e.spot else "") + gpu,
-                e.infra,
+                *([e.infra] if place else []),
                 f"{e.cpus:g}",
-                units.format_memory(e.memory),
+                units.shown(e.memory),
                 units.shown_price(e.price),
                 units.shown_duration(e.latency),
                 *(metric_text("", e.metrics[name]).strip() if name in e.metrics else "-" for name in metrics),
                 units.short_dollars(units.REQUESTS_SHOWN * e.cost),
                 e.how,
-            )
+            ]
         )
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]
+    return table([[line(cell) for cell in row] for row in rows], width)
 
 
 def _limit_of(entries: list[Entry], name: str) -> str:

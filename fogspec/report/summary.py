@@ -4,8 +4,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from fogspec.base import units
-from fogspec.base.text import count, paragraph, shell_command
+from fogspec.base.text import count, line, paragraph
 from fogspec.base.units import dollars
+from fogspec.choice.menu import menu_data, metric_text, shown_text
 from fogspec.choice.rule import latency_limit_s
 from fogspec.compile.artifacts import Artifacts
 from fogspec.plan.commitment import unattended
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
 NOTES = 3
 
 
-def summary(compiled: Artifacts, given: "Sequence[str]" = ()) -> str:
-    """Return the summary of a compiled application as text; `given` are the options that the next command needs too."""
+def summary(compiled: Artifacts, following: "Sequence[str]" = ()) -> str:
+    """Return the summary of a compiled application as text; `following` are lines about what comes next."""
     layout, body = compiled.layout, compiled.plan.spec
     catalog = body.catalog
     from_ = f"{catalog.source}, {catalog.date}" if catalog.date else catalog.source
@@ -41,7 +42,7 @@ def summary(compiled: Artifacts, given: "Sequence[str]" = ()) -> str:
     lines.append(_row("tasks", f"{layout.tasks}/", f"{count(len(body.samples), 'SkyPilot task')}, one per machine"))
     decision, results = compiled.decision, compiled.results
     if decision is None or results is None:
-        return paragraph([*lines, *_unmeasured(compiled, given)])
+        return paragraph([*lines, *_unmeasured(compiled), *following])
     own = own_records(results.spec.samples)
     left = decision.unfinished
     usable = sum(one.nested_in is None for one in decision.models.spec.observations)
@@ -55,28 +56,28 @@ def summary(compiled: Artifacts, given: "Sequence[str]" = ()) -> str:
     beside = f" and {layout.picture.name}" if layout.picture in compiled.files else ""
     lines.append(_row("menu", f"{layout.menu}{beside}", _menu_text(decision.menu)))
     lines += [f"  warning: {text}" for text in decision.menu.spec.warnings]
-    return paragraph([*lines, *_outcome(compiled, decision, given)])
+    return paragraph([*lines, *_outcome(compiled, decision), *following])
 
 
-def _outcome(compiled: Artifacts, decision: "Decision", given: "Sequence[str]") -> list[str]:
-    """Return the lines about the choice, the manifest, and the next command."""
+def result(compiled: Artifacts) -> str:
+    """Return only what came out, as text: the choice, or why there is none."""
+    name, decision = compiled.layout.name, compiled.decision
+    if decision is None:
+        return line(f"{name}: {f'stale: {compiled.stale}' if compiled.stale else 'not measured yet'}")
+    return paragraph([name, *_outcome(compiled, decision)])
+
+
+def _outcome(compiled: Artifacts, decision: "Decision") -> list[str]:
+    """Return the lines about the choice and the manifest."""
     layout, left, entry = compiled.layout, decision.unfinished, decision.menu.spec.balanced
     if entry is None:
         return [*infeasible_text(decision.menu), *_kept(compiled)]
     card = choice_card(entry, compiled.application)
     if decision.manifest is None:
-        again = shell_command("fogspec", "compile", layout.spec, "--partial", *given)
-        measure = _with(compiled.plan.bench_command(layout.spec), given)
-        none = _kept(compiled) or ["  no manifest: the plan was not carried out"]
-        return [*card, *none, f"next: {measure}, or {again}"]
+        return [*card, *(_kept(compiled) or ["  no manifest: the plan was not carried out"])]
     partial = "" if left is None else f", partial: {left.state}"
     manifest = _row("manifest", str(layout.manifest), f"with {layout.deploy.name}{partial}")
-    why = shell_command("fogspec", "explain", layout.argument, *given)
-    return [manifest, *card, f"next: {why}, then review {layout.manifest}"]
-
-
-def _with(command: str, given: "Sequence[str]") -> str:
-    return f"{command} {shell_command(*given)}" if given else command
+    return [manifest, *card]
 
 
 def _kept(compiled: Artifacts) -> list[str]:
@@ -95,7 +96,7 @@ def _plan_text(compiled: Artifacts) -> str:
     estimate = body.estimate
     samples = count(len(body.samples), "sample")
     if estimate.total == 0:
-        return f"{samples} on this host, free, at most {units.format_duration(body.duration * len(body.samples))} of measuring"
+        return f"{samples} on this host, free, at most {units.shown_duration(body.duration * len(body.samples))} of measuring"
     budget = "" if body.budget is None else f", of a budget of {dollars(body.budget)}"
     wall = f"{units.shown_duration(estimate.wall)} if all run at once"
     total = dollars(estimate.total)
@@ -113,22 +114,15 @@ def payoff(compiled: Artifacts) -> "Payoff | None":
     return expected_payoff(compiled.application, offers, usd, compiled.inputs.library)
 
 
-def _unmeasured(compiled: Artifacts, given: "Sequence[str]") -> list[str]:
-    command = _with(compiled.plan.bench_command(compiled.layout.spec), given)
-    expected = payoff(compiled)
+def _unmeasured(compiled: Artifacts) -> list[str]:
+    expected, body = payoff(compiled), compiled.plan.spec
     worth = [] if expected is None else [_row("worth", "", expected.line())]
-    return [*worth, *_next(compiled, command)]
-
-
-def _next(compiled: Artifacts, command: str) -> list[str]:
     if compiled.stale:
         keep = ways_to_keep(compiled.standing, compiled.layout.spec) if compiled.standing else []
-        keep = [f"  {text}" for text in keep]
-        return [f"  stale: {compiled.stale}", *_kept(compiled), *keep, f"next: {command}"]
-    body = compiled.plan.spec
+        return [*worth, f"  stale: {compiled.stale}", *_kept(compiled), *(f"  {text}" for text in keep)]
     machines = [sample.machine for sample in body.samples]
     beware = [_row("", "", text) for text in unattended(machines, body.commitment, compiled.layout.name)]
-    return [*beware, "  not measured yet: models, menu and manifest follow once it is", f"next: {command}"]
+    return [*worth, *beware, "  not measured yet: models, menu and manifest follow once it is"]
 
 
 def _menu_text(menu: "Menu") -> str:
@@ -142,22 +136,14 @@ def entry_text(entry: "Entry") -> str:
     spot = " spot" if entry.spot else ""
     return (
         f"{entry.instance}{spot}{gpu} in {entry.infra}, {units.shown_price(entry.price)} "
-        f"({units.shown_month(entry.price)}): {units.shown_duration(entry.latency)}{_interval(entry)} {_how(entry)}, "
+        f"({units.shown_month(entry.price)}): {units.shown_duration(entry.latency)}"
+        f"{units.shown_interval(entry.interval)} {_how(entry)}, "
         f"{metrics_text(entry.metrics)}{units.shown_cost(entry.cost)}"
     )
 
 
 def _how(entry: "Entry") -> str:
     return entry.how if entry.measured or entry.nested_in else ", ".join(filter(None, ("predicted", entry.how)))
-
-
-def _interval(entry: "Entry") -> str:
-    """Return the interval of the latency, with a space before it; empty without one."""
-    if entry.interval is None:
-        return ""
-    low, high = (units.shown_duration(end) for end in entry.interval)
-    unit = high.rpartition(" ")[2]
-    return f" [{low.removesuffix(' ' + unit)}, {high.removesuffix(' ' + unit)}]"
 
 
 def choice_card(entry: "Entry", application: "Application") -> list[str]:
@@ -170,7 +156,7 @@ def choice_card(entry: "Entry", application: "Application") -> list[str]:
     rows = [
         (
             "latency",
-            f"{units.shown_duration(entry.latency)}{_interval(entry)}",
+            f"{units.shown_duration(entry.latency)}{units.shown_interval(entry.interval)}",
             latency_limit_s(application),
             entry.latency,
         ),
@@ -196,8 +182,6 @@ def choice_card(entry: "Entry", application: "Application") -> list[str]:
 
 def metrics_text(metrics: "Mapping[str, MetricValue]") -> str:
     """Format the metrics of a machine with a comma behind each; empty without one."""
-    from fogspec.choice.menu import metric_text
-
     return "".join(f"{metric_text(name, one)}, " for name, one in metrics.items())
 
 
@@ -218,8 +202,9 @@ def infeasible_text(menu: "Menu") -> list[str]:
     for miss in body.missed:
         beside = "of those that meet the other limits, " if miss.alone and len(body.limits) > 1 else ""
         lines.append(
-            f"  {miss.limit}: limit {miss.bound} is infeasible: {beside}the best machine, {miss.instance} in {miss.infra}, "
-            f"needs {miss.nearest_value}, {miss.factor:.3g} times the limit"
+            f"  {miss.limit}: limit {shown_text(miss.limit, miss.bound)} is infeasible: {beside}the best machine, "
+            f"{miss.instance} in {miss.infra}, needs {shown_text(miss.limit, miss.nearest_value)}, "
+            f"{miss.factor:.3g} times the limit"
         )
     if body.nearest is not None:
         lines.append(f"  nearest on all limits: {entry_text(body.nearest)}; {body.nearest.why_not}")
@@ -247,6 +232,6 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         "stale": compiled.stale,
         "kept": sorted(str(path) for path in compiled.kept),
         "partial": None if chosen is None or chosen.unfinished is None else chosen.unfinished.state,
-        "menu": None if chosen is None else chosen.menu.spec.model_dump(mode="json"),
+        "menu": None if chosen is None else menu_data(chosen.menu),
         "manifest": None if chosen is None or chosen.manifest is None else str(layout.manifest),
     }

@@ -2,14 +2,18 @@
 
 import glob
 import os
+import re
 from collections.abc import Sequence
 
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import InvalidInput, UsageError
-from fogspec.spec.loader import LoadedSpec, check_file
+from fogspec.base.yaml.positions import plain
+from fogspec.spec.loader import LoadedSpec, check_file, read_nodes
 from fogspec.spec.lockfile import some
 from fogspec.spec.overlays import spec_files
 from fogspec.spec.suggest import did_you_mean
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 
 
 def find_specs(arguments: Sequence[str] = ()) -> list[str]:
@@ -79,7 +83,7 @@ def spec_of(name: str) -> str | None:
         return None
     guess = os.path.join("specs", f"{name.partition('@')[0]}.yaml")
     for path in sorted(spec_files("specs"), key=lambda path: path != guess):
-        if any(one.name == name for one in check_file([path])[0]):
+        if name in _names_in(path):
             return path
     if not os.path.exists(guess) or ("@" in name and not _is_wrong(guess)):
         return None
@@ -106,6 +110,21 @@ def named_spec(argument: str) -> str:
 
 
 def applications() -> list[str]:
-    """Return the names of the applications of the valid specs in specs/, sorted, also those in environments."""
+    """Return the names of the applications in specs/, sorted, also those in environments and of invalid specs."""
     paths = spec_files("specs") if os.path.isdir("specs") else []
-    return sorted({one.name for one in check_file(paths)[0]})
+    return sorted({name for path in paths for name in _names_in(path)})
+
+
+def _names_in(path: str) -> set[str]:
+    """Return the names of the applications of a spec, also of an invalid one that is YAML."""
+    loaded, wrong = check_file([path])
+    names = {one.name for one in loaded}
+    if not any(one.severity == "error" for one in wrong):
+        return names
+    try:
+        written = [plain(node) for node in read_nodes(path)[0]]
+    except (DiagnosticError, OSError):
+        return names
+    metadata = [one.get("metadata") for one in written if isinstance(one, dict)]
+    found = {one["name"] for one in metadata if isinstance(one, dict) and isinstance(one.get("name"), str)}
+    return names | {name for name in found if NAME.fullmatch(name)}

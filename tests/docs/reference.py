@@ -31,6 +31,21 @@ WHERE = {
     "SharedState": ("state.yaml in refs/fogspec/state/NAME-…", "`fogspec apply`, where clones share the state"),
     "Project": ("fogspec.yaml", "you; optional"),
 }
+EVERYWHERE = ("quiet", "verbose")
+ALL_COMMANDS = """
+Every command takes, before or after its name:
+
+- `-q`, `--quiet`: print only errors and the result: no notes, no progress, no warnings, no next command. A price that you have
+  to approve is still shown.
+- `-v`, `--verbose`: also print, on standard error, which files, catalog and machine library are read, with their digests, and
+  how long each stage takes.
+- `-h`, `--help`
+
+Results are on standard output; errors, notes and progress on standard error. On a terminal, lines are broken at its width;
+elsewhere a sentence is one line, and tables and charts are 80 columns wide. `COLUMNS` sets another width. `NO_COLOR` turns
+colors off, which repeat what words say. A command that another one usually follows ends with a line `next:`, with the
+options that it needs too. [JSON for programs](../explanation/numbers.md#json-for-programs) has numbers, with the unit in
+the key."""
 OTHER_ENDS = {
     0: "Done; nothing differs.",
     70: "A bug in fogspec: one paragraph to paste into an issue.",
@@ -40,7 +55,7 @@ OTHER_ENDS = {
 
 def verbs_page() -> str:
     """docs/reference/verbs.md, from the command line itself."""
-    parts = [NOTE, "# Commands\n", "`fogspec COMMAND --help` prints the same."]
+    parts = [NOTE, "# Commands\n", "`fogspec COMMAND --help` prints the same.", ALL_COMMANDS]
     for title, names in GROUPS.items():
         parts.append(f"\n**{title}**\n\n| command | purpose |\n|--|--|")
         parts += [f"| [`{verb}`](#{verb}) | {VERBS[verb]} |" for verb in names]
@@ -58,7 +73,8 @@ def _verb(command: click.Command, context: click.Context, level: int) -> list[st
     title = context.command_path.removeprefix("fogspec ")
     usage = " ".join([context.command_path, *command.collect_usage_pieces(context)])
     parts = [f"\n{'#' * level} {title}\n", f"```text\n{usage}\n```\n", _paragraphs(command.help or "")]
-    rows = [one.get_help_record(context) for one in command.params if isinstance(one, click.Option)]
+    options = [one for one in command.params if isinstance(one, click.Option) and one.name not in EVERYWHERE]
+    rows = [one.get_help_record(context) for one in options]
     if rows:
         parts.append("\n| option | meaning |\n|--|--|")
     parts += [f"| `{row[0].replace('|', chr(92) + '|')}` | {_cell(row[1])} |" for row in rows if row]

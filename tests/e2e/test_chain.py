@@ -169,7 +169,7 @@ def test_diff_says_what_and_why_and_what_it_costs(done: Shell) -> None:
     edit(done, "offers.csv", lambda text: text.replace("a.large,,,8,16,0.40", "a.large,,,8,16,0.44"))
     (said,) = json.loads(done("diff", *AT, "-o", "json").out)
     assert said["differs"]
-    assert said["costs"]["price"]["before"] == "$0.4/h"
+    assert said["costs"]["price_usd_per_hour"]["before"] == 0.4
     assert any(reason.startswith("catalog:") for reason in said["why"])
     assert (said["to_measure"], said["running"]) == ([], None)
     assert "no benchmark needed" in done("diff", *AT, "--exit-code", code=3).out
