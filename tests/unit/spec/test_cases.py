@@ -86,4 +86,8 @@ def test_the_unchanged_spec_of_the_cases_is_valid(
         (here / name).parent.mkdir(exist_ok=True)
         (here / name).touch()
     monkeypatch.chdir(here)
-    assert said(["validate", "spec.yaml"], capsys) == (0, "1 application in 1 file valid: arm\nnext: fogspec compile spec.yaml\n", "")
+    assert said(["validate", "spec.yaml"], capsys) == (
+        0,
+        "1 application in 1 file valid: arm\nnext: fogspec compile spec.yaml\n",
+        "",
+    )
