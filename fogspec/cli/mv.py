@@ -2,9 +2,10 @@
 
 import click
 
-from fogspec.base.console import say
+from fogspec.base.console import note, say
 from fogspec.base.errors import UsageError
 from fogspec.base.text import shell_command
+from fogspec.cli.next_steps import next_command, say_next
 from fogspec.cli.options import CATALOG, applications_of, complete_application
 
 
@@ -34,15 +35,12 @@ def command(old: str, new: str, catalog_path: str | None) -> None:
         )
     renamed = rename(one, new, applications(), SystemWallClock(), catalog_path)
     say(f"{renamed.before.name} is {renamed.after.name} now, in {renamed.after.spec}")
-    say(*(f"{path}: not fogspec's, left there" for path in renamed.stay), err=True)
+    note(*(f"{path}: not fogspec's, left there" for path in renamed.stay))
     if one.application.spec.connectivity.link != "none":
-        say(
-            f"on the robot, its key of the link is under the old name: {shell_command('fogspec', 'keys', new)}",
-            err=True,
-        )
+        note(f"on the robot, its key of the link is under the old name: {shell_command('fogspec', 'keys', new)}")
     manifest = Layout.of(renamed.after.spec, new).manifest
     todo = [
         shell_command("git", "add", "-A"),
-        *([shell_command("fogspec", "apply", manifest)] if manifest.exists() else []),
+        *([next_command("apply", manifest)] if manifest.exists() else []),
     ]
-    say(f"next: {', review, then '.join(todo)}")
+    say_next(", review, then ".join(filter(None, todo)))

@@ -36,6 +36,7 @@ FOLLOWED_BY: dict[str, tuple[str, ...]] = {
     "ps": ("down", "status"),
     "logs": (),
     "down": (),
+    "mv": ("apply",),
     "keys": (),
     "diff": ("compile", "lock", "apply"),
     "review": (),
