@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.console import say, say_json, say_on
-from fogspec.base.text import shell_command
+from fogspec.cli.next_steps import next_command, next_lines
 from fogspec.cli.options import CATALOG, OUTPUT, complete_application, open_manifest
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def command(applications: tuple[str, ...], catalog_path: str | None, output: str
     answer. Then status, apply and down know them again.
     """
     from fogspec.base.errors import UsageError
+    from fogspec.base.quantities import as_numbers
     from fogspec.deploy.adopt import check_all
     from fogspec.deploy.down import layout_of
     from fogspec.spec.discover import applications as in_specs
@@ -40,7 +41,7 @@ def command(applications: tuple[str, ...], catalog_path: str | None, output: str
             [
                 {
                     "name": layout.name,
-                    "adopted": [machine.model_dump(mode="json") for machine in one.machines],
+                    "adopted": [as_numbers(machine) for machine in one.machines],
                     "serves": one.serves,
                     "left": list(one.left),
                 }
@@ -77,9 +78,7 @@ def _as_text(layout: "Layout", found: "Adopted") -> list[str]:
         if one.runs == UNKNOWN_RUNS:
             change = "what it was given is unknown: apply replaces it"
         lines.append(f"{layout.name}: {one.name} taken over, {what}; {change}")
-    if found.machines:
-        lines.append(f"next: {shell_command('fogspec', 'status', layout.argument)}")
-    return lines
+    return lines + next_lines([next_command("status", layout.argument)] if found.machines else [])
 
 
 def _planned(layout: "Layout", catalog: str | None) -> "LaunchPlan | None":

@@ -83,7 +83,8 @@ def _following(inputs: "Inputs", changes: "Changes") -> str | None:
     layout = inputs.layout
     if changes == type(changes)():
         return next_command("explain", layout.argument)
-    return f"to keep it, write it into {shell_command(layout.spec)} ({changes.text()}), then {next_command('compile', layout.spec)}"
+    compiling = next_command("compile", layout.spec)
+    return f"to keep it, write it into {shell_command(layout.spec)} ({changes.text()}), then {compiling}"
 
 
 def _bound(text: str) -> tuple[str, float | None]:

@@ -37,6 +37,7 @@ FOLLOWED_BY: dict[str, tuple[str, ...]] = {
     "logs": (),
     "down": (),
     "mv": ("apply",),
+    "adopt": ("status",),
     "keys": (),
     "diff": ("compile", "lock", "apply"),
     "review": (),

@@ -15,7 +15,7 @@ from fogspec.base.layout import Layout
 from fogspec.base.quantities import as_numbers
 from fogspec.base.redaction import redacted
 from fogspec.base.text import count
-from fogspec.base.units import dollars, rounded
+from fogspec.base.units import dollars
 from fogspec.compile.manifest import Manifest
 from fogspec.deploy.drift import Observed, observe, violation_text
 from fogspec.deploy.redacted import redacting
