@@ -38,6 +38,7 @@ FOLLOWED_BY: dict[str, tuple[str, ...]] = {
     "down": (),
     "mv": ("apply",),
     "adopt": ("status",),
+    "watch": (),
     "keys": (),
     "diff": ("compile", "lock", "apply"),
     "review": (),

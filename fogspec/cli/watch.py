@@ -8,7 +8,7 @@ import click
 
 from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import FogspecError, Interrupted, InvalidInput, Refused, UsageError
-from fogspec.base.units import format_price, parse_duration_s
+from fogspec.base.units import shown_price, parse_duration_s
 from fogspec.cli.options import CATALOG, OUTPUT, complete_application, quantity
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def _confirm(watcher: "Watcher", sure: bool) -> None:
             machines = DeploymentState.look(one.layout, watcher.times).machines
         except (DiagnosticError, FogspecError):
             machines = []
-        what = [f"{m.machine.instance} in {m.machine.infra}, {format_price(m.machine.price)}" for m in machines[-1:]]
+        what = [f"{m.machine.instance} in {m.machine.infra}, {shown_price(m.machine.price)}" for m in machines[-1:]]
         said = f"; started again at most {times} times an hour, at the approved price" if times else "; reported only"
         say(f"{name}: {what[0] if what else 'nothing runs'}{said}", err=True)
     if not watcher.watched:
