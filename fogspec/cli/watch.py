@@ -8,7 +8,7 @@ import click
 
 from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import FogspecError, Interrupted, InvalidInput, Refused, UsageError
-from fogspec.base.units import shown_price, parse_duration_s
+from fogspec.base.units import parse_duration_s, shown_price
 from fogspec.cli.options import CATALOG, OUTPUT, complete_application, quantity
 
 if TYPE_CHECKING:
