@@ -1,5 +1,6 @@
 """Describe a change of manifests for reviewers of a pull request: the choice, its cost, reasons, policies and freshness."""
 
+import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,16 +31,29 @@ class Base:
 
     repository: Repository
     commit: str
-    paths: tuple[Path, ...]
+    paths: frozenset[str]
+    _content: dict[str, bytes | None] = field(default_factory=dict)
 
     @classmethod
     def of(cls, repository: Repository, commit: str) -> "Base":
         """Find the files that differ."""
-        return cls(repository, commit, tuple(repository.changed(commit)))
+        return cls(repository, commit, frozenset(os.path.realpath(path) for path in repository.changed(commit)))
+
+    def differs(self, path: Path) -> bool:
+        """Return whether a file differs between the base and the checkout."""
+        return os.path.realpath(path) in self.paths
+
+    def below(self, folder: Path) -> list[str]:
+        """Return the files that differ in a folder, at any depth, sorted: their paths relative to it."""
+        start = os.path.realpath(folder) + os.sep
+        return sorted(path.removeprefix(start) for path in self.paths if path.startswith(start))
 
     def at(self, path: Path) -> bytes | None:
-        """Return the content of a file at the base, None if it did not exist."""
-        return self.repository.at(self.commit, path)
+        """Return the content of a file at the base, None if it did not exist; git is asked once."""
+        key = os.path.realpath(path)
+        if key not in self._content:
+            self._content[key] = self.repository.at(self.commit, Path(key))
+        return self._content[key]
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,9 +188,9 @@ def review(status: Status, base: Base, policies: Policies) -> Review:
     """Compare the manifest at the base with the one on disk."""
     inputs, layout = status.inputs, status.layout
     secrets = inputs.application.spec.secrets
-    now, content = inputs.on_disk.get(layout.manifest), base.at(layout.manifest)
     old = new = redacted(committed_manifest(inputs), secrets)
-    if now is None or content != now.content:
+    if base.differs(layout.manifest):
+        content = base.at(layout.manifest)
         before = None if content is None else manifest_in(SourceFile(layout.manifest, content))
         old = redacted(before, secrets)
     found = Difference(
@@ -255,9 +269,10 @@ def _to_measure(status: Status) -> tuple[int, float]:
 def _spec_changes(status: Status, base: Base) -> Iterator[Change]:
     """Yield the fields of the spec that differ, defaults filled in; the file itself if it was no valid spec before."""
     layout, one = status.layout, status.inputs.spec
-    content = base.at(layout.spec)
+    named = [layout.spec, *([] if layout.overlay is None else [layout.overlay])]
+    content = base.at(layout.spec) if any(map(base.differs, named)) else None
     overlay = None if layout.overlay is None else base.at(layout.overlay)
-    if content is None or (content, overlay) == (status.inputs.spec_content, status.inputs.overlay_content):
+    if content is None:
         return
     known = check_text(content, one.path, None if overlay is None else (overlay, str(layout.overlay)))[0]
     was = next((found for found in known if found.application.metadata.name == layout.application), None)
@@ -272,18 +287,15 @@ def _spec_changes(status: Status, base: Base) -> Iterator[Change]:
 def _sent_files(status: Status, base: Base) -> Iterator[Change]:
     """Yield the files that machines are sent and that differ, with the beginnings of their digests."""
     layout, sent = status.layout, status.inputs.sent
-    folder = layout.spec.parent.absolute()
     tree = sent_tree(status.inputs.application, layout)
-    for path in base.paths if tree is not None else ():
-        if not path.is_relative_to(folder):
+    for name in base.below(layout.spec.parent) if tree is not None else ():
+        path = layout.spec.parent / name
+        if name not in sent and (path.exists() or tree is None or tree.excludes(name)):
             continue
-        name = path.relative_to(folder).as_posix()
         content = base.at(path)
-        if name not in sent:
-            # It was sent before, if it was there and is neither left out nor one of fogspec's own documents.
-            own = "/" not in name and content is not None and DOCUMENT.search(content)
-            if content is None or path.exists() or own or tree is None or tree.excludes(name):
-                continue
+        # What is gone was sent, if it was there and not one of fogspec's own documents.
+        if name not in sent and (content is None or ("/" not in name and DOCUMENT.search(content))):
+            continue
         before = None if content is None else f"sha256:{digest.shorten(digest.of_bytes(content))}"
         now = sent.get(name)
         if now is not None and (what := now.rpartition("sha256:"))[1]:

@@ -17,7 +17,7 @@ GROUPS = {
     "Plan and measure": ("compile", "doctor", "bench", "join", "status"),
     "Choose": ("menu", "explain", "report"),
     "Deploy": ("apply", "watch", "ps", "logs", "adopt", "down", "keys"),
-    "Review and audit": ("diff", "review", "ci", "verify", "attest"),
+    "Review and audit": ("diff", "review", "ci", "verify", "attest", "merge-driver"),
     "Evaluate and more": ("evaluate", "priors", "completion"),
 }
 EXAMPLES = {
@@ -46,6 +46,7 @@ EXAMPLES = {
     "ci": "fogspec ci",
     "verify": "fogspec verify my-robot",
     "attest": "fogspec attest my-robot --key key.pem --out statement.json",
+    "merge-driver": "git config merge.fogspec.driver 'fogspec merge-driver %A %P'",
     "evaluate": "fogspec evaluate --suite DIR",
     "priors": "fogspec priors build --from DIR",
     "completion": "fogspec completion bash > ~/.local/share/bash-completion/completions/fogspec",
@@ -81,6 +82,7 @@ VERBS = {
     "verify": "Recompute the chain behind a manifest, byte for byte",
     "ci": "Check before a merge that apply would deploy what is committed",
     "attest": "Write an in-toto statement of a manifest's provenance",
+    "merge-driver": "Compile a file below compiled/ while git merges two branches",
     "evaluate": "Replay sampling and choosing against full measurements",
     "priors": "Build performance priors from other workloads",
     "completion": "Print a completion script for bash, zsh or fish",
@@ -122,7 +124,7 @@ class _Verbs(click.Group):
 
             hints = did_you_mean(name, VERBS) or ["fogspec --help lists the commands"]
             raise UsageError(f"there is no command {name}", *hints)
-        module = importlib.import_module(f"fogspec.cli.{name}")
+        module = importlib.import_module(f"fogspec.cli.{name.replace('-', '_')}")
         command: click.Command = module.command
         _add_verbosity(command)
         command.epilog = f"\b\nExample: {EXAMPLES[name]}\n{EXITS}"

@@ -48,8 +48,9 @@ def command(
         repository = Repository()
         commit = repository.base_of(since or "HEAD")
     except UsageError:
-        if since is not None:
+        if since not in (None, "HEAD") or (since == "HEAD" and repository is None):
             raise
+        since = None  # there is no commit yet: all of it is new
     gone = [] if repository is None or commit is None else [one.name for one in removed(repository, commit, ())]
     try:
         loaded, wrong = check_specs(specs)

@@ -18,7 +18,9 @@ MOST_DEFAULTS = 20
 # What git should know of a project, by file.
 FOR_GIT = {
     ".gitignore": ".fogspec/\n",
-    ".gitattributes": "compiled/** linguist-generated\ncompiled/**/*.svg -diff\ncompiled/agent.pyz binary\n",
+    ".gitattributes": "compiled/** linguist-generated merge=fogspec\n"
+    "compiled/**/*.svg -diff\ncompiled/agent.pyz -diff -text merge=fogspec\n"
+    "results/*.yaml merge=fogspec-results\n",
 }
 
 
@@ -123,7 +125,7 @@ def command(
     if not files.exists(schema):
         files.write(schema, (shipped("schemas") / "Application.json").read_bytes())
         say(f"{schema}: the language for your editor")
-    _for_git(root, files)
+    for_git(root, files)
     for path, content in written.items():
         files.write(path, content.encode())
         say(f"{path}: the parameter file that the launch file makes of its own")
@@ -138,7 +140,7 @@ def command(
     say_next(next_command("validate", spec))
 
 
-def _for_git(root: Path, files: "ProjectFiles") -> None:
+def for_git(root: Path, files: "ProjectFiles") -> None:
     """Write what git should know of a project, where it has no such files yet."""
     if not (root / ".git").exists():
         return

@@ -21,6 +21,7 @@ def copy_example(name: str) -> None:
     Raise UsageError for an unknown example and for a file that exists.
     """
     from fogspec.base.project_files import ProjectFiles
+    from fogspec.cli.init import for_git
     from fogspec.spec.loader import load
     from fogspec.spec.suggest import did_you_mean
 
@@ -40,6 +41,7 @@ def copy_example(name: str) -> None:
     for path, source in copied.items():
         files.write(path, source.read_bytes())
         say(f"{path}: written")
+    for_git(Path(), files)
     first = applications[0]
     say("measured already; nothing is rented")
     say_next(*(next_command(verb, first) for verb in ("compile", "menu", "explain", "report")))

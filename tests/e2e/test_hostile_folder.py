@@ -181,6 +181,7 @@ NEVER_WELL = (
     ("keys", "specs/tiny.yaml"),
     ("priors", "build", "--out", "priors.zip"),
     ("evaluate", "specs/tiny.yaml"),
+    ("merge-driver", "hosts.csv", "compiled/tiny/manifest.yaml"),
 )
 
 

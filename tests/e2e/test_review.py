@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -255,5 +256,16 @@ def test_the_hooks_run_what_they_say(repository: Shell) -> None:
         words = hook["entry"].split()[1:]
         names = [] if hook.get("pass_filenames") is False else ["specs/demo.yaml"]
         repository(*words, *names)
+    # A commit of one application is judged by that application alone; without a commit yet, all are judged.
+    repository.write("specs/other.yaml", repository.read("specs/demo.yaml").replace("name: demo", "name: other"))
+    commit(repository, "another one")
+    change(repository, "alpha: 0.5", "alpha: 0.6", "specs/other.yaml")
+    words = hooks["fogspec-ci"]["entry"].split()[1:]
+    assert "1 not changed since HEAD" in repository(*words, *AT).out
+    change(repository, "alpha: 0.5", "alpha: 0.6")
+    repository(*words, *AT, code=3)
+    shutil.rmtree(repository.folder / ".git")
+    git(repository.folder, "init", "-q")
+    assert "2 applications: 1 failed" in repository(*words, *AT, code=3).out
     for name in ("specs/demo.yaml", "compiled/demo/manifest.yaml", "results/demo.yaml", "fogspec.lock"):
         assert re.search(hooks["fogspec-ci"]["files"], name)

@@ -17,6 +17,7 @@ WRITES = {
     "base/git.py": "what git complains of, in a file without a name",
     "backends/skypilot/backend.py": "a folder of its own for a log, which goes with the call",
     "deploy/git_store.py": "a repository of its own for an exchange, which goes with the command",
+    "audit/merge.py": "the tree of a merge, in a folder of its own, which goes with the call",
     "catalog/sources/cache.py": "the user's cache, by names that it made itself",
     "spec/tree.py": "a snapshot, in a folder that ProjectFiles has just made: each file in it is new",
     "backends/local/backend.py": "a sample's copy of that snapshot, in a folder that ProjectFiles has just made",
