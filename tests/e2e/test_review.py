@@ -18,6 +18,7 @@ from fogspec.audit.review import Base, Review, Whole, review
 from fogspec.compile.compiler import try_compile
 from fogspec.compile.inputs import Inputs
 from fogspec.spec.rules.policies import Policies
+from tests.support.deployed import Deployed, app, tiny  # noqa: F401
 from tests.support.running import CATALOG, Shell, measure, project, shell  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -269,3 +270,31 @@ def test_the_hooks_run_what_they_say(repository: Shell) -> None:
     assert "2 applications: 1 failed" in repository(*words, *AT, code=3).out
     for name in ("specs/demo.yaml", "compiled/demo/manifest.yaml", "results/demo.yaml", "fogspec.lock"):
         assert re.search(hooks["fogspec-ci"]["files"], name)
+
+
+def test_what_is_said_of_the_machine_is_what_apply_does(tiny: Deployed) -> None:
+    (tiny.folder / ".gitignore").write_text(".fogspec/\n")
+    git(tiny.folder, "init", "-q")
+
+    def commit_all() -> None:
+        git(tiny.folder, "add", "-A")
+        git(tiny.folder, "commit", "-q", "-m", "deployed")
+
+    commit_all()
+    tiny.apply()
+    (first,) = tiny.names()
+    tiny.change("latency: 1s", "latency: 500ms")
+    tiny("compile")
+    assert "On `apply`: 1 stays in place." in tiny("review").stdout
+    assert "the machine stays, under the new manifest" in tiny.apply().stdout
+    assert tiny.names() == [first]
+    commit_all()
+    assert "Unchanged and fresh: tiny." in tiny("review").stdout
+    assert "no changes" in tiny.apply().stdout
+    tiny.change("alpha: 0.5", "alpha: 1")
+    tiny("compile")
+    assert "On `apply`: 1 replaces the machine." in tiny("review").stdout
+    tiny.apply()
+    assert len(tiny.names()) == 1
+    assert tiny.names() != [first]
+    tiny("down", "tiny")
