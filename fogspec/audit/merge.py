@@ -73,8 +73,8 @@ def _compiled(root: Path, name: str, path: Path) -> bytes:
     before = Path.cwd()
     os.chdir(root)
     try:
-        specs = [one.path for one in load(find_specs()) if one.application.metadata.name == name]
-        for inputs in Inputs.load(specs, name=name):
+        loaded = [one for one in load(find_specs()) if one.name == name]
+        for inputs in Inputs.load([], loaded=loaded):
             content = compile_application(inputs).files.get(path)
             if content is not None:
                 return content
