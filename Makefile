@@ -106,6 +106,7 @@ words: .venv/dev.stamp  ## the words of docs, help and messages are those of doc
 generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled specs and the public suite are what the code writes
 	$(BIN)/python -m tools.json_schemas --check
 	$(BIN)/python -m tests.docs.reference --check
+	$(BIN)/python -m tools.diagrams --check
 	$(FOGSPEC) compile specs/*-recorded.yaml --catalog snapshot --check
 	$(BIN)/python -m tools.paper --check
 	$(BIN)/python -m tests.tools.public_suite --check

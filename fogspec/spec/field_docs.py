@@ -12,7 +12,7 @@ from fogspec.base.yaml.writer import flow
 from fogspec.spec.introspect import part
 
 QUANTITIES = (
-    (Duration, "a duration", "ns, us, ms, s, min or h"),
+    (Duration, "a duration", "ns, us, ms, s, min, h or d"),
     (Until, "a duration, or a date", "ns, us, ms, s, min, h or d; a date has its time zone, such as 2027-03-31T18:00:00Z"),
     (Money, "an amount of money", "$ or cent"),
     (Cost, "a cost per request", "$ or cent, per request or per a number of requests"),

@@ -6,8 +6,10 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from tests.docs.blocks import DIFFERS, ROOT, Step, blocks, steps
 
@@ -24,6 +26,7 @@ COPIED = (
 MACHINE_DEPENDENT = ("lidar-odometry*", "planner-local*", "__pycache__")
 BEGINS, ENDS = "\x1e", "\x1f"
 LONGEST_S = 240
+NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +38,18 @@ class Ran:
     printed: tuple[str, ...]
 
 
-def run(page: Path, folder: Path) -> list[Ran]:
-    """Run a page in `folder`; raises AssertionError when its shell ended early."""
+def run(
+    page: Path,
+    folder: Path,
+    inside: Callable[[list[str]], list[str]] = lambda words: words,
+    variables: Mapping[str, str] = NO_VARIABLES,
+    longest_s: float = LONGEST_S,
+) -> list[Ran]:
+    """Run a page in `folder`; raises AssertionError when its shell ended early.
+
+    `inside` makes of a command the one that runs it somewhere else, such as in a network of its own; `variables` are added to
+    the environment.
+    """
     here = folder / "checkout"
     for name in COPIED:
         if (ROOT / name).is_dir():
@@ -54,10 +67,10 @@ def run(page: Path, folder: Path) -> list[Ran]:
         "LANG": "C.UTF-8",
         "COLUMNS": "120",
         "SKYPILOT_DISABLE_USAGE_COLLECTION": "1",
-    }
+    } | dict(variables)
     try:
         ended = subprocess.run(
-            ["bash", "--noprofile", "--norc", script], cwd=here, env=environment, timeout=LONGEST_S,
+            inside(["bash", "--noprofile", "--norc", str(script)]), cwd=here, env=environment, timeout=longest_s,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
     finally:
@@ -83,6 +96,19 @@ def _script(page: Path, path: Path) -> list[Step]:
             asked.append(step)
     path.write_text("\n".join(lines) + "\n", "utf-8")
     return asked
+
+
+def mistakes(page: Path, ran: list[Ran]) -> list[str]:
+    """What of a page is not as it shows: commands that failed, or that print something else."""
+    wrong = []
+    for one, after in zip(ran, [*ran[1:], None], strict=True):
+        where = f"{page.relative_to(ROOT)}:{one.step.line}: $ {one.step.command}\n"
+        said = after is not None and after.step.command == "echo $?"
+        if one.code and not said:
+            wrong.append(f"{where}ended with {one.code}:\n" + "\n".join(one.printed))
+        elif differs(one):
+            wrong.append(f"{where}prints (python -m tests.docs.update):\n" + "\n".join(one.printed))
+    return wrong
 
 
 def differs(ran: Ran) -> bool:
