@@ -28,13 +28,19 @@ def repository_of(root: Path) -> str:
 
     All clones of one origin return the same, by whatever protocol they were cloned; forks return another.
     """
+    if (found := origin_of(root)) is not None and (repository := repository_at(found[0], root)) is not None:
+        return repository
+    return f"file://{os.uname().nodename}{os.path.realpath(root)}"
+
+
+def repository_at(url: str, root: Path) -> str | None:
+    """Return what `repository_of` returns in a clone of the repository at this URL; None for an empty one."""
     real = Path(os.path.realpath(root))
-    if (found := origin_of(root)) is not None:
-        url, top = found
-        if (origin := normalized(url, top)) is not None:
-            inside = real.relative_to(top).as_posix()
-            return origin if inside == "." else f"{origin}//{inside}"
-    return f"file://{os.uname().nodename}{real.as_posix()}"
+    top = next((top for top in (real, *real.parents) if os.path.lexists(top / ".git")), real)
+    if (origin := normalized(url, top)) is None:
+        return None
+    inside = real.relative_to(top).as_posix()
+    return origin if inside == "." else f"{origin}//{inside}"
 
 
 def origin_of(root: Path) -> tuple[str, Path] | None:

@@ -1,35 +1,48 @@
 """Implement `fogspec down`: tear down an application."""
 
+import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.console import say, say_json, say_on
+from fogspec.base.console import ask, say, say_json, say_on
+from fogspec.base.errors import Refused, UsageError
 from fogspec.cli.options import OUTPUT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from fogspec.backends.naming import Owner
     from fogspec.backends.protocol import DeploymentBackend
     from fogspec.base.layout import Layout
 
 
 @click.command()
 @click.argument("spec_or_name")
+@click.option(
+    "--repository",
+    metavar="URL",
+    help="end the machines that this other repository started for the application, such as a fork or a former origin",
+)
+@click.option("--yes", is_flag=True, help="skip the confirmation prompt, which only a terminal and --repository have")
 @OUTPUT
-def command(spec_or_name: str, output: str) -> None:
+def command(spec_or_name: str, repository: str | None, yes: bool, output: str) -> None:
     """End what runs of one application, by name, and verify that nothing is left.
 
     That is what was applied, what an apply that was killed had started, and machines of a bench that died, here or
-    elsewhere. Idempotent; other applications are not touched.
+    elsewhere. Idempotent; other applications are not touched, nor machines of other repositories without --repository.
     """
     from fogspec.deploy.down import down, layout_of, leave_link
     from fogspec.deploy.state import SystemWallClock
 
     layout = layout_of(spec_or_name)
-    count, spent_usd = down(layout, _backends(layout), SystemWallClock(), say_on)
-    leave_link(layout)
+    owner = None if repository is None else _owner(layout, repository)
+    asks = not yes and (repository is not None or sys.stdin.isatty())
+    confirm = (lambda names: _ask(names, owner)) if asks else None
+    count, spent_usd = down(layout, _backends(layout), SystemWallClock(), say_on, confirm, owner)
+    if owner is None:
+        leave_link(layout)
     if output == "json":
         say_json({"name": layout.name, "ended": count, "spent_usd": round(spent_usd, 6), "left": []}, indent=None)
         return
@@ -37,6 +50,25 @@ def command(spec_or_name: str, output: str) -> None:
 
     ended = "nothing runs" if not count else f"{count} ended, {dollars(spent_usd)} spent; nothing is left"
     say(f"{layout.name}: {ended}")
+
+
+def _owner(layout: "Layout", url: str) -> "Owner":
+    from fogspec.backends.naming import ENVIRONMENT, Owner
+    from fogspec.base.repository import repository_at
+
+    repository = repository_at(url, layout.root)
+    if repository is None:
+        raise UsageError("--repository: no URL", "write it as git remote get-url origin prints it in its clone")
+    return Owner(repository, ENVIRONMENT, layout.name)
+
+
+def _ask(names: "Sequence[str]", owner: "Owner | None") -> None:
+    whose = "" if owner is None else f" of {owner}"
+    say_on(f"{len(names)} {'machine' if len(names) == 1 else 'machines'}{whose}:", *(f"  {name}" for name in names))
+    if not sys.stdin.isatty():
+        raise Refused("confirmation required, and no terminal is attached", "pass --yes to end these machines")
+    if not ask("end what is listed?"):
+        raise Refused("nothing was ended")
 
 
 def _backends(layout: "Layout") -> "list[Callable[[], DeploymentBackend]]":

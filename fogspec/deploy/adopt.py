@@ -84,13 +84,15 @@ def _running(
     live: DeploymentState, makers: Sequence[Callable[[], DeploymentBackend]]
 ) -> Iterator[tuple[DeploymentBackend, str]]:
     """Yield the deployments of the application that run; raise CloudError if they cannot be listed."""
+    seen = set[str]()
     for make in makers:
         backend = make()
         try:
             names = backend.list(live.owner, live.layout.state)
         except Unreachable as lost:
             raise CloudError(f"{live.layout.name}: status unknown, no contact: {lost}", "safe to run again") from None
-        yield from ((backend, name) for name in names if live.owner.has_deployment(name))
+        yield from ((backend, name) for name in names if live.owner.has_deployment(name) and name not in seen)
+        seen |= set(names)
 
 
 def _machine(

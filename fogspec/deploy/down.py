@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import DeploymentBackend, Job, Unreachable
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput
@@ -16,6 +17,8 @@ from fogspec.bench.journal import JournalState
 from fogspec.deploy.apply import stop_machine
 from fogspec.deploy.shared_state import SharedRecord, holding, shared_layouts, store_of
 from fogspec.deploy.state import DeploymentState, WallClock
+
+Confirm = Callable[[Sequence[str]], None]
 
 
 def layout_of(spec_or_name: str) -> Layout:
@@ -64,9 +67,17 @@ def leave_link(layout: Layout) -> None:
 
 
 def down(
-    layout: Layout, backends: Sequence[Callable[[], DeploymentBackend]], times: WallClock, report: Callable[[str], None]
+    layout: Layout,
+    backends: Sequence[Callable[[], DeploymentBackend]],
+    times: WallClock,
+    report: Callable[[str], None],
+    confirm: Confirm | None = None,
+    owner: Owner | None = None,
 ) -> tuple[int, float]:
     """Stop everything of one application; return the number of machines, and their cost in USD.
+
+    `confirm` is called with the names of the machines before the first is stopped, and may raise. `owner` is another one than
+    the application of this repository, whose machines are stopped in place of ours.
 
     Machines that are not in the live state are found by the application's name, also those of a bench that died. If one
     backend is unavailable, the machines of the others are still stopped.
@@ -77,9 +88,10 @@ def down(
         with (
             finishing(),
             application_lock(layout, what, remove=True),
-            holding(layout, what, times, report, salvage=True) as record,
+            holding(layout, what, times, report, salvage=True, owner=owner) as record,
         ):
-            done = _down(readable_state(layout, times, report, record), backends, report)
+            live = readable_state(layout, times, report, record, owner)
+            done = _down(live, backends, report, confirm, others_too=owner is not None)
         if layout.files.remove_folder(layout.state):
             layout.files.remove_folder(layout.state.parent)
         return done
@@ -94,21 +106,31 @@ def down(
 
 
 def readable_state(
-    layout: Layout, times: WallClock, report: Callable[[str], None], record: SharedRecord | None
+    layout: Layout,
+    times: WallClock,
+    report: Callable[[str], None],
+    record: SharedRecord | None,
+    owner: Owner | None = None,
 ) -> DeploymentState:
     """Return the live state; a damaged record hides no machine, since all are found by name too, and is kept."""
     if record is not None and record.damaged is not None:
         report(f"{record.path}: it is damaged: machines are found by their names")
-        return DeploymentState(layout, times, [], unreadable=True, record=record, manifests={}, where=record.path)
+        damaged = DeploymentState(layout, times, [], unreadable=True, record=record, manifests={}, _owner=record.owner)
+        damaged.where = record.path
+        return damaged
     try:
-        return DeploymentState.read(layout, times, record)
+        return DeploymentState.read(layout, times, record, owner)
     except DiagnosticError as problems:
         report(f"{layout.live}: {problems.diagnostics[0].message}: machines are found by their names")
-        return DeploymentState(layout, times, [], unreadable=True)
+        return DeploymentState(layout, times, [], unreadable=True, _owner=owner)
 
 
 def _down(
-    live: DeploymentState, makers: Sequence[Callable[[], DeploymentBackend]], report: Callable[[str], None]
+    live: DeploymentState,
+    makers: Sequence[Callable[[], DeploymentBackend]],
+    report: Callable[[str], None],
+    confirm: Confirm | None,
+    others_too: bool,
 ) -> tuple[int, float]:
     backends, left, ended = list[DeploymentBackend](), list[str](), 0
     unwritten: list[InvalidInput | OSError] = []
@@ -117,6 +139,8 @@ def _down(
             backends.append(make())
     by_name = {one.name: one for one in backends}
     spent = live.total_usd()
+    if confirm is not None and (names := _named(live, backends, report)):
+        confirm(names)
     for machine in list(live.machines):
         with _collecting(left, unwritten):
             if machine.deployer in by_name:
@@ -131,12 +155,25 @@ def _down(
         raise CloudError(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
     if unwritten:
         raise unwritten[0]
+    if others_too and live.foreign:
+        return ended, spent  # the rest of the record is of this repository's application
     live.check_owned()
     if (kept := live.set_aside()) is not None:
         report(f"{kept} is the live state that cannot be read: nothing of this application runs any more, remove it")
     for path in live.clear():
         report(f"{path}: removed")
     return ended, spent
+
+
+def _named(live: DeploymentState, backends: Sequence[DeploymentBackend], report: Callable[[str], None]) -> list[str]:
+    """Return the names of the machines that would be stopped: those on record, and those that can be listed."""
+    names = [one.name for one in live.machines]
+    for backend in backends:
+        try:
+            names += backend.list(live.owner, live.layout.state)
+        except Unreachable as lost:
+            report(f"{backend.name}: cannot be listed just now: {lost}")
+    return list(dict.fromkeys(names))
 
 
 def _orphans(live: DeploymentState, backend: DeploymentBackend, report: Callable[[str], None]) -> int:

@@ -133,7 +133,7 @@ def parsed(stored: Stored, path: str, owner: Owner) -> SharedState | None:
 
 @dataclass(slots=True, kw_only=True)
 class SharedRecord:
-    """An application's record, held by this process."""
+    """An application's record, held by this process; `owner` is the owner of its machines."""
 
     store: GitStore
     layout: Layout
@@ -142,16 +142,12 @@ class SharedRecord:
     report: Callable[[str], None]
     state: SharedState | None = None
     damaged: bytes | None = None
+    owner: Owner
     holder: str = field(default_factory=lambda: secrets.token_hex(8))
     overtaken: bool = False
     _version: str | None = None
     _lease: Lease | None = None
     _mutex: threading.RLock = field(default_factory=threading.RLock)
-
-    @property
-    def owner(self) -> Owner:
-        """The owner of the machines."""
-        return owner_of(self.layout)
 
     @property
     def path(self) -> str:
@@ -325,17 +321,24 @@ class SharedRecord:
 
 @contextlib.contextmanager
 def holding(
-    layout: Layout, what: str, times: "WallClock", report: Callable[[str], None], salvage: bool = False
+    layout: Layout,
+    what: str,
+    times: "WallClock",
+    report: Callable[[str], None],
+    salvage: bool = False,
+    owner: Owner | None = None,
 ) -> Iterator[SharedRecord | None]:
     """Hold the application's shared record, renewed while it is held; None where the state is in the folder `.fogspec`.
 
-    Raise Busy if another command holds it, StoreUnavailable, and the errors of `store_of` and `SharedRecord.take`.
+    `owner` is another one than the application of this repository. Raise Busy if another command holds the record,
+    StoreUnavailable, and the errors of `store_of` and `SharedRecord.take`.
     """
     store = store_of(layout)
     if store is None:
         yield None
         return
-    record = SharedRecord(store=store, layout=layout, times=times, what=what, report=report)
+    owner = owner or owner_of(layout)
+    record = SharedRecord(store=store, layout=layout, times=times, what=what, report=report, owner=owner)
     record.take(salvage)
     over = threading.Event()
 

@@ -88,11 +88,13 @@ class DeploymentState:
         self.machines = [one for one in self.machines if self.owner.has(one.name)]
 
     @classmethod
-    def read(cls, layout: Layout, times: WallClock, record: SharedRecord | None = None) -> "DeploymentState":
+    def read(
+        cls, layout: Layout, times: WallClock, record: SharedRecord | None = None, owner: Owner | None = None
+    ) -> "DeploymentState":
         """Return the state, empty if there is none; raise DiagnosticError if it was damaged.
 
-        Where clones share it, a command that changes it holds the `record`. Raise StoreUnavailable, and Refused for a record of
-        another repository.
+        `owner` is another one than the application of this repository. Where clones share the state, a command that changes it
+        holds the `record`. Raise StoreUnavailable, and Refused for a record of another repository.
         """
         if record is not None:
             return cls._shared(layout, times, record.state, record.path, record)
@@ -102,22 +104,30 @@ class DeploymentState:
             except DiagnosticError as wrong:
                 raise _ended_by_name(wrong, layout) from None
         if not layout.files.exists(layout.live):
-            return cls(layout, times, [])
+            return cls(layout, times, [], _owner=owner)
         try:
             body = read_document(layout.live, LiveState, layout.files).spec
         except DiagnosticError as wrong:
             raise _ended_by_name(wrong, layout) from None
-        return cls(layout, times, list(body.machines), body.spent)
+        return cls(layout, times, list(body.machines), body.spent, _owner=owner)
 
     @classmethod
     def _shared(
         cls, layout: Layout, times: WallClock, state: SharedState | None, where: str, record: SharedRecord | None = None
     ) -> "DeploymentState":
-        if state is None:
-            return cls(layout, times, [], record=record, manifests={}, where=where)
-        body = state.spec
-        manifests = dict(body.manifests)
-        return cls(layout, times, list(body.machines), body.spent, record=record, manifests=manifests, where=where)
+        owner = None if record is None else record.owner
+        body = DeploymentBody(machines=[]) if state is None else state.spec
+        manifests = {} if state is None else dict(state.spec.manifests)
+        return cls(
+            layout,
+            times,
+            list(body.machines),
+            body.spent,
+            record=record,
+            manifests=manifests,
+            where=where,
+            _owner=owner,
+        )
 
     @classmethod
     def look(cls, layout: Layout, times: WallClock) -> "DeploymentState":

@@ -231,7 +231,9 @@ def away(record: SharedRecord) -> None:
 def taken(project: Project, layout: Layout, what: str = "apply of tiny") -> SharedRecord:
     store = store_of(layout)
     assert store is not None
-    record = SharedRecord(store=store, layout=layout, times=project.times, what=what, report=project.said.append)
+    record = SharedRecord(
+        store=store, layout=layout, times=project.times, what=what, report=project.said.append, owner=owner_of(layout)
+    )
     record.take()
     return record
 

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from fogspec.deploy.schema import Project
 from fogspec.spec.loader import check_file
 from tests.docs.blocks import ROOT, Block, blocks, pages
 
@@ -30,7 +31,13 @@ def fragments() -> list[Block]:
     untitled = [
         block for block in SHOWN if block.language == "yaml" and not block.title and "reference" not in block.page.parts
     ]
-    parts = [block for block in untitled if data(block) and not set(data(block)) & {"repos", "steps", "permissions"}]
+    parts = [
+        block
+        for block in untitled
+        if data(block)
+        and not set(data(block)) & {"repos", "steps", "permissions"}
+        and data(block).get("kind") != "Project"
+    ]
     for page in pages():
         for number, line in enumerate(page.read_text("utf-8").splitlines(), 1):
             parts += [Block(page, number, "yaml", "", text) for text in INLINE.findall(line) if "…" not in text]
@@ -53,6 +60,11 @@ def test_a_part_of_a_spec_is_right_within_a_spec(block: Block, tmp_path: Path) -
     YAML().dump(whole, path)
     wrong = [one for one in check_file([path])[1] if one.severity == "error" and not missing_file(one.message)]
     assert not wrong, [f"{one.code}: {one.message}" for one in wrong]
+
+
+def test_the_project_file_that_is_shown_is_right() -> None:
+    shown = [data(one) for one in SHOWN if one.language == "yaml" and "kind: Project" in one.text]
+    assert [Project.model_validate(one).spec.state for one in shown] == ["git"]
 
 
 def missing_file(message: str) -> bool:
