@@ -21,6 +21,7 @@ from fogspec.deploy.git_store import GitStore, Overtaken, StoreUnavailable
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.shared_state import LEASE_S, SharedRecord, holding, key_of, store_of
 from fogspec.deploy.state import DeploymentState
+from tests.support.scenes import until
 
 HEX = "sha256:" + "1" * 64
 
@@ -283,6 +284,24 @@ def test_the_lease_of_a_process_that_ended_here_is_taken_at_once(shared: Project
     first._write()
     taken(shared, shared.other)
     assert shared.times.now == 0.0
+
+
+def test_a_lease_is_renewed_beside_what_is_written(shared: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shared_state, "RENEW_S", 0.01)
+    store, key = store_of(shared.other), key_of(owner_of(shared.other))
+    assert store is not None
+
+    def renewed() -> int:
+        found = shared_state.parsed(store.read(key), key, owner_of(shared.other))
+        return 0 if found is None or found.spec.lease is None else found.spec.lease.renewed
+
+    with shared.held() as live:
+        until(lambda: renewed() >= 1)
+        for number in range(1, 4):
+            live.put(shared.machine(f"00000{number}"))
+        seen = renewed()
+        until(lambda: renewed() > seen)
+    assert len(shared.seen().machines) == 3
 
 
 def test_an_answer_that_is_lost_is_no_second_writer(shared: Project, monkeypatch: pytest.MonkeyPatch) -> None:

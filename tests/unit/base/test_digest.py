@@ -48,3 +48,15 @@ def test_a_short_digest_is_its_beginning() -> None:
     whole = by_the_system(b"abc")
     assert digest.shorten(whole) == whole[7:19]
     assert digest.shorten(whole, 4) == whole[7:11]
+
+
+def test_a_digest_survives_being_a_label() -> None:
+    whole = digest.of_bytes(b"x")
+    label = digest.as_label(whole)
+    assert label is not None
+    assert len(label) <= 63
+    assert label.isalnum()
+    assert label == label.lower()
+    assert digest.from_label(label) == whole
+    assert [digest.as_label(text) for text in ("", "unknown", "sha256:2", f"{whole}0")] == [None] * 4
+    assert [digest.from_label(text) for text in ("", "!", "a", "a" * 51, "\n", "ü" * 52)] == [None] * 6

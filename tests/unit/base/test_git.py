@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.base.errors import UsageError
-from fogspec.base.git import OVERRIDES, git
+from fogspec.base.git import OVERRIDES, exchange, git
 
 READING = (
     ("rev-parse", "--show-toplevel"),
@@ -118,3 +118,25 @@ def test_every_override_is_given(checkout: Path) -> None:
     said = git("config", "--show-scope", "--list", folder=checkout).decode()
     for name, value in OVERRIDES.items():
         assert f"command\t{name.lower()}={value}" in said.lower()
+
+
+def test_an_exchange_has_the_headers_after_what_the_user_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("COUNT", "1"), ("KEY_0", "user.name"), ("VALUE_0", "theirs")):
+        monkeypatch.setenv(f"GIT_CONFIG_{name}", value)
+    monkeypatch.setenv("GIT_DIR", str(tmp_path / "another"))
+    folder = tmp_path / "own"
+    folder.mkdir()
+    assert exchange("init", "--bare", "--quiet", "--template=", folder=folder).code == 0
+    assert not (tmp_path / "another").exists()
+    headers = {"http.https://forge.test/.extraheader": "AUTHORIZATION: basic abc"}
+    asked = ("config", "--get-urlmatch", "http.extraheader", "https://forge.test/lab/robots.git")
+    assert exchange(*asked, folder=folder, headers=headers).output == b"AUTHORIZATION: basic abc\n"
+    assert exchange("config", "user.name", folder=folder, headers=headers).output == b"theirs\n"
+    assert exchange(*asked, folder=folder).code == 1
+
+
+def test_an_exchange_runs_no_command_that_a_url_names(tmp_path: Path) -> None:
+    exchange("init", "--bare", "--quiet", "--template=", folder=tmp_path)
+    for url in (f"ext::touch {tmp_path}/mark", f"--upload-pack=touch {tmp_path}/mark", "fd::0"):
+        assert exchange("ls-remote", "--", url, folder=tmp_path).code
+    assert not (tmp_path / "mark").exists()
