@@ -53,13 +53,13 @@ def command(spec_or_name: str, repository: str | None, yes: bool, output: str) -
 
 
 def _owner(layout: "Layout", url: str) -> "Owner":
-    from fogspec.backends.naming import ENVIRONMENT, Owner
+    from fogspec.backends.naming import Owner
     from fogspec.base.repository import repository_at
 
     repository = repository_at(url, layout.root)
     if repository is None:
         raise UsageError("--repository: no URL", "write it as git remote get-url origin prints it in its clone")
-    return Owner(repository, ENVIRONMENT, layout.name)
+    return Owner(repository, layout.environment, layout.application)
 
 
 def _ask(names: "Sequence[str]", owner: "Owner | None") -> None:

@@ -371,6 +371,14 @@ def test_records_of_other_applications_and_folders_are_not_mixed_up(shared: Proj
     store = store_of(shared.other)
     assert store is not None
     assert [one.name for one in shared_state.shared_layouts(store, shared.other.root)] == ["tiny-two"]
+    prod = replace(shared.one, name="tiny@prod")
+    with holding(prod, "apply of tiny@prod", shared.times, shared.said.append) as record:
+        live, name = DeploymentState.read(prod, shared.times, record), owner_of(prod).deployment_name(HEX, "000001")
+        live.put(shared.machine().model_copy(update={"name": name}))
+    found = shared_state.shared_layouts(store, shared.other.root)
+    assert [(one.name, one.environment) for one in found] == [("tiny-two", "default"), ("tiny@prod", "prod")]
+    assert [one.name for one in DeploymentState.look(found[1], shared.times).machines] == [name]
+    assert shared.seen().machines == []
     below = shared.other.root / "below"
     below.mkdir()
     assert shared_state.shared_layouts(store, below) == []
