@@ -182,6 +182,8 @@ def _results(compiled: Artifacts) -> Stage:
         return Stage("results", path, "missing", (f"{len(compiled.plan.spec.samples)} samples to measure",))
     if compiled.results is None:
         return Stage("results", path, "stale", tuple(_some(compiled.standing.reasons if compiled.standing else [])))
+    if inputs.timings:
+        return Stage("results", path, "stale", tuple(_some(inputs.timings)))
     body = compiled.results.spec
     unlocked = () if body.pins or not compiled.plan.spec.pins else ("measured before anything was locked",)
     waived = compiled.standing.waived if compiled.standing else ()

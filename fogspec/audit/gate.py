@@ -85,7 +85,7 @@ def judge(inputs: Inputs, policies: Policies, repository: Repository | None, com
     try:
         compiled: Artifacts | FogspecError = try_compile(inputs)
     except DiagnosticError as damaged:
-        return Verdict(layout.name, "damaged", tuple(one.message for one in damaged.diagnostics))
+        return Verdict(layout.name, "damaged", tuple(map(_located, damaged.diagnostics)))
     found = status(inputs, compiled)
     problems = [] if found.refused is None else [f"cannot be compiled: {found.refused}"]
     if layout.manifest in inputs.on_disk:
@@ -107,13 +107,18 @@ def judge(inputs: Inputs, policies: Policies, repository: Repository | None, com
     return Verdict(layout.name, what, tuple(dict.fromkeys(problems)))
 
 
+def _located(one: Diagnostic) -> str:
+    """Return what is wrong with a file, with its place."""
+    return f"{one.span.path}:{one.span.line}:{one.span.column}: {one.message}"
+
+
 def _manifest(inputs: Inputs, compiled: Artifacts | FogspecError, found: Status) -> Iterator[str]:
     """Yield why `apply` would refuse the manifest on disk, or deploy something else than was reviewed."""
     file = inputs.on_disk[inputs.layout.manifest]
     try:
         opened = ManifestBundle(file.document(Manifest), file.content, inputs)
     except DiagnosticError as damaged:
-        yield from (one.message for one in damaged.diagnostics)
+        yield from map(_located, damaged.diagnostics)
         return
     for link in verify(opened, compiled):
         if link.breaks:

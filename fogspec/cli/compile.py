@@ -97,6 +97,7 @@ def command(
             *map(str, changed),
             *(stale or [f"write them: {again}"]),
         )
+    _check_timings(inputs, check)
     _check_lock(specs, inputs, check)
     if prune_:
         _prune({one.layout.root for one in inputs} or {Path()}, [one.layout.name for one in inputs], yes, check)
@@ -122,6 +123,16 @@ def _compiled(
         except DiagnosticError as problems:
             damaged += problems.diagnostics
     return compiled, refused, damaged
+
+
+def _check_timings(inputs: "Sequence[Inputs]", check: bool) -> None:
+    """Say which raw timings are not as recorded; with `check` raise OutOfDate."""
+    timings = [text for one in inputs for text in one.timings]
+    if timings and check:
+        restore = shell_command("git", "checkout", "--", inputs[0].layout.results.parent)
+        raise OutOfDate("raw timings are not as recorded", *timings[:6], restore)
+    if timings:
+        say(f"{timings[0]}, so that ci, verify and apply refuse it", err=True)
 
 
 def _check_lock(specs: Sequence[str], inputs: "Sequence[Inputs]", check: bool) -> None:

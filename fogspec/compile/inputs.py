@@ -22,7 +22,7 @@ from fogspec.catalog.filters import unknown_places
 from fogspec.catalog.sources import default_origin, load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.compile.agent_archive import agent_archive, is_former_agent_file
-from fogspec.results.io import check_integrity
+from fogspec.results.io import changed_timings, check_integrity
 from fogspec.results.schema import Results
 from fogspec.spec.loader import LoadedSpec, SourceFile, load
 from fogspec.spec.lock_io import lock_drift, sent_tree
@@ -52,8 +52,9 @@ class Inputs:
 
     `damaged` is the error of unusable results on disk. `agent` are the files copied to every machine, by their path in
     `compiled/`. `on_disk` are the compiled files on disk, `lock` is the lock file. `sent` are the digests of the files that
-    machines are sent, `drifted` names those that do not match the lock: both only for an audit. `catalog_notes` are what the
-    user should know of the catalog. In an environment, `base` are the inputs of the application that is measured for it.
+    machines are sent, `drifted` names those that do not match the lock, `timings` are sentences on raw timings that are not
+    as recorded: all three only for an audit. `catalog_notes` are what the user should know of the catalog. In an environment,
+    `base` are the inputs of the application that is measured for it.
     """
 
     spec: LoadedSpec
@@ -71,6 +72,7 @@ class Inputs:
     drifted: tuple[str, ...] = ()
     catalog_notes: tuple[str, ...] = ()
     base: "Inputs | None" = None
+    timings: tuple[str, ...] = ()
 
     @classmethod
     def load(
@@ -217,6 +219,7 @@ class _Reader:
             on_disk=self.on_disk(layout),
             sent=sent,
             drifted=tuple(lock_drift(pins, sent)) if audit else (),
+            timings=tuple(changed_timings(results, layout.results.parent)) if audit and results is not None else (),
             catalog_notes=tuple(_catalog_notes(one, catalog)),
             base=base,
         )

@@ -58,8 +58,7 @@ def bring_timings(joined: Joined, results: Path, other: Path) -> Results:
         if target is None or record.timings is None:
             continue
         raw_timings(record, other.parent)
-        content = ProjectFiles(other.parent).read(other.parent / record.timings.path, PACKED_LIMIT)
-        contents.append((results.parent / target, content))
+        contents.append((results.parent / target, packed_timings(record, other.parent)))
         timings = record.timings.model_copy(update={"path": target.as_posix()})
         found[record.id] = record.model_copy(update={"timings": timings})
     for path, content in contents:
@@ -83,8 +82,8 @@ def check_integrity(results: Results, path: str | Path) -> None:
         )
 
 
-def raw_timings(record: Measured, folder: Path) -> bytes:
-    """Return the raw timings that a record of a results file in `folder` names.
+def packed_timings(record: Measured, folder: Path) -> bytes:
+    """Return the raw timings that a record of a results file in `folder` names, as they are on disk.
 
     Raises InvalidInput if they are missing, or not as recorded.
     """
@@ -99,11 +98,36 @@ def raw_timings(record: Measured, folder: Path) -> bytes:
         raise InvalidInput(f"{path} is missing")
     try:
         content = files.read(path, PACKED_LIMIT + 1)
-        if digest.of_bytes(content) != record.timings.digest:
-            raise InvalidInput(f"{path} is not what was recorded")
+    except OSError as problem:
+        raise InvalidInput(f"{path}: {problem.strerror}") from None
+    if digest.of_bytes(content) != record.timings.digest:
+        raise InvalidInput(f"{path} is not what was recorded")
+    return content
+
+
+def raw_timings(record: Measured, folder: Path) -> bytes:
+    """Return the raw timings that a record of a results file in `folder` names, unpacked.
+
+    Raises InvalidInput if they are missing, damaged, or not as recorded.
+    """
+    content = packed_timings(record, folder)
+    path = folder / (record.timings.path if record.timings else "")
+    try:
         return unpacked(content, path)
     except OSError as problem:
         raise InvalidInput(f"{path}: {problem.strerror}") from None
+
+
+def changed_timings(results: Results, folder: Path) -> list[str]:
+    """Return a sentence for each file of raw timings of results in `folder` that is missing, or not as recorded."""
+    found = list[str]()
+    for record in results.spec.samples:
+        if record.timings is not None:
+            try:
+                packed_timings(record, folder)
+            except InvalidInput as wrong:
+                found.append(wrong.message)
+    return found
 
 
 def unpacked(content: bytes, path: Path) -> bytes:

@@ -16,10 +16,11 @@ from fogspec.base.units import shown_duration
 from fogspec.base.yaml.writer import flow
 from fogspec.results.schema import Carried, Results, ResultsBody
 from fogspec.spec import fingerprints
+from fogspec.spec.introspect import annotation_at, fields_of
 from fogspec.spec.lockfile import changed_pins
-from fogspec.spec.schema import Application, Waiver
+from fogspec.spec.schema import ADDED, Application, Benchmark, Spec, Waiver
 
-MOST_STATES = 4096  # of the spec, on the way back to what was measured
+MOST_TRIED = 2000  # values of the spec, on the way back to what was measured
 LONGEST = 60
 
 
@@ -58,7 +59,7 @@ def standing(results: Results, application: Application, pins: Mapping[str, str]
     now, names = fingerprints.measured_part(application), changed_pins(body.pins, pins)
     files = {name: _traced(name, (body.pins or {}).get(name), pins.get(name), waivers) for name in names}
     same = body.application == digest.of_value(now)
-    undone = [] if same else _undone(now, body.application, waivers)
+    undone = [] if same else _undone(now, body, waivers)
     waived = [*(undone or []), *(one for path in files.values() for one in path or ())]
     changed = [
         Waiver.model_construct(change=pin_change(name), old=(body.pins or {}).get(name), new=pins.get(name), reason="")
@@ -72,7 +73,7 @@ def standing(results: Results, application: Application, pins: Mapping[str, str]
         others = [] if fields else [f"{name} changed" for name in _changed_parts(body, application)]
         others = others or ([] if fields else ["spec changed: they measured something else"])
     suggested = list(changed)
-    if others or (undone is None and _undone(now, body.application, [*waivers, *suggested]) is None):
+    if others or (undone is None and _undone(now, body, [*waivers, *suggested]) is None):
         suggested = []
     return Standing(tuple(changed), tuple(waived), tuple(others), tuple(suggested))
 
@@ -158,26 +159,38 @@ def _traced(name: str, old: str | None, new: str | None, waivers: Sequence[Waive
     return path
 
 
-def _undone(now: Mapping[str, Any], target: str, waivers: Sequence[Waiver]) -> list[Waiver] | None:
-    """Return the fewest waivers whose undoing leads from the values now to those with the digest; None if none do."""
+def _undone(now: Mapping[str, Any], body: ResultsBody, waivers: Sequence[Waiver]) -> list[Waiver] | None:
+    """Return waivers whose undoing leads from the values now to those that were measured, None if none do.
+
+    All that apply are undone first; without some of them is tried after that, as often as `MOST_TRIED` allows.
+    """
     named = [one for one in waivers if one.change.startswith("spec.") and fingerprints.waivable(one.change)]
-    known, states = {digest.of_value(now)}, [(now, list[Waiver]())]
-    for values, path in states:
+    if body.measured is not None:
+        changed = [one.change for one in _field_changes(body, now)]
+        named = [one for one in named if any(_beside(one.change, other) for other in changed)]
+    known, states, tried = {digest.of_value(now)}, [(now, list[Waiver]())], 0
+    while states and tried < MOST_TRIED:
+        values, path = states.pop()
         for one in named:
             if one in path:
                 continue
             for before in _without(values, one):
-                at = digest.of_value(before)
-                if at == target:
+                at, tried = digest.of_value(before), tried + 1
+                if at == body.application:
                     return [one, *path]
-                if at not in known and len(states) < MOST_STATES:
+                if at not in known:
                     known.add(at)
                     states.append((before, [one, *path]))
     return None
 
 
+def _beside(one: str, other: str) -> bool:
+    """Return whether one of two fields is the other, or above it."""
+    return one.startswith(other) or other.startswith(one)
+
+
 def _without(values: Mapping[str, Any], waiver: Waiver) -> Iterator[Mapping[str, Any]]:
-    """Yield the values with a change undone, in each way in which its field can be read and its old value be absent."""
+    """Yield the values with a change undone, in each way in which its field can be read."""
     for path in _paths(values, waiver.change.removeprefix("spec.").removeprefix("benchmark.")):
         found: Any = copy.deepcopy(values)
         at = found
@@ -185,41 +198,50 @@ def _without(values: Mapping[str, Any], waiver: Waiver) -> Iterator[Mapping[str,
             at = at[step]
         last = path[-1]
         there = at[last] if isinstance(at, list) or last in at else None
-        if there != waiver.new:
-            continue
-        at[last] = waiver.old
-        yield found
-        if waiver.old is None and isinstance(at, dict):
-            found = copy.deepcopy(found)
-            at = found
-            for step in path[:-1]:
-                at = at[step]
-            del at[last]
+        if there == waiver.new:
+            if waiver.old is None and isinstance(at, dict) and not _is_always_there(path):
+                at.pop(last, None)
+            else:
+                at[last] = waiver.old
             yield found
 
 
-def _paths(values: Any, text: str) -> Iterator[tuple[Any, ...]]:
-    """Yield the paths that a dotted text can mean; a key may have dots itself, and may be absent."""
+def _is_always_there(path: tuple[Any, ...]) -> bool:
+    """Return whether a field is there also if it is not set, as null; keys of the user's own mappings are not."""
+    return path[-1] in _fields(path[:-1]) and path[-1] not in ADDED
+
+
+def _fields(path: tuple[Any, ...]) -> Mapping[str, Any]:
+    """Return the fields that the schema has at a path of what is measured; none for the user's own mappings."""
+    if not path:
+        return {**fields_of(Spec), **fields_of(Benchmark)}
+    within = ("spec", "benchmark") if path[0] in Benchmark.model_fields else ("spec",)
+    return fields_of(annotation_at(Application, (*within, *path)))
+
+
+def _paths(values: Any, text: str, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the paths that a dotted text can mean; a user's own key may have dots itself, and may be absent."""
     if isinstance(values, list):
         number, closed, rest = text.partition("]")
         if closed and number[:1] == "[" and number[1:].isdecimal() and int(number[1:]) < len(values):
-            yield from _below(values, int(number[1:]), rest)
+            yield from _below(values, int(number[1:]), rest, at)
         return
     if not isinstance(values, Mapping):
         return
     text = text.removeprefix(".")
     for key in values:
         if text.startswith(key):
-            yield from _below(values, key, text[len(key) :])
-    if text and text not in values:
-        yield (text,)
+            yield from _below(values, key, text[len(key) :], at)
+    fields = _fields(at)
+    if text not in values and (text in fields or (text and not fields)):
+        yield (*at, text)
 
 
-def _below(values: Any, key: Any, rest: str) -> Iterator[tuple[Any, ...]]:
+def _below(values: Any, key: Any, rest: str, at: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
     if not rest:
-        yield (key,)
+        yield (*at, key)
     elif rest[0] in ".[":
-        yield from ((key, *path) for path in _paths(values[key], rest))
+        yield from _paths(values[key], rest, (*at, key))
 
 
 def _field_changes(body: ResultsBody, now: Mapping[str, Any]) -> Iterator[Waiver]:

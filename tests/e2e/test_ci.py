@@ -1,4 +1,7 @@
-"""The gate: green if and only if `apply` would deploy what is committed, and in agreement with the other verbs."""
+"""The gate: green if and only if `apply` would deploy what is committed, and in agreement with the other verbs.
+
+What is edited by hand: `test_tampering`.
+"""
 
 import json
 import re
@@ -50,19 +53,6 @@ def task_of(shell: Shell) -> str:
     return next(str(one.relative_to(shell.folder)) for one in sorted(shell.folder.glob("compiled/demo/tasks/*")))
 
 
-TAMPERED: dict[str, Callable[[Shell], None]] = {
-    "spec": replaced("specs/demo.yaml", "alpha: 0.5", "alpha: 0.1"),
-    "node code": lambda shell: shell.write("specs/work.py", "print('other')\n"),
-    "plan": replaced("compiled/demo/plan.yaml", "^  duration: .*", "  duration: 9min"),
-    "task": lambda shell: replaced(task_of(shell), "max_hourly_cost: .*", "max_hourly_cost: 9")(shell),
-    "task removed": lambda shell: without(task_of(shell))(shell),
-    "results": replaced("results/demo.yaml", "mean: .*", "mean: 1ms"),
-    "models": replaced("compiled/demo/models.yaml", "kind: .*", "kind: Models2"),
-    "menu": replaced("compiled/demo/menu.yaml", "predicted", "measured"),
-    "manifest": replaced(MANIFEST, "instance: .*", "instance: a.huge"),
-    "deployment": replaced("compiled/demo/deploy.sky.yaml", "run: ", "run: curl evil; "),
-    "agent": lambda shell: (shell.folder / "compiled/agent.pyz").write_bytes(b"evil"),
-}
 VERBS = {
     "ci": ("ci",),
     "verify": ("verify", MANIFEST),
@@ -80,12 +70,6 @@ def codes(shell: Shell) -> dict[str, int]:
 def test_what_is_committed_passes_all(repo: Shell) -> None:
     assert codes(repo) == dict.fromkeys(VERBS, 0)
     assert "ok    demo  manifest verified" in repo("ci", *AT).out
-
-
-@pytest.mark.parametrize("what", TAMPERED)
-def test_what_was_tampered_with_passes_none(repo: Shell, what: str) -> None:
-    TAMPERED[what](repo)
-    assert {name for name, code in codes(repo).items() if not code} == set()
 
 
 def test_a_manifest_that_a_change_takes_away_is_missed(repo: Shell) -> None:
