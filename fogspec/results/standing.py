@@ -57,7 +57,7 @@ def standing(results: Results, application: Application, pins: Mapping[str, str]
     """Return whether the results count for this application with these pins, and what changed since."""
     body, waivers = results.spec, application.spec.benchmark.waivers
     now, names = fingerprints.measured_part(application), changed_pins(body.pins, pins)
-    files = {name: _traced(name, (body.pins or {}).get(name), pins.get(name), waivers) for name in names}
+    files = {name: _traced(pin_change(name), (body.pins or {}).get(name), pins.get(name), waivers) for name in names}
     same = body.application == digest.of_value(now)
     undone = [] if same else _undone(now, body, waivers)
     waived = [*(undone or []), *(one for path in files.values() for one in path or ())]
@@ -68,7 +68,8 @@ def standing(results: Results, application: Application, pins: Mapping[str, str]
     ]
     others: list[str] = []
     if undone is None:
-        fields = [one for one in _field_changes(body, now) if not any(_is_same(one, other) for other in waivers)]
+        every = [one for _, one in _field_changes(body, now)]
+        fields = [one for one in every if _traced(one.change, one.old, one.new, waivers) is None]
         changed = [*fields, *changed]
         others = [] if fields else [f"{name} changed" for name in _changed_parts(body, application)]
         others = others or ([] if fields else ["spec changed: they measured something else"])
@@ -143,13 +144,9 @@ def pin_change(name: str) -> str:
     return f"./{name}" if name.startswith("spec.") else name
 
 
-def _is_same(one: Waiver, other: Waiver) -> bool:
-    return (one.change, one.old, one.new) == (other.change, other.old, other.new)
-
-
-def _traced(name: str, old: str | None, new: str | None, waivers: Sequence[Waiver]) -> list[Waiver] | None:
-    """Return the waivers that lead from one digest of a pin to the other, None if there are none."""
-    named, path, at = [one for one in waivers if one.change == pin_change(name)], list[Waiver](), new
+def _traced(change: str, old: Any, new: Any, waivers: Sequence[Waiver]) -> list[Waiver] | None:
+    """Return the waivers that lead from one value of a field, or digest of a file, to the other; None if there are none."""
+    named, path, at = [one for one in waivers if one.change == change], list[Waiver](), new
     while at != old:
         before = next((one for one in named if one.new == at and one not in path), None)
         if before is None:
@@ -165,8 +162,10 @@ def _undone(now: Mapping[str, Any], body: ResultsBody, waivers: Sequence[Waiver]
     All that apply are undone first; without some of them is tried after that, as often as `MOST_TRIED` allows.
     """
     named = [one for one in waivers if one.change.startswith("spec.") and fingerprints.waivable(one.change)]
+    if (direct := _each_undone(now, body, named)) is not None:
+        return direct
     if body.measured is not None:
-        changed = [one.change for one in _field_changes(body, now)]
+        changed = [one.change for _, one in _field_changes(body, now)]
         named = [one for one in named if any(_beside(one.change, other) for other in changed)]
     known, states, tried = {digest.of_value(now)}, [(now, list[Waiver]())], 0
     while states and tried < MOST_TRIED:
@@ -184,6 +183,30 @@ def _undone(now: Mapping[str, Any], body: ResultsBody, waivers: Sequence[Waiver]
     return None
 
 
+def _each_undone(now: Mapping[str, Any], body: ResultsBody, waivers: Sequence[Waiver]) -> list[Waiver] | None:
+    """Return the waivers of each field that changed, if the results say what was measured and undoing them leads there."""
+    if body.measured is None:
+        return None
+    found, values = list[Waiver](), copy.deepcopy(now)
+    for path, change in _field_changes(body, now):
+        traced = _traced(change.change, change.old, change.new, waivers)
+        if traced is None:
+            return None
+        found += traced
+        _put(values, path, change.old)
+    return found if digest.of_value(values) == body.application else None
+
+
+def _put(values: Any, path: tuple[Any, ...], value: Any) -> None:
+    """Set a field; what is None is removed from a user's own mapping."""
+    for step in path[:-1]:
+        values = values[step]
+    if value is None and isinstance(values, dict) and not _is_always_there(path):
+        values.pop(path[-1], None)
+    else:
+        values[path[-1]] = value
+
+
 def _beside(one: str, other: str) -> bool:
     """Return whether one of two fields is the other, or above it."""
     return one.startswith(other) or other.startswith(one)
@@ -192,17 +215,13 @@ def _beside(one: str, other: str) -> bool:
 def _without(values: Mapping[str, Any], waiver: Waiver) -> Iterator[Mapping[str, Any]]:
     """Yield the values with a change undone, in each way in which its field can be read."""
     for path in _paths(values, waiver.change.removeprefix("spec.").removeprefix("benchmark.")):
-        found: Any = copy.deepcopy(values)
-        at = found
+        at: Any = values
         for step in path[:-1]:
             at = at[step]
-        last = path[-1]
-        there = at[last] if isinstance(at, list) or last in at else None
+        there = at[path[-1]] if isinstance(at, list) or path[-1] in at else None
         if there == waiver.new:
-            if waiver.old is None and isinstance(at, dict) and not _is_always_there(path):
-                at.pop(last, None)
-            else:
-                at[last] = waiver.old
+            found = copy.deepcopy(values)
+            _put(found, path, waiver.old)
             yield found
 
 
@@ -244,24 +263,24 @@ def _below(values: Any, key: Any, rest: str, at: tuple[Any, ...]) -> Iterator[tu
         yield from _paths(values[key], rest, (*at, key))
 
 
-def _field_changes(body: ResultsBody, now: Mapping[str, Any]) -> Iterator[Waiver]:
-    """Yield the fields of the spec that changed, if the results say what was measured."""
+def _field_changes(body: ResultsBody, now: Mapping[str, Any]) -> Iterator[tuple[tuple[Any, ...], Waiver]]:
+    """Yield the fields of the spec that changed with their paths, if the results say what was measured."""
     if body.measured is None:
         return
     for name in {**body.measured, **now}:
         at = fingerprints.field_of_measured(name)
-        yield from _changes(body.measured.get(name), _set(now.get(name)), at)
+        yield from _changes(body.measured.get(name), _set(now.get(name)), at, (name,))
 
 
-def _changes(before: Any, after: Any, at: str) -> Iterator[Waiver]:
+def _changes(before: Any, after: Any, at: str, path: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], Waiver]]:
     if isinstance(before, Mapping) and isinstance(after, Mapping):
         for key in {**before, **after}:
-            yield from _changes(before.get(key), after.get(key), f"{at}.{key}")
+            yield from _changes(before.get(key), after.get(key), f"{at}.{key}", (*path, key))
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         for number, (one, other) in enumerate(zip(before, after, strict=True)):
-            yield from _changes(one, other, f"{at}[{number}]")
+            yield from _changes(one, other, f"{at}[{number}]", (*path, number))
     elif before != after:
-        yield Waiver.model_construct(change=at, old=before, new=after, reason="")
+        yield path, Waiver.model_construct(change=at, old=before, new=after, reason="")
 
 
 def _changed_parts(body: ResultsBody, application: Application) -> Iterator[str]:
