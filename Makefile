@@ -126,6 +126,7 @@ faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere
 	$(BIN)/python -m tests.faults.campaign
 	$(BIN)/python -m tests.faults.batches
 	$(BIN)/python -m tests.faults.deployments
+	$(BIN)/python -m tests.faults.watching
 
 figures: .venv/dev.stamp  ## print every figure that README and docs quote
 	$(BIN)/python -m tests.figures
