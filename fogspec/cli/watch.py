@@ -99,24 +99,20 @@ def _applications(apps: Sequence[str], before: "Mapping[str, Watched]") -> "dict
     One whose spec is damaged or gone for now stays as it was. Raise DiagnosticError for that at the start.
     """
     from fogspec.base.diagnostics import DiagnosticError
-    from fogspec.base.layout import Layout
-    from fogspec.cli.options import applications_of
     from fogspec.deploy.shared_state import store_of
-    from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import check_file
+    from fogspec.spec.discover import check_specs, load_specs
 
     found = {name: (one.application, one.layout) for name, one in before.items()}
     try:
-        loaded = [one for app in apps for one in applications_of(app)] if apps else check_file(find_specs(()))[0]
+        loaded = load_specs(apps) if apps else check_specs()[0]
     except (DiagnosticError, UsageError, InvalidInput):
         if not before and apps:
             raise
         loaded = []
     for one in loaded:
-        name = one.application.metadata.name
-        layout = Layout.of(one.path, name)
+        layout = one.layout
         if apps or layout.files.is_file(layout.live) or store_of(layout) is not None:
-            found[name] = one.application, layout
+            found[one.name] = one.application, layout
     return found
 
 

@@ -163,6 +163,19 @@ def test_a_watcher_that_is_killed_in_a_restart_leaves_one_machine(tiny: Deployed
     assert tiny.alive() == []
 
 
+def test_each_environment_is_watched(tiny: Deployed) -> None:
+    overlay = tiny.folder / "environments/prod.yaml"
+    overlay.parent.mkdir()
+    overlay.write_text("metadata: {name: tiny}\nspec: {objective: {alpha: 0.9}}\n")
+    tiny("compile", "specs/tiny.yaml")
+    tiny("apply", "tiny@prod", "--yes")
+    state = tiny.folder / ".fogspec/tiny@prod"
+    assert "tiny@prod: Healthy" in tiny("watch", "--once", "--yes").stdout
+    assert (state / "events.jsonl").exists()
+    assert not tiny.state.exists(), "the other environment runs nothing"
+    tiny("down", "tiny@prod")
+
+
 def test_a_disk_that_is_full_keeps_no_count_so_nothing_is_started(
     tiny: Deployed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
