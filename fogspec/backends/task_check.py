@@ -15,7 +15,18 @@ from fogspec.base.clouds import cloud_of
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import time_limit
 
-TASK = {"name", "resources", "workdir", "secrets", "file_mounts", "setup", "run", "envs", "config"}
+TASK = {
+    "name",
+    "resources",
+    "api_server_access",
+    "workdir",
+    "secrets",
+    "file_mounts",
+    "setup",
+    "run",
+    "envs",
+    "config",
+}
 UNPRICED = {"image_id", "labels", "ports"}  # of resources: they change neither the machine nor its price
 TARGETS = {"~/.fogspec/agent.pyz", "~/.fogspec/launch/cloud.launch.py", "~/.fogspec/link"}
 DEPLOYMENT_IDLE_MINUTES = 30  # of an unused deployment
@@ -52,6 +63,8 @@ def _differences(job: Job) -> Iterator[str]:
     limit = None if job.lifetime_s is None else time_limit(job.machine, job.lifetime_s)
     if job.task.get("config") != limit:
         yield f"config is {_shown(job.task.get('config'))}, of the job {_shown(limit)}"
+    if job.task.get("api_server_access", False) is not False:
+        yield f"api_server_access is {_shown(job.task['api_server_access'])}, of compiled tasks false"
     yield from (f"{key} is not a key of compiled tasks" for key in job.task if key not in TASK)
 
 

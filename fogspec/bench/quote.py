@@ -94,6 +94,12 @@ class Quote:
         when = ", where it stops" if capped else ", if every machine runs until it ends by itself"
         return f"{count}: at most {dollars(most)}{when if self.todo else ''}"
 
+    def together(self, at_once: int) -> Iterator[str]:
+        """Yield the highest price of the machines that run at the same time, of more than one that costs money."""
+        prices = sorted((sample.machine.price for sample in self.todo), reverse=True)[:at_once]
+        if self.costs is Costs.REAL and len(prices) > 1:
+            yield f"{len(prices)} machines at once: at most {units.format_price(sum(prices))} together"
+
     def unattended(self) -> Iterator[str]:
         """Yield what becomes of machines that cost money if this computer goes off while they start."""
         if self.costs is Costs.REAL:

@@ -70,7 +70,12 @@ class Dollars(click.ParamType):
     is_flag=True,
     help="measure the chosen machine once more; if it agrees with stale results, they count on",
 )
-@click.option("--at-once", type=click.IntRange(1), metavar="N", help="how many machines at the same time, at most")
+@click.option(
+    "--at-once",
+    type=click.IntRange(1, 64),
+    metavar="N",
+    help="how many machines at the same time, at most [default: 8 with SkyPilot, 1 on this computer]",
+)
 @click.option("--resume", is_flag=True, help="take down machines that another bench of this application left running")
 @click.option("--max", "max_usd", type=Dollars(), help="spend at most this now, whatever the budget leaves")
 @click.option("--yes", is_flag=True, help="skip the confirmation prompt")
@@ -99,6 +104,7 @@ def command(
     Resumes where an earlier bench stopped: finished samples are not measured again, machines that were left running
     are torn down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
     """
+    from fogspec.backends.protocol import Costs
     from fogspec.bench.confirm import confirming
     from fogspec.bench.prepare import prepare
     from fogspec.bench.quote import Quote, check_prices
@@ -118,7 +124,9 @@ def command(
         if confirm:
             prepared, expected = confirming(prepared, load_named(one.path, one.name, catalog_path, priors)[0])
         backend = _backend(prepared, runner_name, recorded, pace)
-        backend.at_once = min(backend.at_once, at_once or backend.at_once)
+        # Machines of a cloud do not slow one another down; jobs on this computer do.
+        raised = backend.costs is Costs.REAL
+        backend.at_once = min(at_once or backend.at_once, 64 if raised else backend.at_once)
         _check_place(prepared, backend)
         offering = Quote.of(prepared, backend, max_usd, once_more=confirm)
         _offer(prepared, backend, offering, expected)
@@ -162,7 +170,11 @@ def _require_confirmed(refuted: "Sequence[str]") -> None:
 def _offer(prepared: "Prepared", backend: "SampleBackend", offering: "Quote", expected: "Expected | None") -> None:
     """Say what would be measured, what it costs, and what becomes of the results on disk."""
     tell = partial(say, err=True) if offering.needs_consent else note  # what money is asked for is always said
-    lines = [*([] if expected is None else [expected.line]), *offering.unattended()]
+    lines = [
+        *([] if expected is None else [expected.line]),
+        *offering.together(backend.at_once),
+        *offering.unattended(),
+    ]
     tell(offering.line(), *(f"  {text}" for text in lines))
     if (spent := offering.spent_line(prepared)) is not None:
         tell(spent)

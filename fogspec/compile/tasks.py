@@ -134,6 +134,8 @@ def _task(
     task: dict[str, Any] = {
         "name": application.metadata.name,
         "resources": _resources(spec, machine, autostop, labels),
+        # By default SkyPilot gives a managed job the credentials of its API server, with which it could start machines.
+        "api_server_access": False,
     }
     if measurement_sends_files(spec):
         task["workdir"] = workdir

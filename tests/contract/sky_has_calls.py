@@ -4,7 +4,7 @@ import inspect
 import json
 
 import sky
-from sky import exceptions
+from sky import exceptions, global_user_state, provision, skypilot_config
 from sky.client import sdk
 from sky.utils import registry
 
@@ -23,6 +23,11 @@ CALLS = (
     (sky.down, ("c",), {}),
     (sky.autostop, ("c",), {"idle_minutes": 1, "down": True}),
     (sky.Task.from_yaml_config, ({"run": "true"},), {}),
+    # Not of the public API: fogspec/backends/skypilot/internals.py.
+    (global_user_state.get_cluster_yaml_dict, ("c.yml",), {}),
+    (provision.query_instances, ("aws", "c", "c-1", {}), {"non_terminated_only": True}),
+    (skypilot_config.get_nested, (("aws", "post_provision_runcmd"),), {"default_value": None}),
+    (skypilot_config.override_skypilot_config, ({"aws": {}},), {}),
 )
 for call, words, named in CALLS:
     inspect.signature(inspect.unwrap(call)).bind(*words, **named)

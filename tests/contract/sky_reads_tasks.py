@@ -43,7 +43,8 @@ for path in sys.argv[1:]:
         for cloud, settings in limits.items() for name in settings
     )  # fmt: skip
     print(json.dumps({
-        "path": path, "wrong": wrong, "name": task.name, "infra": one.infra.to_str(), "instance": one.instance_type,
+        "path": path, "wrong": wrong, "server_access": task.api_server_access,
+        "name": task.name, "infra": one.infra.to_str(), "instance": one.instance_type,
         "shape": [one.cpus, one.memory],
         "accelerators": one.accelerators, "spot": one.use_spot, "image": one.image_id, "labels": one.labels,
         "price": one.get_cost(3600) if one.instance_type else None, "same_run": task.run == data["run"],

@@ -150,7 +150,7 @@ from jinja2 import Template
 from sky import skypilot_config
 from sky.server.requests import payloads
 from sky.utils.annotations import client_api
-from fogspec.backends.skypilot.power_off import power_off_armed
+from fogspec.backends.skypilot.internals import power_off_armed
 
 def user_data(task):
     \"\"\"What SkyPilot's API server writes into the user data of a machine on AWS, from what its client sends.\"\"\"

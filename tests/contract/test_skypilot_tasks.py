@@ -166,6 +166,11 @@ def test_slurm_gets_no_image_and_the_plan_says_so(project: Path, understood: dic
     assert "image ros:jazzy is left out in slurm" in (project / "compiled/everywhere/plan.yaml").read_text()
 
 
+def test_no_job_gets_credentials_of_the_api_server(understood: dict[str, dict]) -> None:
+    assert understood
+    assert {one["server_access"] for one in understood.values()} == {False}
+
+
 def test_labels_are_valid_in_every_cloud(understood: dict[str, dict]) -> None:
     for one in understood.values():
         for key, value in one["labels"].items():

@@ -17,8 +17,7 @@ from sky.client import sdk  # `sky.check` is a module
 
 from fogspec.backends.skypilot import secrets_file
 from fogspec.backends.skypilot.errors import CloudProblem, classify
-from fogspec.backends.skypilot.power_off import power_off_armed
-from fogspec.backends.skypilot.teardown import await_gone
+from fogspec.backends.skypilot.internals import await_gone, power_off_armed
 from fogspec.base.project_files import ProjectFiles
 
 PREFIX = "fogspec-"

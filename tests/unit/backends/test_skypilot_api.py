@@ -16,7 +16,7 @@ import pytest
 from fogspec.backends.skypilot.errors import CloudProblem
 
 NAME = "fogspec-lab-demo-one"
-MODULES = ("api", "teardown", "power_off")
+MODULES = ("api", "internals")
 
 
 class ClusterDoesNotExist(Exception):
@@ -158,8 +158,8 @@ def api(sky: Sky, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setitem(sys.modules, "sky.client", sys.modules["sky"].client)
     kept = {name: sys.modules.pop(f"fogspec.backends.skypilot.{name}", None) for name in MODULES}
     clock = SimpleNamespace(sleep=sky.sleep, monotonic=lambda: sky.now_s)
-    teardown = importlib.import_module("fogspec.backends.skypilot.teardown")
-    monkeypatch.setattr(teardown, "time", clock)
+    internals = importlib.import_module("fogspec.backends.skypilot.internals")
+    monkeypatch.setattr(internals, "time", clock)
     module = importlib.import_module("fogspec.backends.skypilot.api")
     monkeypatch.setattr(module, "time", clock)
     yield module

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job
-from fogspec.backends.skypilot.power_off import _seconds
+from fogspec.backends.skypilot.internals import _seconds
 from fogspec.backends.task_check import check_task
 from fogspec.base.clouds import CLOUDS
 from fogspec.base.errors import Refused

@@ -1,0 +1,85 @@
+"""What fogspec needs of SkyPilot and its public Python API lacks; nothing else uses SkyPilot's own modules.
+
+Two things. A contract test holds them for every supported version (`tests/contract/sky_has_calls.py`).
+
+Whether a cloud has terminated a machine that SkyPilot has forgotten. `sky.down` removes its record once the cloud has accepted
+the request, and does not verify the result: in 0.14.1 the check in `CloudVmRayBackend.post_teardown_cleanup` needs the record's
+configuration, which is removed just before. The public API cannot query a machine without a record, but its configuration stays
+in the API server's database.
+
+A timer, set by a machine's first boot, that turns it off: an end without any supervisor. SkyPilot arms autostop once a machine
+has booted and has its files. Until then, only what the cloud does with the machine's user data can end it. On AWS SkyPilot adds
+the commands of `aws.post_provision_runcmd` to the user data. A task cannot set them; the client's configuration can, which goes
+along with each request.
+"""
+
+import contextlib
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from sky import global_user_state, provision, skypilot_config
+
+from fogspec.backends.skypilot.errors import CloudProblem
+from fogspec.base.clouds import OwnEnd, cloud_of
+from fogspec.plan.commitment import machine_s
+
+TIMEOUT_S = 90.0
+POLL_S = 1.0
+KEYS = ("aws", "post_provision_runcmd")
+_LOCK = threading.Lock()  # the configuration is the whole process's
+
+
+def await_gone(name: str) -> None:
+    """Poll the cloud until it has no such machine; raise CloudProblem if it still has one after `TIMEOUT_S`.
+
+    If the API server is on another host, its database cannot be read, and the result of `sky.down` stands.
+    """
+    if (config := _config_of(name)) is None:
+        return
+    end_s = time.monotonic() + TIMEOUT_S
+    while found := _instances(name, config):
+        if time.monotonic() > end_s:
+            raise CloudProblem("setup", f"{name} was ended, and its cloud still has {', '.join(found)}", again=True)
+        time.sleep(POLL_S)
+
+
+def _config_of(name: str) -> Mapping[str, Any] | None:
+    """Return the configuration from which a machine was provisioned; None if there is none."""
+    try:
+        config: Mapping[str, Any] = global_user_state.get_cluster_yaml_dict(f"{name}.yml")
+    except ValueError:  # it was never provisioned, or the database is elsewhere
+        return None
+    return config
+
+
+def _instances(name: str, config: Mapping[str, Any]) -> list[str]:
+    """Return the names of the machines that the cloud has not terminated."""
+    provider = config["provider"]
+    module = str(provider["module"]).rpartition(".")[2]
+    states = provision.query_instances(module, name, config["cluster_name"], provider, non_terminated_only=True)
+    return sorted(one for one, (status, _) in states.items() if status is not None)
+
+
+@contextlib.contextmanager
+def power_off_armed(task: Mapping[str, Any]) -> Iterator[None]:
+    """Within this, requests to launch the task turn its machine off when its longest time is over, if it has one."""
+    seconds = _seconds(task)
+    if seconds is None:
+        yield
+        return
+    command = f"systemd-run --on-boot={seconds:.0f} systemctl poweroff"
+    with _LOCK:
+        theirs = skypilot_config.get_nested(KEYS, default_value=None) or []
+        with skypilot_config.override_skypilot_config({KEYS[0]: {KEYS[1]: [command, *theirs]}}):
+            yield
+
+
+def _seconds(task: Mapping[str, Any]) -> float | None:
+    """Return how long after its first boot the machine is turned off: after autostop, which ends it for good."""
+    resources = task.get("resources") or {}
+    autostop = resources.get("autostop") or {}
+    if cloud_of(str(resources.get("infra", ""))).own_end is not OwnEnd.POWER_OFF or autostop.get("wait_for") != "none":
+        return None
+    return machine_s(float(autostop["idle_minutes"]) * 60)
