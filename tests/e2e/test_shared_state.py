@@ -138,7 +138,7 @@ def test_what_runs_without_a_spec_is_in_status_and_in_the_gate(team: Team) -> No
     assert "tiny: no spec has an application of this name, and fogspec-" in said
     assert "tiny" in other("status", "--exit-code", code=3).stderr
     assert "FAIL  tiny: no spec has an application of this name" in other("ci", code=3).stdout
-    assert "tiny (no spec)" in other("ps").stdout
+    assert [one["has_spec"] for one in json.loads(other("ps", "-o", "json").stdout)] == [False]
     assert "1 ended" in other("down", "tiny").stdout
     assert "tiny" not in other("ci", code=None).stdout
 
