@@ -13,7 +13,7 @@ from typing import Any
 from fogspec.backends.protocol import Job, LaunchRefused
 from fogspec.base.clouds import cloud_of
 from fogspec.catalog.machine import Machine
-from fogspec.plan.commitment import time_limit
+from fogspec.plan.commitment import engine_settings
 
 TASK = {
     "name",
@@ -60,7 +60,7 @@ def _differences(job: Job) -> Iterator[str]:
             yield f"resources.{key} is {_shown(found.get(key))}, of its machine {_shown(wanted.get(key))}"
     yield from _cap(cap, job)
     yield from _end(end, job)
-    limit = None if job.lifetime_s is None else time_limit(job.machine, job.lifetime_s)
+    limit = engine_settings(job.machine, job.lifetime_s)
     if job.task.get("config") != limit:
         yield f"config is {_shown(job.task.get('config'))}, of the job {_shown(limit)}"
     if job.task.get("api_server_access", False) is not False:

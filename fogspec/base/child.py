@@ -16,13 +16,15 @@ ELSEWHERE = "/"  # Only root writes there, and it stays: what a child leaves run
 SEARCHED = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
 # Isolated (-I), an interpreter ignores the working folder, PYTHON* and the user's packages. Folders that come after all others
 # can hide no module: that of this fogspec, which may be an editable install, and the user's packages where they are in use.
-START = "import runpy, sys; _, name, *sys.path[len(sys.path):] = sys.argv; sys.argv[1:] = []; "
+START = "import runpy, sys; _, name, count, *rest = sys.argv; sys.argv[1:] = rest[int(count) :]; "
+START += "sys.path += rest[: int(count)]; "
 START += "runpy.run_module(name, run_name='__main__', alter_sys=True)"
 
 
-def python(module: str) -> list[str]:
-    """Return the command that runs a module in an isolated interpreter."""
-    return [sys.executable, "-I", "-c", START, module, *_own_folders()]
+def python(module: str, *words: str) -> list[str]:
+    """Return the command that runs a module with these arguments in an isolated interpreter."""
+    folders = _own_folders()
+    return [sys.executable, "-I", "-c", START, module, str(len(folders)), *folders, *words]
 
 
 def program(name: str) -> str:

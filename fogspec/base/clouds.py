@@ -31,7 +31,8 @@ class Cloud:
     port of the machine at an address; `quota` one that lists the account's quotas in a region.
     `places_in_zones`: a zone (a partition) has machines and prices of its own.
     `context_regions`: the region is the name of a context, which may have slashes. `attaches_gpus`: one instance type
-    may carry one of several accelerators. `own_end`: see `OwnEnd`.
+    may carry one of several accelerators. `own_end`: see `OwnEnd`. `limits_pods`: SkyPilot limits a pod to what it requests if
+    a task says so; otherwise the pod uses what its node has to spare.
 
     `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
     whose groups are its family's name. So are `accelerated`, `burstable`: of instance types with an accelerator, even if a
@@ -50,6 +51,7 @@ class Cloud:
     context_regions: bool = False
     attaches_gpus: bool = False
     own_end: OwnEnd = OwnEnd.AUTOSTOP
+    limits_pods: bool = False
     open_udp: str | None = None
     quota: str | None = None
     region: str | None = None
@@ -141,6 +143,7 @@ _ROWS = (
         instance_types=False,
         context_regions=True,
         own_end=OwnEnd.POD_DEADLINE,
+        limits_pods=True,
     ),
     Cloud(name="hyperbolic"),
     Cloud(name="primeintellect"),

@@ -18,7 +18,7 @@ GROUPS = {
     "Choose": ("menu", "explain", "report"),
     "Deploy": ("apply", "watch", "ps", "logs", "adopt", "down", "keys"),
     "Review and audit": ("diff", "review", "ci", "verify", "attest", "merge-driver"),
-    "Evaluate and more": ("evaluate", "priors", "completion"),
+    "Evaluate and more": ("evaluate", "conformance", "priors", "completion"),
 }
 EXAMPLES = {
     "init": "fogspec init my-robot",
@@ -48,6 +48,7 @@ EXAMPLES = {
     "attest": "fogspec attest my-robot --key key.pem --out statement.json",
     "merge-driver": "git config merge.fogspec.driver 'fogspec merge-driver %A %P'",
     "evaluate": "fogspec evaluate --suite DIR",
+    "conformance": "fogspec conformance --infra slurm/lab --max '$2'",
     "priors": "fogspec priors build --from DIR",
     "completion": "fogspec completion bash > ~/.local/share/bash-completion/completions/fogspec",
 }
@@ -84,6 +85,7 @@ VERBS = {
     "attest": "Write an in-toto statement of a manifest's provenance",
     "merge-driver": "Compile a file below compiled/ while git merges two branches",
     "evaluate": "Replay sampling and choosing against full measurements",
+    "conformance": "Prove fogspec on an engine; costs money there, and asks first",
     "priors": "Build performance priors from other workloads",
     "completion": "Print a completion script for bash, zsh or fish",
 }

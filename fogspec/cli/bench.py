@@ -11,7 +11,7 @@ from fogspec.base.console import ask, is_quiet, note, say, say_json
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
 from fogspec.base.text import shell_command
 from fogspec.cli.next_steps import next_command, same_command, say_next
-from fogspec.cli.options import CATALOG, PRIORS, SPEC, applications_of, library_from, load_named, require_ready
+from fogspec.cli.options import CATALOG, PRIORS, SPEC, Dollars, applications_of, library_from, load_named, require_ready
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,21 +28,6 @@ if TYPE_CHECKING:
     from fogspec.spec.loader import LoadedSpec, SourceFile
 
 RUNNERS = ["local", "replay", "skypilot"]
-
-
-class Dollars(click.ParamType):
-    """An amount of money, as the spec writes it."""
-
-    name = "$"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the amount in USD. Raise click.BadParameter for any other value."""
-        from fogspec.base.units import parse_money_usd
-
-        try:
-            return value if isinstance(value, float) else parse_money_usd(str(value))
-        except ValueError as wrong:
-            self.fail(str(wrong), param, ctx)
 
 
 @click.command()

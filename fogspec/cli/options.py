@@ -28,6 +28,21 @@ def complete_application(_context: click.Context, _parameter: click.Parameter, b
     return [CompletionItem(one) for one in names] or [CompletionItem(begun, type="file")]
 
 
+class Dollars(click.ParamType):
+    """An amount of money, as the spec writes it."""
+
+    name = "$"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the amount in USD. Raise click.BadParameter for any other value."""
+        from fogspec.base.units import parse_money_usd
+
+        try:
+            return value if isinstance(value, float) else parse_money_usd(str(value))
+        except ValueError as wrong:
+            self.fail(str(wrong), param, ctx)
+
+
 SPECS = click.argument("specs", nargs=-1, type=click.Path(path_type=str), shell_complete=complete_application)
 SPEC = click.argument("spec", type=click.Path(path_type=str), shell_complete=complete_application)
 

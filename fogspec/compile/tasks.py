@@ -14,7 +14,7 @@ from fogspec.base.layout import DEFAULT_ENVIRONMENT
 from fogspec.catalog.machine import Machine
 from fogspec.compile.launch_source import node_launch
 from fogspec.compile.links import link_of, port_of
-from fogspec.plan.commitment import Commitment, time_limit
+from fogspec.plan.commitment import Commitment, engine_settings
 from fogspec.plan.schema import Sample
 from fogspec.spec.launch_text import needs_launch
 from fogspec.spec.lockfile import measurement_sends_files
@@ -68,8 +68,8 @@ def sample_task(
         setup=setup,
         run=run,
     )
-    limit = time_limit(sample.machine, commitment.lifetime_s)
-    return task if limit is None else {**task, "config": limit}
+    settings = engine_settings(sample.machine, commitment.lifetime_s)
+    return task if settings is None else {**task, "config": settings}
 
 
 def deploy_task(
@@ -103,6 +103,9 @@ def deploy_task(
     )
     if application.spec.deployment.ready is not None:
         task = {**{key: task[key] for key in ("name", "resources")}, "workdir": workdir, **task}
+    settings = engine_settings(machine, None)
+    if settings is not None:
+        task["config"] = settings
     if launch is not None:
         task["file_mounts"][LAUNCH_FILE] = launch
     given = [LIFETIME, ENDS] if has_end(application.spec) else []

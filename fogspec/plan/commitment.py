@@ -89,16 +89,25 @@ def machine_s(lifetime_s: float) -> float:
     return PROVISIONING_S + lifetime_s
 
 
-def time_limit(machine: Machine, lifetime_s: float) -> dict[str, Any] | None:
-    """Return SkyPilot's settings, a task's `config`, with which the engine ends the machine; None if it cannot."""
-    cloud, seconds = cloud_of(machine.infra), math.ceil(machine_s(lifetime_s))
-    match cloud.own_end:
-        case OwnEnd.JOB_TIME_LIMIT:
-            return {cloud.name: {"sbatch_options": {"time": math.ceil(seconds / 60)}}}
-        case OwnEnd.POD_DEADLINE:
-            return {cloud.name: {"pod_config": {"spec": {"activeDeadlineSeconds": seconds}}}}
-        case OwnEnd.AUTOSTOP | OwnEnd.POWER_OFF:
-            return None
+def engine_settings(machine: Machine, lifetime_s: float | None) -> dict[str, Any] | None:
+    """Return SkyPilot's settings for the engine, a task's `config`; None if the engine needs none.
+
+    With a lifetime the engine itself ends the machine, where it can. A pod is limited to the shape that was requested: what a
+    node has to spare would be measured otherwise, and not be there when it serves.
+    """
+    cloud, settings = cloud_of(machine.infra), dict[str, Any]()
+    if cloud.limits_pods:
+        settings["set_pod_resource_limits"] = True
+    if lifetime_s is not None:
+        seconds = math.ceil(machine_s(lifetime_s))
+        match cloud.own_end:
+            case OwnEnd.JOB_TIME_LIMIT:
+                settings["sbatch_options"] = {"time": math.ceil(seconds / 60)}
+            case OwnEnd.POD_DEADLINE:
+                settings["pod_config"] = {"spec": {"activeDeadlineSeconds": seconds}}
+            case OwnEnd.AUTOSTOP | OwnEnd.POWER_OFF:
+                pass
+    return {cloud.name: settings} if settings else None
 
 
 def unattended(machines: Iterable[Machine], each: Commitment, name: str) -> Iterator[str]:

@@ -9,6 +9,7 @@ BOUND = 0.9  # of the vCPUs, or of a GPU's time, from which it limits the latenc
 ONE_CORE = 1.1  # vCPUs that one thread may seem to use
 IDLE_GPU = 0.02  # of a GPU's time
 THROTTLED = 0.05  # of the periods of a quota
+SMALLER = 0.95
 SWAPPED_GIB = 2.0**-6
 PAGED_PER_S = 10.0  # major page faults, from which disks are part of the latency
 NETWORK_GIB = 2.0**-10
@@ -63,7 +64,9 @@ def doubts_of(record: Measured) -> Sequence[str]:
     if _swaps(use):
         swapped = _memory(use.swapped or 0.0)
         found.append(f"its machine swapped {swapped} while requests were measured: it needs more memory [{SWAPS}]")
-    if use.throttled is not None and use.throttled >= THROTTLED:
+    # A quota of the machine's own size, as a pod has it, is the machine.
+    smaller = use.vcpus < SMALLER * record.machine.cpus
+    if smaller and use.throttled is not None and use.throttled >= THROTTLED:
         share = f"in {use.throttled:.0%} of periods"
         found.append(f"a CPU quota of {units.shown(use.vcpus)} vCPUs stopped its processes {share} [{QUOTA}]")
     return found

@@ -151,7 +151,12 @@ def test_skypilot_takes_the_time_limit_of_each_engine_that_has_one(project: Path
         if cloud == "slurm":
             assert one["directives"] == ["#SBATCH", f"--time={most_s / 60:g}"]
         elif cloud == "kubernetes":
-            assert one["limits"] == {"kubernetes": {"pod_config": {"spec": {"activeDeadlineSeconds": most_s}}}}
+            assert one["limits"] == {
+                "kubernetes": {
+                    "set_pod_resource_limits": True,
+                    "pod_config": {"spec": {"activeDeadlineSeconds": most_s}},
+                }
+            }
         else:
             assert one["limits"] == {}
         seen.add(cloud)

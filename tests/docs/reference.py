@@ -4,6 +4,7 @@ Fields and codes are written by `python -m tools.json_schemas`, from the same ty
 """
 
 import importlib
+import json
 import re
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import click
 
 from fogspec.base import errors
 from fogspec.cli import EXAMPLES, GROUPS, VERBS, fogspec
+from fogspec.deploy.conformance import STEPS
 from fogspec.spec.field_docs import FieldPage, pages
 from tools.generated import write_or_check
 from tools.json_schemas import KINDS, model_of
@@ -126,6 +128,47 @@ def _row(page: FieldPage) -> str:
     return f"| `{page.path}` | {_cell(page.type + meaning)} |"
 
 
+ENGINES = {
+    "local": "this host",
+    "slurm": "SkyPilot on Slurm",
+    "aws-moto": "SkyPilot on AWS's API (simulated EC2)",
+    "kubernetes": "Kubernetes",
+    "aws": "AWS",
+    "gcp": "Google Cloud",
+    "azure": "Azure",
+}
+EXERCISED = re.compile(r"(<!-- conformance -->\n).*?(<!-- /conformance -->\n)", re.DOTALL)
+MARKS = {"ok": "ok", "failed": "**failed**", "not run": "-"}
+
+
+def support_page() -> str:
+    """docs/reference/support.md, with what `fogspec conformance` exercised, from the reports in tests/data/conformance."""
+    folder = ROOT / "tests" / "data" / "conformance"
+    found = {name: _report(folder / f"{name}.json") for name in ENGINES}
+    ran = {name: report for name, report in found.items() if report is not None}
+    rows = [f"| | {' | '.join(ENGINES[name] for name in ran)} |", f"|--|{'--|' * len(ran)}"]
+    rows.append(f"| date | {' | '.join(one['began'] for one in ran.values())} |")
+    rows.append(f"| versions | {' | '.join(_versions(one['versions']) for one in ran.values())} |")
+    for step, meaning in STEPS.items():
+        states = [
+            next((one["state"] for one in report["steps"] if one["name"] == step), "not run") for report in ran.values()
+        ]
+        rows.append(f"| {meaning} | {' | '.join(MARKS[state] for state in states)} |")
+    never = ", ".join(title for name, title in ENGINES.items() if name not in ran)
+    beside = "no virtual machine of a cloud, no quota of an account, no GPU"
+    text = "\n".join([*rows, "", f"**Never exercised by it**: {never}; {beside}.\n"])
+    page = (ROOT / "docs" / "reference" / "support.md").read_text("utf-8")
+    return EXERCISED.sub(lambda block: f"{block[1]}{text}{block[2]}", page)
+
+
+def _report(path: Path) -> dict[str, Any] | None:
+    return json.loads(path.read_text("utf-8")) if path.exists() else None
+
+
+def _versions(versions: dict[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in versions.items())
+
+
 def decisions_page() -> str:
     """docs/adr/README.md: an index of the decisions."""
     intro = "Architecture decision records: one page per decision, with its context and consequences.\n"
@@ -155,6 +198,7 @@ def generated() -> dict[Path, str]:
     return {
         reference / "verbs.md": verbs_page(),
         reference / "files.md": files_page(),
+        reference / "support.md": support_page(),
         ROOT / "docs" / "adr" / "README.md": decisions_page(),
     }
 

@@ -175,6 +175,7 @@ LIFE = (
     ("down", "tiny"),
     ("mv", "tiny", "small"),
     ("mv", "small", "tiny"),
+    ("conformance",),
 )
 NEVER_WELL = (
     ("doctor", "specs/tiny.yaml"),

@@ -58,6 +58,7 @@ VERBS: tuple[tuple[str, ...], ...] = (
     ("report", "demo", *AT, "--to", "-"),
     ("evaluate", "--suite", "results"),
     ("join", "results/demo.yaml", "results/demo.yaml"),
+    ("conformance", "--infra", "aws/us-east-1", *AT, "--dry-run"),
     ("down", "demo"),
     ("keys", "demo"),
 )

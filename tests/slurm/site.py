@@ -108,10 +108,10 @@ class Site:
         (self.project / path).write_text(text)
         return path
 
-    def run(self, *words: str, code: int = 0) -> "subprocess.CompletedProcess[str]":
+    def run(self, *words: str, code: int = 0, patience_s: float | None = None) -> "subprocess.CompletedProcess[str]":
         """fogspec's command line."""
         ended = subprocess.run(self._argv(words), cwd=self.project, env=self._env(), capture_output=True, text=True,
-                               timeout=self.patience_s)  # fmt: skip
+                               timeout=patience_s or self.patience_s)  # fmt: skip
         assert ended.returncode == code, f"{words}: {ended.returncode}\n{ended.stdout}\n{ended.stderr}"
         return ended
 

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from fogspec.catalog.machine import Machine
-from fogspec.plan.commitment import time_limit
+from fogspec.plan.commitment import engine_settings
 
 
 def resources(machine: Machine, lifetime_s: float | None = None) -> dict[str, Any]:
@@ -18,7 +18,7 @@ def resources(machine: Machine, lifetime_s: float | None = None) -> dict[str, An
     return {"infra": machine.infra, **shape, "max_hourly_cost": machine.price, "autostop": end, "labels": {}}
 
 
-def config(machine: Machine, lifetime_s: float) -> dict[str, Any]:
+def config(machine: Machine, lifetime_s: float | None) -> dict[str, Any]:
     """The settings of a sample's task besides its resources, if it has any."""
-    limit = time_limit(machine, lifetime_s)
-    return {} if limit is None else {"config": limit}
+    settings = engine_settings(machine, lifetime_s)
+    return {} if settings is None else {"config": settings}

@@ -88,7 +88,7 @@ def job(root: Path, machine: Machine, sample: bool, task: Mapping[str, Any] | No
         "file_mounts": {"~/.fogspec/agent.pyz": "agent.pyz"},
         "setup": "true",
         "run": "true",
-        **({} if lifetime_s is None else config(machine, lifetime_s)),
+        **config(machine, lifetime_s),
     }
     name = f"{OWNER.prefix}one"
     return Job(name=name, owner=OWNER, task=task or compiled, root=root, directory=root / "job", machine=machine,

@@ -57,7 +57,10 @@ def test_every_task_ends_its_machine_by_itself():
     ("infra", "config"),
     [
         ("slurm/lab/cpu", {"slurm": {"sbatch_options": {"time": 21}}}),
-        ("kubernetes", {"kubernetes": {"pod_config": {"spec": {"activeDeadlineSeconds": 1260}}}}),
+        (
+            "kubernetes",
+            {"kubernetes": {"set_pod_resource_limits": True, "pod_config": {"spec": {"activeDeadlineSeconds": 1260}}}},
+        ),
         ("ssh/pool", {"ssh": {"pod_config": {"spec": {"activeDeadlineSeconds": 1260}}}}),
         ("gcp/us-central1", None),
         ("local", None),
@@ -67,7 +70,8 @@ def test_an_engine_with_a_time_limit_of_its_own_is_given_it(infra, config):
     """Provisioning and lifetime, from the machine's start: 5 min and 16 min."""
     assert task_of(application(), sample(infra=infra)).get("config") == config
     deployed = deploy_task(application(), sample(infra=infra).machine, workdir=".", agent="a", setup=None, run="true")
-    assert "config" not in deployed, "a deployment has no longest time"
+    limits = {"kubernetes": {"set_pod_resource_limits": True}} if infra == "kubernetes" else None
+    assert deployed.get("config") == limits, "a deployment has no longest time"
 
 
 def test_the_machine_is_pinned_with_its_accelerators_spot_and_image():

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fogspec.catalog.machine import Machine
-from fogspec.plan.commitment import Commitment, room_s, time_limit, unattended
+from fogspec.plan.commitment import Commitment, engine_settings, room_s, unattended
 from fogspec.spec.schema import Benchmark
 
 
@@ -53,12 +53,16 @@ def test_the_room_is_the_most_that_is_paid_with_it(setup_s: int, paid_s: int) ->
 
 
 def test_an_engine_that_can_ends_the_machine() -> None:
-    assert time_limit(machine("slurm/lab/small"), 720.0) == {"slurm": {"sbatch_options": {"time": 17}}}
-    assert time_limit(machine("slurm/lab/small"), 721.0) == {"slurm": {"sbatch_options": {"time": 18}}}
-    found = time_limit(machine("kubernetes/context"), 720.5)
-    assert found == {"kubernetes": {"pod_config": {"spec": {"activeDeadlineSeconds": 1021}}}}
-    assert time_limit(machine("aws/r1"), 720.0) is None
-    assert time_limit(machine("gcp/r1"), 720.0) is None
+    assert engine_settings(machine("slurm/lab/small"), 720.0) == {"slurm": {"sbatch_options": {"time": 17}}}
+    assert engine_settings(machine("slurm/lab/small"), 721.0) == {"slurm": {"sbatch_options": {"time": 18}}}
+    found = engine_settings(machine("kubernetes/context"), 720.5)
+    deadline = {"pod_config": {"spec": {"activeDeadlineSeconds": 1021}}}
+    assert found == {"kubernetes": {"set_pod_resource_limits": True, **deadline}}
+    assert engine_settings(machine("ssh/pool"), 720.5) == {"ssh": deadline}
+    assert engine_settings(machine("kubernetes/context"), None) == {"kubernetes": {"set_pod_resource_limits": True}}
+    assert engine_settings(machine("slurm/lab/small"), None) is None
+    assert engine_settings(machine("aws/r1"), 720.0) is None
+    assert engine_settings(machine("gcp/r1"), 720.0) is None
 
 
 def test_what_nobody_would_end_is_said_with_its_price() -> None:

@@ -61,6 +61,7 @@ def test_what_limits_a_sample_is_said_first(changed: dict[str, float], line: str
         ({"swapped": 0.1}, None, "FS902"),
         ({"swapped": 0.001}, None, None),
         ({"throttled": 0.06, "vcpus": 2.0}, None, "FS903"),
+        ({"throttled": 0.9, "vcpus": 4.0}, None, None),  # the whole machine
     ],
 )
 def test_a_sample_that_measured_something_else_is_a_warning_with_a_code(
