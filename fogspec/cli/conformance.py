@@ -81,7 +81,7 @@ def _exercise(chosen: "Offer", out: Path, output: str) -> None:
     folder = Path(tempfile.mkdtemp(prefix="fogspec-conformance-"))
     find = shell_command("cd", str(folder)) + " && fogspec down conformance"
     if not chosen.is_local:
-        say(f"if this command is killed or this computer goes off, then: {find}", err=True)
+        say(f"its machines end by themselves; if this command is killed, end them at once: {find}", err=True)
     exercise = Exercise(chosen, folder, lambda text: say(text, err=True))
     outcome = exercise.outcome
     try:

@@ -46,6 +46,7 @@ FOLLOWED_BY: dict[str, tuple[str, ...]] = {
     "verify": ("lock", "apply"),
     "attest": ("verify",),
     "evaluate": (),
+    "conformance": (),
     "priors": ("compile",),
     "completion": (),
 }

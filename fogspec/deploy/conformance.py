@@ -287,6 +287,7 @@ def write_project(folder: Path, chosen: Offer) -> None:
         "objective": {"alpha": 0.0},
         "hardware": {"gpus": ["none"], "machines": {"allow": names}},
         "infra": [chosen.infra],
+        "deployment": {"until": f"{DEPLOYED_S / 60:g}min"},
         "benchmark": {
             "budget": format_money(max(chosen.bench_usd, 0.01)),
             "machines": measured,

@@ -19,7 +19,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Pinned
 from fogspec.compile.tasks import ENDS, LIFETIME
 from fogspec.deploy.schema import date_of
-from fogspec.plan.commitment import PROVISIONING_S, TEARDOWN_S, time_limit
+from fogspec.plan.commitment import PROVISIONING_S, TEARDOWN_S, engine_settings
 
 LEAST_S = 60.0
 KEPT_BY = {
@@ -98,6 +98,6 @@ def limited(task: Mapping[str, Any], machine: Machine, ends: str, lifetime_s: fl
     unix_s = datetime.fromisoformat(ends).astimezone(UTC).timestamp()
     envs = {**task.get("envs", {}), LIFETIME: f"{lifetime_s:.0f}", ENDS: f"{unix_s:.0f}"}
     autostop = {"idle_minutes": math.ceil(lifetime_s / 60), "down": True, "wait_for": "none"}
-    config = time_limit(machine, lifetime_s) if cloud_of(machine.infra).on_skypilot else None
+    config = engine_settings(machine, lifetime_s) if cloud_of(machine.infra).on_skypilot else None
     found = {**task, "envs": envs, "resources": {**task.get("resources", {}), "autostop": autostop}}
     return found if config is None else {**found, "config": config}

@@ -79,14 +79,17 @@ def compiled(infra: str) -> dict[str, Any]:
     return deploy_task(app, machine(infra), workdir=".", agent="a", setup=None, run="true")
 
 
+POD = {"pod_config": {"spec": {"activeDeadlineSeconds": 7500}}}
+
+
 @pytest.mark.parametrize(
     ("infra", "config", "power_off_s"),
     [
         ("aws/us-east-1", None, 7500.0),
         ("gcp/us-central1", None, None),
         ("slurm/lab/cpu", {"slurm": {"sbatch_options": {"time": 125}}}, None),
-        ("kubernetes", {"kubernetes": {"pod_config": {"spec": {"activeDeadlineSeconds": 7500}}}}, None),
-        ("ssh/pool", {"ssh": {"pod_config": {"spec": {"activeDeadlineSeconds": 7500}}}}, None),
+        ("kubernetes", {"kubernetes": {"set_pod_resource_limits": True, **POD}}, None),
+        ("ssh/pool", {"ssh": POD}, None),
     ],
 )
 def test_each_engine_ends_the_machine_without_the_computer_that_applied(
