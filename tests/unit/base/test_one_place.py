@@ -23,6 +23,8 @@ WRITES = {
     "backends/local/backend.py": "a sample's copy of that snapshot, in a folder that ProjectFiles has just made",
     "cli/__init__.py": "the null device in place of a closed pipe",
     "cli/init_graph.py": "a temporary directory of its own for the agent and its observations, which goes with the call",
+    "cli/conformance.py": "a temporary project of its own, removed once nothing is left",
+    "deploy/conformance.py": "the log of a bench, in that temporary project",
     "agent": AGENT,
 }
 STARTS = {
@@ -34,6 +36,7 @@ STARTS = {
     "deploy/link.py": "bash, by base/child.py",
     "base/workers.py": "processes of the standard library, with the environment of base/child.py",
     "cli/init_graph.py": "the agent's watcher, by base/child.py",
+    "deploy/conformance.py": "fogspec's own commands, by base/child.py",
     "ros/description.py": "part of the user's own launch on the robot",
     "agent": AGENT,
 }
