@@ -113,7 +113,7 @@ def _json_escape(code: int) -> str:
 def table(rows: Sequence[Sequence[str]], width: int, indent: int = 2) -> list[str]:
     """Return the lines of a table whose first row has the headings, at most `width` wide where its longest words fit.
 
-    Where it would be wider, headings are broken at blanks first, then cells.
+    Where it would be wider, headings are broken at blanks first, then cells; no-break spaces become blanks.
     """
     columns = list(zip(*rows, strict=True))
     wide = [max(map(len, column)) for column in columns]
@@ -128,11 +128,11 @@ def table(rows: Sequence[Sequence[str]], width: int, indent: int = 2) -> list[st
             wide[at] -= 1
     lines = []
     for row in rows:
-        cells = [textwrap.wrap(cell, size, break_long_words=False, break_on_hyphens=False) or [""]
+        cells = [textwrap.wrap(cell, max(size, 1), break_long_words=False, break_on_hyphens=False) or [""]
                  for cell, size in zip(row, wide, strict=True)]  # fmt: skip
         for parts in itertools.zip_longest(*cells, fillvalue=""):
             text = "  ".join(part.ljust(size) for part, size in zip(parts, wide, strict=True))
-            lines.append((" " * indent + text).rstrip())
+            lines.append((" " * indent + text).replace("\u00a0", " ").rstrip())
     return lines
 
 

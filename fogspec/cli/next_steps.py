@@ -39,6 +39,7 @@ FOLLOWED_BY: dict[str, tuple[str, ...]] = {
     "mv": ("apply",),
     "adopt": ("status",),
     "watch": (),
+    "merge-driver": (),
     "keys": (),
     "diff": ("compile", "lock", "apply"),
     "review": (),

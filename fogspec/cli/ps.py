@@ -60,7 +60,7 @@ def command(output: str) -> None:
         machine = one.machine.machine
         rows.append(
             (
-                one.application + ("" if one.has_spec else " (no spec)"),
+                one.application + ("" if one.has_spec else "\u00a0(no\u00a0spec)"),
                 one.machine.name,
                 machine.instance,
                 machine.infra,

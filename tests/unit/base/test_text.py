@@ -10,6 +10,7 @@ from hypothesis import strategies as some
 from markdown_it import MarkdownIt
 
 from fogspec.base import text
+from fogspec.base.text import table
 from fogspec.base.yaml.reader import decode, documents
 from fogspec.base.yaml.writer import flow, yaml_text
 from tests.support.hostile_text import HOSTILE
@@ -137,3 +138,10 @@ def test_code_spans_by_hand(value: object, said: str) -> None:
 def test_a_paragraph_has_as_many_lines_as_it_was_given() -> None:
     assert text.paragraph(["one\ntwo", "three"]).count("\n") == 1
     assert text.paragraph(["one", "two"]) == "one\ntwo"
+
+
+def test_a_table_may_have_empty_columns_and_cells_that_are_not_broken() -> None:
+    assert table([["name", ""], ["a", ""]], 80) == ["  name", "  a"]
+    assert table([["", ""]], 80) == [""]
+    rows = [["application", "x"], ["tiny\u00a0(no\u00a0spec)", "long words here"]]
+    assert table(rows, 26, indent=0) == ["application     x", "tiny (no spec)  long words", "                here"]
