@@ -24,6 +24,7 @@ from fogspec.base.git import tracked_state
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell_command
+from fogspec.base.yaml.reader import MOST_BYTES_OF_CANONICAL
 from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState, Place, SharedState
 from fogspec.deploy.shared_state import SharedRecord, key_of, look, store_of
 from fogspec.plan.schema import EnvironmentMetadata
@@ -258,12 +259,18 @@ class DeploymentState:
         self._write(self.machines)
 
     def manifest_of(self, name: str) -> bytes | None:
-        """Return the manifest that a machine was started for; None if it was not started yet, or it is lost."""
+        """Return the manifest that a machine was started for; None if it was not started yet, or it is lost.
+
+        The nodes on this host can write where it is kept: what no manifest can be is not read.
+        """
         if self.manifests is not None:
             text = self.manifests.get(name)
             return None if text is None else text.encode("utf-8", "surrogateescape")
         path = self.folder(name) / MANIFEST
-        return self.layout.files.read(path) if self.layout.files.is_file(path) else None
+        if not self.layout.files.is_file(path):
+            return None
+        content = self.layout.files.read(path, MOST_BYTES_OF_CANONICAL + 1)
+        return content if len(content) <= MOST_BYTES_OF_CANONICAL else None
 
     def _write(self, machines: list[DeployedMachine], spent_usd: float | None = None) -> None:
         spent = round(self.spent_usd if spent_usd is None else spent_usd, 6)

@@ -22,6 +22,7 @@ from fogspec.spec.schema import ADDED, Application, Benchmark, Spec, Waiver
 
 MOST_TRIED = 2000  # values of the spec, on the way back to what was measured
 LONGEST = 60
+MOST_SHOWN = 8  # waivers to paste
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +122,9 @@ def ways_to_keep(found: Standing, spec: Path) -> list[str]:
     """Return how results that do not count can be kept: by waivers in the spec, each still without its reason."""
     if not found.suggested:
         return []
+    if len(found.suggested) > MOST_SHOWN:
+        many = f"{len(found.suggested)} changes need a waiver each; fogspec status -o json lists them"
+        return [f"to keep the results, if these changes cannot affect them, waive them in {spec}: {many}"]
     lines = [f"to keep the results, if these changes cannot affect them, add to {spec}, each with its reason:"]
     return [*lines, *(f"  {text}" for text in waiver_lines(found.suggested))]
 

@@ -166,9 +166,9 @@ def test_verbs_on_one_mean_the_default_environment_unless_named(repo: Shell) -> 
     menus = {
         what: json.loads(repo("menu", what, "-o", "json", *AT).out) for what in ("demo", "specs/demo.yaml", "demo@prod")
     }
-    assert [one["metadata"]["name"] for one in menus["demo"]] == ["demo"]
+    assert [one["name"] for one in menus["demo"]] == ["demo"]
     assert menus["specs/demo.yaml"] == menus["demo"]
-    assert [one["metadata"]["name"] for one in menus["demo@prod"]] == ["demo@prod"]
+    assert [one["name"] for one in menus["demo@prod"]] == ["demo@prod"]
     by_name = repo("menu", "specs/demo.yaml", "--name", "demo@prod", "-o", "json", *AT).out
     assert json.loads(by_name) == menus["demo@prod"]
     assert "demo@prod" in repo("explain", "demo@prod", *AT).out

@@ -39,7 +39,19 @@ STARTING = ("measure", "start")  # seconds each, so only where they may write
 FOLDERS = ("compiled", f"compiled/{NAME}", f"compiled/{NAME}/tasks", f"compiled/{NAME}/link", "compiled/_agent", "results",
            f"results/{NAME}", f"results/{NAME}/timings", ".fogspec", f".fogspec/{NAME}", f".fogspec/{NAME}/attempts",
            f".fogspec/{NAME}/deployed", "schemas")  # fmt: skip
-NOT_MANAGED = {"root", "spec", "files", "name"}  # the user's own, and no path
+# The user's own, and no paths.
+NOT_MANAGED = {
+    "root",
+    "spec",
+    "files",
+    "name",
+    "own_models",
+    "application",
+    "environment",
+    "overlay",
+    "argument",
+    "measured",
+}
 
 
 def managed() -> list[str]:
