@@ -133,6 +133,6 @@ def _pattern(shown: list[str]) -> str:
 def _tidy(line: str, loose: bool) -> str:
     line = line.rstrip()
     if loose:
-        line = re.sub(r"\d[\d,]*(\.\d+)?(e[+-]?\d+)?( ?(ns|us|µs|ms|s|min)\b)?", "N", line)
+        line = re.sub(r"\d+(,\d{3})*(\.\d+)?(e[+-]?\d+)?( ?(ns|us|µs|ms|s|min)\b)?", "N", line)
         line = re.sub(r"\s+", " ", line)
     return line

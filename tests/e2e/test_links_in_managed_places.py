@@ -93,6 +93,7 @@ class Linked:
     """The project with one path replaced by a link to what stood there, outside."""
 
     def __init__(self, shell: Shell, measured: Path, path: str) -> None:
+        self.of_timings = path.startswith(f"results/{NAME}") and path != f"results/{NAME}.yaml"
         self.shell, self.outside = shell, shell.folder.parent / "outside"
         shutil.copytree(measured, shell.folder, dirs_exist_ok=True)
         self.outside.mkdir()
@@ -118,7 +119,9 @@ class Linked:
         assert fingerprint(self.outside) == self.before, f"{verb} touched what is outside: {ended}"
         said = (ended.out + ended.err).count("it is a link, which may lead out of the project")
         # `verify` and `attest` say it of a link of the chain that breaks; for `down`, what it cannot read may name a cloud.
-        assert ended.code in ((1, 6) if verb == "down" and said else (1, 3) if said else (0, 1, 2, 3, 5)), ended
+        # Of raw timings it is a warning, or a reason why results are stale.
+        refused = (1, 6) if verb == "down" and said else (0, 1, 3) if self.of_timings else (1, 3)
+        assert ended.code in (refused if said else (0, 1, 2, 3, 5)), ended
         return ended
 
 
@@ -128,7 +131,8 @@ def test_no_verb_touches_what_a_link_leads_to(shell: Shell, measured: Path, path
     linked = Linked(shell, measured, path)
     verbs = [verb for verb in VERBS if path.startswith(".fogspec") or verb not in STARTING]
     said = [verb for verb in verbs if "it is a link" in (ended := linked(verb)).out + ended.err]
-    assert said, "somebody says it"
+    # Events are read and written where a watch restarts something.
+    assert said or path.endswith("events.jsonl"), "a verb must name the link"
     assert os.path.islink(shell.folder / path), "the link is the user's to remove"
 
 
