@@ -50,6 +50,7 @@ DEPLOYED_S = 3600.0  # the most that a machine of the deployment is counted for,
 COMMAND_S = 2700.0  # the longest that one command may take
 DOWN_S = 600.0  # of a machine's time, kept for tearing it down
 OBSERVE_S = 300.0
+RELEASE_S, RETRY_S = 180.0, 10.0
 OBSERVED = ("Healthy", "Drifted")  # a busy host is no fault of the engine
 TIMES = Commitment(measuring_s=60.0, setup_s=600.0)
 LEAST_VCPUS, LEAST_GIB = 2.0, 4.0  # of a cloud's machines: SkyPilot's own processes need them
@@ -421,7 +422,15 @@ class Exercise:
         return SPEC_FILE, "--runner", self.runner, "--max", most, "--yes", *self.catalog
 
     def _applied(self) -> dict[str, Any]:
-        return dict(self._json("apply", MANIFEST, *self.catalog, "--yes"))
+        """Deploy, again while a machine is unavailable: an engine may hold one for a while after it was released."""
+        end_s = time.monotonic() + RELEASE_S
+        while True:
+            try:
+                return dict(self._json("apply", MANIFEST, *self.catalog, "--yes"))
+            except Failed as failed:
+                if "safe to run again" not in str(failed) or time.monotonic() > end_s:
+                    raise
+            time.sleep(RETRY_S)
 
     def _observed(self) -> str:
         end_s = time.monotonic() + OBSERVE_S
