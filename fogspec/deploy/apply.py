@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable, no_access
+from fogspec.base.clouds import cloud_name
 from fogspec.base.errors import Busy, CloudError, FogspecError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
 from fogspec.base.redaction import check_set
@@ -289,6 +290,10 @@ class Rollout:
             hints = (f"none of {len(self.candidates)} machines is available now: safe to run again",)
         elif no.reason in NO_CAPACITY:
             hints = ("spec.deployment.fallbacks lets other machines take its place", "safe to run again")
+        if no.reason in NO_CAPACITY and self.end and cloud_name(one.machine.infra) == "slurm":
+            hints += (
+                "or the deployment's time is longer than the partition allows: see sinfo, lower spec.deployment.until",
+            )
         raise CloudError(f"{what}: {no.detail}", *hints)
 
     def _wait(self, machine: DeployedMachine) -> DeployedMachine:
