@@ -91,10 +91,19 @@ def _page(path: str, field: FieldInfo, default: Any) -> FieldPage:
         limits=", ".join(limits),
         default=shown,
         unit=unit,
-        meaning=field.description or "",
+        meaning=field.description or _meaning(field.annotation),
         example=example,
         required=field.is_required(),
     )
+
+
+def _meaning(annotation: Any) -> str:
+    """Return what the docstring of the fields below says; empty for a single value."""
+    kind, items = part(annotation)
+    below = part(items)[0] if items is not None else kind
+    if not (isinstance(below, type) and issubclass(below, BaseModel)):
+        return ""
+    return " ".join((vars(below).get("__doc__") or "").split())
 
 
 def _default(value: Any) -> str:
@@ -115,11 +124,11 @@ def _type(annotation: Any, metadata: list[Any]) -> tuple[str, str]:
     if get_origin(kind) is list:
         return f"a list; each: {_type(items, [])[0]}", ""
     if get_origin(kind) is dict:
-        return f"a map of names; each: {_type(items, [])[0]}", ""
+        return f"an object; each value: {_type(items, [])[0]}", ""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        return "a map of fields", ""
+        return "an object", ""
     patterned = re.search(r"pattern='([^']*)'", str(metadata) + str(annotation))
-    return (f"a text that matches {patterned[1]}" if patterned else PLAIN.get(kind, "a value")), ""
+    return (f"a string that matches {patterned[1]}" if patterned else PLAIN.get(kind, "a value")), ""
 
 
 def _has(annotation: Any, quantity: Any) -> bool:

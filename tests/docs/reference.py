@@ -4,6 +4,7 @@ Fields and codes are written by `python -m tools.json_schemas`, from the same ty
 """
 
 import importlib
+import io
 import json
 import re
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from ruamel.yaml import YAML
 
 from fogspec.base import errors
 from fogspec.cli import EXAMPLES, GROUPS, VERBS, fogspec
@@ -32,6 +34,14 @@ WHERE = {
     "LiveState": (".fogspec/NAME/deployment.yaml", "`fogspec apply`; not in git"),
     "SharedState": ("state.yaml in refs/fogspec/state/NAME-…", "`fogspec apply`, where clones share the state"),
     "Project": ("fogspec.yaml", "you; optional"),
+}
+EXAMPLE = "grasp-planning-recorded"
+EXAMPLE_FILES = {
+    "SamplingPlan": f"compiled/{EXAMPLE}/plan.yaml",
+    "Results": f"results/{EXAMPLE}.yaml",
+    "Models": f"compiled/{EXAMPLE}/models.yaml",
+    "Menu": f"compiled/{EXAMPLE}/menu.yaml",
+    "DeploymentManifest": f"compiled/{EXAMPLE}/manifest.yaml",
 }
 EVERYWHERE = ("quiet", "verbose")
 ALL_COMMANDS = """
@@ -120,7 +130,28 @@ def files_page() -> str:
             continue
         parts += [f"{_paragraphs(model_of(kind).__doc__ or '')}\n", "| field | type |\n|--|--|"]
         parts += [_row(page) for page in pages(model_of(kind))]
+        if kind in EXAMPLE_FILES:
+            parts.append(
+                f"\nFrom `{EXAMPLE_FILES[kind]}`, lists and digests shortened:\n\n```text\n{_excerpt(kind)}```"
+            )
     return "\n".join(parts) + "\n"
+
+
+def _excerpt(kind: str) -> str:
+    """Return a committed file of this kind, with the first entries of its lists and of its maps of digests."""
+    yaml, out = YAML(typ="safe", pure=True), io.StringIO()
+    yaml.default_flow_style, yaml.width, yaml.sort_base_mapping_type_on_output = False, 200, False
+    yaml.dump(_shortened(yaml.load((ROOT / EXAMPLE_FILES[kind]).read_text("utf-8"))), out)
+    return out.getvalue()
+
+
+def _shortened(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_shortened(one) for one in value[:1]]
+    if isinstance(value, dict):
+        digests = len(value) > 3 and all(re.fullmatch(r"(sha256:)?[0-9a-f]{12,64}", str(one)) for one in value.values())
+        return {name: _shortened(one) for name, one in list(value.items())[: 2 if digests else None]}
+    return value
 
 
 def _row(page: FieldPage) -> str:
