@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("applications", nargs=-1, shell_complete=complete_application)
+@click.argument("applications", nargs=-1, metavar="[APP]...", shell_complete=complete_application)
 @CATALOG
 @OUTPUT
 def command(applications: tuple[str, ...], catalog_path: str | None, output: str) -> None:
     """Write what runs into the live state where that is lost; nothing is started or ended.
 
-    APPLICATIONS are names or specs, by default all in specs/. Machines are found by name and labels: those of this
+    Each APP is a name or a spec, by default all in specs/. Machines are found by name and labels: those of this
     repository's application, wherever they were started. Their manifest must be on disk or committed, and their nodes must
     answer. Then status, apply and down know them again.
     """

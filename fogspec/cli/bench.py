@@ -310,7 +310,7 @@ def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
     for record in results.spec.samples:
         say(f"  {record.id}: {progress.outcome(record)}")
         if record.resources is not None:
-            say(f"    used {use_line(record.resources)}")
+            say(f"    resources: {use_line(record.resources)}")
         for text in doubts_of(record) if record.state == "ok" else ():
             say(f"    warning: {text}")
         if record.state != "ok" and record.id in benched.folders:

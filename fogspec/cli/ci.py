@@ -8,11 +8,11 @@ import click
 from fogspec.base.console import note, say_json, say_text
 from fogspec.base.errors import InvalidInput, OutOfDate, UsageError
 from fogspec.base.text import shell_command
-from fogspec.cli.options import CATALOG, OUTPUT, POLICIES
+from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, SPECS
 
 
 @click.command()
-@click.argument("specs", nargs=-1, type=click.Path(path_type=str))
+@SPECS
 @click.option("--since", metavar="BASE", help="only applications that changed since this commit, and what it took away")
 @click.option("-j", "--workers", type=click.IntRange(1, 64), help="processes [default: as many as are worth starting]")
 @CATALOG

@@ -5,11 +5,11 @@ import click
 from fogspec.base.console import note, say_json, say_text
 from fogspec.base.errors import OutOfDate
 from fogspec.cli.next_steps import after_diff, say_next
-from fogspec.cli.options import CATALOG, load_inputs
+from fogspec.cli.options import CATALOG, SPECS, load_inputs
 
 
 @click.command()
-@click.argument("specs", nargs=-1, type=click.Path(path_type=str))
+@SPECS
 @CATALOG
 @click.option(
     "-o", "--output", type=click.Choice(["text", "json", "markdown"]), default="text", help="form of the answer"

@@ -7,14 +7,16 @@ import click
 from fogspec.base.console import say, say_json
 from fogspec.base.layout import Layout
 from fogspec.cli.next_steps import next_command, say_next
-from fogspec.cli.options import CATALOG, OUTPUT, applications_of
+from fogspec.cli.options import CATALOG, OUTPUT, applications_of, complete_application
 
 if TYPE_CHECKING:
     from fogspec.spec.loader import LoadedSpec
 
 
 @click.command()
-@click.argument("spec", required=False, type=click.Path(path_type=str))
+@click.argument(
+    "spec", required=False, metavar="[APP]", type=click.Path(path_type=str), shell_complete=complete_application
+)
 @CATALOG
 @OUTPUT
 def command(spec: str | None, catalog_path: str | None, output: str) -> None:

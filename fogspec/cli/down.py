@@ -8,7 +8,7 @@ import click
 
 from fogspec.base.console import ask, say, say_json, say_on
 from fogspec.base.errors import Refused, UsageError
-from fogspec.cli.options import OUTPUT
+from fogspec.cli.options import OUTPUT, complete_application
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("spec_or_name")
+@click.argument("spec_or_name", metavar="APP", shell_complete=complete_application)
 @click.option(
     "--repository",
     metavar="URL",

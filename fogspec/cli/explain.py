@@ -9,7 +9,7 @@ import click
 from fogspec.base.console import say_json, say_text
 from fogspec.base.errors import UsageError
 from fogspec.cli.next_steps import after_look, next_lines
-from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, load_named
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, complete_application, load_named
 
 if TYPE_CHECKING:
     from fogspec.spec.field_docs import FieldPage
@@ -28,7 +28,7 @@ def _completions(_context: click.Context, _parameter: click.Parameter, begun: st
 
 @click.command()
 @click.argument("what", shell_complete=_completions)
-@click.argument("spec", required=False)
+@click.argument("spec", required=False, metavar="[APP]", shell_complete=complete_application)
 @CATALOG
 @PRIORS
 @OUTPUT

@@ -3,10 +3,18 @@
 import click
 
 from fogspec.base.console import note, say
+from fogspec.cli.options import complete_application
 
 
 @click.command()
-@click.argument("specs", nargs=-1, required=True, type=click.Path(path_type=str))
+@click.argument(
+    "specs",
+    nargs=-1,
+    required=True,
+    metavar="APP...",
+    type=click.Path(path_type=str),
+    shell_complete=complete_application,
+)
 def command(specs: tuple[str, ...]) -> None:
     """Make the robot's private keys for the links of SPECS, once, and print their public halves.
 

@@ -8,13 +8,13 @@ import click
 from fogspec.base.console import say, say_json
 from fogspec.base.errors import OutOfDate
 from fogspec.cli.next_steps import next_command, say_next
-from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, library_from, require_ready
+from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, SPECS, library_from, require_ready
 
 SHOWN = 40
 
 
 @click.command()
-@click.argument("specs", nargs=-1, type=click.Path(path_type=str))
+@SPECS
 @CATALOG
 @PRIORS
 @OUTPUT

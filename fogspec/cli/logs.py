@@ -3,10 +3,11 @@
 import click
 
 from fogspec.base.console import note, say_text
+from fogspec.cli.options import complete_application
 
 
 @click.command()
-@click.argument("spec_or_name")
+@click.argument("spec_or_name", metavar="APP", shell_complete=complete_application)
 @click.option("-f", "--follow", is_flag=True, help="go on with what is printed, until the nodes end")
 def command(spec_or_name: str, follow: bool) -> None:
     """Print the end of what the nodes of one application printed, without the values of its secrets.

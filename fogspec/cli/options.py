@@ -43,8 +43,11 @@ class Dollars(click.ParamType):
             self.fail(str(wrong), param, ctx)
 
 
-SPECS = click.argument("specs", nargs=-1, type=click.Path(path_type=str), shell_complete=complete_application)
-SPEC = click.argument("spec", type=click.Path(path_type=str), shell_complete=complete_application)
+# A name or a spec.
+SPECS = click.argument(
+    "specs", nargs=-1, metavar="[APP]...", type=click.Path(path_type=str), shell_complete=complete_application
+)
+SPEC = click.argument("spec", metavar="APP", type=click.Path(path_type=str), shell_complete=complete_application)
 
 
 def _color(_context: click.Context, _parameter: click.Parameter, when: str) -> bool | None:

@@ -9,11 +9,11 @@ from fogspec.base.console import say, say_text
 from fogspec.base.errors import UsageError
 from fogspec.base.text import shell_command
 from fogspec.cli.next_steps import after_look, next_lines
-from fogspec.cli.options import CATALOG, PRIORS, load_named
+from fogspec.cli.options import CATALOG, PRIORS, complete_application, load_named
 
 
 @click.command()
-@click.argument("what", metavar="APP")
+@click.argument("what", metavar="APP", shell_complete=complete_application)
 @click.option("--name", help="the application, where the spec has several")
 @click.option("--to", "to", metavar="FILE", help="where to write it, - for stdout; otherwise compiled/NAME/report.html")
 @CATALOG

@@ -8,12 +8,12 @@ import click
 from fogspec.base.console import say_text
 from fogspec.base.errors import InvalidInput, OutOfDate
 from fogspec.base.text import json_text
-from fogspec.cli.options import CATALOG, POLICIES
+from fogspec.cli.options import CATALOG, POLICIES, SPECS
 
 
 @click.command()
 @click.argument("range_", metavar="BASE[..HEAD]", required=False, default="HEAD")
-@click.argument("specs", nargs=-1, type=click.Path(path_type=str))
+@SPECS
 @CATALOG
 @POLICIES
 @click.option("-o", "--output", type=click.Choice(["markdown", "json"]), default="markdown", help="form of the answer")

@@ -6,11 +6,11 @@ from fogspec.base.console import note, say, say_json, say_text
 from fogspec.base.errors import OutOfDate
 from fogspec.base.text import line
 from fogspec.cli.next_steps import after_status, next_lines
-from fogspec.cli.options import CATALOG, load_inputs
+from fogspec.cli.options import CATALOG, SPECS, load_inputs
 
 
 @click.command()
-@click.argument("specs", nargs=-1, type=click.Path(path_type=str))
+@SPECS
 @CATALOG
 @click.option(
     "-o",
