@@ -1,6 +1,5 @@
 """Implement `fogspec report`: write a self-contained page about an application."""
 
-import shlex
 from pathlib import Path
 
 import click
@@ -32,8 +31,9 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
         raise UsageError(f"{what} has {len(inputs)} applications, {to} holds one: choose with --name")
     given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
     for compiled in [compile_application(one) for one in inputs]:
-        common = shlex.join([compiled.inputs.source, "--name", compiled.layout.name, *given])
-        content = page(compiled, shell_command("fogspec", "report", common), shell_command("fogspec", "menu", common))
+        common = [compiled.inputs.source, "--name", compiled.layout.name, *given]
+        regenerate, menu = shell_command("fogspec", "report", *common), shell_command("fogspec", "menu", *common)
+        content = page(compiled, regenerate, menu)
         if to == "-":
             say_text(content.decode(), end="")
         else:

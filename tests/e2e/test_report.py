@@ -5,6 +5,7 @@ import gzip
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -64,6 +65,9 @@ def test_the_numbers_in_the_page_are_data(checkout):
     text = fogspec(checkout, "report", "vslam-recorded", "--to", "-").stdout
     data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)[1])
     assert data["complete"]
+    program, *words = shlex.split(data["command"])
+    assert program == "fogspec"
+    assert "c6i.4xlarge" in fogspec(checkout, *words, "--alpha", "0.5").stdout
     assert len(data["offers"]["row"]) == data["types"] == 21
     assert {len(column) for name, column in data["offers"].items() if name != "needed"} == {21}
 
