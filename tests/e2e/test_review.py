@@ -291,7 +291,7 @@ def test_what_is_said_of_the_machine_is_what_apply_does(tiny: Deployed) -> None:
     commit_all()
     assert "Unchanged and fresh: tiny." in tiny("review").stdout
     assert "no changes" in tiny.apply().stdout
-    tiny.change("alpha: 0.5", "alpha: 1")
+    tiny.change("cpus: 1..2", "cpus: 2..2")
     tiny("compile")
     assert "On `apply`: 1 replaces the machine." in tiny("review").stdout
     tiny.apply()
