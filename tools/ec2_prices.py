@@ -1,7 +1,7 @@
 """Cleaning of listed EC2 prices: which of them are on-demand prices of shared tenancy.
 
 apache-libcloud's table holds one price per instance type and region, taken at random from those of shared tenancy,
-of dedicated tenancy (6 to 10 % higher) and of reserved hosts ($0). Two laws of EC2's price list tell them apart;
+of dedicated tenancy (6 to 10% higher) and of reserved hosts ($0). Two laws of EC2's price list tell them apart;
 both compare the prices of one family, and a price counts only where another one confirms it:
 
 - size: within a family and region the price is proportional to the size's normalization factor
@@ -22,7 +22,7 @@ Key = tuple[str, str]  # instance type, region
 
 FACTORS = {"nano": 0.25, "micro": 0.5, "small": 1.0, "medium": 2.0, "large": 4.0, "xlarge": 8.0}
 SAME = 0.004  # relative: two prices are one, for listed prices are rounded to 3 to 5 decimals
-CLOSE = 0.02  # a listed price keeps the law: the oldest types are priced by hand, dedicated ones cost 6 % more
+CLOSE = 0.02  # a listed price keeps the law: the oldest types are priced by hand, dedicated ones cost 6% more
 DEDICATED = (1.05, 1.12)  # price of dedicated tenancy by that of shared tenancy
 
 

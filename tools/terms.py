@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-BANNED = {
+BANNED = {  # letters of either case, but for `(?-i:...)`
     r"nobody|somebody|everybody|anybody|anyone|no one\b|whoever": "name the actor",
     r"\btold\b": "reported, printed, shown",
     r"made again": "regenerated",
@@ -33,7 +33,13 @@ BANNED = {
     r"(?<!there )(?<!when )\bis no (?!longer\b|such\b|more\b|doubt\b|problem\b|reason\b|exception\b|end\b|one\b)": "is not a",
     r"\b1 (machines|samples|requests|files|applications) ": "1 machine",
     r"\$\d+\.\d{6,}": "three significant digits",
+    r"\d %(?![\w(%])": "90%, without a space",
+    r"\binf times\b": "what the limit is",
+    r"\b(machine|server|VM) types?\b": "instance type",
+    r"(?<=\d )(?-i:vcpus?|VCPUs?|cpus)\b": "vCPUs",
 }
+# A quantity in a sentence has a space before its unit; without one it is a field's value, and stands in a code span.
+GLUED = re.compile(r"(?<![\w.$/:=*-])\d[\d.,]*(ms|us|µs|s|min|h|d|[kKMGT]i?B)\b(?!/)")
 PATTERN = re.compile("|".join(f"(?P<p{number}>{one})" for number, one in enumerate(BANNED)), re.IGNORECASE)
 FENCE = re.compile(r"^( *)```.*?^\1```", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"`[^`\n]*`")
@@ -56,16 +62,35 @@ def _pages() -> Iterator[tuple[Path, int, str, str]]:
         for pattern in (FENCE, SPAN):
             text = pattern.sub(lambda part: re.sub(r"[^\n]", " ", part[0]), text)
         yield from ((path.relative_to(ROOT), *one) for one in _banned(text))
+        for one in GLUED.finditer(text):
+            yield (
+                path.relative_to(ROOT),
+                text.count("\n", 0, one.start()) + 1,
+                one[0],
+                "a space before the unit, or `code`",
+            )
 
 
 def _code() -> Iterator[tuple[Path, int, str, str]]:
     codes = ROOT / "fogspec" / "spec" / "codes.toml"
     yield from ((codes.relative_to(ROOT), *one) for one in _banned(codes.read_text("utf-8")))
     for path in sorted((ROOT / "fogspec").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                for line, word, better in _banned(node.value):
-                    yield path.relative_to(ROOT), node.lineno + line - 1, word, better
+        for start, text in _strings(ast.parse(path.read_text("utf-8"))):
+            yield from (
+                (path.relative_to(ROOT), start + line - 1, word, better) for line, word, better in _banned(text)
+            )
+
+
+def _strings(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield the strings of code with their lines; in an f-string each value is a 0."""
+    parts = set[int]()
+    for node in ast.walk(tree):  # breadth first: an f-string comes before its parts
+        if isinstance(node, ast.JoinedStr):
+            texts = [part.value if isinstance(part, ast.Constant) else "0" for part in node.values]
+            parts |= {id(part) for part in node.values}
+            yield node.lineno, "".join(map(str, texts))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts:
+            yield node.lineno, node.value
 
 
 def _banned(text: str) -> Iterator[tuple[int, str, str]]:

@@ -13,6 +13,7 @@ def generate_launch_description():
     return LaunchDescription([
         ExecuteProcess(
             cmd=['ros2', 'launch', 'gqcnn_ros', 'planner.launch.py'],
+            name='ros2 launch',
             cwd=str(SPEC),
             output="screen",
             on_exit=Shutdown(),

@@ -13,6 +13,7 @@ def generate_launch_description():
     return LaunchDescription([
         ExecuteProcess(
             cmd=['ros2', 'launch', 'orb_slam2_ros', 'orb_slam2_d435_rgbd_launch.py', 'compress:=0'],
+            name='ros2 launch',
             cwd=str(SPEC),
             output="screen",
             on_exit=Shutdown(),

@@ -6,6 +6,7 @@ from typing import Any
 
 SETTLED_S, LATEST_S = 1.0, 8.0  # the graph is known once it has not changed for so long, or after this time
 CALL_S = 3.0  # for all nodes' parameters
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
 MOST_NODES = 200
 MOST_PARAMETERS = 200
 OF_EVERY_NODE = ("rcl_interfaces/", "type_description_interfaces/", "lifecycle_msgs/")
@@ -26,15 +27,22 @@ class Graph:
         self.own = full_name(node.get_namespace(), node.get_name())
         self.own_gid = b""
         self.gids: dict[str, bytes] = {}
+        self.whole = True  # whether the nodes of all endpoints are known
+        self.services: dict[str, Any] = {}
+        self.actions: dict[str, Any] = {}
 
     def settle(self) -> None:
         """Wait until discovery brings nothing new."""
         begun_s = changed_s = time.monotonic()
         known: Any = None
         while (now_s := time.monotonic()) - changed_s < SETTLED_S and now_s - begun_s < LATEST_S:
-            found = sorted(self.node.get_topic_names_and_types()), sorted(self.nodes())
+            found = self.names()
             changed_s, known = (now_s, found) if found != known or not self.nodes() else (changed_s, known)
             time.sleep(0.1)
+
+    def names(self) -> tuple[list[Any], list[Any]]:
+        """Return the names of all topics and nodes, which change when a node comes or goes."""
+        return sorted(self.node.get_topic_names_and_types()), self.nodes()
 
     def nodes(self) -> list[tuple[str, str]]:
         """Return namespaces and names of the visible nodes but this one and those of tools."""
@@ -43,7 +51,7 @@ class Graph:
 
     def topics(self) -> dict[str, dict[str, Any]]:
         """Return publishers and subscribers of each topic."""
-        found = {}
+        found, self.whole = {}, True
         for topic, kinds in sorted(self.node.get_topic_names_and_types()):
             publishers = self.node.get_publishers_info_by_topic(topic)
             subscribers = self.node.get_subscriptions_info_by_topic(topic)
@@ -62,7 +70,8 @@ class Graph:
         return found
 
     def _names(self, endpoints: list[Any]) -> list[str]:
-        names = {full_name(one.node_namespace, one.node_name) for one in endpoints}
+        names = {full_name(one.node_namespace, one.node_name) for one in endpoints if one.node_name != UNKNOWN}
+        self.whole = self.whole and all(one.node_name != UNKNOWN for one in endpoints)
         return sorted(names - {self.own})
 
     def reliable(self, topic: str) -> bool:
@@ -70,21 +79,18 @@ class Graph:
         publishers = self.node.get_publishers_info_by_topic(topic)
         return bool(publishers) and all(int(one.qos_profile.reliability) == 1 for one in publishers)
 
-    def offers(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return services and actions by name, each with its type, servers and callers."""
+    def find_offers(self) -> None:
+        """Add services and actions by name, each with its type, servers and callers, to those that were there before."""
         from rclpy.action import get_action_client_names_and_types_by_node as of_caller
         from rclpy.action import get_action_server_names_and_types_by_node as of_server
 
-        services: dict[str, Any] = {}
-        actions: dict[str, Any] = {}
         for namespace, name in self.nodes()[:MOST_NODES]:
             node, here = self.node, full_name(namespace, name)
             with contextlib.suppress(Exception):  # a node that has just ended has no entry
-                self._offer(services, "servers", here, node.get_service_names_and_types_by_node(name, namespace))
-                self._offer(services, "callers", here, node.get_client_names_and_types_by_node(name, namespace))
-                self._offer(actions, "servers", here, of_server(node, name, namespace))
-                self._offer(actions, "callers", here, of_caller(node, name, namespace))
-        return services, actions
+                self._offer(self.services, "servers", here, node.get_service_names_and_types_by_node(name, namespace))
+                self._offer(self.services, "callers", here, node.get_client_names_and_types_by_node(name, namespace))
+                self._offer(self.actions, "servers", here, of_server(node, name, namespace))
+                self._offer(self.actions, "callers", here, of_caller(node, name, namespace))
 
     @staticmethod
     def _offer(found: dict[str, Any], role: str, node: str, names: list[tuple[str, list[str]]]) -> None:

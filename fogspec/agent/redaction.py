@@ -20,6 +20,8 @@ SHORTEST = 4
 READ_BYTES = 65536
 SETTLE_S = 2.0
 LINE_LIMIT = 2**20
+LONGEST_LINE = 2**14
+LINE_END = re.compile(rb"\r?\n|\r(?!\n|\Z)")
 
 
 class Secrets:
@@ -104,6 +106,30 @@ class Stream:
         return max((n for value in secrets for n in range(1, len(value)) if content.endswith(value[:n])), default=0)
 
 
+class Marked:
+    """Lines with the name in brackets of what printed them in front, as ROS 2's launch has it, from bytes in pieces.
+
+    A line is held back until it is whole; one longer than `LONGEST_LINE` bytes is broken.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.mark, self.held = f"[{name}] ".encode("utf-8", "replace"), b""
+
+    def feed(self, piece: bytes) -> bytes:
+        """Take the next piece and return the bytes that can be written now."""
+        # A carriage return alone begins a line, too; whether it is alone tells the byte after it.
+        *whole, self.held = LINE_END.split(self.held + piece)
+        while len(self.held) > LONGEST_LINE:
+            whole.append(self.held[:LONGEST_LINE])
+            self.held = self.held[LONGEST_LINE:]
+        return b"".join(self.mark + line + b"\n" for line in whole)
+
+    def rest(self) -> bytes:
+        """Return the line that was held back, at the end of the stream."""
+        held, self.held = self.held.rstrip(b"\r"), b""
+        return self.mark + held + b"\n" if held else b""
+
+
 class Output:
     """Start processes whose output reaches a file, or this process's standard output, without secrets."""
 
@@ -111,17 +137,22 @@ class Output:
         self.secrets = Secrets.of(names)
         self.copying: dict[int, threading.Thread] = {}
 
-    def start(self, argv: list[str], to: "IO[bytes] | None" = None, **options: Any) -> "subprocess.Popen[bytes]":
+    def start(
+        self, argv: list[str], to: "IO[bytes] | None" = None, name: "str | None" = None, **options: Any
+    ) -> "subprocess.Popen[bytes]":
         """Start a process as subprocess.Popen does, with both outputs in one place; raise OSError if it cannot be started.
 
-        Without secrets the process writes directly; with secrets a thread copies its output.
+        With a name each line is marked with it. Without name and secrets the process writes directly; else a thread copies
+        its output.
         """
-        if not self.secrets:
+        if not self.secrets and name is None:
             return subprocess.Popen(argv, stdout=to, stderr=None if to is None else subprocess.STDOUT, **options)
         options |= {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "bufsize": 0}
         process: subprocess.Popen[bytes] = subprocess.Popen(argv, **options)
         target = os.dup(1 if to is None else to.fileno())
-        copy = threading.Thread(target=_copy, args=(process.stdout, target, Stream(self.secrets)), daemon=True)
+        marked = None if name is None else Marked(name)
+        words = (process.stdout, target, Stream(self.secrets), marked)
+        copy = threading.Thread(target=_copy, args=words, daemon=True)
         self.copying[process.pid] = copy
         copy.start()
         return process
@@ -133,11 +164,13 @@ class Output:
                 copy.join(SETTLE_S)
 
 
-def _copy(source: "IO[bytes]", target: int, stream: Stream) -> None:
+def _copy(source: "IO[bytes]", target: int, stream: Stream, marked: "Marked | None" = None) -> None:
     with contextlib.suppress(OSError), source:
         while piece := source.read(READ_BYTES):
-            _write(target, stream.feed(piece))
-    _write(target, stream.rest())
+            content = stream.feed(piece)
+            _write(target, content if marked is None else marked.feed(content))
+    rest = stream.rest()
+    _write(target, rest if marked is None else marked.feed(rest) + marked.rest())
     os.close(target)
 
 

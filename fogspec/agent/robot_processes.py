@@ -17,21 +17,25 @@ MOST_WORDS = 200
 
 
 class Processes:
-    """The processes of nodes at the time of construction."""
+    """The processes of nodes, from the time at which each was added."""
 
-    def __init__(self, gids: dict[str, bytes], own_gid: bytes) -> None:
+    def __init__(self) -> None:
         self.cpu_s: dict[int, float] = {}
         self.found: dict[str, int] = {}
+        self.commands: dict[int, list[str]] = {}
+
+    def add(self, gids: dict[str, bytes], own_gid: bytes) -> None:
+        """Find the processes of nodes by the identifiers of their endpoints."""
         commands = _commands()
         for node, gid in gids.items():
             pid = _by_gid(gid, own_gid, commands) or _by_words(node, commands)
             if pid is not None:
                 self.found[node] = pid
-                self.cpu_s[pid] = _cpu_s(pid)
-        self.commands = commands
+                self.cpu_s.setdefault(pid, _cpu_s(pid))
+                self.commands[pid] = commands[pid]
 
     def of(self, node: str) -> dict[str, Any] | None:
-        """Return how a node's process was started, and what it has used since construction; None if it is not known."""
+        """Return how a node's process was started, and what it has used since it was added; None if it is not known."""
         pid = self.found.get(node)
         if pid is None:
             return None

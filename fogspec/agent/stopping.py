@@ -17,7 +17,7 @@ NOT_REQUESTS = {"unmatched", "metric", "note", "warning"}
 OTHER_NAMES = 5
 FIRST_CHECK = 10  # valid requests before the precision is checked
 QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
-Z95 = 1.959964  # two-sided 95 % quantile of the standard normal distribution
+Z95 = 1.959964  # two-sided 95% quantile of the standard normal distribution
 Z99 = 2.575829
 
 
@@ -89,19 +89,19 @@ class Timings:
         return f"{self.requests} requests{mean}"
 
     def due(self) -> bool:
-        """Return whether to check the precision: after every 5 % more requests, because that sorts all of them."""
+        """Return whether to check the precision: after every 5% more requests, because that sorts all of them."""
         if len(self.valid) < self.next_check:
             return False
         self.next_check = math.ceil(len(self.valid) * 1.05) + 1
         return True
 
     def precise(self, precision: float, statistic: str) -> bool:
-        """Return whether the half-width of the 95 % interval is at most `precision` times the statistic."""
+        """Return whether the half-width of the 95% interval is at most `precision` times the statistic."""
         value, half = interval(self.valid, statistic)
         return half <= precision * value
 
     def above(self, latency_s: float, statistic: str) -> bool:
-        """Return whether the statistic is above this latency: the lower end of its 99 % interval is."""
+        """Return whether the statistic is above this latency: the lower end of its 99% interval is."""
         value, half = interval(self.valid, statistic, Z99)
         return value - half > latency_s
 
@@ -121,7 +121,7 @@ def mistyped(one: str, other: str) -> bool:
 
 
 def interval(values: list[float], statistic: str, z: float = Z95) -> tuple[float, float]:
-    """Return the statistic of at least 10 values and the half-width of its interval: of 95 %, or with this normal quantile `z`.
+    """Return the statistic of at least 10 values and the half-width of its interval: of 95%, or with this normal quantile `z`.
 
     Mean: Student's t (Cornish-Fisher expansion of its quantile). Quantiles: binomial order statistics; infinite while
     the upper one does not exist. Both are widened by the lag-1 autocorrelation, of the values or of the indicator of

@@ -4,9 +4,10 @@
                                  [--lifetime SECONDS] [--ends UNIX] --process '<json>' [--process ...]
                                  [--listener '<json argv>' ...]
 
-A process is an argv, or a mapping `{"argv": [...], "name": ..., "respawn": "always"|"on_failure", "respawn_delay": s}`: it is
-started again when it ends, or when it fails. Each further restart in a row waits twice as long, at most `LONGEST_DELAY_S`; a
-process that stayed up for `STEADY_S` starts from the first delay. After `MOST_RESTARTS` in a row its end is the end of all.
+A process is an argv, or a mapping `{"argv": [...], "name": ..., "respawn": "always"|"on_failure", "respawn_delay": s}`: with a
+name each line that it prints begins with `[name] `; with `respawn` it is started again when it ends, or when it fails. Each
+further restart in a row waits twice as long, at most `LONGEST_DELAY_S`; a process that stayed up for `STEADY_S` starts from the
+first delay. After `MOST_RESTARTS` in a row its end is the end of all.
 With a lifetime all end after it, or at `--ends` if that comes first.
 
 DIR/state.json has the state (starting, ready, ended), detail, ready_s, observed, restarts by name, facts of the server, and
@@ -109,6 +110,7 @@ class Kept:
     due_s: float | None = None
     in_a_row: int = 0
     restarts: int = 0
+    marked: bool = False
 
     @staticmethod
     def of(value: Any) -> "Kept":
@@ -120,9 +122,11 @@ class Kept:
             raise ValueError(wrong)
         delay_s = value.get("respawn_delay", FIRST_DELAY_S)
         name = value.get("name", os.path.basename(value["argv"][0]))
-        if value.get("respawn") not in POLICIES or not isinstance(delay_s, (int, float)) or not isinstance(name, str):
+        respawn = value.get("respawn")
+        if respawn not in (None, *POLICIES) or not isinstance(delay_s, (int, float)) or not isinstance(name, str):
             raise ValueError(wrong)
-        return Kept(value["argv"], name, value["respawn"], max(0.0, float(delay_s)))
+        name = "".join(c for c in name if c.isprintable())
+        return Kept(value["argv"], name, respawn, max(0.0, float(delay_s)), marked=True)
 
     def ended(self, code: int, now_s: float) -> str | None:
         """Take its end: return why that ends the deployment, or None if the process is to be started again at `due_s`."""
@@ -181,13 +185,13 @@ class Supervisor:
             self.listeners.append(self._popen(argv))
 
     def _start(self, one: Kept) -> None:
-        one.process, one.due_s = self._popen(one.argv), None
+        one.process, one.due_s = self._popen(one.argv, one.name if one.marked else None), None
         one.started_s = self.started_s = time.monotonic()
 
-    def _popen(self, argv: list[str]) -> "subprocess.Popen[bytes]":
+    def _popen(self, argv: list[str], name: "str | None" = None) -> "subprocess.Popen[bytes]":
         environment = processes.environment(self.out, self.timings)
         return self.output.start(
-            processes.apart(argv), stdin=subprocess.DEVNULL, env=environment, start_new_session=True
+            processes.apart(argv), name=name, stdin=subprocess.DEVNULL, env=environment, start_new_session=True
         )
 
     def watch(self, signals: list[int]) -> str | None:

@@ -68,7 +68,7 @@ class Listener:
         self.cpu_s, self.since_s, self.hot = time.process_time(), time.monotonic(), 0
         self.bytes: dict[str, int] = {}
         self.dropped: list[str] = []
-        self.insist: list[str] = []
+        self.insist: dict[str, float] = {}  # topic -> when it was subscribed to
         self.numbers: dict[str, list[int]] = {}
 
     def want(self, topic: str, kind: str, taken: Taken, insist: bool = False) -> bool:
@@ -79,21 +79,19 @@ class Listener:
         message_type, has_header = message_of(kind)
         subscription = self.node.create_subscription(message_type, topic, _never, listening_qos(), raw=True)
         if insist:
-            self.insist.append(topic)
+            self.insist[topic] = time.monotonic()
         self.subscriptions[topic], self.bytes[topic] = (subscription, has_header, taken), 0
         return has_header
 
     def run(self, seconds: float, enough: Callable[[], bool]) -> Iterator[None]:
         """Take messages until the time is over; yields once per second."""
-        started_s = time.monotonic()
-        until_s = started_s + seconds
+        until_s = time.monotonic() + seconds
         while time.monotonic() < until_s and not enough():
             begun_s = time.monotonic()
             self.poll()
             if begun_s - self.since_s >= 1.0:
                 self._spare(begun_s)
-                if begun_s - started_s > SILENT_S:
-                    self._insist()
+                self._insist(begun_s)
                 yield
             time.sleep(max(0.0, begun_s + POLL_S - time.monotonic()))
         self.poll()
@@ -118,17 +116,20 @@ class Listener:
         first, last = self.numbers.get(topic, (1, 0))
         return last - first + 1 if publishers == 1 else 0
 
-    def _insist(self) -> None:
-        """Subscribe reliably to topics of reliable publishers from which nothing came."""
+    def _insist(self, now_s: float) -> None:
+        """Subscribe reliably to topics of reliable publishers from which nothing came for a while."""
         from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-        for topic in [topic for topic in self.insist if topic in self.subscriptions and not self.bytes[topic]]:
+        waited = [topic for topic, since_s in self.insist.items() if now_s - since_s > SILENT_S]
+        for topic in waited:
+            del self.insist[topic]
+            if topic not in self.subscriptions or self.bytes[topic]:
+                continue
             old, has_header, taken = self.subscriptions[topic]
             quality = QoSProfile(depth=5, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
             new = self.node.create_subscription(old.msg_type, topic, _never, quality, raw=True)
             self.node.destroy_subscription(old)
             self.subscriptions[topic] = new, has_header, taken
-        self.insist = []
 
     def _spare(self, now_s: float) -> None:
         """Drop the topic with the most bytes if this takes too much of a core for two seconds."""
@@ -211,31 +212,69 @@ class Observations:
         return found
 
 
+class Robot:
+    """What was seen of a graph, which may grow while it is watched."""
+
+    def __init__(self, graph: Graph, listener: Listener, heard: Observations) -> None:
+        self.graph, self.listener, self.heard = graph, listener, heard
+        self.topics: dict[str, dict[str, Any]] = {}
+        self.nodes: list[tuple[str, str]] = []
+        self.processes = Processes()
+        self.headers: dict[str, bool] = {}
+        self.failed: dict[str, str] = {}
+        self._names: Any = None
+
+    def look(self) -> bool:
+        """Add what is new in the graph; return whether something has changed since the last time."""
+        names = self.graph.names()
+        if names == self._names and self.graph.whole:
+            return False
+        self._names = names
+        for topic, entry in self.graph.topics().items():
+            self.topics[topic] = joined(self.topics.get(topic, entry), entry)
+        self.nodes += [one for one in names[1] if one not in self.nodes]
+        self.graph.find_offers()
+        unknown = [name for name in (full_name(*one) for one in self.nodes) if name not in self.processes.found]
+        self.processes.add({name: self.graph.gids.get(name, b"") for name in unknown}, self.graph.own_gid)
+        return True
+
+    def listen(self) -> None:
+        """Subscribe to the topics that are not subscribed to yet."""
+        known = {*self.listener.subscriptions, *self.listener.dropped, *self.failed}
+        new = {topic: entry for topic, entry in self.topics.items() if topic not in known}
+        self.headers |= subscribe(self.listener, self.heard, new, self.failed)
+
+
+def joined(known: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    """Return a topic as it was seen before and now."""
+    names = {key: sorted({*known[key], *new[key]}) for key in ("types", "publishers", "subscribers")}
+    reliable = new["reliable"] if new["publishers"] else known["reliable"]
+    return {**names, "reliable": reliable, "latched": known["latched"] or new["latched"]}
+
+
 def watch(seconds: float) -> dict[str, Any]:
     """Return what was seen within the time."""
     import rclpy
 
     node = rclpy.create_node(NAME, start_parameter_services=False, enable_rosout=False)
-    graph = Graph(node)
+    graph, listener, heard = Graph(node), Listener(node), Observations()
     graph.settle()
-    topics, nodes = graph.topics(), graph.nodes()
-    services, actions = graph.offers()
-    listener, heard, failed = Listener(node), Observations(), dict[str, str]()
-    own_cpu_s = time.process_time()
-    if nodes:
-        read = parameters(node, nodes)
-        headers = subscribe(listener, heard, topics, failed)
-        processes = Processes(
-            {name: graph.gids.get(name, b"") for name in (full_name(*one) for one in nodes)}, graph.own_gid
-        )
+    robot = Robot(graph, listener, heard)
+    robot.look()
+    at_first = list(robot.nodes)
+    read, lasted_s, own_cpu_s = dict[str, dict[str, Any]](), 0.0, time.process_time()
+    if at_first:
+        read = parameters(node, at_first)
+        robot.listen()
         begun_s, own_cpu_s = time.monotonic(), time.process_time()
         for _ in listener.run(seconds, lambda: False):
-            pass
+            if robot.look():
+                robot.listen()
         lasted_s = time.monotonic() - begun_s
-    else:
-        read, headers, processes, lasted_s = {}, {}, Processes({}, b""), 0.0
     own_cpu_s = time.process_time() - own_cpu_s
     left = {full_name(*one) for one in graph.nodes()}
+    if late := [one for one in robot.nodes if one not in at_first]:
+        read |= parameters(node, late)
     return {
         "version": VERSION,
         "distro": os.environ.get("ROS_DISTRO"),
@@ -243,30 +282,35 @@ def watch(seconds: float) -> dict[str, Any]:
         "seconds": lasted_s,
         "machine": {**machine_facts.read(), "vcpus": os.cpu_count(), "memory_gib": memory_gib()},
         "nodes": {
-            name: {"parameters": read.get(name), "process": processes.of(name), "gone": name not in left}
-            for name in (full_name(*one) for one in nodes)
+            full_name(*one): {
+                "parameters": read.get(full_name(*one)),
+                "process": robot.processes.of(full_name(*one)),
+                "gone": full_name(*one) not in left,
+                "late": one in late,
+            }
+            for one in robot.nodes
         },
         "topics": {
             topic: {
                 **entry,
-                "has_header": headers.get(topic),
-                "watched": topic in headers,
-                "problem": failed.get(topic),
+                "has_header": robot.headers.get(topic),
+                "watched": topic in robot.headers,
+                "problem": robot.failed.get(topic),
                 "count": heard.counts.get(topic, 0),
                 "bytes": heard.sizes.get(topic, 0),
                 "sent": listener.sent(topic, len(entry["publishers"])),
                 "messages": heard.messages.get(topic, []),
                 "dropped": topic in listener.dropped,
             }
-            for topic, entry in topics.items()
+            for topic, entry in robot.topics.items()
             if not topic.endswith((STATUS, EVENT))
         },
         "services": {
             name: {**entry, "introspected": f"{name}{EVENT}" in listener.subscriptions, "calls": heard.calls_of(name)}
-            for name, entry in services.items()
+            for name, entry in graph.services.items()
         },
         "actions": {
-            name: {**entry, "goals": [*heard.goals.get(name, {}).values()]} for name, entry in actions.items()
+            name: {**entry, "goals": [*heard.goals.get(name, {}).values()]} for name, entry in graph.actions.items()
         },
         "overhead": {"cpu": own_cpu_s / lasted_s if lasted_s else 0.0, "bytes": sum(heard.sizes.values())},
     }  # fmt: skip

@@ -1,7 +1,7 @@
 """The comment on a pull request: what decides first, the rest folded, and whole applications left out where it is too long."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -73,11 +73,11 @@ def _summary(whole: Whole, touched: Sequence[Review]) -> Iterator[str]:
     kinds = [(name, sum(one.rollout == name for one in touched)) for name in ("start", "replace", "in place")]
     if said := [f"{number} {ROLLOUTS[name]}" for name, number in kinds if number]:
         yield f"- On `apply`: {', '.join(said)}."
-    if samples := whole.samples:
-        yield f"- **To measure first**: {count(samples, 'sample')}, at most {units.dollars(whole.measuring_usd)}."
+    if due := whole.due:
+        yield f"- **To measure first**: {count(len(due.samples), 'sample')}{due.most}."
     else:
         yield "- No benchmark needed."
-    stale = [one.name for one in touched if not one.status.fresh]
+    stale = [one.name for one in touched if not one.fresh]
     if stale:
         yield f"- **Not fresh**, so that `apply` refuses it: {_names(stale)}."
     checked = {path for one in whole.reviews for path in one.policies}
@@ -103,7 +103,7 @@ def _invalid(found: Sequence[Diagnostic]) -> list[str]:
 
 def _weight(one: Review) -> int:
     """Return how early an application is shown where not all are: what stops the merge, then machines, then the rest."""
-    return 0 if one.broken or not one.status.fresh else 1 if one.rollout in ("start", "replace") else 2
+    return 0 if one.broken or not one.fresh else 1 if one.rollout in ("start", "replace") else 2
 
 
 def _table(rows: Sequence[str], whole: Whole, most: int) -> list[str]:
@@ -124,7 +124,7 @@ def _table(rows: Sequence[str], whole: Whole, most: int) -> list[str]:
 
 def _row(one: Review) -> str:
     before, after = one.before, one.after
-    state = "" if one.status.fresh else ", **not fresh**"
+    state = "" if one.fresh else ", **not fresh**"
     cells = [
         _change(before, after, lambda machine: machine.place),
         _change(before, after, lambda machine: _month(machine.usd_per_month))
@@ -154,18 +154,17 @@ def _section(one: Review, picture_base: str | None) -> list[str]:
     lines += [f"- {md(text)}" for text in _choice(one.after)]
     lines += [
         f"- **{md(stage.name)} is {md(stage.state)}**: {md('; '.join(stage.reasons) or 'compile it')}"
-        for stage in one.status.stages
+        for stage in one.stages
         if stage.state != "fresh"
     ]
-    if one.status.refused:
-        lines.append(f"- **cannot be compiled**: {md(one.status.refused)}")
-    if one.samples and one.status.artifacts is not None:
-        measure = one.status.artifacts.plan.bench_command(_from_here(layout.spec))
-        most = units.dollars(one.measuring_usd)
-        lines.append(f"- **to measure first**: {count(one.samples, 'sample')}, at most {most}: {code(measure)}")
-    elif one.status.fresh:
+    if one.refused:
+        lines.append(f"- **cannot be compiled**: {md(one.refused)}")
+    if one.due:
+        measure = shell_command("fogspec", "bench", _from_here(layout.spec), *one.bench_options)
+        lines.append(f"- **to measure first**: {count(len(one.due.samples), 'sample')}{one.due.most}: {code(measure)}")
+    elif one.fresh:
         lines.append("- everything is fresh; no benchmark needed")
-    elif not one.status.refused:
+    elif not one.refused:
         todo = code(shell_command("fogspec", "compile", _from_here(layout.spec)))
         lines.append(f"- **to do**: {todo}, and commit what it writes")
     lines += _policies(one)
@@ -187,7 +186,7 @@ def _section(one: Review, picture_base: str | None) -> list[str]:
 
 
 def _headline(one: Review) -> str:
-    before, after, fresh = one.before, one.after, one.status.fresh
+    before, after, fresh = one.before, one.after, one.fresh
     stale = "" if fresh else ", but the manifest is not fresh"
     if after is None:
         return "no manifest" if one.difference.before is None else "the manifest is gone"
@@ -255,9 +254,9 @@ def _costs(one: Review) -> list[str]:
     before, after = one.before, one.after
     if before is None or after is None:
         return []
-    values = {
+    values: dict[str, tuple[float | None, float | None, Callable[[float], str]]] = {
         "machine": (before.price_usd_per_hour, after.price_usd_per_hour, units.shown_price),
-        "a month": (before.usd_per_month, after.usd_per_month, _month),
+        "per month": (before.usd_per_month, after.usd_per_month, _month),
         "requests": (before.usd_per_request, after.usd_per_request, units.shown_cost),
         "latency": (before.latency_s, after.latency_s, units.shown_duration),
     }
@@ -291,7 +290,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _month(usd: float | None) -> str:
-    return "unknown" if usd is None else f"${usd:,.2f}/month"
+    return "unknown" if usd is None else units.shown_month(usd)
 
 
 def _cost(usd_per_request: float | None) -> str:

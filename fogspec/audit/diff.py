@@ -3,7 +3,7 @@
 A difference is rendered as text, as JSON, and as Markdown for a pull request.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,9 +14,11 @@ from fogspec.base import units
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
-from fogspec.base.text import code, line, paragraph
+from fogspec.base.text import code, count, line, paragraph
 from fogspec.base.text import markdown as md
 from fogspec.base.units import dollars
+from fogspec.bench.quote import most_usd
+from fogspec.bench.spending import spending
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.inputs import Inputs
 from fogspec.plan.schema import estimate
@@ -30,13 +32,37 @@ COSTS = {
     "request": ("expected", "cost", "predicted"),
     "latency": ("expected", "latency", "predicted"),
 }
+PAID_RUNNER = "skypilot"  # whose samples cost money
+THEN = ", then the machines that the model selects"
 KEYS = {
     "price": "price_usd_per_hour",
     "month": "usd_per_month",
     "request": "cost_usd_per_request",
     "latency": "latency_s",
 }
-NAMES = {"price": "machine", "month": "a month", "request": "a request", "latency": "latency"}
+SHOWN: dict[str, tuple[str, Callable[[float, int], str]]] = {
+    "price": ("machine", units.shown_price),
+    "month": ("per month", lambda usd, _: units.shown_month(usd)),
+    "request": ("requests", units.shown_cost),
+    "latency": ("latency", units.shown_duration),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """Ids of the samples to measure first, whether the model then selects more, and the most that all of it costs in USD."""
+
+    samples: tuple[str, ...] = ()
+    selects_more: bool = False
+    usd: float = 0.0
+
+    def __bool__(self) -> bool:
+        return bool(self.samples or self.selects_more)
+
+    @property
+    def most(self) -> str:
+        """What follows the samples, and the most that all of it costs, for people."""
+        return f"{THEN if self.selects_more else ''}, at most {dollars(self.usd)}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,8 +70,7 @@ class Difference:
     """An application's manifest before and after; None stands for a missing manifest.
 
     `costs` has the changes in price, month, request and latency as (before, after, relative change). `why` lists the
-    changed inputs, `to_measure` the samples that must be measured first, for at most `measuring_usd`. `refused` is the
-    reason why nothing can be compiled.
+    changed inputs, `due` what must be measured first. `refused` is the reason why nothing can be compiled.
     """
 
     layout: Layout
@@ -54,8 +79,7 @@ class Difference:
     changes: tuple[Change, ...] = ()
     costs: Mapping[str, tuple[str, str, str]] = field(default_factory=dict)
     why: tuple[str, ...] = ()
-    to_measure: tuple[str, ...] = ()
-    measuring_usd: float = 0.0
+    due: Due = field(default_factory=Due)
     refused: str | None = None
 
     @property
@@ -72,9 +96,7 @@ def difference(status: Status) -> Difference:
     if compiled is None:
         return Difference(layout=inputs.layout, before=before, after=None, refused=status.refused)
     after = redacted(_manifest_now(compiled), secrets)
-    body, measured = compiled.plan.spec, completed(compiled.results)
-    left = [sample for sample in body.samples if sample.id not in measured]
-    worst_usd = estimate(left, body.commitment).total
+    due = to_measure(compiled)
     differing = tuple(significant(changes(before, after))) if after else ()
     why = list(_why(status, before))
     if not differing and not why:
@@ -86,10 +108,24 @@ def difference(status: Status) -> Difference:
         changes=differing,
         costs=costs(before, after),
         why=tuple(why),
-        to_measure=tuple(sample.id for sample in left),
-        measuring_usd=worst_usd,
+        due=due,
         refused=_no_manifest(compiled),
     )
+
+
+def to_measure(compiled: Artifacts) -> Due:
+    """Return what `fogspec bench` would measure on the machines that cost money, and its price, as bench says it."""
+    body, measured, more = compiled.plan.spec, completed(compiled.results), compiled.selects_more
+    left = [sample for sample in body.samples if sample.id not in measured]
+    names = tuple(sample.id for sample in left)
+    if not body.estimate.total or not (left or more):
+        return Due(names, more)
+    worst_usd, cap_usd = estimate(left, body.commitment).total, None
+    if body.budget is not None:
+        spent = spending(compiled.layout, compiled.inputs.results).get(PAID_RUNNER, 0.0)
+        cap_usd = max(body.budget - spent, 0.0)
+    most = most_usd(worst_usd, cap_usd, more)
+    return Due(names, more, worst_usd if most is None else most)
 
 
 def committed_manifest(inputs: Inputs) -> Mapping[str, Any] | None:
@@ -215,12 +251,11 @@ def _no_manifest(compiled: Artifacts) -> str | None:
 
 def measuring_text(one: Difference) -> str:
     """Return the samples that a benchmark would measure and their cost, or that none is needed."""
-    if not one.to_measure:
+    if not one.due:
         return "no benchmark needed: everything that counts is measured"
-    count = len(one.to_measure)
-    shown = ", ".join(one.to_measure[:6]) + (f" and {count - 6} more" if count > 6 else "")
-    most = dollars(one.measuring_usd)
-    return f"{count} sample{'' if count == 1 else 's'} to measure first, at most {most}: {shown}"
+    names = one.due.samples
+    shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    return f"{count(len(names), 'sample')} to measure first{one.due.most}" + (f": {shown}" if names else "")
 
 
 def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
@@ -257,8 +292,19 @@ def _machine(document: Mapping[str, Any] | None) -> str:
 
 
 def _cost_lines(one: Difference) -> Iterator[str]:
-    for name, (was, now, relative) in one.costs.items():
-        yield f"{NAMES[name]} {was} -> {now}{f' ({relative})' if relative else ''}"
+    for name, was, now, relative in _shown_costs(one):
+        yield f"{name} {was} -> {now}{f' ({relative})' if relative else ''}"
+
+
+def _shown_costs(one: Difference) -> Iterator[tuple[str, str, str, str]]:
+    """Yield each change of a cost for people: what it is of, before, after, and the relative change."""
+    for key, (was, now, relative) in one.costs.items():
+        name, show = SHOWN[key]
+        before, after = number(was), number(now)
+        if before is None or after is None:
+            yield name, was, now, relative
+        else:
+            yield name, *units.shown_apart(before, after, show), relative
 
 
 def as_dict(one: Difference, running: Sequence[Change] | None = None) -> dict[str, Any]:
@@ -272,8 +318,8 @@ def as_dict(one: Difference, running: Sequence[Change] | None = None) -> dict[st
             KEYS[name]: {"before": number(was), "after": number(now)} for name, (was, now, _) in one.costs.items()
         },
         "why": list(one.why),
-        "to_measure": list(one.to_measure),
-        "measuring_usd_at_most": one.measuring_usd,
+        "to_measure": list(one.due.samples),
+        "measuring_usd_at_most": one.due.usd,
         "running": None if running is None else [_change(change) for change in running],
     }
 
@@ -287,9 +333,7 @@ def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
     lines = [f"### {md(one.layout.name)}: {md(headline(one))}", ""]
     if one.costs:
         lines += ["| | before | after | |", "|--|--|--|--|"]
-        lines += [
-            f"| {NAMES[name]} | {md(was)} | {md(now)} | {md(rel)} |" for name, (was, now, rel) in one.costs.items()
-        ]
+        lines += [f"| {name} | {md(was)} | {md(now)} | {md(rel)} |" for name, was, now, rel in _shown_costs(one)]
         lines.append("")
     if one.differs:
         lines += [*(f"- {md(reason)}" for reason in one.why), f"- {md(measuring_text(one))}", ""]

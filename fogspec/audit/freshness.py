@@ -13,7 +13,7 @@ from fogspec.audit.compare import change_text, changes, changes_in_file
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
-from fogspec.base.text import shell_command
+from fogspec.base.text import count, shell_command
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.inputs import Inputs
@@ -179,7 +179,7 @@ def _changed_pins(before: Mapping[str, str] | None, now: Mapping[str, str]) -> l
 def _results(compiled: Artifacts) -> Stage:
     inputs, path = compiled.inputs, compiled.layout.results
     if inputs.results is None:
-        return Stage("results", path, "missing", (f"{len(compiled.plan.spec.samples)} samples to measure",))
+        return Stage("results", path, "missing", (f"{count(len(compiled.plan.spec.samples), 'sample')} to measure",))
     if compiled.results is None:
         return Stage("results", path, "stale", tuple(_some(compiled.standing.reasons if compiled.standing else [])))
     if inputs.timings:

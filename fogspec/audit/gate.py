@@ -12,23 +12,22 @@ from typing import Any
 
 from fogspec.audit.freshness import Status, status
 from fogspec.audit.git import Repository
+from fogspec.audit.shared_work import share
 from fogspec.audit.verify import verify
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.git import tracked_state
 from fogspec.base.layout import Layout
 from fogspec.base.text import paragraph
-from fogspec.base.workers import processes
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.compiler import try_compile
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
-from fogspec.spec.loader import LoadedSpec, load
+from fogspec.spec.loader import LoadedSpec
 from fogspec.spec.rules.policies import Policies
 
 SHOWN = 3
-PER_WORKER = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,35 +47,18 @@ class Gate:
     policies: tuple[str, ...] = ()
     commit: str | None = None
 
-    def judge(self, loaded: Sequence[LoadedSpec], workers: int) -> list[Verdict]:
-        """Return a verdict on each of these applications, by as many processes as there are workers.
+    def judge(self, loaded: Sequence[LoadedSpec], workers: int | None) -> list[Verdict]:
+        """Return a verdict on each of these applications, by so many processes: see `share`.
 
         Raise the errors of `Inputs.load`.
         """
-        if workers == 1:
-            return self._judge(loaded)
-        with processes(workers) as pool:
-            # By turns: those of one file, which are alike, are shared out.
-            parts = [[(one.path, one.name) for one in loaded[first::workers]] for first in range(workers)]
-            found = [verdict for part in pool.map(self.judge_files, parts) for verdict in part]
-        order = {one.name: place for place, one in enumerate(loaded)}
-        return sorted(found, key=lambda one: order[one.name])
-
-    def judge_files(self, applications: Sequence[tuple[str, str]]) -> list[Verdict]:
-        """Return a verdict on each of these applications: the path of a spec, and the name."""
-        loaded = load(list(dict.fromkeys(path for path, _ in applications)))
-        return self._judge([one for one in loaded if (one.path, one.name) in set(applications)])
+        return share(self._judge, loaded, workers)
 
     def _judge(self, loaded: Sequence[LoadedSpec]) -> list[Verdict]:
         repository = None if self.commit is None else Repository()
         inputs = Inputs.load([], catalog=self.catalog, audit=True, loaded=loaded)
         rules = Policies(self.policies)
         return [judge(one, rules, repository, self.commit) for one in inputs]
-
-
-def useful_workers(applications: int) -> int:
-    """Return how many processes judge that many applications fastest: to start one takes as long as several of them."""
-    return max(1, min(os.cpu_count() or 1, applications // PER_WORKER))
 
 
 def judge(inputs: Inputs, policies: Policies, repository: Repository | None, commit: str | None) -> Verdict:
@@ -189,26 +171,36 @@ def _matters(path: str, layout: Layout, specs: Collection[str]) -> bool:
     return path == results or any(path.startswith(folder + os.sep) for folder in folders)
 
 
-def as_text(verdicts: Sequence[Verdict], others: Sequence[str], skipped: int, since: str | None) -> str:
-    """Return a line for each application with its problems, files without a spec, and a summary."""
+def as_text(
+    verdicts: Sequence[Verdict], others: Sequence[str], invalid: Sequence[str], skipped: int, since: str | None
+) -> str:
+    """Return a line for each application with its problems, files without a spec, invalid files, and a summary."""
     width = max((len(one.name) for one in verdicts), default=0)
     lines = []
     for one in verdicts:
         lines.append(f"{'FAIL' if one.problems else 'ok  '}  {one.name:<{width}}  {one.what}".rstrip())
         lines += [f"      {text}" for text in one.problems]
-    lines += [f"FAIL  {text}" for text in others]
+    lines += [f"FAIL  {text}" for text in (*others, *(f"{path}: invalid, see above" for path in invalid))]
     failed = sum(bool(one.problems) for one in verdicts) + len(others)
-    unchanged = f", {skipped} not changed since {since}" if skipped else ""
     total = len(verdicts) + skipped
-    summary = f"{total} {'application' if total == 1 else 'applications'}: {failed or 'none'} failed{unchanged}"
-    return paragraph([*lines, summary])
+    summary = []
+    if total or not invalid:
+        summary.append(f"{total} {'application' if total == 1 else 'applications'}: {failed or 'none'} failed")
+    if invalid:
+        summary.append(f"{len(invalid)} {'file is' if len(invalid) == 1 else 'files are'} invalid")
+    if skipped:
+        summary.append(f"{skipped} not changed since {since}")
+    return paragraph([*lines, ", ".join(summary)])
 
 
-def as_dict(verdicts: Sequence[Verdict], others: Sequence[str], skipped: Sequence[str]) -> Mapping[str, Any]:
+def as_dict(
+    verdicts: Sequence[Verdict], others: Sequence[str], invalid: Sequence[str], skipped: Sequence[str]
+) -> Mapping[str, Any]:
     """Return the verdicts as values for JSON."""
     return {
-        "passed": not others and not any(one.problems for one in verdicts),
+        "passed": not others and not invalid and not any(one.problems for one in verdicts),
         "applications": [{"name": one.name, "what": one.what, "problems": list(one.problems)} for one in verdicts],
         "without_spec": list(others),
+        "invalid": list(invalid),
         "not_changed": list(skipped),
     }

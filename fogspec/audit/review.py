@@ -7,15 +7,24 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fogspec.audit.compare import Change, changes
-from fogspec.audit.diff import Difference, committed_manifest, costs, manifest_in, number, significant
-from fogspec.audit.freshness import Status
+from fogspec.audit.diff import (
+    Difference,
+    Due,
+    committed_manifest,
+    costs,
+    manifest_in,
+    number,
+    significant,
+    to_measure,
+)
+from fogspec.audit.freshness import Stage, Status, status
 from fogspec.audit.git import Repository
 from fogspec.base import digest
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.redaction import redacted
+from fogspec.compile.compiler import try_compile
+from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
-from fogspec.plan.schema import estimate
-from fogspec.results.schema import completed
 from fogspec.spec.loader import LoadedSpec, SourceFile, check_text
 from fogspec.spec.lock_io import sent_tree
 from fogspec.spec.render import render_document
@@ -88,17 +97,21 @@ class Machine:
 class Review:
     """An application's manifest at the base and now, and its status.
 
+    It is plain data, which passes between processes: `fresh`, `stages` and `refused` are those of its `Status`.
+
     `inputs` are the inputs that differ, old and new. `rollout` is what `apply` does with the machine that serves the
-    manifest of the base: `none` if nothing is deployed or changed. `samples` are to be measured first, for at most
-    `measuring_usd`. `broken` says where a policy of `policies` is broken.
+    manifest of the base: `none` if nothing is deployed or changed. `due` is what must be measured first. `broken`
+    says where a policy of `policies` is broken.
     """
 
     difference: Difference
-    status: Status
+    fresh: bool
+    stages: tuple[Stage, ...]
+    refused: str | None
+    bench_options: tuple[str, ...] = ()
     inputs: tuple[Change, ...] = ()
     rollout: Rollout = "none"
-    samples: int = 0
-    measuring_usd: float = 0.0
+    due: Due = field(default_factory=Due)
     policies: tuple[str, ...] = ()
     broken: tuple[Diagnostic, ...] = ()
 
@@ -125,7 +138,7 @@ class Review:
             or self.inputs
             or self.broken
             or self.rollout != "none"
-            or not self.status.fresh
+            or not self.fresh
             or (self.difference.before is None) != (self.difference.after is None)
         )
 
@@ -165,23 +178,35 @@ class Whole:
         return _sum(before), _sum([one.after for one in self.reviews])
 
     @property
-    def measuring_usd(self) -> float:
-        """The most that it costs to measure what must be measured first, in USD."""
-        return sum(one.measuring_usd for one in self._plans())
-
-    @property
-    def samples(self) -> int:
-        """How many samples must be measured first."""
-        return sum(one.samples for one in self._plans())
+    def due(self) -> Due:
+        """What must be measured first, of all applications."""
+        each = [one.due for one in self._plans()]
+        names = tuple(name for one in each for name in one.samples)
+        return Due(names, any(one.selects_more for one in each), sum(one.usd for one in each))
 
     def _plans(self) -> Sequence["Review"]:
         """Return one application for each plan: its environments share it."""
-        return list({one.status.layout.plan: one for one in self.reviews}.values())
+        return list({one.difference.layout.plan: one for one in self.reviews}.values())
 
     @property
     def broken(self) -> int:
         """How often a policy is broken."""
         return sum(len(one.broken) for one in self.reviews)
+
+
+@dataclass(frozen=True, slots=True)
+class Reviewer:
+    """What all applications are reviewed by; a process that helps is sent it."""
+
+    base: Base
+    catalog: str | None = None
+    policies: tuple[str, ...] = ()
+
+    def reviews(self, loaded: Sequence[LoadedSpec]) -> list[Review]:
+        """Return the review of each application; raise the errors of `Inputs.load`."""
+        inputs = Inputs.load([], catalog=self.catalog, audit=True, loaded=loaded)
+        rules = Policies(self.policies)
+        return [review(status(one, try_compile(one)), self.base, rules) for one in inputs]
 
 
 def review(status: Status, base: Base, policies: Policies) -> Review:
@@ -202,16 +227,18 @@ def review(status: Status, base: Base, policies: Policies) -> Review:
         refused=status.refused,
     )
     files = list(_sent_files(status, base))
-    samples, measuring_usd = _to_measure(status)
+    due = Due() if status.artifacts is None else to_measure(status.artifacts)
     loaded: Sequence[LoadedSpec] = [inputs.spec]
     broken = [*policies.check_specs(loaded), *policies.check_manifests(loaded, Manifest, dict(inputs.on_disk))]
     return Review(
         difference=found,
-        status=status,
+        fresh=status.fresh,
+        stages=status.stages,
+        refused=status.refused,
+        bench_options=tuple(status.artifacts.plan.runner_options if status.artifacts else ()),
         inputs=(*_spec_changes(status, base), *files, *_other_inputs(old, new)),
         rollout=_rollout(status, base, old, new, bool(files)),
-        samples=samples,
-        measuring_usd=measuring_usd,
+        due=due,
         policies=tuple(policies.paths(layout.root)),
         broken=tuple(broken),
     )
@@ -254,16 +281,6 @@ def machine_in(manifest: Mapping[str, Any] | None) -> Machine | None:
         measured=_count(partial.get("measured")),
         planned=_count(partial.get("planned")),
     )
-
-
-def _to_measure(status: Status) -> tuple[int, float]:
-    """Return how many samples are to be measured, and what that costs at most in USD."""
-    compiled = status.artifacts
-    if compiled is None:
-        return 0, 0.0
-    measured = completed(compiled.results)
-    left = [sample for sample in compiled.plan.spec.samples if sample.id not in measured]
-    return len(left), estimate(left, compiled.plan.spec.commitment).total
 
 
 def _spec_changes(status: Status, base: Base) -> Iterator[Change]:
@@ -366,8 +383,8 @@ def as_dict(whole: Whole) -> dict[str, Any]:
         "total": {
             "before_usd_per_month": before_usd,
             "after_usd_per_month": after_usd,
-            "to_measure": whole.samples,
-            "measuring_usd_at_most": whole.measuring_usd,
+            "to_measure": len(whole.due.samples),
+            "measuring_usd_at_most": whole.due.usd,
             "policies_broken": whole.broken,
         },
     }
@@ -379,19 +396,17 @@ def _review_data(one: Review) -> dict[str, Any]:
         "name": one.name,
         "spec": one.difference.layout.spec.as_posix(),
         "changed": one.touched,
-        "fresh": one.status.fresh,
-        "refused": one.status.refused,
-        "stages": [
-            {"name": stage.name, "state": stage.state, "reasons": list(stage.reasons)} for stage in one.status.stages
-        ],
+        "fresh": one.fresh,
+        "refused": one.refused,
+        "stages": [{"name": stage.name, "state": stage.state, "reasons": list(stage.reasons)} for stage in one.stages],
         "rollout": one.rollout.replace(" ", "_"),
         "before": _machine_data(one.before),
         "after": _machine_data(one.after),
         "inputs": [_change_data(change) for change in one.inputs],
         "fields": [_change_data(change) for change in one.difference.changes],
         "warnings": {"new": new, "as_before": kept},
-        "to_measure": one.samples,
-        "measuring_usd_at_most": one.measuring_usd,
+        "to_measure": len(one.due.samples),
+        "measuring_usd_at_most": one.due.usd,
         "policies": {"checked": list(one.policies), "broken": [_diagnostic_data(found) for found in one.broken]},
     }
 

@@ -4,17 +4,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from fogspec.audit.freshness import Status
-from fogspec.base.text import paragraph
 from fogspec.base.units import dollars
 from fogspec.results.standing import ways_to_keep
 from fogspec.spec.schema import Waiver
 
 
-def as_text(one: Status, running: Sequence[str] = (), following: Sequence[str] = ()) -> str:
-    """Return the status as text, each stage with its reasons.
-
-    `running` are lines about the deployment, `following` about what comes next.
-    """
+def as_lines(one: Status, running: Sequence[str] = ()) -> list[str]:
+    """Return the status as lines of text, each stage with its reasons; `running` are lines about the deployment."""
     lines = [one.layout.name]
     for stage in one.stages:
         lines.append(f"  {stage.name:<9} {stage.state:<8} {stage.path}")
@@ -25,7 +21,7 @@ def as_text(one: Status, running: Sequence[str] = (), following: Sequence[str] =
         lines.append(f"  cannot be compiled: {one.refused}")
     budget = "" if one.budget_usd is None else f" of a budget of {dollars(one.budget_usd)}"
     lines.append(f"  {'spent':<9} {dollars(one.spent_usd)}{budget}")
-    return paragraph([*lines, *running, *following])
+    return [*lines, *running]
 
 
 def _suggested(one: Status) -> Sequence[Waiver]:

@@ -15,7 +15,7 @@ from fogspec.audit.compare import change_text, changes_in_file
 from fogspec.base import digest
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, InvalidInput
-from fogspec.base.text import paragraph, shell_command
+from fogspec.base.text import count, paragraph, shell_command
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.compiler import try_compile
@@ -119,7 +119,7 @@ def _plan(opened: ManifestBundle, compiled: Artifacts) -> Check:
         found = digest_without_budget(compiled.plan)
         if found != named.digest:
             breaks.append(f"the manifest was made from another plan: {named.digest}, not {found}")
-    return Check("plan", f"{layout.plan} and {len(compiled.plan.spec.samples)} tasks", tuple(breaks[:SHOWN]))
+    return Check("plan", f"{layout.plan} and {count(len(compiled.plan.spec.samples), 'task')}", tuple(breaks[:SHOWN]))
 
 
 def _results(opened: ManifestBundle, compiled: Artifacts, results: Results | None) -> Check:
@@ -141,7 +141,7 @@ def _timings(opened: ManifestBundle, results: Results) -> Check:
     breaks = [wrong for record, path in kept for wrong in _record(record, folder, path, rules)]
     without = len(results.spec.samples) - len(kept)
     notes = (f"{without} of {len(results.spec.samples)} records have no raw timings",) if without else ()
-    return Check("timings", f"{len(kept)} files of raw timings", tuple(breaks[:SHOWN]), notes)
+    return Check("timings", f"{count(len(kept), 'file')} of raw timings", tuple(breaks[:SHOWN]), notes)
 
 
 def _record(record: Measured, folder: Path, timings: str, rules: RecordRules) -> Iterator[str]:
@@ -212,7 +212,7 @@ def _deployment(opened: ManifestBundle, compiled: Artifacts) -> Check:
     rest = [path for path in sorted(compiled.files) if path not in derived]
     breaks = [*opened.edited(), *(line for path in rest for line in _differing(path, compiled))]
     breaks += [f"{path} should not be there" for path in compiled.removed]
-    return Check("deployment", f"{len(rest)} files that run or are shown", tuple(dict.fromkeys(breaks))[:SHOWN])
+    return Check("deployment", f"{count(len(rest), 'file')} to run or to read", tuple(dict.fromkeys(breaks))[:SHOWN])
 
 
 def remedy(opened: ManifestBundle, broken: Check) -> str:

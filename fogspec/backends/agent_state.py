@@ -161,6 +161,9 @@ def with_last_line(status: DeploymentStatus, log: bytes) -> DeploymentStatus:
     """Return the status with the nodes' last line, which tells why they ended."""
     if status.state != "ended" or not status.detail or (line := last_line(log)) is None:
         return status
+    # The detail begins with the name of the node that ended, which stands in front of its lines, too.
+    name, _, text = line.removeprefix("[").partition("] ")
+    line = text if line[:1] == "[" and status.detail.startswith(f"{name} ") and text else line
     return replace(status, detail=f"{status.detail}: {line}"[:300])
 
 

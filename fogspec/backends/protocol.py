@@ -14,6 +14,7 @@ from fogspec.backends.naming import ForeignMachine, Owner
 from fogspec.base.errors import CloudError
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell_command
+from fogspec.base.units import dollars
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import Part, PartName
 from fogspec.results.schema import Confined, Measured, Reason, ResourceUse, ServerFacts
@@ -152,12 +153,24 @@ class Unreachable(Exception):
 StatusT = TypeVar("StatusT", covariant=True)
 
 
-def no_access(detail: str, clouds: Collection[str] = ()) -> CloudError:
-    """Return the error of a command that cannot have any machine, and what to do about it."""
+def no_access(
+    detail: str, clouds: Collection[str] = (), booked_usd: float = 0.0, *, verified: bool = True
+) -> CloudError:
+    """Return the error of a command that cannot have any machine, and what to do about it.
+
+    `booked_usd` is the cost of machines that had been started when access was lost. Without access it may not be `verified`
+    that none is left.
+    """
+    cost = f"its machine cost {dollars(booked_usd)} until access was lost, and no sample was recorded for it"
+    if not verified:
+        cost = "whether a machine was started cannot be verified without access; no sample was recorded for it"
+    again = shell_command("sky", "check", *clouds) + " says why; log in to the cloud, then run the same command again"
+    if "forbidden" in detail.lower():  # Kubernetes knows the user, and refuses
+        again = "ask for this right in the namespace, then run the same command again: kubectl auth can-i create pods"
     return CloudError(
         f"SkyPilot cannot start a machine: {detail}",
-        "nothing was started, recorded or paid for it",
-        shell_command("sky", "check", *clouds) + " says why; log in to the cloud, then run the same command again",
+        cost if booked_usd or not verified else "nothing was started, recorded or paid for it",
+        again,
     )
 
 
@@ -178,10 +191,11 @@ class Backend(Protocol[StatusT]):
         """
         ...
 
-    def stop(self, job: Job) -> None:
+    def stop(self, job: Job) -> int | None:
         """Stop the job and everything it started, and verify that nothing is left; idempotent.
 
-        Raise Unreachable if that could not be verified.
+        Raise Unreachable if that could not be verified. Return how many machines there were, if the provider says so: each is
+        paid, even if its launch failed.
         """
         ...
 

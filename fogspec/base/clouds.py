@@ -32,7 +32,9 @@ class Cloud:
     `places_in_zones`: a zone (a partition) has machines and prices of its own.
     `context_regions`: the region is the name of a context, which may have slashes. `attaches_gpus`: one instance type
     may carry one of several accelerators. `own_end`: see `OwnEnd`. `limits_pods`: SkyPilot limits a pod to what it requests if
-    a task says so; otherwise the pod uses what its node has to spare.
+    a task says so; otherwise the pod uses what its node has to spare. A new machine may be missing in the cloud's lists for
+    `visible_s` seconds. A cloud that `lists_ended` machines does so long enough to tell whether there was one. A machine is
+    billed for `least_s` seconds at least.
 
     `region`, `arm` and `family` are patterns: of a region's name; of instance types with an Arm CPU; of an instance type
     whose groups are its family's name. So are `accelerated`, `burstable`: of instance types with an accelerator, even if a
@@ -52,6 +54,9 @@ class Cloud:
     attaches_gpus: bool = False
     own_end: OwnEnd = OwnEnd.AUTOSTOP
     limits_pods: bool = False
+    visible_s: float = 0.0
+    lists_ended: bool = False
+    least_s: float = 0.0
     open_udp: str | None = None
     quota: str | None = None
     region: str | None = None
@@ -74,11 +79,16 @@ class Cloud:
 # Previous generations as of July 2026: aws.amazon.com/ec2/previous-generation and EC2's instance facts; families with a
 # date of retirement, learn.microsoft.com/azure/virtual-machines/retirement-notices; the first generation in
 # cloud.google.com/compute/docs/machine-resource. Google's families have a CPU each; AWS and Azure repeat a CPU's mark.
+# Lists: docs.aws.amazon.com/ec2/latest/devguide/eventual-consistency.html; a terminated instance stays in them for an hour.
+# Shortest bills: aws.amazon.com/ec2/pricing/on-demand, cloud.google.com/compute/vm-instance-pricing.
 # Each `open_udp` finds the machine by its address, whatever SkyPilot called its firewall. Azure's opens TCP as well.
 _ROWS = (
     Cloud(
         name="aws",
         own_end=OwnEnd.POWER_OFF,
+        visible_s=30.0,
+        lists_ended=True,
+        least_s=60.0,
         region=r"[a-z]{2}-(?:gov-)?[a-z]+-\d",
         arm=r"a1\.|mac2|[a-z]+\d+[a-z]*g[a-z]*(-[^.]*)?\.",
         accelerated=r"(dl|f|g|gr|inf|p|trn|vt)\d",
@@ -96,6 +106,7 @@ _ROWS = (
     Cloud(
         name="gcp",
         attaches_gpus=True,
+        least_s=60.0,
         region=r"[a-z]+-[a-z]+\d",
         arm=r"(t2a|c4a|n4a|a4x)-",
         accelerated=r"(a2|a3|a4|a4x|g2|g4)-|n1-.*-tpu$|ct\d",
@@ -181,3 +192,9 @@ def cloud_of(infra: str) -> Cloud:
 def split_infra(infra: str) -> list[str]:
     """Return cloud, region and zone of an infra, as far as it names them."""
     return infra.split("/", 1 if cloud_of(infra).context_regions else 2)
+
+
+def quota_command(infra: str) -> str | None:
+    """Return the provider's own command that lists the account's quotas at a place; None without one."""
+    cloud, (_, *below) = cloud_of(infra), split_infra(infra)
+    return None if cloud.quota is None else cloud.quota.format(region=below[0] if below else "REGION")

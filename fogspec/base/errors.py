@@ -11,6 +11,17 @@ class FogspecError(Exception):
         self.message = message
         self.hints = hints
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let it pass between processes."""
+        return _again, (type(self), self.message, self.hints)
+
+
+def _again(kind: type[FogspecError], message: str, hints: tuple[str, ...]) -> FogspecError:
+    """Return an error of another process."""
+    found = kind.__new__(kind)
+    FogspecError.__init__(found, message, *hints)
+    return found
+
 
 class InvalidInput(FogspecError):
     """A file is wrong and has no better place than its name."""

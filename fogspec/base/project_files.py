@@ -77,6 +77,11 @@ class ProjectFiles:
         except OSError as problem:
             raise InvalidInput(f"{path}: cannot be written: {problem.strerror}") from None
 
+    def create_whole(self, path: Path, content: bytes) -> None:
+        """Write a new file, which is there with all of its content or not at all; raise FileExistsError if there is one."""
+        with self._at(path, make=True) as (folder, name):
+            _put(folder, name, content, exclusive=True)
+
     def write_yaml(self, path: Path, data: Mapping[str, Any], made: str, source: str | None = None) -> None:
         """Write the text of `yaml_text` to a file; see `write`."""
         from fogspec.base.yaml.writer import yaml_text  # most commands only read
@@ -259,6 +264,10 @@ def _opened(folder: int, name: str, path: Path, flags: int) -> int:
 
 
 def _replace(folder: int, name: str, content: bytes) -> None:
+    _put(folder, name, content)
+
+
+def _put(folder: int, name: str, content: bytes, exclusive: bool = False) -> None:
     temporary = f".{name}.{os.urandom(6).hex()}"
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | PLAIN, 0o666, dir_fd=folder)
     try:
@@ -266,7 +275,11 @@ def _replace(folder: int, name: str, content: bytes) -> None:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
+        if exclusive:
+            os.link(temporary, name, src_dir_fd=folder, dst_dir_fd=folder, follow_symlinks=False)
+            os.unlink(temporary, dir_fd=folder)
+        else:
+            os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
         os.fsync(folder)
     except BaseException:
         with contextlib.suppress(OSError):

@@ -290,10 +290,10 @@ def dollars(usd: float) -> str:
     return f"${usd:.2f}" if usd >= 1 or usd == 0 else f"${usd:.4f}"
 
 
-def short_dollars(usd: float) -> str:
-    """Return `$0.0015`, with three significant digits and no exponent."""
-    digits = max(0, 2 - math.floor(math.log10(usd))) if usd > 0 else 0
-    text = f"{usd:,.{digits}f}"
+def short_dollars(usd: float, digits: int = 3) -> str:
+    """Return `$0.0015`, with so many significant digits and no exponent."""
+    places = max(0, digits - 1 - math.floor(math.log10(usd))) if usd > 0 else 0
+    text = f"{usd:,.{places}f}"
     return "$" + (text.rstrip("0").rstrip(".") if "." in text else text)
 
 
@@ -311,7 +311,8 @@ def shown_duration(seconds: float, digits: int = 3) -> str:
     steps = ((1e-3, 1e-6, "µs"), (1.0, 1e-3, "ms"), (120.0, 1.0, "s"), (7200.0, 60.0, "min"), (math.inf, 3600.0, "h"))
     if not seconds:
         return "0 s"
-    scale, unit = next((scale, unit) for below, scale, unit in steps if seconds < below)
+    to_show = rounded(seconds, digits)  # 0.9999 s is 1 s, not 1,000 ms
+    scale, unit = next((scale, unit) for below, scale, unit in steps if to_show < below)
     return f"{shown(seconds / scale, digits)} {unit}"
 
 
@@ -325,19 +326,42 @@ def shown_interval(ends_s: tuple[float, float] | None) -> str:
     return f" [{low.removesuffix(f' {unit}')}, {high.removesuffix(f' {unit}')}]" if same else f" [{low}, {high}]"
 
 
-def shown_price(usd_per_hour: float) -> str:
-    """Return `$0.526/h`, for people."""
-    return f"{short_dollars(usd_per_hour)}/h"
+def shown_price(usd_per_hour: float, digits: int = 3) -> str:
+    """Return `$0.526/h`, for people, with so many significant digits."""
+    return f"{short_dollars(usd_per_hour, digits)}/h"
 
 
-def shown_month(usd_per_hour: float) -> str:
-    """Return `$384/month` of a machine that is always up, for people."""
-    return f"${shown(usd_per_hour * HOURS_PER_MONTH)}/month"
+def shown_month(usd_per_month: float) -> str:
+    """Return `$384/month`, or `$29.20/month`, for people."""
+    return f"${usd_per_month:,.{0 if usd_per_month >= 99.5 else 2}f}/month"
 
 
-def shown_cost(usd_per_request: float) -> str:
+def shown_cost(usd_per_request: float, digits: int = 3) -> str:
     """Return `$0.241 per 1,000 requests`, for people: the one unit in which costs are compared."""
-    return f"{short_dollars(REQUESTS_SHOWN * usd_per_request)} per {REQUESTS_TEXT}"
+    return f"{short_dollars(REQUESTS_SHOWN * usd_per_request, digits)} per {REQUESTS_TEXT}"
+
+
+def shown_apart(left: float, right: float, show: Callable[[float, int], str] = shown) -> tuple[str, str]:
+    """Return both values for people, with as many digits, from three on, as it takes to tell them apart."""
+    texts = ((show(left, digits), show(right, digits)) for digits in range(3, 10))
+    return next((pair for pair in texts if left == right or pair[0] != pair[1]), (show(left, 3), show(right, 3)))
+
+
+def shown_percent(fraction: float) -> str:
+    """Return `18%`, or `0.4%`, `99.7%`, `< 0.1%` and `> 99.9%` near the ends, where 0% and 100% would not be true."""
+    percent = 100 * fraction
+    if percent in (0, 100) or 0.5 <= percent < 99.5 or not 0 < percent < 100:
+        return f"{percent:.0f}%"
+    if percent < 0.05:
+        return "< 0.1%"
+    return "> 99.9%" if percent >= 99.95 else f"{percent:.1f}%"
+
+
+def headroom_text(value: float, bound: float) -> str:
+    """Return `18% headroom` of a value in its limit, and `4% over the limit` beyond it."""
+    if value > bound:
+        return f"{shown_percent(value / bound - 1)} over the limit" if bound > 0 else "over the limit"
+    return f"{shown_percent(1 - value / bound) if bound > 0 else '0%'} headroom"
 
 
 def format_cost(usd_per_request: float) -> str:

@@ -1,10 +1,11 @@
 """Processes that share the work of a command: as many as asked, each with one thread for numerical libraries."""
 
 import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Any
 
 from fogspec.base import child
@@ -17,9 +18,22 @@ OWN = {*ONE_THREAD, *child.SEARCHED, "PYTHONSAFEPATH"}
 def processes(
     workers: int, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
 ) -> Iterator[ProcessPoolExecutor]:
-    """Give the processes; each calls `start` with the arguments first."""
-    with _environment(), ProcessPoolExecutor(workers, get_context("spawn"), start, arguments) as pool:
+    """Give the processes; each calls `start` with the arguments first, and ends when this process has ended, however it did."""
+    with _environment(), ProcessPoolExecutor(workers, get_context("spawn"), _begin, (start, arguments)) as pool:
         yield pool
+
+
+def _begin(start: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if start is not None:
+        start(*arguments)
+
+
+def _end_with_parent() -> None:
+    # A worker waits in a pipe that it holds open itself: it would not notice that a parent was killed.
+    if (parent := parent_process()) is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextmanager

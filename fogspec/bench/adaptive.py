@@ -9,7 +9,7 @@ import numpy as np
 
 from fogspec.base import digest
 from fogspec.base.layout import Layout
-from fogspec.base.units import format_duration
+from fogspec.base.units import shown_duration
 from fogspec.bench.prepare import against_spec, read_task
 from fogspec.bench.results_file import ResultsFile
 from fogspec.catalog.filters import Filtered, filter_offers
@@ -19,10 +19,9 @@ from fogspec.compile.plan_files import plan_file, task_file, with_substitutes, w
 from fogspec.numerics.priors import PriorData
 from fogspec.plan.initial_batch import NextBatch, batch_size
 from fogspec.plan.parts import with_parts
-from fogspec.plan.reuse import covers, plan_from_campaign
+from fogspec.plan.reuse import limits_of, plan_from_campaign, should_resume
 from fogspec.plan.schema import Batch, Plan, Sample, Sampling, next_on, sample_on
 from fogspec.results.schema import Measured, own_records
-from fogspec.spec import fingerprints
 from fogspec.spec.lock_io import read_pins
 from fogspec.spec.lockfile import pinned, pins_of_measurement
 from fogspec.spec.schema import Application
@@ -130,7 +129,7 @@ class AdaptiveSampling:
         types = len(np.unique(offers.instance))
         batch = batch_size(benchmark, types, batches=len(self._batches()), samples=len(own_records(records)))
         if not batch:
-            return NextBatch((), (), f"the wall time of {format_duration(benchmark.wall_time or 0.0)} is used up")
+            return NextBatch((), (), f"the wall time of {shown_duration(benchmark.wall_time or 0.0)} is used up")
         return next_samples(
             self.application,
             offers,
@@ -182,18 +181,3 @@ class AdaptiveSampling:
         self.sink.sample_ids[:] = [sample.id for sample in plan.spec.samples]
         self.sink.plan = digest.of_bytes(files[layout.plan])
         self.sink.write()
-
-
-def should_resume(application: Application, sampling: Sampling) -> bool:
-    """Return whether a campaign that ended resumes: for other limits, a larger search space, or more money."""
-    same = sampling.limits_digest == limits_of(application) and covers(application, sampling)
-    return sampling.out_of_budget or not same
-
-
-def limits_of(application: Application) -> str:
-    """Return a short digest of the limits, the objective and what bounds sampling: they decide what is sampled."""
-    chosen = fingerprints.chosen_part(application)
-    parts = {name: chosen[name] for name in ("constraints", "objective", "metrics")}
-    bounding = {"volume", "wall_time", *(["servers"] if application.spec.benchmark.servers > 1 else [])}
-    benchmark = application.spec.benchmark.model_dump(mode="json", include=bounding, exclude_none=True)
-    return digest.shorten(digest.of_value(parts | ({"benchmark": benchmark} if benchmark else {})))

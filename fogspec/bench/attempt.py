@@ -4,13 +4,15 @@ from dataclasses import dataclass, replace
 
 from fogspec.backends.protocol import Job, SampleStatus
 from fogspec.base.clock import Clock
-from fogspec.base.units import format_duration
+from fogspec.base.clouds import cloud_of
+from fogspec.base.units import shown_duration
 from fogspec.bench.journal import LaunchRecord
 from fogspec.plan.commitment import PATIENCE_S, TEARDOWN_S
 from fogspec.results.schema import Reason
 
 STOP_BACKOFF_S = 30.0
 STOP_PATIENCE_S = 900.0
+NO_ACCESS_PATIENCE_S = 180.0
 
 
 @dataclass(slots=True, kw_only=True)
@@ -22,6 +24,7 @@ class Attempt:
     to measure. `end` is the final status, from when the machine is to be stopped. `gone_s` is when it was looked for, after
     its longest time was over, and had ended by itself. `silent_s` is since when the backend could not reach it,
     `stops` how often it was stopped without success, `stop_after_s` when to try again and `give_up_s` when no longer.
+    `machines` is how many its provider says that there were; 0 if it does not say.
     """
 
     started: LaunchRecord
@@ -36,6 +39,17 @@ class Attempt:
     stop_after_s: float = 0.0
     give_up_s: float | None = None
     stops: int = 0
+    machines: int = 0
+
+    @property
+    def has_no_access(self) -> bool:
+        """Whether it ended because the cloud gives no access to its user."""
+        return self.end is not None and self.end.reason == "access"
+
+    @property
+    def is_resumed(self) -> bool:
+        """Whether an earlier controller started it."""
+        return self.found_s > self.since_s
 
     def reached(self, status: SampleStatus) -> None:
         """Take the status that the backend returned."""
@@ -68,11 +82,16 @@ class Attempt:
 
     def just_found(self, now_s: float) -> bool:
         """Return whether this controller began to watch it only now: it may be over, and nothing was heard of it yet."""
-        return self.found_s > self.since_s and now_s - self.found_s < PATIENCE_S
+        return self.is_resumed and now_s - self.found_s < PATIENCE_S
 
     def not_stopped(self, now_s: float) -> bool:
-        """Set when to stop it again after a failure to verify that it is gone; return True to give up."""
-        if self.give_up_s is None:
+        """Set when to stop it again after a failure to verify that it is gone; return True to give up.
+
+        Without access to the cloud that is soon: its user has to log in first.
+        """
+        if self.give_up_s is None and self.has_no_access:
+            self.give_up_s = now_s + NO_ACCESS_PATIENCE_S
+        elif self.give_up_s is None:
             self.give_up_s = max(now_s, self.since_s + self.started.paid_s) + STOP_PATIENCE_S
         self.stops += 1
         self.stop_after_s = now_s + min(STOP_BACKOFF_S, 2.0**self.stops)
@@ -83,14 +102,19 @@ class Attempt:
         return 0.0 if self.gone_s is not None else max(self.started.passed_s(clock) - self.started.paid_s, 0.0)
 
     def billed_s(self, end: SampleStatus, clock: Clock) -> float:
-        """Return the seconds for which its machine is paid, now that it is verified gone: those since its start.
+        """Return the seconds for which its machine is paid, now that it is verified gone: those since its start, for each that
+        its provider says there was, and no less than its cloud bills.
 
         The end of one that ended during an absence was not observed: it came after the longest time that was committed at the
         latest, or when the request of an earlier controller to end it was carried out. That nothing is paid is not believed
-        of a machine that was seen to measure.
+        of a machine that was seen to measure, or that its provider lists.
         """
-        if end.billed_s is not None and (end.billed_s > 0 or not self.was_ready):
+        if end.billed_s is not None and (end.billed_s > 0 or not (self.was_ready or self.machines)):
             return end.billed_s
+        least_s = cloud_of(self.started.sample.machine.infra).least_s
+        return max(self._paid_s(clock), least_s) * max(self.machines, 1)
+
+    def _paid_s(self, clock: Clock) -> float:
         passed_s = self.started.passed_s(clock)
         if self.gone_s is None:
             return passed_s
@@ -103,4 +127,4 @@ class Attempt:
 
 def outlived(seconds: float) -> str:
     """Return what to say of a machine that was there longer than it should have been."""
-    return f"its machine did not end by itself and was paid for {format_duration(round(seconds))} longer than its longest time"
+    return f"its machine did not end by itself and was paid for {shown_duration(round(seconds))} longer than its longest time"

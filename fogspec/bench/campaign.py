@@ -29,7 +29,8 @@ SLOW_STOPS = 4
 class Campaign:
     """One run of the loop over one results file.
 
-    `left` has the names of machines that could not be verified gone; `denied` is why no machine is available at all.
+    `left` has the names of machines that could not be verified gone; `denied` is why no machine is available at all,
+    `denied_usd` what machines cost that were up when that was found out.
     """
 
     config: CampaignConfig
@@ -46,6 +47,7 @@ class Campaign:
     unstopped: list[Attempt] = field(default_factory=list)
     looked_s: float | None = None
     denied: str | None = None
+    denied_usd: float = 0.0
 
     def recover(self) -> set[str]:
         """Finish the work of an earlier controller: unwritten records, and machines that may still run.
@@ -247,7 +249,7 @@ class Campaign:
     def _stopped(self, attempt: Attempt) -> bool:
         """Stop the attempt; return whether its machine is verified gone."""
         try:
-            self.backend.stop(attempt.job)
+            attempt.machines = self.backend.stop(attempt.job) or 0
         except Unreachable as lost:
             # Clouds take a while; the reason matters only if it takes long.
             detail = str(lost) if attempt.stops >= SLOW_STOPS else None
@@ -257,6 +259,8 @@ class Campaign:
                 self.left.append(attempt.started.name)
                 self.unstopped.append(attempt)
                 del self.running[attempt.started.name]
+                if attempt.has_no_access and attempt.end is not None:
+                    self._deny(attempt.end)
             return False
         return True
 
@@ -272,15 +276,19 @@ class Campaign:
         wanted = started.application == self.config.measured and self.config.task(sample) is not None
         if end.reason == "access":
             # No machine can be had until its user has logged in, which says nothing about the sample: it gets no record.
-            self.denied, wanted = end.detail or "no access", False
-            self.queue.clear()
+            self.denied_usd += spent_usd
+            if wanted and attempt.is_resumed and not self.stopping():  # the user may have logged in since
+                self.queue.append(Queued(sample, substitute_for=started.substitute_for))
+            else:
+                self._deny(end)
+            wanted = False
         pause_s = None if self.stopping() or not wanted else self.retry.pause_s(sample.id, end)
         if not wanted or pause_s is not None:
             self.journal.end(started.name, spent_usd, None, self.clock)
             self.sink.paid(self.journal.state.spent_usd)
-            if pause_s is not None:
-                self.queue.append(Queued(sample, self.clock.now_s() + pause_s, started.substitute_for))
             if self.denied is None:
+                if pause_s is not None:
+                    self.queue.append(Queued(sample, self.clock.now_s() + pause_s, started.substitute_for))
                 self._report(sample, EventKind.RETRIED if wanted else EventKind.UNWANTED, attempt, detail=end.detail)
         else:
             if end.lost:
@@ -290,11 +298,16 @@ class Campaign:
             self._record(started, record, end)
         del self.running[started.name]
 
+    def _deny(self, end: SampleStatus) -> None:
+        self.denied = end.detail or "no access"
+        self.queue.clear()
+
     def _record(self, started: LaunchRecord, record: Measured, end: SampleStatus) -> None:
         """Write the record to the journal and the results; queue a substitute for an unavailable machine."""
         root = started.substitute_for or started.sample.id
         queued = {entry.sample.id for entry in self.queue}
-        others = [] if self.stopping() else [one for one in self.config.substitutes(root) if one.id not in queued]
+        over = self.stopping() or self.denied is not None
+        others = [] if over else [one for one in self.config.substitutes(root) if one.id not in queued]
         substitute = self.retry.substitute(started.sample, record.reason, others)
         if substitute is not None:
             detail = filter(None, (record.detail, f"{substitute.id} takes its place"))

@@ -70,10 +70,10 @@ class ClaimingBackend:
             self._claim()
         return status
 
-    def stop(self, job: Job) -> None:
+    def stop(self, job: Job) -> int | None:
         """Stop it."""
         self._seen.discard(job.name)
-        self._backend.stop(job)
+        return self._backend.stop(job)
 
     def list(self, owner: Owner, directory: Path) -> Sequence[str]:
         """Return the names of the owner's jobs."""

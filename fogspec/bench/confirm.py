@@ -31,8 +31,8 @@ from fogspec.spec.lockfile import pinned
 from fogspec.spec.schema import Statistic
 
 Interval = tuple[float, float]
-QUANTILE = 1.645  # of a normal variable: 90 % lie within it on both sides
-POWER_QUANTILE = 0.842  # 80 % lie below it
+QUANTILE = 1.645  # of a normal variable: 90% lie within it on both sides
+POWER_QUANTILE = 0.842  # 80% lie below it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

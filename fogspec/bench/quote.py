@@ -7,12 +7,11 @@ from fogspec.backends.protocol import Costs, SampleBackend
 from fogspec.base import units
 from fogspec.base.errors import Refused
 from fogspec.base.units import dollars
-from fogspec.bench.adaptive import should_resume
 from fogspec.bench.prepare import Prepared
 from fogspec.catalog.table import Catalog
 from fogspec.plan.commitment import Commitment, unattended
-from fogspec.plan.reuse import price_rises
-from fogspec.plan.schema import Sample
+from fogspec.plan.reuse import price_rises, selects_more
+from fogspec.plan.schema import Sample, estimate
 
 NAMED = 9
 
@@ -38,12 +37,7 @@ class Quote:
         spent = prepared.spent_usd.get(backend.name, 0.0)
         left = None if benchmark.budget is None else max(benchmark.budget - spent, 0.0)
         sampling = prepared.results.spec.sampling if prepared.results is not None else None
-        decided = (
-            sampling is not None
-            and sampling.stop_reason is not None
-            and not should_resume(prepared.application, sampling)
-        )
-        adaptive = body.sampler == "adaptive" and not prepared.only and not decided
+        adaptive = not prepared.only and selects_more(prepared.application, body.sampler, sampling)
         caps = [one for one in (left, max_usd) if one is not None]
         return cls(
             name=prepared.layout.name,
@@ -60,7 +54,12 @@ class Quote:
     @property
     def worst_usd(self) -> float:
         """The cost of the samples if each machine is paid for its longest time, without the cap."""
-        return sum(self.usd(sample) for sample in self.todo)
+        return estimate(self.todo, self.commitment).total
+
+    @property
+    def most_usd(self) -> float | None:
+        """The most that it can cost; None if the model selects further machines without a budget."""
+        return most_usd(self.worst_usd, self.cap_usd, self.adaptive)
 
     @property
     def needs_consent(self) -> bool:
@@ -87,18 +86,18 @@ class Quote:
             count += ", then the machines that the model asks for"
         if self.costs is not Costs.REAL:
             return f"{count} with the {self.runner} runner: costs nothing"
-        if self.adaptive:
-            return f"{count}: " + ("no budget" if self.cap_usd is None else f"at most {dollars(self.cap_usd)}")
-        capped = self.cap_usd is not None and self.cap_usd < self.worst_usd
-        most = min(self.worst_usd, self.worst_usd if self.cap_usd is None else self.cap_usd)
-        when = ", where it stops" if capped else ", if every machine runs until it ends by itself"
-        return f"{count}: at most {dollars(most)}{when if self.todo else ''}"
+        if (most := self.most_usd) is None:
+            return f"{count}: no budget"
+        if self.adaptive or not self.todo:
+            return f"{count}: at most {dollars(most)}"
+        when = ", where it stops" if most < self.worst_usd else ", if every machine runs until it ends by itself"
+        return f"{count}: at most {dollars(most)}{when}"
 
     def together(self, at_once: int) -> Iterator[str]:
         """Yield the highest price of the machines that run at the same time, of more than one that costs money."""
         prices = sorted((sample.machine.price for sample in self.todo), reverse=True)[:at_once]
         if self.costs is Costs.REAL and len(prices) > 1:
-            yield f"{len(prices)} machines at once: at most {units.format_price(sum(prices))} together"
+            yield f"{len(prices)} machines at once: at most {units.shown_price(sum(prices))} together"
 
     def unattended(self) -> Iterator[str]:
         """Yield what becomes of machines that cost money if this computer goes off while they start."""
@@ -113,6 +112,16 @@ class Quote:
                 f"{units.shown_price(machine.price)}, at most {dollars(self.usd(sample))}" if machine.price else "free"
             )
             yield f"  {sample.id}: {machine.infra} {machine.instance}, {price}"
+
+
+def most_usd(worst_usd: float, cap_usd: float | None, adaptive: bool) -> float | None:
+    """Return the most that a bench can cost, from its samples' cost and what is left of the budget.
+
+    An adaptive bench may spend all that is left; None without a budget.
+    """
+    if adaptive:
+        return cap_usd
+    return worst_usd if cap_usd is None else min(worst_usd, cap_usd)
 
 
 def check_prices(samples: tuple[Sample, ...] | list[Sample], prices: Catalog, again: str) -> None:

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base import digest
 from fogspec.base.files import open_untrusted
-from fogspec.base.units import format_duration
+from fogspec.base.units import shown_duration
 from fogspec.plan.schema import Sample
 from fogspec.results import ranges
 from fogspec.results.hangs import detect_hang
@@ -111,7 +111,7 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
     if n < NEEDED[rules.statistic]:
         return "insufficient", None, f"{n} requests; {rules.statistic} needs {NEEDED[rules.statistic]}"
     if not max(requests.latencies_s) >= ranges.LATENCY_S.least:
-        return "failed", "out_of_range", f"no request took a nanosecond: {n} latencies of 0s are none"
+        return "failed", "out_of_range", f"no request took a nanosecond: {n} latencies of 0 s are none"
     return "ok", None, "; ".join(filter(None, [status.detail, hangs, *_caveats(requests), _moved(status)])) or None
 
 
@@ -134,7 +134,7 @@ def _caveats(requests: Requests) -> Iterator[str | None]:
     if n and n == len(requests.latencies_s):
         latency_s, service_s = math.fsum(requests.latencies_s) / n, math.fsum(requests.service_times_s) / n
         if latency_s > WAITED * service_s:
-            took, worked = format_duration(latency_s), format_duration(service_s)
+            took, worked = shown_duration(latency_s), shown_duration(service_s)
             yield f"requests waited for one another: of {took} on average the node worked {worked}"
 
 

@@ -14,6 +14,7 @@ from fogspec.backends.protocol import Costs, SampleBackend, no_access
 from fogspec.backends.registry import owner_of
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
+from fogspec.base.clouds import LOCAL
 from fogspec.base.console import GONE, say_on
 from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, Refused
 from fogspec.base.locks import application_lock
@@ -42,7 +43,8 @@ from fogspec.results.schema import Confirmation, Results, completed
 from fogspec.results.standing import carried_on, measured_values
 from fogspec.spec import fingerprints
 from fogspec.spec.lock_io import read_pins, snapshot
-from fogspec.spec.lockfile import pinned
+from fogspec.spec.lockfile import image_named, pinned
+from fogspec.spec.schema import Application
 
 Watch = Callable[[Campaign], ProgressReporter]
 
@@ -219,7 +221,7 @@ def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, runni
         todo = []
     campaign.run([sample for sample in todo if sample.id not in running])
     if campaign.denied is not None:
-        raise no_access(campaign.denied)
+        raise no_access(campaign.denied, booked_usd=campaign.denied_usd, verified=not campaign.left)
     while sampling is not None and not one.interrupt.asked and not campaign.left:
         batch = sampling.next(_left_usd(campaign))
         if not batch:
@@ -228,7 +230,7 @@ def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, runni
             check_prices(batch, options.prices, shell_command("fogspec", "compile", prepared.layout.spec))
         campaign.run(batch)
         if campaign.denied is not None:
-            raise no_access(campaign.denied)
+            raise no_access(campaign.denied, booked_usd=campaign.denied_usd, verified=not campaign.left)
 
 
 def _unmeasured(samples: list[Sample], sink: ResultsFile) -> list[Sample]:
@@ -264,7 +266,7 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
         "application": application,
         "plan": prepared.plan_digest,
         "runner": backend.name,
-        "source": backend.source,
+        "source": "; ".join(filter(None, [backend.source, *without_image(prepared.application, backend)])) or None,
         "budget_usd": spec.benchmark.budget,
         "sample_ids": [sample.id for sample in body.samples],
         "redact": redacting.redact,
@@ -322,6 +324,14 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
         left=one.left,
     )
     return campaign, sink, tasks
+
+
+def without_image(application: Application, backend: SampleBackend) -> list[str]:
+    """Return a line for an image that the spec names and this runner does not start; nothing otherwise."""
+    image = image_named(application)
+    if image is None or backend.name != LOCAL:
+        return []
+    return [f"without the image {image}: the nodes use what is installed on this host"]
 
 
 def check_same_runner(results: Results, backend: SampleBackend) -> None:

@@ -57,6 +57,14 @@ def platforms(offers: Catalog) -> Strings:
     return found
 
 
+def cpu_kind(cloud: str, arch: str, family: str) -> str:
+    """Return what stands for the name of a CPU that no catalog has: a family's machines share one, others may have another.
+
+    It is empty for clouds whose names tell no CPU, such as Slurm's shapes.
+    """
+    return f"{cloud} {arch} {family}" if family and cloud_of(cloud).platform is not None else ""
+
+
 def unknown_families(offers: Catalog) -> dict[str, list[str]]:
     """Return the families by cloud, sorted, whose names are not like those of their cloud; clouds without any are absent."""
     found = {}

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.catalog.classes import cpu_kind
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Strings, ranks
 from fogspec.numerics.kernels import Machines, codes
@@ -63,23 +64,32 @@ def _cheapest(of: NDArray[np.intp], offers: Catalog) -> NDArray[np.intp]:
     return found
 
 
-def machines_of(offers: Catalog) -> Machines:
+def clocked(offers: Catalog) -> frozenset[str]:
+    """Return the clouds of which the catalog has the clock rate of any machine."""
+    return frozenset(offers.cloud[~np.isnan(offers.clock_ghz)].tolist())
+
+
+def machines_of(offers: Catalog, known_clouds: frozenset[str] | None = None) -> Machines:
     """Return the offers as the models read them; values that the catalog lacks are unknown.
 
     Catalogs do not name the CPU. Machines of one cloud, architecture, clock rate and number of vCPUs per core mostly
     have the same one: on the development set that is nearly as good as its name, and much better than no CPU at all.
+    Of a cloud without any clock rate, as in SkyPilot's lists, the name of the family tells the CPU (ADR 0178);
+    `known_clouds` are those that have one, of the offers if it is None.
     """
+    known_clouds = clocked(offers) if known_clouds is None else known_clouds
     about = list(
         zip(
             offers.cloud.tolist(),
             offers.arch.tolist(),
+            offers.family.tolist(),
             # Not a number is not equal to itself, and would be a CPU of its own.
             np.nan_to_num(offers.clock_ghz, nan=-1.0).tolist(),
             np.nan_to_num(offers.vcpus / offers.physical_cores, nan=-1.0).tolist(),
             strict=True,
         )
     )
-    known = {one: _cpu(*one) for one in set(about)}
+    known = {one: _cpu(*one, named=one[0] in known_clouds) for one in set(about)}
     cpu = [known[one] for one in about]
     return Machines(
         vcpus=offers.vcpus,
@@ -98,9 +108,11 @@ def machines_of(offers: Catalog) -> Machines:
     )
 
 
-def _cpu(cloud: str, arch: str, clock_ghz: float, smt: float) -> str:
+def _cpu(cloud: str, arch: str, family: str, clock_ghz: float, smt: float, *, named: bool) -> str:
     """Return what tells the CPU from others; numbers below 0 are unknown."""
-    return "" if clock_ghz < 0 else f"{cloud} {arch} {clock_ghz:g} {'nan' if smt < 0 else f'{smt:g}'}"
+    if clock_ghz < 0:
+        return "" if named else cpu_kind(cloud, arch, family)
+    return f"{cloud} {arch} {clock_ghz:g} {'nan' if smt < 0 else f'{smt:g}'}"
 
 
 def types_with_measured(offers: Catalog, measured: Sequence[Machine], catalog: Catalog | None = None) -> InstanceTypes:
@@ -114,7 +126,7 @@ def types_with_measured(offers: Catalog, measured: Sequence[Machine], catalog: C
     missing = {machine.type_key: machine for machine in measured if machine.type_key not in there}
     if not missing:
         return types
-    added = [machines_of(_row(machine, offers, catalog)) for machine in missing.values()]
+    added = [machines_of(_row(machine, offers, catalog), clocked(offers)) for machine in missing.values()]
     keys = [*types.keys, *missing]
     order = np.array(sorted(range(len(keys)), key=keys.__getitem__))
     place = np.argsort(order)

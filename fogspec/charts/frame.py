@@ -68,7 +68,10 @@ class LimitLine:
 
 @dataclass(slots=True, kw_only=True)
 class Frame:
-    """One coordinate system as the template draws it; `specks`, `lines` and `areas` are (class, path) pairs."""
+    """One coordinate system as the template draws it; `specks`, `lines` and `areas` are (class, path) pairs.
+
+    `remark` is next to the label of the vertical axis; a narrow picture has it `above`, as lines (y, words).
+    """
 
     x: Axis
     y: Axis
@@ -78,6 +81,7 @@ class Frame:
     y_ticks: list[tuple[float, str]]
     heading: str = ""
     remark: str = ""
+    above: list[tuple[float, str]] = field(default_factory=list)
     areas: list[tuple[str, str]] = field(default_factory=list)
     lines: list[tuple[str, str]] = field(default_factory=list)
     specks: list[tuple[str, str]] = field(default_factory=list)
@@ -164,6 +168,16 @@ def clipped(segment: Segment, box: Box) -> Segment | None:
     return tuple(round(value, 1) for value in one)  # type: ignore[return-value]
 
 
+def crosses(segment: Segment, box: Box) -> bool:
+    """Return whether a part of a segment lies within a box. Most segments are beside a box, which is seen at once."""
+    x1, y1, x2, y2 = segment
+    if (x1 < box[0] - 1 and x2 < box[0] - 1) or (x1 > box[2] + 1 and x2 > box[2] + 1):
+        return False
+    if (y1 < box[1] - 1 and y2 < box[1] - 1) or (y1 > box[3] + 1 and y2 > box[3] + 1):
+        return False
+    return clipped(segment, box) is not None
+
+
 @dataclass(slots=True)
 class Obstacles:
     """What a label must not touch, and the segments that it should not cross."""
@@ -184,15 +198,15 @@ class Obstacles:
         w = self.within
         outside = box[0] < w[0] + 2 or box[1] < w[1] + 1 or box[2] > w[2] - 2 or box[3] > w[3] - 1
         marks = sum(_overlap(box, other) for other in self.boxes)
-        return outside + marks + sum(clipped(line, box) is not None for line in self.lines)
+        return outside + marks + sum(crosses(line, box) for line in self.lines)
 
     def blocked(self, leader: Segment | None, mark: Mark) -> bool:
         """Return True if a leader line from a mark goes through another mark or a label."""
-        return leader is not None and any(clipped(leader, box) for box in self.boxes if box != mark.box)
+        return leader is not None and any(crosses(leader, box) for box in self.boxes if box != mark.box)
 
     def crossed(self, box: Box) -> int:
         """Return how many other lines go through a box."""
-        return sum(clipped(line, box) is not None for line in self.soft)
+        return sum(crosses(line, box) for line in self.soft)
 
 
 def place_limits(found: Frame, obstacles: Obstacles) -> None:
@@ -207,7 +221,7 @@ def place_limits(found: Frame, obstacles: Obstacles) -> None:
             obstacles.soft,
         )
         for rank, box in enumerate(_along(limit.segment, room, size + 4)):
-            if own.touched(box) or clipped(limit.segment, box) is not None:
+            if own.touched(box) or crosses(limit.segment, box):
                 continue
             bad = 50 * own.crossed(box) + rank
             if best is None or bad < best[0]:

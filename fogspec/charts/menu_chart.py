@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.text import line
-from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, shown_percent
 from fogspec.charts.axes import money, number, seconds
 from fogspec.charts.chart import Chart, Crowd, PlottedMachine, interval_of
 from fogspec.charts.text import HEAD, LEAD, SIZE, shortened
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LEVEL, floored, thinned, usage_text
+from fogspec.choice.menu import LEVEL, NEAR, floored, thinned, usage_text
 from fogspec.choice.rule import Violation, latency_limit_s
 from fogspec.choice.shortlist import ruled_out, runner_up, shortlist
 from fogspec.spec.schema import Application
@@ -215,9 +215,9 @@ def _rows(choice: Choice) -> list[tuple[str, str]]:
 def _why_not(choice: Choice, row: int) -> str:
     """Return in a few words why a machine is not chosen."""
     over = [
-        f"{_times(float(choice.values[name][row]) / bound)} the {line(name.removeprefix('metrics.'))} limit"
+        f"{_times(float(choice.values[name][row]), bound)} the {line(name.removeprefix('metrics.'))} limit"
         for name, bound in choice.bounds.items()
-        if bound > 0 and not choice.values[name][row] <= bound
+        if not choice.values[name][row] <= bound
     ]
     if over:
         return ", ".join(over)
@@ -231,14 +231,13 @@ def _why_not(choice: Choice, row: int) -> str:
     return f"objective {own:.3g}, the choice has {best:.3g}"
 
 
-def _times(ratio: float) -> str:
-    return (
-        f"{(ratio - 1):.1%} over"
-        if ratio < 1.1
-        else f"{number(ratio)} ×"
-        if math.isfinite(ratio)
-        else "not known against"
-    )
+def _times(value: float, bound: float) -> str:
+    if not math.isfinite(value):
+        return "not known against"
+    if bound <= 0:
+        return "over"
+    ratio = value / bound
+    return f"{shown_percent(ratio - 1)} over" if ratio < NEAR else f"{number(ratio)} ×"
 
 
 def source_of(choice: Choice, *, prices: bool = True) -> str:
@@ -283,6 +282,7 @@ def _machines(choice: Choice, metric: str | None, rows: Sequence[int] | None) ->
     order = {role: at for at, role in enumerate(named(choice))}
     shown = [row for row in {*wanted, *fronts[0], *fronts[1]} if drawn[row]]
     costs = choice.rule.costs
+    predictions.intervals(sorted({*shown} & wanted), LEVEL)  # all at once: each is kept
     found = []
     for row in sorted(shown, key=lambda row: (order.get(roles.get(row, ""), len(order)), row)):
         ends = interval_of(predictions, row) if row in wanted else None

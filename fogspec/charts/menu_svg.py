@@ -10,7 +10,7 @@ from fogspec.base.templates import render
 from fogspec.base.text import line
 from fogspec.base.units import shown_cost
 from fogspec.charts.axes import Axis, money
-from fogspec.charts.chart import Chart, PlottedMachine, View, per_request, ranged, y_range, y_words
+from fogspec.charts.chart import Bound, Chart, PlottedMachine, View, per_request, ranged, y_range, y_words
 from fogspec.charts.frame import (
     Frame,
     LimitLine,
@@ -30,6 +30,7 @@ from fogspec.charts.frame import (
 from fogspec.charts.text import HEAD, LABEL, shortened, width, wrapped
 
 WIDTH, LEFT, RIGHT, MARGIN = 720, 66, 16, 16
+NARROW = 380  # px, of a panel for a phone
 HIGH = 302  # px, of the panel
 ROW = 18
 FINE, GRAINS, MANY = 2, (2, 4, 8), 800
@@ -82,19 +83,38 @@ def draw(chart: Chart) -> str:
     )
 
 
-def panel(chart: Chart, view: View, *, near: bool, id: str) -> str:
-    """Return one coordinate system of the chart as SVG to put into a page, whose marks, limits and iso line have names."""
+def panel(chart: Chart, view: View, *, near: bool, id: str, broad: int = WIDTH) -> str:
+    """Return one coordinate system of the chart as SVG to put into a page, whose marks, limits and iso line have names.
+
+    `id` names the view; with `broad` below `WIDTH` px it is the picture for a phone.
+    """
     ranges = view.near(chart) if near else (view.everything(chart)[0], y_range(chart))
-    found = _frame(chart, view, *ranges, 34, labelled=False)
+    top = 34
+    found = _frame(chart, view, *ranges, top, labelled=False, broad=broad)
+    if broad < WIDTH and found.remark:
+        lines, found.remark = wrapped(found.remark, broad - LEFT - RIGHT, most=3), ""
+        top += ROW * len(lines)
+        found = _frame(chart, view, *ranges, top, labelled=False, broad=broad)
+        found.remark, found.above = "", [(14 + ROW * i, words) for i, words in enumerate(lines)]
+    # The page has cards, from the numbers that it has anyway.
+    return to_page(found, id, _summary(chart), broad, top=top, bounds=view.bounds, titles=False)
+
+
+def to_page(
+    found: Frame, id: str, summary: str, broad: int, *, top: int, bounds: Sequence[Bound] = (), titles: bool = True
+) -> str:
+    """Return a frame as SVG to put into a page; `titles` are shown where the pointer is."""
     return render(
         "panel.svg.j2",
         frame=found,
-        id=id,
-        width=WIDTH,
-        height=34 + HIGH + 46,
-        summary=_summary(chart),
-        bounds=[(one.name, one.a, one.b, one.most) for one in view.bounds],
-        titles=False,  # the page has cards, from the numbers that it has anyway
+        id=id if broad == WIDTH else f"{id}-narrow",
+        view=id,
+        kind="wide" if broad == WIDTH else "narrow",
+        width=broad,
+        height=top + HIGH + 46,
+        summary=summary,
+        bounds=[(one.name, one.a, one.b, one.most) for one in bounds],
+        titles=titles,
     )
 
 
@@ -106,9 +126,10 @@ def _frame(
     top: float,
     *,
     labelled: bool = True,
+    broad: int = WIDTH,
 ) -> Frame:
     words = y_words(chart)
-    x, y = ranged(x_range, LEFT, WIDTH - RIGHT), ranged(y_range, top + HIGH, top)
+    x, y = ranged(x_range, LEFT, broad - RIGHT), ranged(y_range, top + HIGH, top)
     found = frame(
         x=x,
         y=y,
@@ -132,7 +153,7 @@ def _frame(
     if inside_iso:
         found.lines.append(("iso", path(inside_iso)))
     found.marks = _marks(chart, view, found)
-    found.specks = _specks(chart, view, found)
+    found.specks = _specks(chart, view, found, MANY * broad**3 // WIDTH**3)
     if labelled:
         obstacles = Obstacles.of(found, segments(inside_iso))
         place_limits(found, obstacles)
@@ -213,8 +234,8 @@ def _at(one: Axis, value: float | None) -> float:
     return one.at(min(max(value or 0.0, 1e-300), 1e300))
 
 
-def _specks(chart: Chart, view: View, found: Frame) -> list[tuple[str, str]]:
-    """Return the machines that have no mark as small points; machines that would coincide are drawn once."""
+def _specks(chart: Chart, view: View, found: Frame, many: int) -> list[tuple[str, str]]:
+    """Return the machines that have no mark as small points, about `many`; machines that would coincide are drawn once."""
     cells: dict[int, list[int]] = {}
     taken = {(round(mark.x / FINE), round(mark.y / FINE)) for mark in found.marks}
     grain, crowd = FINE, chart.crowd
@@ -227,7 +248,7 @@ def _specks(chart: Chart, view: View, found: Frame) -> list[tuple[str, str]]:
         seen = (px * grain >= left) & (px * grain <= right) & (py * grain >= top) & (py * grain <= bottom)
         key = np.unique((crowd.meets[seen] * 4096 + px[seen].astype(np.int64)) * 4096 + py[seen].astype(np.int64))
         cells = {meets: key[key // 4096**2 == meets].tolist() for meets in (0, 1)}
-        if len(key) <= MANY:
+        if len(key) <= many:
             break
     drawn = []
     for meets, kind in ((0, "misses"), (1, "meets")):
@@ -250,7 +271,8 @@ def _wanted(chart: Chart, view: View, found: Frame) -> list[tuple[Mark, str, str
     for machine in sorted((m for m in chart.machines if m.role), key=lambda m: (m.role != "chosen", m.role, m.name)):
         mark = by_row.get(machine.row) if machine.row is not None else _same(machine, view, found)
         if mark is not None:
-            kind = "broken" if "broken" in mark.kind else "chosen" if "chosen" in mark.kind else "named"
+            kinds = mark.kind.split()
+            kind = next((one for one in ("broken", "chosen", "misses") if one in kinds), "named")
             wanted.append((mark, shortened(machine.name, LABELLED, LABEL, bold=True), kind))
     return wanted
 

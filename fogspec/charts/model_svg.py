@@ -27,7 +27,7 @@ from fogspec.charts.frame import (
     segments,
 )
 from fogspec.charts.menu_chart import source_of
-from fogspec.charts.menu_svg import LABELLED, LEFT, MARGIN, RIGHT, ROW, WIDTH, laid_out
+from fogspec.charts.menu_svg import LABELLED, LEFT, MARGIN, RIGHT, ROW, WIDTH, laid_out, to_page
 from fogspec.charts.text import HEAD, LABEL, shortened, wrapped
 from fogspec.choice.choose import Choice
 from fogspec.choice.menu import LEVEL
@@ -135,11 +135,14 @@ def _series(choice: Choice, models: Models, gpu: tuple[str, float] | None, metri
         np.unique(predictions.type_index[rows], return_index=True) if predictions.posterior else (None, slice(None))
     )
     chosen = None if choice.chosen is None else str(offers.instance[choice.chosen])
-    found, many = [], len(rows[first]) > MARKS
-    for row in rows[first].tolist():
+    found, drawn = [], rows[first].tolist()
+    few = len(drawn) <= MARKS
+    of = {row for row in drawn if few or predictions.measured[row] or str(offers.instance[row]) == chosen}
+    predictions.intervals(sorted(of), LEVEL)  # all at once: each is kept
+    for row in drawn:
         own, is_chosen = str(offers.instance[row]), str(offers.instance[row]) == chosen
         measured = bool(predictions.measured[row])
-        low, high = (interval_of(predictions, row) if measured or is_chosen or not many else None) or (None, None)
+        low, high = (interval_of(predictions, row) if row in of else None) or (None, None)
         found.append(
             Sized(
                 name=line(own),
@@ -293,18 +296,18 @@ def draw(chart: SizeChart) -> str:
     )
 
 
-def panel(chart: SizeChart, id: str) -> str:
-    """Return the chart as SVG to put into a page, with the paper's curves."""
-    found = _frame(chart, 34)
+def panel(chart: SizeChart, id: str, broad: int = WIDTH) -> str:
+    """Return the chart as SVG to put into a page, with the paper's curves; with `broad` below `WIDTH` px for a phone."""
+    found = _frame(chart, 34, broad)
     for one in chart.series:
         inside = [(found.x.at(v), found.y.at(value)) for v, value in one.curve if value > 0]
         inside = [(px, py) for px, py in inside if found.y.end <= py <= found.y.start]
         if len(inside) > 1:
             found.lines.append(("paper", path(inside)))
-    return _to_page(found, id, _summary(chart))
+    return to_page(found, id, _summary(chart), broad, top=34)
 
 
-def left_out_panel(points: Sequence[tuple[str, float, float, float, float]], id: str) -> str:
+def left_out_panel(points: Sequence[tuple[str, float, float, float, float]], id: str, broad: int = WIDTH) -> str:
     """Return predicted against measured seconds as SVG to put into a page.
 
     A point is a name, the measured value, the value that all other samples predict, and the ends of its interval.
@@ -312,7 +315,7 @@ def left_out_panel(points: Sequence[tuple[str, float, float, float, float]], id:
     values = [
         value for _, measured, *rest in points for value in (measured, *rest) if value > 0 and math.isfinite(value)
     ]
-    x, y = axis([one[1] for one in points], LEFT, WIDTH - RIGHT), axis(values, 34 + HIGH, 34)
+    x, y = axis([one[1] for one in points], LEFT, broad - RIGHT), axis(values, 34 + HIGH, 34)
     found = frame(
         x=x,
         y=y,
@@ -334,17 +337,12 @@ def left_out_panel(points: Sequence[tuple[str, float, float, float, float]], id:
         )
         for name, measured, value, low, high in points
     ]
-    return _to_page(found, id, f"{len(points)} samples, predicted from all others against measured")
+    return to_page(found, id, f"{len(points)} samples, predicted from all others against measured", broad, top=34)
 
 
-def _to_page(found: Frame, id: str, summary: str) -> str:
-    high = 34 + HIGH + 46
-    return render("panel.svg.j2", frame=found, id=id, width=WIDTH, height=high, summary=summary, bounds=[], titles=True)
-
-
-def _frame(chart: SizeChart, top: float) -> Frame:
+def _frame(chart: SizeChart, top: float, broad: int = WIDTH) -> Frame:
     counts = sorted({machine.vcpus for one in chart.series for machine in one.machines})
-    x, y = _x_axis(chart, counts), axis(_heights(chart), top + HIGH, top)
+    x, y = _x_axis(chart, counts, broad), axis(_heights(chart), top + HIGH, top)
     found = frame(
         x=x,
         y=y,
@@ -393,9 +391,9 @@ def _frame(chart: SizeChart, top: float) -> Frame:
     return found
 
 
-def _x_axis(chart: SizeChart, counts: Sequence[float]) -> Axis:
+def _x_axis(chart: SizeChart, counts: Sequence[float], broad: int) -> Axis:
     """Return the axis of vCPUs, with room at its ends for the machines that are side by side there."""
-    found = axis(counts, LEFT, WIDTH - RIGHT)
+    found = axis(counts, LEFT, broad - RIGHT)
     most = max(sum(one.vcpus == count for one in series.machines) for series in chart.series for count in counts)
     side = min(APART * most / 2, SIDE) + 8
     least = min(found.at(counts[0]) - found.start, found.end - found.at(counts[-1]))

@@ -18,6 +18,7 @@ from fogspec.spec.schema import Application, Billing, Statistic, Usage
 LEVEL = 0.9
 LIMIT_UNITS = {"latency": "s", "rate": "s", "cost": "usd_per_request", "price": "usd_per_hour"}
 SHOWN = 40
+NEAR = 1.1  # up to this many times a limit, people are shown the excess in percent
 
 
 class MetricValue(Strict):
@@ -49,6 +50,11 @@ class Entry(ListedMachine, Lean):
     why_not: str | None
 
     ADDED = frozenset({"nested_in"})
+
+    @property
+    def usd_per_month(self) -> float:
+        """The price of a month, in which the machine is up as `objective.usage` says, else always."""
+        return float(self.month.removeprefix("$").removesuffix("/month"))
 
     @property
     def how(self) -> str:
@@ -142,17 +148,34 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
     return Menu(metadata=EnvironmentMetadata(name=application.name), spec=body)
 
 
-def shown_limit(name: str, value: float, unit: str = "") -> str:
-    """Return a bound or a value of a limit for people, with three significant digits."""
+def shown_limit(name: str, value: float, unit: str = "", digits: int = 3) -> str:
+    """Return a bound or a value of a limit for people, with so many significant digits."""
     match LIMIT_UNITS.get(name):
         case "s":
-            return units.shown_duration(value)
+            return units.shown_duration(value, digits)
         case "usd_per_request":
-            return units.shown_cost(value)
+            return units.shown_cost(value, digits)
         case "usd_per_hour":
-            return units.shown_price(value)
+            return units.shown_price(value, digits)
         case _:
-            return f"{units.shown(value)} {unit}".strip()
+            return f"{units.shown(value, digits)} {unit}".strip()
+
+
+def shown_beside(name: str, value: float, bound: float, unit: str = "") -> tuple[str, str]:
+    """Return a value and the bound that it violates for people, with the digits that tell them apart."""
+    return units.shown_apart(value, bound, lambda number, digits: shown_limit(name, number, unit, digits))
+
+
+def shown_miss(miss: "Limit") -> tuple[str, str]:
+    """Return for people the bound of a limit that no machine meets, and what the nearest machine needs."""
+    unit = miss.bound.partition(" ")[2]
+    bound, needs = (_limit_number(miss.limit, text)[1] for text in (miss.bound, miss.nearest_value))
+    shown_needs, shown_bound = shown_beside(miss.limit, needs, bound, unit)
+    if not math.isfinite(miss.factor):
+        return shown_bound, f"{shown_needs}, more than nothing"
+    if miss.factor < NEAR:
+        return shown_bound, f"{shown_needs}, {units.shown_percent(miss.factor - 1)} over the limit"
+    return shown_bound, f"{shown_needs}, {units.shown(miss.factor)} times the limit"
 
 
 def shown_text(name: str, text: str) -> str:
@@ -203,7 +226,7 @@ def entry_data(entry: Entry | None) -> dict[str, Any] | None:
         return None
     found: dict[str, Any] = as_numbers(entry)
     del found["month"]
-    return {**found, "usd_per_month": float(entry.month.removeprefix("$").removesuffix("/month"))}
+    return {**found, "usd_per_month": entry.usd_per_month}
 
 
 def _solve_intervals(choice: Choice) -> None:
@@ -258,9 +281,9 @@ def _metrics_of(choice: Choice, row: int) -> dict[str, MetricValue]:
 
 def metric_text(name: str, found: MetricValue) -> str:
     """Return `path_length 33.3 m [31, 36]`."""
-    ends = ", ".join(units.format_number(end) for end in found.interval) if found.interval else ""
+    ends = ", ".join(units.shown(end) for end in found.interval) if found.interval else ""
     unit = f" {found.unit}" if found.unit else ""
-    return f"{name} {units.format_number(found.value)}{unit}" + (f" [{ends}]" if ends else "")
+    return f"{name} {units.shown(found.value)}{unit}" + (f" [{ends}]" if ends else "")
 
 
 def why_not(choice: Choice, row: int) -> str | None:
@@ -268,10 +291,11 @@ def why_not(choice: Choice, row: int) -> str | None:
     if choice.feasible[row]:
         return None
     broken = [
-        f"{name} {limit_text(name, float(value), choice.rule.unit_of(name))} over the limit of "
-        f"{limit_text(name, bound, choice.rule.unit_of(name))}"
+        "{} {} is over the limit of {}".format(
+            name.removeprefix("metrics."), *shown_beside(name, float(value), bound, choice.rule.unit_of(name))
+        )
         if math.isfinite(value := choice.values[name][row])
-        else f"{name} is not known: no sample has a value of it that can be modelled"
+        else f"{name.removeprefix('metrics.')} is not known: no sample has a value of it that can be modelled"
         for name, bound in choice.bounds.items()
         if not choice.values[name][row] <= bound
     ]
@@ -280,7 +304,13 @@ def why_not(choice: Choice, row: int) -> str | None:
     if choice.latency.unfit[row]:
         return "it failed when it was measured, or has no more memory than a machine that ran out of it"
     required = choice.confidence if choice.level is None else choice.level
-    return f"meets the limits with probability {floored(choice.probability(row) or 0):g}, below {required:g}"
+    probability = floored(choice.probability(row) or 0)
+    return f"meets the limits with {100 * probability:.3g}% probability, below the required {100 * required:.3g}%"
+
+
+def shown_probability(probability: float) -> str:
+    """Return `0.32`, and `less than 0.01` where 0.00 would read as never."""
+    return f"{probability:.2f}" if probability >= 0.01 or probability == 0 else "less than 0.01"
 
 
 def floored(probability: float) -> float:
@@ -310,10 +340,9 @@ def usage_text(usage: Usage | None) -> str | None:
     """Return when the machine is up, with the hours that a month has of it; None if always."""
     if usage is None:
         return None
-    startup = f" after {units.format_duration(usage.startup)} of start-up" if usage.startup else ""
-    hours = rounded(usage.up * units.HOURS_PER_MONTH, 3)
-    each = f"{units.format_duration(usage.session)}{startup}, {units.format_rate(usage.sessions)}"
-    return f"up for {each}: {units.format_number(hours)} h a month"
+    startup = f" after {units.shown_duration(usage.startup)} of start-up" if usage.startup else ""
+    each = f"{units.shown_duration(usage.session)}{startup}, {units.format_rate(usage.sessions)}"
+    return f"up for {each}: {units.shown(usage.up * units.HOURS_PER_MONTH)} h per month"
 
 
 def weights(application: Application) -> str:

@@ -183,7 +183,8 @@ class _State:
     def _reason(self, posterior: Posterior, one: int, gain: float, worth: float | None) -> str:
         again = "measured again, for one sample may err: " if posterior.measured[one] else ""
         saves = "" if worth is None else f", which saves {dollars(gain * worth)}"
-        return f"{again}may better the choice by {gain:.1%} on average{saves}, for at most ${self.costs.usd[one]:.4g}"
+        price = dollars(float(self.costs.usd[one]))
+        return f"{again}may better the choice by {gain:.1%} on average{saves}, for at most {price}"
 
     def _on_another_server(self, choice: Choice, posterior: Posterior, why: str, left_usd: float) -> NextBatch | None:
         """Return the choice once more while it was measured on fewer servers than asked; None if that is enough."""
@@ -198,7 +199,7 @@ class _State:
         if self.excluded[one]:
             return NextBatch((), (), f"{why}; the choice, {name}, could not be measured on another server")
         if self.costs.usd[one] > left_usd:
-            cost = f"it may cost ${self.costs.usd[one]:.4g}"
+            cost = f"it may cost {dollars(float(self.costs.usd[one]))}"
             return NextBatch((), (), f"{why}; the choice, {name}, is not measured on another server: {cost}")
         reason = f"the choice on another server, number {measured + 1} of {asked}"
         return NextBatch((int(self.costs.row[one]),), (reason,), why)
@@ -214,7 +215,7 @@ class _State:
             return NextBatch((), (), f"{why}; the choice, {name}, could not be measured")
         if self.costs.usd[one] > left_usd:
             return NextBatch(
-                (), (), f"{why}; the choice, {name}, is not verified: it may cost ${self.costs.usd[one]:.4g}"
+                (), (), f"{why}; the choice, {name}, is not verified: it may cost {dollars(float(self.costs.usd[one]))}"
             )
         return NextBatch((int(self.costs.row[one]),), ("verifies the choice",), why)
 

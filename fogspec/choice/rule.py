@@ -28,7 +28,7 @@ Rows = NDArray[np.intp]
 
 TIE = 1e-9  # relative: smaller differences depend on the processor
 MOST_CERTAIN = 0.999
-UPPER = 0.95  # upper end of the 90 % interval
+UPPER = 0.95  # upper end of the 90% interval
 SHORTEST_S, LONGEST_S, HALVINGS = 1e-9, 1e9, 80  # of the search for a latency, by its logarithm
 
 
@@ -352,7 +352,7 @@ class Selection:
     def decided_above_s(self, rows: Rows) -> Floats | None:
         """Return the latency (m,) from which on a machine cannot both meet the limits and beat the choice (ADR 0028).
 
-        The choice counts with the upper end of its latency's 90 % interval. Infinite where no latency decides; None without a
+        The choice counts with the upper end of its latency's 90% interval. Infinite where no latency decides; None without a
         measured choice that meets the limits with the required confidence, and where the objective is of another metric.
         """
         best, posterior = self.best, self.latency.posterior
@@ -361,11 +361,13 @@ class Selection:
         if not self.latency.measured[best]:
             return None
         rule, one = self.rule.take(rows), self.rule.take(np.array([best]))
-        slowest_s = posterior.quantile(UPPER)[self.latency.type_index[[best]]]
+        slowest_s = posterior.take(self.latency.type_index[[best]]).quantile(UPPER)
         worst = float(one.value(slowest_s, self.scale)[0])
         low, high = np.full(len(rows), SHORTEST_S), np.full(len(rows), LONGEST_S)
         for _ in range(HALVINGS):
             middle = np.sqrt(low * high)
+            if ((middle == low) | (middle == high)).all():
+                break
             beats = rule.value(middle, self.scale) < worst
             low, high = np.where(beats, middle, low), np.where(beats, high, middle)
         found = np.minimum(high, rule.latency_budget_s)

@@ -67,16 +67,16 @@ VERBS = {
     "lock": "Pin catalog, images, workspace and workload to digests",
     "mv": "Rename an application with its spec, lock, results and compiled files",
     "status": "Show what is up to date, what is deployed and what was spent",
-    "doctor": "Show what is wrong on this side, before any money is spent",
+    "doctor": "Check the requirements of bench and apply, before money is spent",
     "bench": "Measure the plan's samples; costs money, and asks first",
     "join": "Join the results of two branches, each sample once",
     "menu": "List candidate machines, optionally under other limits",
     "report": "Write a self-contained HTML report with interactive limits",
     "apply": "Deploy a manifest (idempotent); costs money, and asks first",
     "watch": "Keep deployments serving; restarts cost money, and it asks first",
-    "ps": "List what runs of all applications, and what it costs",
-    "logs": "Print what an application's nodes print",
-    "adopt": "Take over what runs of an application and is on no record",
+    "ps": "List the running machines of all applications, with their costs",
+    "logs": "Print the output of an application's nodes",
+    "adopt": "Record running machines that the live state has lost",
     "down": "Tear down an application and verify that nothing is left",
     "diff": "Compare new output with committed files and the deployment",
     "review": "Describe a change of deployment in Markdown, for a pull request",
@@ -106,9 +106,23 @@ VERBOSITY = (
 )
 
 
+# What many commands have stands last, in this order, and after a command's own options.
+SHARED = ("overlays", "catalog_path", "prices", "priors", "policies", "dry_run", "yes", "exit_code", "output", "color")
+
+
+def _in_order(command: click.Command) -> None:
+    """Put the options that many commands have behind a command's own, and show the default of each choice."""
+    rank = {name: at for at, name in enumerate(SHARED)}
+    command.params.sort(key=lambda one: rank.get(one.name or "", -1))
+    for one in command.params:
+        if isinstance(one, click.Option) and isinstance(one.type, click.Choice) and isinstance(one.default, str):
+            one.show_default = True
+
+
 def _add_verbosity(command: click.Command) -> None:
     """Add the options that each command has."""
     if not any(one.name == "quiet" for one in command.params):
+        _in_order(command)
         for short, long, text in VERBOSITY:
             option = click.Option([short, long], is_flag=True, expose_value=False, callback=_verbosity, help=text)
             command.params.append(option)

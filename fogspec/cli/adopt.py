@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 @CATALOG
 @OUTPUT
 def command(applications: tuple[str, ...], catalog_path: str | None, output: str) -> None:
-    """Write what runs into the live state where that is lost; nothing is started or ended.
+    """Record in the live state what runs, where that record is lost; start and end nothing.
 
     Each APP is a name or a spec, by default all in specs/. Machines are found by name and labels: those of this
     repository's application, wherever they were started. Their manifest must be on disk or committed, and their nodes must
-    answer. Then status, apply and down know them again.
+    answer. Then status, apply and down include them again.
     """
     from fogspec.base.errors import UsageError
     from fogspec.base.quantities import as_numbers

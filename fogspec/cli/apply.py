@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 @MANIFEST
 @CATALOG
 @POLICIES
-@click.option("--prices", metavar="FROM", help="where prices are looked up now, as --catalog; otherwise that catalog")
-@click.option("--max", "most", metavar="'$0.60/h'", help="the highest price allowed, in place of the one approved")
+@click.option(
+    "--prices", metavar="FROM", help="price catalog of the price check, as --catalog  [default: that of --catalog]"
+)
+@click.option("--max", "most", metavar="'$0.60/h'", help="highest price per hour  [default: the approved price]")
 @click.option(
     "--require-attestation",
     "key",
@@ -34,10 +36,12 @@ if TYPE_CHECKING:
     "--attestation",
     type=click.Path(path_type=str),
     metavar="FILE",
-    help="where that statement is  [default: compiled/NAME/attestation.json]",
+    help="the statement  [default: compiled/NAME/attestation.json]",
 )
-@click.option("--resolve-image", is_flag=True, help="launch what an image's tag stands for now, where it is not pinned")
-@click.option("--dry-run", is_flag=True, help="say what would run and what it costs, and stop")
+@click.option(
+    "--resolve-image", is_flag=True, help="pin an image's tag to its current digest, if the manifest does not"
+)
+@click.option("--dry-run", is_flag=True, help="show what would run and what it costs, and stop")
 @click.option("--yes", is_flag=True, help="skip the confirmation prompt")
 @OUTPUT
 def command(

@@ -13,15 +13,18 @@ from fogspec.cli.options import CATALOG, MANIFEST, open_manifest
 @MANIFEST
 @CATALOG
 @click.option(
-    "--key", type=click.Path(path_type=str), metavar="PEM", help="sign it with this private key: a DSSE envelope"
+    "--key",
+    type=click.Path(path_type=str),
+    metavar="PEM",
+    help="private key that signs the statement, as a DSSE envelope",
 )
-@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="write it there; otherwise to the output")
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="output file  [default: stdout]")
 def command(manifest: str, catalog_path: str | None, key: str | None, out: Path | None) -> None:
     """Write an in-toto Statement v1 with SLSA provenance v1 about the manifest and the files approved with it.
 
     MANIFEST is a file, or the name of an application: compiled/NAME/manifest.yaml.
 
-    The chain behind the manifest is recomputed first: where it breaks, nothing is attested (exit 3).
+    The chain behind the manifest is recomputed first: if it does not match, nothing is attested (exit 3).
     """
     from fogspec.audit import attest
     from fogspec.base.project_files import write_output

@@ -33,38 +33,43 @@ RUNNERS = ["local", "replay", "skypilot"]
 @click.command()
 @SPEC
 @click.option(
-    "--runner", "runner_name", type=click.Choice(RUNNERS), help="where to measure; local for shapes of this host"
+    "--runner",
+    "runner_name",
+    type=click.Choice(RUNNERS),
+    help="where to measure; local: shapes of this host  [default: by the machines of the plan]",
 )
 @click.option(
     "--from",
     "recorded",
     type=click.Path(path_type=str),
     metavar="FILE",
-    help="what to replay: results (YAML) or a sweep (CSV with instance_type, latency_s)",
+    help="recording to replay: results (YAML) or a sweep (CSV with instance_type, latency_s)",
 )
 @click.option(
     "--pace",
     type=click.FloatRange(0),
     default=0.0,
     metavar="SECONDS",
-    help="replay: how long to wait for each recorded second",
+    help="replay: wait for each recorded second",
 )
-@click.option("--only", metavar="ID,…", default="", help="measure these samples, again if need be")
+@click.option("--only", metavar="ID,…", default="", help="measure only these samples, again if they have a result")
 @click.option(
     "--confirm",
     is_flag=True,
-    help="measure the chosen machine once more; if it agrees with stale results, they count on",
+    help="measure the chosen machine again; if it agrees, stale results stay valid",
 )
 @click.option(
     "--at-once",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="how many machines at the same time, at most [default: 8 with SkyPilot, 1 on this computer]",
+    help="most machines at the same time  [default: 8 with SkyPilot, 1 on this computer]",
 )
-@click.option("--resume", is_flag=True, help="take down machines that another bench of this application left running")
-@click.option("--max", "max_usd", type=Dollars(), help="spend at most this now, whatever the budget leaves")
+@click.option("--resume", is_flag=True, help="tear down machines that another bench of this application left running")
+@click.option(
+    "--max", "max_usd", type=Dollars(), help="most money that this run may spend  [default: the rest of the budget]"
+)
 @click.option("--yes", is_flag=True, help="skip the confirmation prompt")
-@click.option("--dry-run", is_flag=True, help="say what would be measured and what it costs, and stop")
+@click.option("--dry-run", is_flag=True, help="show what would be measured and what it costs, and stop")
 @CATALOG
 @PRIORS
 @click.option("-o", "--output", type=click.Choice(["text", "json"]), default="text", help="output format")
@@ -84,10 +89,11 @@ def command(
     priors: Path | None,
     output: str,
 ) -> None:
-    """Measure what is not measured yet of SPEC, a spec or the name of an application in specs/.
+    """Measure the samples of APP that have no result yet.
 
-    Resumes where an earlier bench stopped: finished samples are not measured again, machines that were left running
-    are torn down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at once.
+    APP is a name or a spec. Resumes where an earlier bench stopped: finished samples are not measured again, machines that
+    were left running are torn down. Results are written after every sample. The first Ctrl-C stops cleanly, the second at
+    once.
     """
     from fogspec.backends.protocol import Costs
     from fogspec.bench.confirm import confirming
@@ -154,6 +160,8 @@ def _require_confirmed(refuted: "Sequence[str]") -> None:
 
 def _offer(prepared: "Prepared", backend: "SampleBackend", offering: "Quote", expected: "Expected | None") -> None:
     """Say what would be measured, what it costs, and what becomes of the results on disk."""
+    from fogspec.bench.run import without_image
+
     tell = partial(say, err=True) if offering.needs_consent else note  # what money is asked for is always said
     lines = [
         *([] if expected is None else [expected.line]),
@@ -163,7 +171,11 @@ def _offer(prepared: "Prepared", backend: "SampleBackend", offering: "Quote", ex
     tell(offering.line(), *(f"  {text}" for text in lines))
     if (spent := offering.spent_line(prepared)) is not None:
         tell(spent)
-    note(*backend.notes, *(f"  {text}" for text in prepared.not_admitted))
+    note(
+        *backend.notes,
+        *without_image(prepared.application, backend),
+        *(f"  {text}" for text in prepared.not_admitted),
+    )
     if prepared.outdated:
         kept = f"it is kept in a folder {prepared.layout.name}.old-… beside it"
         note(f"{prepared.layout.results} measured something else than the spec says now: {kept}")
@@ -211,13 +223,35 @@ def _check_place(prepared: "Prepared", backend: "SampleBackend") -> None:
 
 
 def _check_needed(prepared: "Prepared", backend: "SampleBackend") -> None:
-    """Raise FogspecError for files that are not sent and missing secrets, before a machine is paid for."""
+    """Raise FogspecError for files that are not sent, missing secrets and a missing image, before a machine is paid for."""
     from fogspec.base.redaction import check_set
     from fogspec.spec.lock_io import check_sent
 
     if backend.costs != "recorded":
         check_sent(prepared.application, prepared.layout, measured=True)
         check_set(prepared.application.spec.secrets if prepared.todo else ())
+    if backend.costs == "real" and prepared.todo:
+        _check_image(prepared)
+
+
+def _check_image(prepared: "Prepared") -> None:
+    """Raise InvalidInput if the registry of a pinned image does not have it, or not for the CPUs of the machines.
+
+    If the registry does not tell, the machines will.
+    """
+    from fogspec.backends.images.registry import NotShown, Registry
+    from fogspec.base.errors import CloudError
+    from fogspec.spec.lock_io import read_pins
+    from fogspec.spec.lockfile import image_named, is_pinned, pinned
+
+    application = prepared.application
+    image = image_named(pinned(application, read_pins(prepared.layout)))
+    if image is None or not is_pinned(image):
+        return
+    try:
+        Registry().check(image, application.spec.hardware.arch)
+    except (NotShown, CloudError) as unknown:
+        note(f"image not checked: {unknown.message}")
 
 
 def _catalogs(
@@ -296,6 +330,7 @@ def _watcher(campaign: "Campaign", prepared: "Prepared", output: str, more: bool
 
 
 def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
+    from fogspec.base.clouds import quota_command
     from fogspec.bench import progress
     from fogspec.results.resources import doubts_of, use_line
     from fogspec.results.schema import is_final, own_records
@@ -315,6 +350,8 @@ def _report(prepared: "Prepared", benched: "BenchResult", output: str) -> None:
             say(f"    warning: {text}")
         if record.state != "ok" and record.id in benched.folders:
             say(f"    logs: {benched.folders[record.id]}")
+        if record.reason == "quota" and (listed := quota_command(record.machine.infra)) is not None:
+            say(f"    quota: {listed} lists it; request a higher one, or measure smaller machines")
         if record.state != "ok" and is_final(record):
             words = ("fogspec", "bench", layout.spec, "--runner", results.spec.runner, "--only", record.id)
             say(f"    again: {shell_command(*words)}")

@@ -8,13 +8,15 @@ import click
 from fogspec.base.console import note, say_json, say_text
 from fogspec.base.errors import InvalidInput, OutOfDate, UsageError
 from fogspec.base.text import shell_command
-from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, SPECS
+from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, SPECS, WORKERS
 
 
 @click.command()
 @SPECS
-@click.option("--since", metavar="BASE", help="only applications that changed since this commit, and what it took away")
-@click.option("-j", "--workers", type=click.IntRange(1, 64), help="processes [default: as many as are worth starting]")
+@click.option(
+    "--since", metavar="BASE", help="check only applications that changed since this commit, and files removed since"
+)
+@WORKERS
 @CATALOG
 @POLICIES
 @OUTPUT
@@ -26,20 +28,20 @@ def command(
     policies: tuple[str, ...],
     output: str,
 ) -> None:
-    """Say whether apply would deploy exactly what is committed: one line per application. SPECS are those in specs/.
+    """Check that apply would deploy exactly what is committed: one line per application.
 
-    Every spec is valid and meets the policies; plan, results, models, menu and manifest follow from one another and from
-    the lock; no manifest was taken away, and no compiled file and nothing that runs is left without its spec. Nothing is
-    written.
+    Each APP is a name or a spec, by default all in specs/. Every spec is valid and meets the policies; plan, results,
+    models, menu and manifest follow from one another and from the lock; no manifest was removed, and no compiled file and
+    no deployment is left without its spec. Nothing is written.
 
-    Exit code 1 for an invalid spec, 3 for anything else that is not so.
+    Exit code 1 for an invalid spec, 3 for any other failure.
     """
     from fogspec.audit import gate
     from fogspec.audit.git import Repository
     from fogspec.audit.review import removed
-    from fogspec.deploy.git_store import StoreUnavailable
     from fogspec.deploy.running import without_spec
     from fogspec.deploy.state import SystemWallClock
+    from fogspec.deploy.stores import StoreUnavailable
     from fogspec.report.diagnostics import show_diagnostics
     from fogspec.spec.discover import check_specs
 
@@ -59,15 +61,15 @@ def command(
             raise
         loaded, wrong = [], []  # the change removes the last of them
     show_diagnostics(wrong)
-    broken = any(one.severity == "error" for one in wrong)
+    invalid = sorted({one.span.path for one in wrong if one.severity == "error"})
     names = {one.name for one in loaded}
     wanted = names
     if since is not None and repository is not None and commit is not None:
         wanted = gate.changed(loaded, repository.changed(commit))
     chosen = [one for one in loaded if one.name in wanted]
     judged_by = gate.Gate(catalog_path, policies, commit)
-    verdicts = judged_by.judge(chosen, min(workers or gate.useful_workers(len(chosen)), max(1, len(chosen))))
-    whole = not broken and all(map(os.path.isdir, specs))
+    verdicts = judged_by.judge(chosen, workers)
+    whole = not invalid and all(map(os.path.isdir, specs))
     roots = {one.layout.root for one in loaded} or {Path()}
     others = [text for root in sorted(roots) for text in gate.leftovers(root, names)] if whole else []
     files = len(others)
@@ -81,10 +83,10 @@ def command(
         note(f"{name}: its spec and its manifest are gone; if it still runs: {shell_command('fogspec', 'down', name)}")
     skipped = sorted(names - wanted)
     if output == "json":
-        say_json(gate.as_dict(verdicts, others, skipped))
+        say_json(gate.as_dict(verdicts, others, invalid, skipped))
     else:
-        say_text(gate.as_text(verdicts, others, len(skipped), since))
-    if broken:
+        say_text(gate.as_text(verdicts, others, invalid, len(skipped), since))
+    if invalid:
         raise click.exceptions.Exit(1)
     if failed := [one.name for one in verdicts if one.problems] or others:
         raise OutOfDate(

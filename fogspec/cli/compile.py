@@ -34,12 +34,19 @@ if TYPE_CHECKING:
 @PRIORS
 @POLICIES
 @OUTPUT
-@click.option("--partial", is_flag=True, help="a manifest also where the plan was not carried out, which it says")
 @click.option(
-    "--prune", "prune_", is_flag=True, help="then remove files of applications without a spec; lists them, and asks"
+    "--partial",
+    is_flag=True,
+    help="write a manifest even if the plan is not measured completely; the manifest states it",
+)
+@click.option(
+    "--prune",
+    "prune_",
+    is_flag=True,
+    help="also remove files of applications without a spec; lists them, and asks first",
 )
 @click.option("--yes", is_flag=True, help="skip the confirmation prompt of --prune")
-@click.option("--check", is_flag=True, help="write nothing; exit 3 when something differs from what would be written")
+@click.option("--check", is_flag=True, help="write nothing; exit 3 if a file differs from what would be written")
 def command(
     specs: tuple[str, ...],
     catalog_path: str | None,
@@ -51,7 +58,10 @@ def command(
     yes: bool,
     check: bool,
 ) -> None:
-    """Write all that can be derived now from SPECS, and say what is missing for the rest. SPECS are those in specs/."""
+    """Write all files that can be derived now, and report what is missing for the others.
+
+    Each APP is a name or a spec, by default all in specs/.
+    """
     from fogspec.base.diagnostics import DiagnosticError
     from fogspec.report import summary
     from fogspec.spec.rules.policies import Policies

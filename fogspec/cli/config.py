@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fogspec.base.console import say_json, say_text
-from fogspec.cli.options import OUTPUT, SPECS
+from fogspec.cli.options import OUTPUT, OVERLAYS, SPECS
 
 if TYPE_CHECKING:
     from fogspec.spec.loader import LoadedSpec
@@ -14,20 +14,14 @@ if TYPE_CHECKING:
 
 @click.command()
 @SPECS
-@click.option(
-    "-f",
-    "--overlay",
-    "overlays",
-    multiple=True,
-    metavar="FILE",
-    help="merge this partial spec into each; later ones win",
-)
+@OVERLAYS
 @click.option("--origins", is_flag=True, help='annotate each value with its source line, or "default"')
 @OUTPUT
 def command(specs: tuple[str, ...], overlays: tuple[str, ...], origins: bool, output: str) -> None:
-    """Print the applications of SPECS as fogspec reads them. SPECS are those in specs/; NAME@ENVIRONMENT is one of them.
+    """Print applications as fogspec reads them.
 
-    Maps merge, lists whose items have names merge by name, other lists replace; null takes a value away.
+    Each APP is a name or a spec, by default all in specs/. NAME@ENVIRONMENT is an application in an environment. Mappings
+    merge, lists whose items have names merge by name, other lists replace; null removes a value.
     """
     from fogspec.spec.discover import load_specs
     from fogspec.spec.render import render_document

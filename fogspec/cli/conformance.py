@@ -23,20 +23,18 @@ if TYPE_CHECKING:
     "--infra",
     default="local",
     metavar="PLACE",
-    help="cloud/region, kubernetes/CONTEXT, slurm/CLUSTER  [default: local]",
+    help="engine: cloud/region, kubernetes/CONTEXT, slurm/CLUSTER  [default: local]",
 )
+@click.option("--max", "max_usd", type=Dollars(), default="$2", help="most money that the run may cost  [default: $2]")
 @click.option(
-    "--max", "max_usd", type=Dollars(), default="$2", help="most money that all of it may cost  [default: $2]"
-)
-@click.option(
-    "--machines", metavar="A,B", default="", help="two machine types  [default: the cheapest of 2 vCPUs, 4 GiB]"
+    "--machines", metavar="A,B", default="", help="two instance types  [default: the cheapest of 2 vCPUs, 4 GiB]"
 )
 @CATALOG
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     default="conformance.md",
-    help="report: .md or .json  [default: conformance.md]",
+    help="report file, .md or .json  [default: conformance.md]",
 )
 @click.option("--yes", is_flag=True, help="skip the confirmation prompt")
 @click.option("--dry-run", is_flag=True, help="show machines and price, and stop")
@@ -51,10 +49,11 @@ def command(
     dry_run: bool,
     output: str,
 ) -> None:
-    """Prove fogspec on an engine: bench of two machine types, kill, resume, apply, update, down, nothing left.
+    """Prove fogspec on an engine: bench of two instance types, kill, resume, apply, update, down, nothing left.
 
-    Runs in a temporary project, so any working directory will do, and writes a report without accounts, addresses and paths to
-    attach to an issue. Costs money on a cloud, and asks first. Exits with 6 if a step fails; what was started is torn down.
+    Runs in a temporary project, so any working directory will do, and writes a report without accounts, addresses and paths
+    to attach to an issue. Costs money on a cloud, and asks first. Exits with 6 if a step fails; what was started is torn
+    down.
     """
     from fogspec.deploy.conformance import offer
 

@@ -11,15 +11,13 @@ from fogspec.cli.options import CATALOG, SPECS, load_inputs
 @click.command()
 @SPECS
 @CATALOG
-@click.option(
-    "-o", "--output", type=click.Choice(["text", "json", "markdown"]), default="text", help="form of the answer"
-)
-@click.option("--exit-code", is_flag=True, help="exit 3 when anything differs")
+@click.option("-o", "--output", type=click.Choice(["text", "json", "markdown"]), default="text", help="output format")
+@click.option("--exit-code", is_flag=True, help="exit 3 if anything differs")
 def command(specs: tuple[str, ...], catalog_path: str | None, output: str, exit_code: bool) -> None:
-    """Compare each manifest with the one that compile would write now, and with what runs. SPECS are those in specs/.
+    """Compare each manifest with the one that compile would write now, and with the deployment.
 
-    Field by field, with the difference in cost, which input changed, and whether anything must be measured first.
-    Values of secrets are not shown. Nothing is written.
+    Each APP is a name or a spec, by default all in specs/. Field by field, with the difference in cost, which input
+    changed, and whether anything must be measured first. Values of secrets are not shown. Nothing is written.
     """
     from fogspec.audit import diff
     from fogspec.audit.freshness import status

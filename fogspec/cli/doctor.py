@@ -20,19 +20,20 @@ if TYPE_CHECKING:
 @CATALOG
 @OUTPUT
 def command(spec: str | None, catalog_path: str | None, output: str) -> None:
-    """Check what a bench or an apply of SPEC needs here, before any money: ok, problem or not checked, with the fix.
+    """Check the requirements of bench and apply on this computer, before anything is rented.
 
-    SPEC is a spec or the name of an application in specs/; without it, those in specs/. No machine is started and nothing is
-    written. If a place is a cloud, SkyPilot checks its access, for which it may start its own API server on this computer.
-    Exits with 1 if there is a problem.
+    APP is a name or a spec, by default all in specs/. Reports ok, problem or not checked, with the fix. No machine is
+    started and nothing is written. The registry of a pinned image must have it. For a cloud, SkyPilot checks the access,
+    and may start its own API server on this computer. Exits with 1 if there is a problem.
     """
+    from fogspec.backends.images.registry import Registry
     from fogspec.backends.registry import deployment_backend
     from fogspec.deploy.doctor import State, as_dict, as_text, checks
     from fogspec.deploy.state import SystemWallClock
     from fogspec.spec.discover import load_specs
 
     loaded = load_specs() if spec is None else applications_of(spec)
-    found = checks(loaded, catalog_path, SystemWallClock(), deployment_backend)
+    found = checks(loaded, catalog_path, SystemWallClock(), deployment_backend, Registry().check)
     if output == "json":
         say_json([as_dict(one) for one in found])
     else:

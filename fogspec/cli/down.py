@@ -23,15 +23,16 @@ if TYPE_CHECKING:
 @click.option(
     "--repository",
     metavar="URL",
-    help="end the machines that this other repository started for the application, such as a fork or a former origin",
+    help="tear down machines that another repository started for the application, such as a fork or a former origin",
 )
-@click.option("--yes", is_flag=True, help="skip the confirmation prompt, which only a terminal and --repository have")
+@click.option("--yes", is_flag=True, help="skip the confirmation prompt, which only a terminal or --repository brings")
 @OUTPUT
 def command(spec_or_name: str, repository: str | None, yes: bool, output: str) -> None:
-    """End what runs of one application, by name, and verify that nothing is left.
+    """Tear down one application, by name, and verify that nothing is left.
 
-    That is what was applied, what an apply that was killed had started, and machines of a bench that died, here or
-    elsewhere. Idempotent; other applications are not touched, nor machines of other repositories without --repository.
+    APP is a name or a spec. Terminates the deployment, what an interrupted apply had started, and machines of a bench that
+    died, here or elsewhere. Idempotent. Other applications, and machines of other repositories without --repository, are
+    not touched.
     """
     from fogspec.deploy.down import down, layout_of, leave_link
     from fogspec.deploy.state import SystemWallClock

@@ -40,18 +40,30 @@ ALIASES = {"ours": None}
     help="full measurements of SPEC: a CSV file, or results of bench (.yaml)",
 )
 @click.option("--suite", type=click.Path(path_type=Path), metavar="DIR", help="machines, latencies and problems")
-@click.option("--priors", type=click.Path(path_type=Path), metavar="DIR|FILE", help="a machine library")
-@click.option("--kind", "kinds", multiple=True, metavar="KIND", help="only problems of this kind; may be repeated")
-@click.option("--sampler", type=click.Choice(SAMPLERS), default="adaptive", show_default=True)
+@click.option("--priors", type=click.Path(path_type=Path), metavar="DIR|FILE", help="machine library  [default: none]")
+@click.option("--kind", "kinds", multiple=True, metavar="KIND", help="only problems of this kind; repeatable")
 @click.option(
-    "--method", type=click.Choice([*ALIASES, *METHODS]), help="how samples are read; ours: the sampler's own (default)"
+    "--sampler", type=click.Choice(SAMPLERS), default="adaptive", show_default=True, help="how samples are chosen"
 )
-@click.option("--noise", type=click.Choice(["realistic", "none"]), default="realistic", show_default=True)
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--choices", type=click.Path(path_type=Path), metavar="FILE", help="write a line for every choice")
-@click.option("--chart", type=click.Path(path_type=Path), metavar="FILE", help="write a chart of a --sweep as SVG")
-@click.option("--all", "every", is_flag=True, help="a table of every sampler and method")
-@click.option("--volumes", is_flag=True, help="total cost of benchmark and regret, for volumes of requests")
+@click.option(
+    "--method",
+    type=click.Choice([*ALIASES, *METHODS]),
+    help="how samples are read; ours: the sampler's own  [default: ours]",
+)
+@click.option(
+    "--noise",
+    type=click.Choice(["realistic", "none"]),
+    default="realistic",
+    show_default=True,
+    help="noise of each measurement",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="seed of the random numbers")
+@click.option("--choices", type=click.Path(path_type=Path), metavar="FILE", help="file for a line per choice")
+@click.option(
+    "--chart", type=click.Path(path_type=Path), metavar="FILE", help="file for a chart of the --sweep, as SVG"
+)
+@click.option("--all", "every", is_flag=True, help="print a table of every sampler and method")
+@click.option("--volumes", is_flag=True, help="print the total cost of benchmark and regret, for volumes of requests")
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="processes")
 @CATALOG
 @OUTPUT
@@ -73,9 +85,9 @@ def command(
     catalog_path: str | None,
     output: str,
 ) -> None:
-    """Say how good choices from few samples are, where every machine was measured.
+    """Score choices from few samples, where every machine was measured.
 
-    Either SPEC with a --sweep of its own, or a --suite of problems.
+    Either SPEC with its --sweep, or a --suite of problems.
     """
     from fogspec.evaluation.campaign import Campaign
 

@@ -33,9 +33,10 @@ def _completions(_context: click.Context, _parameter: click.Parameter, begun: st
 @PRIORS
 @OUTPUT
 def command(what: str, spec: str | None, catalog_path: str | None, priors: Path | None, output: str) -> None:
-    """Explain WHAT: a field such as constraints.cost, a code such as FS201, or the choice for a spec or application.
+    """Explain a field such as constraints.cost, an error code such as FS201, or the choice for an application.
 
-    With a field, SPEC is a spec that is searched for where the field is set.
+    WHAT is the field, the code, or the application, by name or by spec. With a field, APP is searched for the line that
+    sets it.
     """
     from fogspec.spec.discover import spec_of
 

@@ -32,7 +32,7 @@ FOR_GIT = {
     "launch",
     type=click.Path(path_type=str),
     metavar="FILE",
-    help="read nodes and constraints from this Python, XML or YAML launch file; it is not run",
+    help="launch file (Python, XML or YAML) to read nodes from; it is not run",
 )
 @click.option(
     "--package-path",
@@ -40,28 +40,30 @@ FOR_GIT = {
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     multiple=True,
     metavar="DIRECTORY",
-    help="look for the packages of included launch files below this directory too: a workspace or an installed prefix",
+    help="directory with packages of included launch files: a workspace or an installed prefix; repeatable",
 )
-@click.option("--from-graph", "graph", is_flag=True, help="watch the robot that runs now, without changing it")
-@click.option("--watch", default="20s", show_default=True, metavar="20s", help="how long the robot is watched")
-@click.option("--record", metavar="30s", help="after that, record the requests for so long, as the workload")
+@click.option(
+    "--from-graph", "graph", is_flag=True, help="read nodes and topics from the running robot, without changing it"
+)
+@click.option("--watch", default="20s", show_default=True, metavar="20s", help="time to watch the robot")
+@click.option("--record", metavar="30s", help="then record requests for this time, as the workload")
 @click.option(
     "--observed",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="read what `agent.pyz watch --out FILE` saw of a robot, in place of watching",
+    help="output of `agent.pyz watch --out FILE` on the robot, in place of watching",
 )
 @click.option(
     "--priors",
     type=click.Path(path_type=Path),
     metavar="DIR|FILE",
-    help="a machine library (fogspec priors build): name a first machine for what was seen of the robot",
+    help="machine library (fogspec priors build), to name a first machine for the observed robot",
 )
 @click.option("--name", help="application name  [default: file name]")
 @click.option(
     "--example",
     metavar="NAME",
-    help="copy a spec with its results instead: grasp-planning, motion-planning or vslam; nothing is rented",
+    help="example to copy with its results: grasp-planning, motion-planning or vslam; nothing is rented",
 )
 def command(
     spec: Path | None,

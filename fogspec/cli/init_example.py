@@ -42,6 +42,5 @@ def copy_example(name: str) -> None:
         files.write(path, source.read_bytes())
         say(f"{path}: written")
     for_git(Path(), files)
-    first = applications[0]
     say("measured already; nothing is rented")
-    say_next(*(next_command(verb, first) for verb in ("compile", "menu", "explain", "report")))
+    say_next(next_command("menu", applications[0]))

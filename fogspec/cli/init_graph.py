@@ -33,7 +33,7 @@ def seconds_of(text: str | None, option: str) -> float | None:
         return None
     seconds = quantity(option, text, parse_duration_s)
     if not 1 <= seconds <= MOST_S:
-        raise UsageError(f"{option} must be between 1s and {MOST_S / 60:g}min, and is {text}")
+        raise UsageError(f"{option} must be between 1 s and {MOST_S / 60:g} min, and is {text}")
     return seconds
 
 

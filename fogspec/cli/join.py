@@ -22,7 +22,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
     "--base",
     type=FILE,
     metavar="FILE",
-    help="what both began with, as git gives it to a merge driver; moves no timings",
+    help="common ancestor of both, as git passes it to a merge driver; no timings are moved",
 )
 def command(results: Path, other: Path, base: Path | None) -> None:
     """Add the samples of OTHER to RESULTS, two results files of one application, each sample once.

@@ -16,9 +16,9 @@ from fogspec.cli.options import complete_application
     shell_complete=complete_application,
 )
 def command(specs: tuple[str, ...]) -> None:
-    """Make the robot's private keys for the links of SPECS, once, and print their public halves.
+    """Make the robot's private keys of the links, once, and print their public halves.
 
-    The private halves are made here and stay here, in ~/.fogspec/links, readable by you alone.
+    Each APP is a name or a spec. The private halves stay on this computer, in ~/.fogspec/links, readable by you alone.
     """
     from fogspec.deploy.link import folder_of, make_keys
     from fogspec.spec.discover import load_specs

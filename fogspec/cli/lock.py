@@ -18,9 +18,12 @@ SHOWN = 40
 @CATALOG
 @PRIORS
 @OUTPUT
-@click.option("--check", is_flag=True, help="write nothing and ask no registry; exit 3 when the lock is not complete")
+@click.option("--check", is_flag=True, help="write nothing and ask no registry; exit 3 if the lock is incomplete")
 @click.option(
-    "--upgrade", multiple=True, metavar="X", help="re-resolve `catalog`, an image as a spec names it, or `all`"
+    "--upgrade",
+    multiple=True,
+    metavar="NAME",
+    help="resolve again: `catalog`, an image as the spec names it, or `all`; repeatable",
 )
 def command(
     specs: tuple[str, ...],
@@ -32,8 +35,8 @@ def command(
 ) -> None:
     """Write fogspec.lock: catalog, machine library, image digests, and digests of workspace and workload.
 
-    SPECS are those in specs/.
-    What is locked stays as it is, except for files next to the specs: these are read again.
+    Each APP is a name or a spec, by default all in specs/. Locked entries stay as they are, except for files next to the
+    specs, which are read again.
     """
     from fogspec.backends.images.registry import Registry
     from fogspec.base.project_files import ProjectFiles

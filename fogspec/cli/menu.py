@@ -18,22 +18,41 @@ if TYPE_CHECKING:
     from fogspec.report.menu import Changes
 
 
+def _number(_context: click.Context, _parameter: click.Parameter, value: float | None) -> float | None:
+    if value is not None and math.isnan(value):
+        raise click.BadParameter("nan is not a number from 0 to 1")
+    return value
+
+
 @click.command()
 @SPEC
-@click.option("--alpha", type=click.FloatRange(0, 1), help="1 = only latency counts, 0 = only cost counts")
-@click.option("--latency", metavar="2s", help="another limit on the latency of one request; none for no limit")
-@click.option("--cost", metavar="'$0.001/request'", help="another limit on the cost of one request; none for no limit")
 @click.option(
-    "--metric", metavar="NAME", help="a metric of spec.metrics in place of the latency in the objective; or latency"
+    "--alpha",
+    type=click.FloatRange(0, 1),
+    callback=_number,
+    help="weight of latency: 1 only latency, 0 only cost  [default: the spec]",
+)
+@click.option(
+    "--latency", metavar="2s", help="limit on the latency of one request; none for no limit  [default: the spec]"
+)
+@click.option(
+    "--cost",
+    metavar="'$0.001/request'",
+    help="limit on the cost of one request; none for no limit  [default: the spec]",
+)
+@click.option(
+    "--metric",
+    metavar="NAME",
+    help="quantity in the objective: latency, or a metric of spec.metrics  [default: the spec]",
 )
 @click.option(
     "--limit",
     "bounds",
     multiple=True,
     metavar="NAME=35",
-    help="another limit on a metric; NAME=none for no limit; repeatable",
+    help="limit on a metric; NAME=none for no limit; repeatable",
 )
-@click.option("--name", help="the application, where the file has several")
+@click.option("--name", help="application, if the spec has several")
 @CATALOG
 @PRIORS
 @OUTPUT
@@ -51,9 +70,9 @@ def command(
     output: str,
     color: bool | None,
 ) -> None:
-    """Show the choices and the Pareto front of SPEC, a spec or the name of an application in specs/.
+    """Show the choices and the Pareto front of an application.
 
-    Nothing is measured again and nothing is written.
+    APP is a name or a spec. Nothing is measured again and nothing is written.
     """
     from fogspec.choice.menu import menu_data
     from fogspec.compile.decision import no_choice

@@ -16,8 +16,8 @@ from fogspec.cli.options import CATALOG, applications_of, complete_application
 def command(old: str, new: str, catalog_path: str | None) -> None:
     """Rename the application OLD, a name or its spec, to NEW: spec, lock, results with raw timings, and compiled files.
 
-    Nothing is measured again. What runs is bound to the name, so that an application that runs is refused: end it first, and
-    apply it under its new name.
+    Nothing is measured again. A deployment is bound to the name, so a running application is refused: tear it down first,
+    and apply it under its new name.
     """
     from fogspec.base.layout import Layout
     from fogspec.deploy.housekeeping import rename

@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from fogspec.compile.inputs import Inputs
     from fogspec.deploy.health import HealthReport
 
+Words = tuple[str, ...]  # a verb, and its arguments
+
 # What may follow a command; nothing follows one that prints a document, or that ends the work.
 FOLLOWED_BY: dict[str, tuple[str, ...]] = {
-    "init": ("validate", "compile", "menu", "explain", "report"),
+    "init": ("validate", "compile", "menu"),
     "validate": ("compile",),
     "config": (),
     "lock": ("compile",),
@@ -119,16 +121,19 @@ def after_look(compiled: "Artifacts") -> str | None:
     return next_command("compile", layout.spec) if compiled.compare() else to_deploy(compiled.inputs)
 
 
-def after_status(one: "Status", live: "HealthReport | None") -> str | None:
-    """Return what comes next for an application with this status; None if it is deployed, or no machine can be chosen."""
+def after_status(one: "Status", live: "HealthReport | None") -> Words | None:
+    """Return what comes next for an application with this status; None if it is deployed, or no machine can be chosen.
+
+    These are the words of `next_command`, which only the process of the command line can ask.
+    """
     if one.artifacts is None:
         return None
     if not one.fresh:
         states = {stage.name: stage.state for stage in one.stages}
         if states.get("plan") == "fresh" and (one.to_measure or states.get("results") == "partial"):
-            return to_measure(one.artifacts)
-        return next_command("compile", one.layout.spec)
-    return to_deploy(one.inputs) if live is None or live.sync != "Synced" else None
+            return _measure(one.artifacts)
+        return "compile", fspath(one.layout.spec)
+    return _deploy(one.inputs) if live is None or live.sync != "Synced" else None
 
 
 def after_diff(inputs: "Inputs", one: "Difference", live: Sequence[Any] | None) -> str | None:
@@ -142,17 +147,25 @@ def after_diff(inputs: "Inputs", one: "Difference", live: Sequence[Any] | None) 
 
 def to_measure(compiled: "Artifacts") -> str | None:
     """Return the command that measures the plan, where it can be measured."""
-    return next_command("bench", compiled.layout.spec, *compiled.plan.runner_options)
+    return next_command(*_measure(compiled))
+
+
+def _measure(compiled: "Artifacts") -> Words:
+    return "bench", fspath(compiled.layout.spec), *compiled.plan.runner_options
 
 
 def to_deploy(inputs: "Inputs") -> str | None:
     """Return the command that shows what a manifest would start, and what it costs; first its image has to be pinned."""
+    return next_command(*_deploy(inputs))
+
+
+def _deploy(inputs: "Inputs") -> Words:
     from fogspec.spec.lockfile import image_named, is_pinned, pinned
 
     image = image_named(pinned(inputs.application, inputs.pins))
     if image is not None and not is_pinned(image):
-        return next_command("lock", inputs.layout.spec)
-    return next_command("apply", inputs.layout.manifest, "--dry-run")
+        return "lock", fspath(inputs.layout.spec)
+    return "apply", fspath(inputs.layout.manifest), "--dry-run"
 
 
 def _given(context: click.Context, name: str) -> bool:

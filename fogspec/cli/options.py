@@ -31,7 +31,7 @@ def complete_application(_context: click.Context, _parameter: click.Parameter, b
 class Dollars(click.ParamType):
     """An amount of money, as the spec writes it."""
 
-    name = "$"
+    name = "'$2'"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the amount in USD. Raise click.BadParameter for any other value."""
@@ -86,18 +86,29 @@ CATALOG = click.option(
     help="price catalog: snapshot (bundled), skypilot (SkyPilot's own), a directory in its layout, or a CSV file in its "
     "columns  [default: fogspec.lock, else skypilot if its lists are on this host, else snapshot]",
 )
+OVERLAYS = click.option(
+    "-f",
+    "--overlay",
+    "overlays",
+    multiple=True,
+    metavar="FILE",
+    help="partial spec to merge into each; repeatable, the last wins",
+)
 POLICIES = click.option(
     "--policy",
     "policies",
     multiple=True,
     metavar="FILE",
-    help="a JSON Schema that must be met too, besides policies/*.schema.json next to specs/",
+    help="JSON Schema that specs and manifests must also meet, besides policies/*.schema.json next to specs/",
+)
+WORKERS = click.option(
+    "-j", "--workers", type=click.IntRange(1, 64), help="processes [default: as many as are worth starting]"
 )
 PRIORS = click.option(
     "--priors",
     type=click.Path(path_type=Path),
     metavar="DIR|FILE",
-    help="a machine library (fogspec priors build): with one, fewer samples suffice; otherwise what fogspec.lock says",
+    help="machine library (fogspec priors build), with which fewer samples suffice  [default: fogspec.lock, else none]",
 )
 
 
@@ -120,11 +131,11 @@ def load_inputs(
 
     with timed("reading"):
         found = Inputs.load([], catalog=catalog, priors=priors, audit=audit, loaded=load_specs(specs))
-    _show_read(found)
+    show_read(found)
     return found
 
 
-def _show_read(inputs: "Sequence[Inputs]") -> None:
+def show_read(inputs: "Sequence[Inputs]") -> None:
     """Print with `--verbose` what was read, with digests."""
     if not is_verbose():
         return
@@ -178,7 +189,7 @@ def open_manifest(path: str, catalog: str | None) -> "ManifestBundle":
 
     with timed("reading"):
         found = open_bundle(path, catalog)
-    _show_read([found.inputs])
+    show_read([found.inputs])
     return found
 
 

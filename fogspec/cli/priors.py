@@ -19,7 +19,7 @@ def command() -> None:
     "source",
     type=click.Path(path_type=Path),
     metavar="FROM",
-    help="a folder in the suite layout, or a database of sparecores-data; otherwise what sparecores-data has here",
+    help="directory in the suite layout, or a database of sparecores-data  [default: that of the installed sparecores-data]",
 )
 @click.option("--out", type=click.Path(path_type=Path), default=Path("priors.zip"), show_default=True, metavar="FILE")
 def build(source: Path | None, out: Path) -> None:

@@ -13,9 +13,9 @@ from fogspec.cli.options import OUTPUT
 @click.command()
 @OUTPUT
 def command(output: str) -> None:
-    """List every machine in this project's live state: what its nodes say, since when it is up, what it cost.
+    """List every machine in this project's live state: the state of its nodes, its uptime and its cost so far.
 
-    Applications without a spec are listed too: what was deleted or renamed may still run. Nothing is written.
+    Includes applications without a spec, which may still run after it was deleted or renamed. Nothing is written.
     """
     from functools import cache
 

@@ -13,14 +13,15 @@ from fogspec.cli.options import CATALOG, PRIORS, complete_application, load_name
 
 @click.command()
 @click.argument("what", metavar="APP", shell_complete=complete_application)
-@click.option("--name", help="the application, where the spec has several")
-@click.option("--to", "to", metavar="FILE", help="where to write it, - for stdout; otherwise compiled/NAME/report.html")
+@click.option("--name", help="application, if the spec has several")
+@click.option("--out", "to", metavar="FILE", help="output file, - for stdout  [default: compiled/NAME/report.html]")
 @CATALOG
 @PRIORS
 def command(what: str, name: str | None, to: str | None, catalog_path: str | None, priors: Path | None) -> None:
-    """Write the report of APP, the name of an application in specs/ or a spec.
+    """Write the report of an application, one HTML page.
 
-    The page has spec, funnel, samples, models, an interactive menu, costs and provenance. It needs no network.
+    APP is a name or a spec. The page has the interactive menu, spec, samples, models, costs and provenance. It needs no
+    network.
     """
     from fogspec.base.project_files import write_output
     from fogspec.compile.compiler import compile_application

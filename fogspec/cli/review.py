@@ -8,7 +8,7 @@ import click
 from fogspec.base.console import say_text
 from fogspec.base.errors import InvalidInput, OutOfDate
 from fogspec.base.text import json_text
-from fogspec.cli.options import CATALOG, POLICIES, SPECS
+from fogspec.cli.options import CATALOG, POLICIES, SPECS, WORKERS
 
 
 @click.command()
@@ -16,39 +16,45 @@ from fogspec.cli.options import CATALOG, POLICIES, SPECS
 @SPECS
 @CATALOG
 @POLICIES
-@click.option("-o", "--output", type=click.Choice(["markdown", "json"]), default="markdown", help="form of the answer")
-@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="write it there; otherwise to the output")
+@WORKERS
 @click.option(
-    "--picture-base", metavar="URL", help="where the files of this commit can be seen: pictures are linked there"
+    "-o",
+    "--output",
+    type=click.Choice(["markdown", "json"]),
+    default="markdown",
+    help="output format",
 )
-@click.option("--exit-code", is_flag=True, help="exit 3 when something committed does not follow from its inputs")
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="output file  [default: stdout]")
+@click.option(
+    "--picture-base", metavar="URL", help="URL below which the files of this commit are published, for links to charts"
+)
+@click.option("--exit-code", is_flag=True, help="exit 3 if a committed file does not follow from its inputs")
 def command(
     range_: str,
     specs: tuple[str, ...],
     catalog_path: str | None,
     policies: tuple[str, ...],
     output: str,
+    workers: int | None,
     out: Path | None,
     picture_base: str | None,
     exit_code: bool,
 ) -> None:
-    """Write Markdown about every manifest that differs between BASE and what is checked out. SPECS are those in specs/.
+    """Write Markdown about every manifest that differs between BASE and the checkout.
 
-    The choice, what all machines cost before and after, which inputs changed, whether a machine is replaced, what must be
-    measured first, policies, provenance, and whether everything is fresh. At most 65,536 characters, as GitHub takes them.
+    Each APP is a name or a spec, by default all in specs/. The choice, what all machines cost before and after, which
+    inputs changed, whether a machine is replaced, what must be measured first, policies, provenance, and whether everything
+    is up to date. At most 65,536 characters, GitHub's limit.
 
-    Exit code 1 for an invalid spec or a broken policy, after everything is written.
+    Exit code 1 for an invalid spec or a policy violation, after everything is written.
     """
     from fogspec.audit.comment import markdown
-    from fogspec.audit.freshness import status
     from fogspec.audit.git import Repository
-    from fogspec.audit.review import Base, Whole, as_dict, removed, review
+    from fogspec.audit.review import Base, Reviewer, Whole, as_dict, removed
+    from fogspec.audit.shared_work import share
     from fogspec.base.diagnostics import DiagnosticError
     from fogspec.base.project_files import write_output
-    from fogspec.compile.compiler import try_compile
-    from fogspec.compile.inputs import Inputs
     from fogspec.spec.discover import check_specs
-    from fogspec.spec.rules.policies import Policies
 
     repository = Repository()
     base = Base.of(repository, repository.base_of(range_))
@@ -58,9 +64,9 @@ def command(
         if not removed(repository, base.commit, ()):
             raise
         loaded, said = [], []  # the change removes the last of them
-    rules, invalid = Policies(policies), [one for one in said if one.severity == "error"]
-    inputs = Inputs.load([], catalog=catalog_path, audit=True, loaded=loaded)
-    reviews = [review(status(one, try_compile(one)), base, rules) for one in inputs]
+    invalid = [one for one in said if one.severity == "error"]
+    reviewer = Reviewer(base, catalog_path, policies)
+    reviews = share(reviewer.reviews, loaded, workers)
     # Which applications an invalid spec has is not known, so that none is said to be removed.
     gone = [] if invalid else removed(repository, base.commit, [one.name for one in reviews])
     whole = Whole(base.commit, reviews, gone, invalid)
@@ -74,5 +80,5 @@ def command(
         write_output(out, text.encode())
     if wrong := [*invalid, *(found for one in reviews for found in one.broken)]:
         raise DiagnosticError(wrong)
-    if exit_code and (stale := [one.name for one in reviews if not one.status.fresh]):
+    if exit_code and (stale := [one.name for one in reviews if not one.fresh]):
         raise OutOfDate(f"not fresh: {', '.join(stale)}", "fogspec status says why")

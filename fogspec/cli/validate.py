@@ -8,7 +8,7 @@ import click
 from fogspec.base.console import say
 from fogspec.base.text import count
 from fogspec.cli.next_steps import next_command, say_next
-from fogspec.cli.options import COLOR, POLICIES
+from fogspec.cli.options import COLOR, OVERLAYS, POLICIES
 
 if TYPE_CHECKING:
     from fogspec.catalog.table import Catalog
@@ -17,8 +17,14 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("files", nargs=-1)
-@click.option("-f", "--overlay", "overlays", multiple=True, metavar="FILE", help="merge this partial spec into each")
-@click.option("-o", "--output", type=click.Choice(["text", "json", "github"]), default="text", help="output format")
+@OVERLAYS
+@click.option(
+    "-o",
+    "--output",
+    type=click.Choice(["text", "json", "github"]),
+    default="text",
+    help="output format",
+)
 @POLICIES
 @COLOR
 def command(

@@ -13,8 +13,8 @@ from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_polic
 @CATALOG
 @POLICIES
 @OUTPUT
-@click.option("--attestation", type=click.Path(path_type=str), metavar="FILE", help="also check this signed statement")
-@click.option("--key", type=click.Path(path_type=str), metavar="PEM", help="the public key that it must be signed with")
+@click.option("--attestation", type=click.Path(path_type=str), metavar="FILE", help="signed statement to check, too")
+@click.option("--key", type=click.Path(path_type=str), metavar="PEM", help="public key of that signature")
 def command(
     manifest: str,
     catalog_path: str | None,
@@ -23,11 +23,11 @@ def command(
     attestation: str | None,
     key: str | None,
 ) -> None:
-    """Recompute spec, plan, results, models, menu, manifest and task; say which link breaks and how.
+    """Recompute spec, plan, results, models, menu, manifest and task, and report which link does not match.
 
     MANIFEST is a file, or the name of an application: compiled/NAME/manifest.yaml.
 
-    Nothing is written. Exit code 3 when a link breaks.
+    Nothing is written. Exit code 3 for a mismatch.
     """
     from fogspec.audit import verify
 

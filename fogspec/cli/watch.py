@@ -21,19 +21,21 @@ STEP_S = 0.2
 
 @click.command()
 @click.argument("apps", nargs=-1, metavar="[APP]...", shell_complete=complete_application)
-@click.option("--once", is_flag=True, help="look once, restart what does not serve, and stop; for cron")
-@click.option("--interval", default="30s", show_default=True, metavar="TIME", help="time between two looks")
+@click.option("--once", is_flag=True, help="check once, restart what does not serve, and stop; for cron")
+@click.option("--interval", default="30s", show_default=True, metavar="TIME", help="time between two checks")
 @click.option(
     "--max-restarts",
     default=3,
     show_default=True,
     type=click.IntRange(0, 60),
     metavar="N",
-    help="machines started in an hour for one application, at most; 0 reports only",
+    help="most machines started per hour for one application; 0 only reports",
 )
 @click.option("--listen", metavar="HOST:PORT", help="serve OpenMetrics at http://HOST:PORT/metrics")
 @CATALOG
-@click.option("--prices", metavar="FROM", help="where prices are looked up now, as --catalog; otherwise that catalog")
+@click.option(
+    "--prices", metavar="FROM", help="price catalog of the price check, as --catalog  [default: that of --catalog]"
+)
 @click.option("--yes", is_flag=True, help="skip the confirmation prompt")
 @OUTPUT
 def command(
@@ -47,11 +49,11 @@ def command(
     yes: bool,
     output: str,
 ) -> None:
-    """Look at deployments at regular intervals, and start a machine in place of one that does not serve.
+    """Check deployments at regular intervals, and replace a machine that does not serve.
 
-    APPs are names or specs, by default all in specs/ that run. A machine is started only where nodes have ended for good, or
-    where the machine is gone: by the manifest that it ran, at the approved price at most, and before what is left of the old
-    one ends. Where a machine cannot be reached, nothing is started. Drift and other manifests are reported.
+    Each APP is a name or a spec, by default all in specs/ that run. A machine is started only where nodes have ended for
+    good, or where the machine is gone: by the manifest that it ran, at the approved price at most, and before what is left
+    of the old one ends. Where a machine cannot be reached, nothing is started. Drift and other manifests are reported.
 
     Events are kept in .fogspec/NAME/events.jsonl. Ctrl-C ends the watch and leaves the deployments. With --once the exit
     code is 6 if something does not serve.
@@ -128,7 +130,7 @@ def _confirm(watcher: "Watcher", sure: bool) -> None:
         except (DiagnosticError, FogspecError):
             machines = []
         what = [f"{m.machine.instance} in {m.machine.infra}, {shown_price(m.machine.price)}" for m in machines[-1:]]
-        said = f"; started again at most {times} times an hour, at the approved price" if times else "; reported only"
+        said = f"; restarted at most {times} times per hour, at the approved price" if times else "; reported only"
         say(f"{name}: {what[0] if what else 'nothing runs'}{said}", err=True)
     if not watcher.watched:
         say("nothing runs", err=True)

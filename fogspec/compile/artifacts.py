@@ -9,6 +9,7 @@ from fogspec.base.layout import Layout
 from fogspec.catalog.filters import Filtered
 from fogspec.catalog.table import Catalog
 from fogspec.compile.inputs import Inputs
+from fogspec.plan.reuse import selects_more
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import Results
 from fogspec.results.standing import Standing
@@ -46,6 +47,24 @@ class Artifacts:
     def catalog(self) -> Catalog:
         """The catalog of machines and prices."""
         return self.inputs.catalog
+
+    @property
+    def selects_more(self) -> bool:
+        """Whether the benchmark measures more machines than the plan has, those that the model selects."""
+        sampling = None if self.results is None else self.results.spec.sampling
+        if sampling is not None and sampling.stop_reason is not None and sampling.out_of_budget:
+            return False
+        return selects_more(self.application, self.plan.spec.sampler, sampling)
+
+    @property
+    def most_usd(self) -> float:
+        """The most that the whole benchmark can cost in USD: all of its budget while the model selects machines."""
+        body = self.plan.spec
+        return (
+            body.budget
+            if self.selects_more and body.budget is not None and body.estimate.total
+            else body.estimate.total
+        )
 
     @property
     def kept(self) -> tuple[Path, ...]:

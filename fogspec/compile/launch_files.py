@@ -12,7 +12,7 @@ from fogspec.compile.links import link_of, port_of
 from fogspec.compile.links.sros2_policy import policy
 from fogspec.compile.links.wireguard import interface
 from fogspec.compile.links.zenoh import common_name
-from fogspec.compile.tasks import launched_together
+from fogspec.compile.tasks import label, launched_together
 from fogspec.spec.schema import Application, Node
 
 SIDES: tuple[Literal["cloud", "robot"], ...] = ("cloud", "robot")
@@ -22,7 +22,9 @@ def launch_files(application: Application, layout: Layout) -> dict[Path, bytes]:
     """Return the files sent to the machine besides the agent: the cloud launch file and the link directory."""
     files: dict[Path, str] = {}
     if application.spec.ros is not None and (nodes := launched_together(application.spec)):
-        files[layout.cloud] = render("cloud.launch.py.j2", **_words(application, layout, nodes), together=True)
+        files[layout.cloud] = render(
+            "cloud.launch.py.j2", **_words(application, layout, nodes, logged=True), together=True
+        )
     if link_of(application).protocol is not None:
         files[layout.link / "link.sh"] = link_script(application, layout)
         for side in SIDES:
@@ -84,10 +86,13 @@ def link_of_machine(application: Application) -> dict[str, Any] | None:
     }
 
 
-def _words(application: Application, layout: Layout, nodes: Sequence[Node]) -> dict[str, Any]:
+def _words(application: Application, layout: Layout, nodes: Sequence[Node], logged: bool = False) -> dict[str, Any]:
+    """Return the template values for nodes; with `logged` launch names them as `fogspec logs --node` does."""
+    # Launch's own name of a ROS node without a name is its executable.
+    labels = [label(node) if node.name or node.cmd else None for node in nodes if logged]
     return {
         "source": layout.relative(layout.spec),
         "origin": layout.source,
         "name": application.name,
-        **launch_source.words(nodes),
+        **launch_source.words(nodes, labels),
     }

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from itertools import zip_longest
 from typing import Any
 
 from fogspec.base.templates import python, render
@@ -14,14 +15,17 @@ def node_launch(node: Node) -> str:
     return render("node.launch.py.j2", **words([node.model_copy(update={"respawn": False})]), together=True)
 
 
-def words(nodes: Sequence[Node]) -> dict[str, Any]:
-    """Return the template values for nodes: what is imported, and how each one is written."""
+def words(nodes: Sequence[Node], labels: Sequence[str | None] = ()) -> dict[str, Any]:
+    """Return the template values for nodes: what is imported, and how each one is written.
+
+    `labels` are the names that launch writes in front of what the nodes print, None for its own.
+    """
     ros = [node for node in nodes if node.cmd is None]
     substitutions = {module: sorted(names) for module, names in imports(list(nodes)).items()}
     containers = [node for node in ros if node.composable_node_descriptions]
     described = (["ParameterFile"] if _files_with(ros) else []) + (["ParameterValue"] if _values_with(ros) else [])
     return {
-        "nodes": [_written(node) for node in nodes],
+        "nodes": [_written(node, label) for node, label in zip_longest(nodes, labels)],
         "has_nodes": bool(ros),
         "has_processes": len(ros) < len(nodes),
         "substitutions": sorted(substitutions.items()),
@@ -43,7 +47,7 @@ def _values_with(nodes: Sequence[Node]) -> bool:
     return any("ParameterValue(" in _value(node.parameters) for node in _all(nodes))
 
 
-def _written(node: Node) -> dict[str, Any]:
+def _written(node: Node, label: str | None) -> dict[str, Any]:
     """Return each argument of a node's action as a Python expression, in the order of launch_ros' documentation."""
     common = {
         "additional_env": _map(node.env) if node.env else None,
@@ -51,12 +55,14 @@ def _written(node: Node) -> dict[str, Any]:
         "respawn_delay": repr(float(node.respawn_delay)) if node.respawn and node.respawn_delay else None,
     }
     if node.cmd is not None:
-        argv = {"cmd": _list([*node.cmd, *node.arguments], 12), "cwd": "str(SPEC)"}
+        named = repr(label) if label else None
+        argv = {"cmd": _list([*node.cmd, *node.arguments], 12), "name": named, "cwd": "str(SPEC)"}
         return {"kind": "ExecuteProcess", "words": _set({**argv, **common}), "respawn": node.respawn}
     words: dict[str, Any] = {
         "package": _text(str(node.package)),
         "executable": _text(str(node.executable)),
         **_named(node, 12),
+        "exec_name": repr(label) if label else None,
         "arguments": _list(node.arguments, 12) if node.arguments else None,
         "prefix": _text(node.prefix) if node.prefix else None,
         **common,

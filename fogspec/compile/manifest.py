@@ -455,7 +455,7 @@ def _lost_on(choice: Choice, row: int, chosen: int) -> str:
     mine, best = (rounded(float(choice.objective[at])) for at in (row, chosen))
     if mine == best:
         return "equal objective; ties go by cost, latency, name"
-    return f"objective {units.format_number(mine)} against {units.format_number(best)}"
+    return "objective {} against {}".format(*units.shown_apart(mine, best))
 
 
 def _model_ref(models: Models, entry: Entry, file: FileRef) -> ModelRef:

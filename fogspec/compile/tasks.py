@@ -5,11 +5,12 @@ The shell scripts inside are rendered elsewhere and given as text, because rende
 
 import json
 import math
+import os
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from fogspec.base import digest
-from fogspec.base.clouds import cloud_of
+from fogspec.base.clouds import OwnEnd, cloud_of
 from fogspec.base.layout import DEFAULT_ENVIRONMENT
 from fogspec.catalog.machine import Machine
 from fogspec.compile.launch_source import node_launch
@@ -17,7 +18,7 @@ from fogspec.compile.links import link_of, port_of
 from fogspec.plan.commitment import Commitment, engine_settings
 from fogspec.plan.schema import Sample
 from fogspec.spec.launch_text import needs_launch
-from fogspec.spec.lockfile import measurement_sends_files
+from fogspec.spec.lockfile import measurement_sends_files, registry_login
 from fogspec.spec.probe import module, optional, player, probe_parts
 from fogspec.spec.schema import Application, Node, Spec
 
@@ -165,19 +166,22 @@ def _resources(spec: Spec, machine: Machine, autostop: Mapping[str, Any], labels
         resources["accelerators"] = machine.gpu.key
     if machine.spot and cloud.containers:
         resources["use_spot"] = True
-    if spec.ros is not None and spec.ros.image is not None and cloud.containers:
+    if spec.ros is not None and spec.ros.image is not None and cloud.on_skypilot and cloud.containers:
         resources["image_id"] = f"docker:{spec.ros.image}"
     return {**resources, "autostop": dict(autostop), "labels": dict(labels)}
 
 
 def left_out(spec: Spec, machine: Machine) -> list[str]:
-    """Return what a task for this machine leaves out of the spec, because SkyPilot cannot have it there."""
-    cloud = cloud_of(machine.infra)
+    """Return what a task for this machine leaves out of the spec, because there is no such thing there."""
+    cloud, image = cloud_of(machine.infra), spec.ros.image if spec.ros else None
+    if not cloud.on_skypilot:
+        return [f"image {image} is left out on this host: its own ROS 2 is used"] if image else []
+    if cloud.own_end is OwnEnd.POD_DEADLINE and image and (login := registry_login(spec)):
+        return [f"{', '.join(login)}: not used in {cloud.name}, where the cluster's imagePullSecrets pull {image}"]
     if cloud.containers:
         return []
     found = []
-    if spec.ros and spec.ros.image:
-        image = spec.ros.image
+    if image:
         found.append(f"image {image} is left out in {cloud.name}: ROS 2 is installed with apt, if it is absent")
     if machine.spot:
         found.append(f"spot is left out in {cloud.name}, which has none")
@@ -207,18 +211,21 @@ def deployed_processes(application: Application) -> list[list[str] | dict[str, A
         found.append(optional(inside, launch))
     for node in spec.cloud:
         argv = optional(inside, command(node))
+        kept: dict[str, Any] = {"argv": argv, "name": label(node)}
         if node.respawn:
-            found.append(
-                {
-                    "argv": argv,
-                    "name": node.name or node.executable or " ".join(node.cmd or [])[:60],
-                    "respawn": "always" if node.respawn is True else node.respawn,
-                    **({"respawn_delay": node.respawn_delay} if node.respawn_delay else {}),
-                }
-            )
+            kept["respawn"] = "always" if node.respawn is True else node.respawn
+            found.append({**kept, **({"respawn_delay": node.respawn_delay} if node.respawn_delay else {})})
         elif spec.ros is None:
-            found.append(argv)
+            found.append(kept)
     return found
+
+
+def label(node: Node) -> str:
+    """Return the name of a cloud node for people: in front of what it prints, and where its restarts are counted."""
+    words = [str(node.name or node.executable)]
+    if node.cmd is not None:  # a script is named with its interpreter, a program without its options
+        words = [os.path.basename(node.cmd[0]), *(word for word in node.cmd[1:2] if not word.startswith("-"))]
+    return "".join(c for c in " ".join(words) if c.isprintable())[:60] or "node"
 
 
 def launched_together(spec: Spec) -> list[Node]:
@@ -297,5 +304,6 @@ def ros_environment(spec: Spec) -> dict[str, Any]:
         "apt_source_version": ROS_APT_SOURCE,
         "compiler": bool(probe_parts(spec).inside),
         "secrets": spec.secrets,
+        "login": registry_login(spec),
         "packages": BAG_PACKAGES if spec.probe.bag or spec.benchmark.workload.bag else [],
     }

@@ -21,13 +21,13 @@ from fogspec.base.text import shell_command
 from fogspec.compile.links import link_of
 from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate
-from fogspec.deploy.git_store import StoreUnavailable
 from fogspec.deploy.lifetime import NO_END, End, left_s, limited
 from fogspec.deploy.preflight import LaunchPlan
 from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import DeployedMachine, date_of
 from fogspec.deploy.shared_state import holding
 from fogspec.deploy.state import SENT, DeploymentState, WallClock
+from fogspec.deploy.stores import StoreUnavailable
 from fogspec.spec.lock_io import snapshot
 
 NO_CAPACITY = ("capacity", "quota")

@@ -44,14 +44,16 @@ def check_price(one: Candidate, limit_usd_per_hour: float | None, most_usd_per_h
     cap = one.approved_usd_per_hour if most_usd_per_hour is None else most_usd_per_hour
     now = one.now_usd_per_hour
     if limit_usd_per_hour is not None and now > limit_usd_per_hour * (1 + 1e-9):
+        price, limit = units.shown_apart(now, limit_usd_per_hour, units.shown_price)
         raise Refused(
-            f"{_named(one)}: costs {units.format_price(now)} now, over the limit of {units.format_price(limit_usd_per_hour)}",
+            f"{_named(one)}: costs {price} now, over the limit of {limit}",
             "spec.constraints.price is hard: compile again with these prices",
         )
     if now > cap * (1 + 1e-9):
-        bound = "--max" if most_usd_per_hour is not None else "what was approved"
+        bound = "--max" if most_usd_per_hour is not None else "the approved price"
+        price, most = units.shown_apart(now, cap, units.shown_price)
         raise Refused(
-            f"{_named(one)}: costs {units.format_price(now)} now in {source}, {bound} is {units.format_price(cap)}",
+            f"{_named(one)}: costs {price} now in {source}, {bound} is {most}",
             f"compile again with these prices, or allow it: --max '{units.format_price(now)}'",
         )
 
@@ -91,7 +93,7 @@ def exact(
 def price_words(usd_per_hour: float) -> str:
     """Return the price per hour, day and month."""
     day, month = usd_per_hour * units.HOURS_PER_DAY, usd_per_hour * units.HOURS_PER_MONTH
-    return f"{units.format_price(usd_per_hour)}, ${day:.2f} a day, ${month:.2f} a month"
+    return f"{units.shown_price(usd_per_hour)}, ${day:,.2f} a day, ${month:,.2f} a month"
 
 
 def _named(one: Candidate) -> str:

@@ -1,6 +1,6 @@
 """Conformance of an engine: a small application goes all the way on it, through the command line, in a folder of its own.
 
-Bench of two machine types, kill, resume, apply, update, down, nothing left. The most that it can cost is known before anything
+Bench of two instance types, kill, resume, apply, update, down, nothing left. The most that it can cost is known before anything
 starts and is compared with the limit: the bench has a budget, and each of the two machines of the deployment is counted for
 `DEPLOYED_S`, after which it is torn down. What happens is a list of steps, and a report without paths, addresses and accounts.
 """
@@ -80,7 +80,7 @@ PRIVATE = (
     (re.compile(r"[\w.+-]+@[\w-]+(?:\.[\w-]+)+"), "MAILBOX"),
 )
 STEPS = {
-    "plan": "two machine types are planned, within the limit",
+    "plan": "two instance types are planned, within the limit",
     "access": "fogspec doctor finds no problem",
     "kill": "a bench is killed in the middle (kill -9)",
     "resume": "the bench is resumed, and both types are measured",
@@ -99,7 +99,7 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """What will be exercised: two machine types of one place, and the most that it can cost."""
+    """What will be exercised: two instance types of one place, and the most that it can cost."""
 
     infra: str
     machines: tuple[Machine, Machine]
@@ -157,7 +157,7 @@ class Offer:
 
 
 def offer(infra: str, wanted: Sequence[str], catalog: str | None, max_usd: float) -> Offer:
-    """Return the two machine types to exercise: the wanted ones, else the cheapest two without a GPU.
+    """Return the two instance types to exercise: the wanted ones, else the cheapest two without a GPU.
 
     Raise UsageError for a place or a machine that the catalog does not have, and the errors of `load_catalog`.
     """
@@ -186,7 +186,7 @@ def offer(infra: str, wanted: Sequence[str], catalog: str | None, max_usd: float
     if len(found) != 2:
         least = "" if wanted else f" of at least {LEAST_VCPUS:g} vCPUs and {LEAST_GIB:g} GiB, without a GPU, are known"
         hint = "name two with --machines A,B, or a price list with --catalog"
-        raise UsageError(f"two machine types are needed, and {len(found)} in {infra}{least}", hint)
+        raise UsageError(f"two instance types are needed, and {len(found)} in {infra}{least}", hint)
     return Offer(infra, (found[0], found[1]), origin, max_usd)
 
 

@@ -7,18 +7,21 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
+from fogspec.backends.images.registry import NotShown
 from fogspec.backends.protocol import DeploymentBackend
 from fogspec.backends.skypilot.client import Client, supported_versions
 from fogspec.base import child
-from fogspec.base.clouds import cloud_of, split_infra
+from fogspec.base.clouds import cloud_of, quota_command
 from fogspec.base.diagnostics import DiagnosticError
-from fogspec.base.errors import FogspecError
+from fogspec.base.errors import CloudError, FogspecError, InvalidInput
 from fogspec.base.git import check_untracked, tracked_state
 from fogspec.base.layout import Layout
 from fogspec.base.redaction import check_set
 from fogspec.base.text import shell_command
 from fogspec.bench.journal import JournalState
+from fogspec.catalog.filters import matches_infra
 from fogspec.catalog.table import Catalog
 from fogspec.compile.inputs import Inputs, age_warning
 from fogspec.compile.links import link_of
@@ -35,6 +38,7 @@ SPARE_BYTES = 256 << 20  # for results, logs and state, besides the copy of the 
 TOOLS = ("ssh", "rsync")  # by which SkyPilot's API server reaches machines
 
 Backends = Callable[[str], DeploymentBackend]
+Images = Callable[[str, Sequence[str]], None]
 
 
 class State(StrEnum):
@@ -56,12 +60,15 @@ class Check:
     fixes: tuple[str, ...] = ()
 
 
-def checks(loaded: Sequence[LoadedSpec], catalog: str | None, times: WallClock, backend_for: Backends) -> list[Check]:
+def checks(
+    loaded: Sequence[LoadedSpec], catalog: str | None, times: WallClock, backend_for: Backends, check_image: Images
+) -> list[Check]:
     """Return the checks of these applications, then those of this computer.
 
-    SkyPilot is requested its access only if a place of theirs is a cloud. Raise DiagnosticError for a damaged lock.
+    `check_image` is `Registry.check`. SkyPilot is requested its access only if a place of theirs is a cloud.
+    Raise DiagnosticError for a damaged lock.
     """
-    found = [check for one in loaded for check in _application(one, catalog, times)]
+    found = [check for one in loaded for check in _application(one, catalog, times, check_image)]
     places = sorted({place for one in loaded for place in one.application.spec.infra if cloud_of(place).on_skypilot})
     return [*found, *(_skypilot(places, backend_for) if places else ())]
 
@@ -89,7 +96,7 @@ def as_text(found: Sequence[Check]) -> list[str]:
     return lines
 
 
-def _application(one: LoadedSpec, catalog: str | None, times: WallClock) -> Iterator[Check]:
+def _application(one: LoadedSpec, catalog: str | None, times: WallClock, check_image: Images) -> Iterator[Check]:
     application, layout = one.application, one.layout
     name = layout.name
 
@@ -99,7 +106,7 @@ def _application(one: LoadedSpec, catalog: str | None, times: WallClock) -> Iter
     yield from _files(one, layout)
     if application.spec.secrets:
         yield tried("secrets", "all are in the environment", lambda: check_set(application.spec.secrets))
-    yield from _inputs(one, layout, catalog)
+    yield from _inputs(one, layout, catalog, check_image)
     if link_of(application).protocol is not None:
         yield tried("link", "the robot's public half is here", lambda: link.environment(application, layout))
     yield tried("state", "not in git", lambda: check_untracked(layout))
@@ -137,7 +144,7 @@ def _files(one: LoadedSpec, layout: Layout) -> Iterator[Check]:
         yield _tried(layout.name, "files", sent, lambda: check_sent(one.application, layout, measured=True))
 
 
-def _inputs(one: LoadedSpec, layout: Layout, catalog: str | None) -> Iterator[Check]:
+def _inputs(one: LoadedSpec, layout: Layout, catalog: str | None, check_image: Images) -> Iterator[Check]:
     """Check catalog, lock, image and disk."""
     name, again = layout.name, shell_command("fogspec", "lock", layout.spec)
     try:
@@ -155,23 +162,39 @@ def _inputs(one: LoadedSpec, layout: Layout, catalog: str | None) -> Iterator[Ch
         yield Check(name, "lock", State.OK, f"{layout.lock} holds")
     exact = pinned(one.application, inputs.pins)
     if (image := image_named(exact)) is not None:
-        yield _image(name, image, again)
+        yield _image(name, image, again, partial(check_image, image, one.application.spec.hardware.arch))
     yield _disk(inputs)
 
 
 def _catalog(one: LoadedSpec, name: str, catalog: Catalog) -> Check:
+    infra = one.application.spec.infra
+    if not any(matches_infra(catalog, place).any() for place in infra):
+        places = ", ".join(infra)
+        if all(cloud_of(place).on_skypilot for place in infra):
+            detail = f"{catalog.about.source}: no machine in {places}"
+            return Check(name, "catalog", State.PROBLEM, detail, ("all that SkyPilot knows: --catalog skypilot",))
+        again = shell_command("fogspec", "lock", one.layout.spec, "--catalog", "FILE")
+        columns = "write a CSV with the columns Cloud,InstanceType,vCPUs,MemoryGiB,Price,Region"
+        return Check(
+            name, "catalog", State.PROBLEM, f"no price list has machines in {places}", (columns, f"then: {again}")
+        )
     if (old := age_warning(one, catalog)) is not None:
         return Check(name, "catalog", State.PROBLEM, old, ("prices of today: --catalog skypilot",))
     return Check(name, "catalog", State.OK, catalog.about.source)
 
 
-def _image(name: str, image: str, again: str) -> Check:
+def _image(name: str, image: str, again: str, check: Callable[[], None]) -> Check:
     if not is_pinned(image):
         return Check(name, "image", State.PROBLEM, f"{image} is not pinned: it may become another one", (again,))
-    there = shell_command("docker", "manifest", "inspect", image)
-    return Check(
-        name, "image", State.NOT_CHECKED, "pinned; whether its registry still has it, and for which CPU", (there,)
-    )
+    try:
+        check()
+    except (NotShown, CloudError) as unknown:
+        there = shell_command("docker", "manifest", "inspect", image)
+        return Check(name, "image", State.NOT_CHECKED, f"pinned; {unknown.message}", (*unknown.hints, there))
+    except InvalidInput as wrong:
+        upgrade = f"push it, or lock what its tag names now: {again} --upgrade all"
+        return Check(name, "image", State.PROBLEM, wrong.message, wrong.hints or (upgrade,))
+    return Check(name, "image", State.OK, f"{image} is in its registry, for the CPUs of spec.hardware.arch")
 
 
 def _disk(inputs: Inputs) -> Check:
@@ -256,7 +279,5 @@ def _tool(tool: str) -> Check:
 
 
 def _quota(place: str) -> Iterator[Check]:
-    cloud, (_, *below) = cloud_of(place), split_infra(place)
-    if cloud.quota is not None:
-        asked = cloud.quota.format(region=below[0] if below else "REGION")
+    if (asked := quota_command(place)) is not None:
         yield Check(None, "quota", State.NOT_CHECKED, f"of the account in {place}", (asked,))

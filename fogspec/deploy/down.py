@@ -8,7 +8,7 @@ from pathlib import Path
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import DeploymentBackend, Job, Unreachable
 from fogspec.base.diagnostics import DiagnosticError
-from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput
+from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, UsageError
 from fogspec.base.layout import Layout
 from fogspec.base.locks import application_lock
 from fogspec.base.repository import committed
@@ -22,9 +22,10 @@ Confirm = Callable[[Sequence[str]], None]
 
 
 def layout_of(spec_or_name: str) -> Layout:
-    """Return the layout of the application of a spec's path or a name; raise InvalidInput for neither.
+    """Return the layout of the application of a spec's path or a name.
 
-    A name needs only the live state below the working directory: the spec may be deleted.
+    Raise InvalidInput for an invalid spec, UsageError for a name that nothing has. A name needs only the live state below
+    the working directory: the spec may be deleted.
     """
     if spec_or_name.endswith((".yaml", ".yml")) or "/" in spec_or_name:
         from fogspec.spec.loader import load
@@ -51,8 +52,18 @@ def layout_of(spec_or_name: str) -> Layout:
     if not known and (store := store_of(layout)) is not None:
         known = any(one.name == layout.name for one in shared_layouts(store, layout.root))
     if not known:
-        raise InvalidInput(f"there is no application named {spec_or_name} here", f"looked for {layout.state}")
+        raise UsageError(f"there is no application named {spec_or_name} here", *_meant(layout, spec_or_name))
     return layout
+
+
+def _meant(layout: Layout, name: str) -> list[str]:
+    """Return the known name that is nearest to this one, else where it was looked for, as a list of hints."""
+    from fogspec.deploy.running import layouts
+    from fogspec.spec.discover import applications
+    from fogspec.spec.suggest import did_you_mean
+
+    known = [*applications(), *(one.name for one in layouts(layout.root))]
+    return did_you_mean(name, known) or [f"looked for {layout.state} and {layout.compiled}"]
 
 
 def leave_link(layout: Layout) -> None:

@@ -1,6 +1,6 @@
 """Drift detection: the observed latency against the predicted one, as the paper's runtime monitor (section 2.A, step 5).
 
-Drift is a statement about the model, in both directions: the observed statistic's 95 % interval lies wholly outside the
+Drift is a statement about the model, in both directions: the observed statistic's 95% interval lies wholly outside the
 predicted interval. Latencies are taken on the machine, as they were when it was measured, so the network has no part.
 """
 
@@ -42,7 +42,7 @@ class Limit(StrEnum):
 class Observed:
     """The latest requests: their number and statistics, and the consequences for the model and the limits.
 
-    `interval_s` is the 95 % interval of the statistic that the spec bounds; `violated` are limits that are not met.
+    `interval_s` is the 95% interval of the statistic that the spec bounds; `violated` are limits that are not met.
     """
 
     requests: int
@@ -90,7 +90,7 @@ def drift(observed_s: tuple[float, float] | None, predicted_s: tuple[float, floa
 
 
 def interval_s(latencies_s: Sequence[float], statistic: str) -> tuple[float, float] | None:
-    """Return the 95 % interval of a statistic of requests in the order they came; None for too few of them.
+    """Return the 95% interval of a statistic of requests in the order they came; None for too few of them.
 
     Mean: widened by the lag-1 autocorrelation, for successive requests resemble each other. Quantiles: binomial order
     statistics.
@@ -145,7 +145,7 @@ def latency_limit_s(expected: Expected) -> float | None:
 def violation_text(limit: Limit, observed: Observed, expected: Expected) -> str:
     """Return the description of a limit that is not met."""
     if limit is Limit.LATENCY:
-        most_s = units.format_duration(latency_limit_s(expected) or 0.0)
+        most_s = units.shown_duration(latency_limit_s(expected) or 0.0)
         return f"{expected.latency.statistic} latency is over its limit of {most_s}"
     if limit is Limit.COST:
         cost, most = observed.cost_usd_per_request or 0.0, expected.cost.limit or 0.0

@@ -9,42 +9,19 @@ import os
 import shlex
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from fogspec.base import child
-from fogspec.base.errors import CloudError, UsageError
+from fogspec.base.errors import UsageError
 from fogspec.base.git import Ended, exchange, git
 from fogspec.base.repository import normalized
+from fogspec.deploy.stores import Overtaken, Stored, StoreUnavailable
 
 REFS = "refs/fogspec/state/"
 FILE = "state.yaml"
 HEADER = r"^http\..+\.extraheader$"
 # What serves a repository on this host reads that repository's configuration, and would run its hooks.
 SERVE = ("-c", f"core.hooksPath={os.devnull}", "-c", "core.alternateRefsCommand=", "-c", "gc.auto=0")
-
-
-@dataclass(frozen=True, slots=True)
-class Stored:
-    """A record as it is in the store; `version` identifies it, and is None if there is no record."""
-
-    version: str | None = None
-    content: bytes = b""
-
-
-class StoreUnavailable(CloudError):
-    """The store did not answer, or refused: what it has is as it was, or as it was to become."""
-
-    def __init__(self, where: str, reason: str) -> None:
-        super().__init__(
-            f"{where}: no contact: {reason}",
-            "nothing is lost: run it again when it answers",
-            "FOGSPEC_STATE=folder runs a command without the shared state",
-        )
-
-
-class Overtaken(Exception):
-    """The record is no longer the one that was to be replaced."""
 
 
 class GitStore:
@@ -104,8 +81,12 @@ class GitStore:
         words = ["fetch", "--quiet", "--depth=1", "--no-tags", "--prune", "--no-write-fetch-head", "--no-auto-gc"]
         words += [*self._served("upload-pack"), "--", self._url, f"+{pattern}:{pattern}"]
         ended = self._exchange(*words)
-        if ended.code and self._has_none(pattern):  # to fetch the top of nothing is an error without a word
-            return {}
+        if ended.code:  # to fetch the top of nothing is an error without a word
+            there = self._lists_any(pattern)
+            if there is False:
+                return {}
+            if there:  # somebody may have created the first since
+                ended = self._exchange(*words)
         if ended.code:
             raise StoreUnavailable(self.where, self._reason(ended))
         listed = self._made("for-each-ref", "--format=%(refname) %(objectname)", REFS, stdin=b"").splitlines()
@@ -116,9 +97,10 @@ class GitStore:
             raise StoreUnavailable(self.where, self._reason(read))
         return dict(zip(versions, _blobs(read.output, list(versions.values())), strict=True))
 
-    def _has_none(self, pattern: str) -> bool:
+    def _lists_any(self, pattern: str) -> bool | None:
+        """Return whether the remote lists such a ref; None if it cannot be asked."""
         listed = self._exchange("ls-remote", "--quiet", *self._served("upload-pack"), "--", self._url, pattern)
-        return listed.code == 0 and not listed.output.strip()
+        return None if listed.code else bool(listed.output.strip())
 
     def _served(self, program: str) -> list[str]:
         """Return the option for a repository on this host, whose configuration and hooks are not the user's."""

@@ -127,7 +127,7 @@ def as_text(plan: LaunchPlan) -> list[str]:
     gpu = f", {spec.gpu.label}" if spec.gpu else ""
     lines = [
         f"{manifest.metadata.name}: {spec.instance} in {spec.infra}{' spot' if spec.spot else ''} "
-        f"({spec.cpus:g} vCPU{'' if spec.cpus == 1 else 's'}, {units.format_memory(spec.memory)}{gpu})",
+        f"({spec.cpus:g} vCPU{'' if spec.cpus == 1 else 's'}, {units.shown(spec.memory)} GiB{gpu})",
         f"  nodes     {len(spec.cloud)} in the cloud, {len(spec.robot)} on the robot; link {spec.connectivity.link}",
         f"  task      {plan.opened.layout.compiled / spec.task.path}  {spec.task.digest}",
         f"  costs     {price_words(first.price_usd_per_hour)}",

@@ -1,5 +1,6 @@
 """What runs of all applications of a project, by their live state, and what their nodes print."""
 
+import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,14 +8,18 @@ from pathlib import Path
 from fogspec.backends.agent_state import printed
 from fogspec.backends.protocol import DeploymentBackend, LaunchRefused, Unreachable
 from fogspec.base.diagnostics import DiagnosticError
-from fogspec.base.errors import CloudError, InvalidInput, Refused
+from fogspec.base.errors import CloudError, FogspecError, InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
+from fogspec.compile.tasks import label
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.shared_state import shared_layouts, store_of
 from fogspec.deploy.state import DeploymentState, WallClock
+from fogspec.spec.loader import load
 
 FOLLOW_EVERY_S = 1.0
+MARK = re.compile(r"\[([^\[\]]+)\] ")
+LEVELS = ("DEBUG", "INFO", "WARN", "WARNING", "ERROR", "FATAL", "CRITICAL")
 
 Backends = Callable[[str], DeploymentBackend]
 
@@ -132,6 +137,28 @@ def followed(layout: Layout, times: WallClock, backend_for: Backends) -> Iterato
         if _answers(live, machine, backend_for) in ("ended", "gone"):
             return
         times.sleep(max(FOLLOW_EVERY_S, backend_for(machine.machine.infra).poll_s))
+
+
+def names_of_nodes(layout: Layout) -> list[str]:
+    """Return the names of an application's cloud nodes as its logs have them, by its spec; none without a valid one."""
+    try:
+        found = [one for one in load([layout.spec]) if one.name == layout.name.partition("@")[0]]
+    except (DiagnosticError, FogspecError, OSError):
+        return []
+    return list(dict.fromkeys(label(node) for one in found for node in one.application.spec.cloud))
+
+
+def names_in(lines: Sequence[str]) -> list[str]:
+    """Return the names that stand in front of lines, in the order of their first."""
+    found = (MARK.match(line) for line in lines)
+    return list(dict.fromkeys(one[1] for one in found if one is not None and one[1] not in LEVELS))
+
+
+def of_node(lines: Sequence[str], node: str) -> list[str]:
+    """Return the lines that a node printed, and launch's own about it; a script is named with or without its interpreter."""
+    name = rf"(?:\S+ )?{re.escape(node)}(?:[ -]\d+)?"
+    wanted = re.compile(rf"\[{name}\] |\[(?:{'|'.join(LEVELS)})\] \[{name}\]: ")
+    return [line for line in lines if wanted.match(line)]
 
 
 def _common(before: Sequence[str], now: Sequence[str]) -> int:

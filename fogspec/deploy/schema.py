@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field
 
 from fogspec.base.quantities import Duration, Id, Money, Strict
 from fogspec.catalog.machine import Machine
+from fogspec.deploy.object_store import URL
 from fogspec.plan.schema import EnvironmentMetadata
 
 
@@ -107,11 +108,14 @@ class SharedState(Strict):
     spec: SharedBody
 
 
+REPOSITORY = r"git\+(https|ssh)://[^\s:@/]+(@[^\s:@/]+)?(:\d+)?/\S+"
+
+
 def _state(text: str) -> str:
-    if text not in ("folder", "git") and not re.fullmatch(
-        r"git\+(https|ssh)://[^\s:@/]+(@[^\s:@/]+)?(:\d+)?/\S+", text
-    ):
-        raise ValueError("write folder, git, or git+https://HOST/PATH or git+ssh://git@HOST/PATH without a password")
+    if text not in ("folder", "git") and not re.fullmatch(rf"{REPOSITORY}|{URL}", text):
+        raise ValueError(
+            "write folder, git, git+https://HOST/PATH or git+ssh://git@HOST/PATH without a password, or s3://BUCKET/PREFIX"
+        )
     return text
 
 
@@ -121,7 +125,8 @@ class ProjectBody(Strict):
     state: Annotated[str, AfterValidator(_state)] = Field(
         default="folder",
         description="where the live state of deployments is: folder (.fogspec of this clone), git (refs of the remote "
-        "origin, shared by all clones), or git+URL (refs of another repository)",
+        "origin, shared by all clones), git+URL (refs of another repository), or s3://BUCKET/PREFIX (also gs://, az://: "
+        "objects in a bucket)",
         examples=["git"],
     )
 

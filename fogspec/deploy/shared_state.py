@@ -8,6 +8,7 @@ own clock, or if its process was on this computer and is gone.
 
 import contextlib
 import os
+import re
 import secrets
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,8 +28,10 @@ from fogspec.base.locks import start_ticks
 from fogspec.base.repository import origin_of
 from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
-from fogspec.deploy.git_store import GitStore, Overtaken, Stored, StoreUnavailable
+from fogspec.deploy.git_store import GitStore
+from fogspec.deploy.object_store import URL, FolderObjects, FsspecObjects, ObjectStore
 from fogspec.deploy.schema import DeployedMachine, Lease, Project, SharedBody, SharedState, date_of
+from fogspec.deploy.stores import Overtaken, Store, Stored, StoreUnavailable
 from fogspec.plan.schema import EnvironmentMetadata
 from fogspec.spec.loader import SourceFile, read_document
 
@@ -43,7 +46,7 @@ TRIES = 3
 KEPT_S = 5.0  # verbs that only read look once for all applications
 
 
-def store_of(layout: Layout) -> GitStore | None:
+def store_of(layout: Layout) -> Store | None:
     """Return the store that the applications of a project share; None if their state is in the folder `.fogspec`.
 
     `FOGSPEC_STATE` goes before `fogspec.yaml`. Raise DiagnosticError for an invalid file, InvalidInput for an invalid value.
@@ -63,12 +66,18 @@ def store_of(layout: Layout) -> GitStore | None:
 
 
 @cache
-def _store(root: str, setting: str, where: str) -> GitStore:
+def _store(root: str, setting: str, where: str) -> Store:
+    if re.fullmatch(URL, setting):
+        return ObjectStore(setting, FsspecObjects(setting))
+    if setting.startswith("file:///"):
+        return ObjectStore(setting, FolderObjects(setting.removeprefix("file://")))
     found = origin_of(Path(root))
     if setting.startswith("git+"):
         return GitStore(setting.removeprefix("git+"), found[1] if found else Path(root), Path(root))
     if setting != "git":
-        raise InvalidInput(f"{where}: {setting} is not a place for live state", "write folder, git, or git+URL")
+        raise InvalidInput(
+            f"{where}: {setting} is not a place for live state", "write folder, git, git+URL, or s3://BUCKET/PREFIX"
+        )
     if found is None:
         raise InvalidInput(
             f"{where}: git needs a remote named origin, and {root} has none",
@@ -91,10 +100,10 @@ class Recent:
     records: Mapping[str, Stored]
 
 
-_recent: dict[GitStore, Recent] = {}
+_recent: dict[Store, Recent] = {}
 
 
-def look(store: GitStore, layout: Layout) -> SharedState | None:
+def look(store: Store, layout: Layout) -> SharedState | None:
     """Return an application's record without a lease, as it was a few seconds ago at most; None if there is none.
 
     Raise StoreUnavailable, DiagnosticError for a damaged record, Refused for one of another repository.
@@ -103,14 +112,14 @@ def look(store: GitStore, layout: Layout) -> SharedState | None:
     return parsed(_records(store).get(key_of(owner), Stored()), store.path(key_of(owner)), owner)
 
 
-def shared_layouts(store: GitStore, root: Path) -> list[Layout]:
+def shared_layouts(store: Store, root: Path) -> list[Layout]:
     """Return the layouts of the applications below a root that have a record; raise StoreUnavailable."""
     names = [key.rpartition("-")[0] for key in sorted(_records(store))]
     layouts = [Layout.named(root, name) for name in names if name]
     return [one for one in layouts if key_of(owner_of(one)) in _records(store)]
 
 
-def _records(store: GitStore) -> Mapping[str, Stored]:
+def _records(store: Store) -> Mapping[str, Stored]:
     now_s = SystemClock().now_s()
     known = _recent.get(store)
     if known is None or now_s - known.at_s > KEPT_S:
@@ -135,7 +144,7 @@ def parsed(stored: Stored, path: str, owner: Owner) -> SharedState | None:
 class SharedRecord:
     """An application's record, held by this process; `owner` is the owner of its machines."""
 
-    store: GitStore
+    store: Store
     layout: Layout
     times: "WallClock"
     what: str

@@ -1,8 +1,8 @@
-"""A baseline after CherryPick: a Gaussian process over machine features, expected improvement, stop at 10 %.
+"""A baseline after CherryPick: a Gaussian process over machine features, expected improvement, stop at 10%.
 
 Source: Alipourfard et al., CherryPick: Adaptively Unearthing the Best Cloud Configurations for Big Data Analytics,
 NSDI 2017: Matérn-5/2, three quasi-random starts, expected improvement under the limits, no stop before six samples,
-stop when the expected improvement is below 10 % of the best.
+stop when the expected improvement is below 10% of the best.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ def cherrypick(
     sample: Callable[[int], float],
     random: np.random.Generator,
 ) -> None:
-    """Pay for samples through `sample` until the next one is not expected to gain 10 %."""
+    """Pay for samples through `sample` until the next one is not expected to gain 10%."""
     budget_s = rule.latency_budget_s
     features = _features(machines)
     distance = np.sqrt(((features[:, None, :] - features[None, :, :]) ** 2).sum(-1))

@@ -11,7 +11,7 @@ from fogspec.agent.stopping import FIRST_CHECK, Z99, interval
 from fogspec.choice.rule import Rule, Selection
 from fogspec.evaluation.suites import Problem
 from fogspec.model.predict import Predictions
-from fogspec.numerics.acquisition import Batch, Policy
+from fogspec.numerics.acquisition import Batch, Policy, propose_batch
 from fogspec.numerics.kernels import Floats, Machines
 from fogspec.numerics.nested import (
     MEDIAN_ALONE,
@@ -169,7 +169,7 @@ class Meter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """The choice of a method, and its predictions of log-latency with their 90 % intervals (N,), NaN where it has none.
+    """The choice of a method, and its predictions of log-latency with their 90% intervals (N,), NaN where it has none.
 
     `metrics` are the predicted values (N,) of the metrics.
     """
@@ -197,6 +197,8 @@ class Case:
         default_factory=dict, repr=False, compare=False
     )
 
+    _first: dict[tuple[Policy, bool], Batch] = field(default_factory=dict, repr=False, compare=False)
+
     @classmethod
     def of(
         cls, problem: Problem, machines: Machines, prior: Prior | None, noise: Noise, timing: Timing | None = None
@@ -208,14 +210,29 @@ class Case:
         """Return a new meter: nothing sampled, nothing paid; with `parts` and factors also of parts of machines."""
         return Meter(self.problem, self.machines.price_usd_per_hour, self.noise, parts, nested, self.timing)
 
+    def proposed(self, meter: Meter, selection: Selection, policy: Policy) -> Batch:
+        """Return the next machines to measure; the first ones do not depend on the setting, and are kept."""
+        first = (policy, meter.parts is None)
+        if not meter.sampled and first in self._first:
+            return self._first[first]
+        batch = propose_batch(
+            self.posterior(meter),
+            selection.utility(),
+            sample_cost=self.machines.price_usd_per_hour,
+            policy=policy,
+            nested=meter.parts,
+        )
+        return batch if meter.sampled else self._first.setdefault(first, batch)
+
     @staticmethod
     def measure(meter: Meter, batch: Batch, selection: Selection) -> None:
         """Sample a batch; a machine that was not sampled before ends early when it cannot become this selection's best."""
-        above_s = selection.decided_above_s(np.array(batch.machines, dtype=np.intp))
+        new = [machine for machine in dict.fromkeys(batch.machines) if machine not in meter.sampled]
+        above_s = selection.decided_above_s(np.array(new, dtype=np.intp)) if new else None
+        ends = {} if above_s is None else dict(zip(new, above_s.tolist(), strict=True))
         for i, machine in enumerate(batch.machines):
-            new = above_s is not None and machine not in meter.sampled
-            parts = batch.parts[i] if batch.parts else ()
-            meter.sample(machine, parts, float(above_s[i]) if above_s is not None and new else np.inf)
+            # Of a machine that is in the batch twice, the first sample may end early.
+            meter.sample(machine, batch.parts[i] if batch.parts else (), ends.pop(machine, np.inf))
 
     def selection(self, meter: Meter, rule: Rule) -> Selection:
         """Return the rule applied to the model's predictions, given the paid samples."""

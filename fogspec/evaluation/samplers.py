@@ -10,7 +10,7 @@ from fogspec.choice.rule import Rule
 from fogspec.evaluation.cherrypick import cherrypick
 from fogspec.evaluation.replay import Case, Meter, nested_factors
 from fogspec.evaluation.suites import Problem
-from fogspec.numerics.acquisition import Batch, Policy, propose_batch
+from fogspec.numerics.acquisition import Batch, Policy
 from fogspec.numerics.design import edge_grid
 from fogspec.numerics.nested import Parts
 
@@ -37,15 +37,8 @@ def _adaptive(rule: Rule, case: Case, meter: Meter) -> Meter:
     # A sweep without repeats has nothing more to say of a machine.
     policy = Policy(each=min(Policy().each, len(case.noise.factor)))
     while True:
-        posterior = case.posterior(meter)
         selection = case.selection(meter, rule)
-        batch = propose_batch(
-            posterior,
-            selection.utility(),
-            sample_cost=case.machines.price_usd_per_hour,
-            policy=policy,
-            nested=meter.parts,
-        )
+        batch = case.proposed(meter, selection, policy)
         if not batch.machines and selection.unverified is not None:
             batch = Batch((selection.unverified,), "verifies the choice")
         if not batch.machines:

@@ -20,7 +20,7 @@ BINS = np.array([0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0])  # of stated probabili
 class Score:
     """One problem and setting. `regret` is relative to the best feasible machine, NaN for none or an infeasible choice.
 
-    `covered` of the `predicted` machines are expected in their 90 % range when another server of the type is measured.
+    `covered` of the `predicted` machines are expected in their 90% range when another server of the type is measured.
     """
 
     kind: str

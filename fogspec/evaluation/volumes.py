@@ -17,7 +17,7 @@ from fogspec.choice.rule import Rule, Selection
 from fogspec.evaluation.replay import Case
 from fogspec.evaluation.scores import TOLERANCE
 from fogspec.model.predict import Predictions
-from fogspec.numerics.acquisition import Batch, Policy, propose_batch
+from fogspec.numerics.acquisition import Batch, Policy
 
 VOLUMES = tuple(10.0**power for power in range(2, 9))
 SIZES = (1, 2, 3, 5, 8, 12, 20, 30)  # of benchmarks of a fixed number of samples
@@ -77,7 +77,7 @@ def _steps(case: Case, rule: Rule, policy: Policy) -> Iterator[Step]:
     while True:
         posterior = case.posterior(meter)
         selection = Selection(rule=rule, latency=Predictions.of_posterior(posterior))
-        batch = propose_batch(posterior, selection.utility(), sample_cost=price, policy=policy)
+        batch = case.proposed(meter, selection, policy)
         saving = 0.0
         if not batch.machines and rule.measured_first and selection.unverified is not None:
             batch = Batch((selection.unverified,), "verifies the choice")

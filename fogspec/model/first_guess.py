@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fogspec.base.units import format_duration, rounded, short_dollars
+from fogspec.base.units import rounded, shown_duration, shown_interval, shown_price
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.instance_types import instance_types
@@ -19,7 +19,7 @@ from fogspec.numerics.kernels import Floats, Machines, codes
 from fogspec.numerics.priors import PriorData, prior_for
 from fogspec.spec.schema import Spec
 
-Z90 = 1.644854  # two-sided 90 % quantile of the standard normal distribution
+Z90 = 1.644854  # two-sided 90% quantile of the standard normal distribution
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class Robot:
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
-    """A machine and its expected latency in seconds, with a 90 % interval; `meets`: whether that meets the limit."""
+    """A machine and its expected latency in seconds, with a 90% interval; `meets`: whether that meets the limit."""
 
     instance: str
     infra: str
@@ -48,9 +48,9 @@ class Guess:
 
     def line(self) -> str:
         """Return it as a line of text."""
-        low, high = (format_duration(rounded(value, 2)) for value in self.interval_s)
-        found = f"{self.instance} in {self.infra}, {short_dollars(self.usd_per_hour)}/h"
-        expected = f"{format_duration(rounded(self.latency_s, 2))} [{low}, {high}]"
+        low, high = (rounded(value, 2) for value in self.interval_s)
+        found = f"{self.instance} in {self.infra}, {shown_price(self.usd_per_hour)}"
+        expected = f"{shown_duration(rounded(self.latency_s, 2))}{shown_interval((low, high))}"
         reason = (
             "the cheapest per request that meets the limit"
             if self.meets

@@ -12,6 +12,7 @@ from fogspec.base.csv_table import MOST_BYTES, CsvTable, parse_csv
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError, Span
 from fogspec.base.errors import InvalidInput
 from fogspec.base.files import decompress, read_bounded, too_large
+from fogspec.catalog.classes import cpu_kind
 from fogspec.numerics.kernels import Floats, Machines, codes
 from fogspec.results.ranges import LATENCY_S
 
@@ -67,11 +68,22 @@ def read_machines(path: Any) -> Table:
         family=code("Family"),
         arch=code("Arch"),
         cloud=code("Cloud"),
-        cpu_model=code("CpuModel"),
+        cpu_model=codes(_cpus(table)),
         gpu=code("AcceleratorName"),
         **columns,
     )
     return Table(names, machines, row)
+
+
+def _cpus(table: CsvTable) -> list[str]:
+    """Return the name of each machine's CPU; of a cloud without any name or clock, what the family tells (ADR 0178)."""
+    columns = [table.column(name) for name in ("CpuModel", "Cloud", "Arch", "Family")]
+    clocks = table.column("ClockGHz")
+    named = {cloud for name, cloud, clock in zip(columns[0], columns[1], clocks, strict=True) if name or clock}
+    return [
+        name or ("" if cloud in named else cpu_kind(cloud, arch, family))
+        for name, cloud, arch, family in zip(*columns, strict=True)
+    ]
 
 
 def read_latencies(path: Any, table: Table) -> Measured:

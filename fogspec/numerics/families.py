@@ -90,7 +90,7 @@ def _names(cpu: str, memory: str) -> tuple[str, ...]:
     return (*linear, *exponents)
 
 
-def curve(family: str, x: Floats, exponent: float = 0.0) -> list[Floats]:
+def curve(family: str, x: Floats, exponent: float | Floats = 0.0) -> list[Floats]:
     """Return the columns of one family at x, each shaped like x; power and exponential use `exponent`."""
     match family:
         case "constant":
@@ -114,7 +114,15 @@ def columns(shape: Shape, vcpus: ArrayLike, memory_gib: ArrayLike, exponents: Se
     c, m = np.asarray(vcpus, float), np.asarray(memory_gib, float)
     given = iter(exponents)
     k, j = (next(given) if nonlinear else 0.0 for nonlinear in shape.nonlinear)
-    return np.stack([np.ones_like(c), *curve(shape.cpu, c, k), *curve(shape.memory, m, j)], axis=-1)
+    return _side_by_side([np.ones_like(c), *curve(shape.cpu, c, k), *curve(shape.memory, m, j)], c.shape)
+
+
+def _side_by_side(found: Sequence[Floats], rows: tuple[int, ...]) -> Floats:
+    """Return columns that broadcast to `rows` as the last axis of one array, which np.stack takes longer for."""
+    whole = np.empty((*rows, len(found)))
+    for at, column in enumerate(found):
+        whole[..., at] = column
+    return whole
 
 
 def predict(shape: Shape, coefficients: Sequence[float] | Floats, vcpus: ArrayLike, memory_gib: ArrayLike) -> Floats:
@@ -285,8 +293,12 @@ def _fit(
 
 def _leave_one_out(shape: Shape, c: Floats, m: Floats, y: Floats, folds: Floats) -> Floats:
     """Return the relative error of each sample under the fit without it; `folds` holds those fits' coefficients, (n, p)."""
-    predicted = [predict(shape, row, c[i], m[i]) for i, row in enumerate(folds)]
-    return (np.array(predicted, float) - y) / np.where(y == 0, 1.0, np.abs(y))
+    linear = folds.shape[1] - sum(shape.nonlinear)
+    given = iter(folds[:, linear:].T)
+    k, j = (next(given) if nonlinear else 0.0 for nonlinear in shape.nonlinear)
+    design = _side_by_side([np.ones_like(c), *curve(shape.cpu, c, k), *curve(shape.memory, m, j)], c.shape)
+    predicted = np.einsum("fq,fq->f", design, folds[:, :linear])
+    return np.asarray((predicted - y) / np.where(y == 0, 1.0, np.abs(y)))
 
 
 def _designs(shape: Shape, c: Floats, m: Floats, exponents: Floats) -> Floats:
@@ -294,7 +306,10 @@ def _designs(shape: Shape, c: Floats, m: Floats, exponents: Floats) -> Floats:
     if not any(shape.nonlinear):
         one = columns(shape, c, m, ())
         return np.broadcast_to(one, (len(exponents), *one.shape))
-    return np.stack([columns(shape, c, m, row) for row in exponents])
+    given = iter(exponents.T)
+    k, j = (next(given)[:, None] if nonlinear else 0.0 for nonlinear in shape.nonlinear)
+    found = [np.ones_like(c), *curve(shape.cpu, c, k), *curve(shape.memory, m, j)]
+    return _side_by_side(found, (len(exponents), len(c)))
 
 
 def _solve(designs: Floats, y: Floats, keep: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:

@@ -5,7 +5,7 @@ caches, memory bandwidth and turbo, and may be another server.
 
 Source of the errors: N workers of a CPU-bound program on a family's biggest machine against the N-vCPU machine with all of
 its vCPUs, Spare Cores' public results (SpareCores/sc-inspector-data at 804d3c71). With one vCPU per core (60 pairs): median
-0.33 %, 90th percentile 3.7 %. With two (39 pairs): 3.6 % and 17 %. They say nothing of programs bound by memory or I/O: a
+0.33%, 90th percentile 3.7%. With two (39 pairs): 3.6% and 17%. They say nothing of programs bound by memory or I/O: a
 campaign learns its own error from the types that it measured both ways.
 """
 

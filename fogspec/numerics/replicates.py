@@ -1,11 +1,12 @@
 """Replicate noise: the distribution of a machine's estimate after one more sample of it.
 
-Repeated benchmarks of one machine type have a heavy-tailed coefficient of variation, with a median of 1.5 % and a 90th
-percentile of 4.5 % (Spare Cores' public benchmarks). The noise of a machine is therefore unknown, and the best of many
+Repeated benchmarks of one instance type have a heavy-tailed coefficient of variation, with a median of 1.5% and a 90th
+percentile of 4.5% (Spare Cores' public benchmarks). The noise of a machine is therefore unknown, and the best of many
 single samples is partly the luckiest.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from statistics import NormalDist
 
 import numpy as np
@@ -76,6 +77,7 @@ def _by_noise(own: Floats, value: float, mean: float, variance: float) -> tuple[
     return weight / weight.sum(), mean + variance / total * (value - mean), np.sqrt(now - after)
 
 
+@cache
 def _normal_quantiles(count: int) -> Floats:
     """Return the medians of equally likely parts of the standard normal distribution, (count,)."""
     return np.array([NormalDist().inv_cdf((i + 0.5) / count) for i in range(count)])

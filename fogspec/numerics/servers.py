@@ -4,8 +4,8 @@ A shift is that of the log-latency from the server that was measured to the one 
 sample: a normal one, and with probability `tail` a wide one, for a server of another CPU, or with busy neighbours.
 
 Source: the median over a server's scores in consecutive runs of one benchmark on one type, Spare Cores' public results of
-2024 to 2026 (SpareCores/sc-inspector-data at 804d3c71). AWS, 617 shifts of redis and a static web server: median 0.9 %, 90th
-percentile 3.9 %. Azure, 63 shifts of Geekbench 6: median 2.2 %, 90th percentile 15 %. Fitted by maximum likelihood to a
+2024 to 2026 (SpareCores/sc-inspector-data at 804d3c71). AWS, 617 shifts of redis and a static web server: median 0.9%, 90th
+percentile 3.9%. Azure, 63 shifts of Geekbench 6: median 2.2%, 90th percentile 15%. Fitted by maximum likelihood to a
 mixture of two normals, of which a sample's own noise (`fogspec.numerics.observations`) is a part. Some of the differences
 may be newer builds of a benchmark: they are upper bounds. Other clouds are taken to be between the two.
 """

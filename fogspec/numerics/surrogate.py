@@ -270,7 +270,7 @@ class Space:
         return replace(posterior, left_out=partial(self._left_out, samples, at, value, variance))
 
     def _left_out(self, samples: Observations, at: np.ndarray, value: Floats, noise: Floats) -> Floats:
-        """Return the deviation of each measured machine from what the others say, over their 90 % range: see `deviations`.
+        """Return the deviation of each measured machine from what the others say, over their 90% range: see `deviations`.
 
         Every model is conditioned on the other machines in closed form (Rasmussen and Williams, section 5.4.2).
         """

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fogspec.base.clouds import OwnEnd, cloud_of
-from fogspec.base.units import format_duration, format_price
+from fogspec.base.units import shown_duration, shown_price
 from fogspec.catalog.machine import Machine
 from fogspec.spec.schema import Benchmark
 
@@ -118,7 +118,7 @@ def unattended(machines: Iterable[Machine], each: Commitment, name: str) -> Iter
         if not found:
             continue
         clouds = ", ".join(sorted({cloud_of(one.infra).name for one in found}))
-        dearest = format_price(max(one.price for one in found))
+        dearest = shown_price(max(one.price for one in found))
         if end is OwnEnd.AUTOSTOP:
             yield (
                 f"if this computer goes off while a machine on {clouds} starts, it keeps running, at up to {dearest}, "
@@ -127,5 +127,5 @@ def unattended(machines: Iterable[Machine], each: Commitment, name: str) -> Iter
         else:
             yield (
                 f"if this computer goes off while a machine on {clouds} starts, it turns itself off "
-                f"{format_duration(each.machine_s)} after its boot; its disk is paid until fogspec down {name}"
+                f"{shown_duration(each.machine_s)} after its boot; its disk is paid until fogspec down {name}"
             )

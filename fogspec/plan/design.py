@@ -183,7 +183,7 @@ def _later(benchmark: Benchmark, offers: Catalog) -> str:
 
     at_once = "one by one" if benchmark.batch_size in (None, 1) else f"{benchmark.batch_size} at once"
     if benchmark.wall_time is not None and benchmark.batch_size is None:
-        at_once = f"as many at once as {units.format_duration(benchmark.wall_time)} needs"
+        at_once = f"as many at once as {units.shown_duration(benchmark.wall_time)} needs"
     bounds = []
     if benchmark.volume is not None:
         requests = f"{benchmark.volume.requests:,.0f} requests"
@@ -191,7 +191,7 @@ def _later(benchmark: Benchmark, offers: Catalog) -> str:
     policy = Policy(worth=None if benchmark.volume is None else 1.0)
     most = f"{policy.bound(len(instance_types(offers)))} samples: there is no budget"
     if benchmark.budget is not None:
-        most = f"the budget of {units.format_money(benchmark.budget)}"
+        most = f"the budget of {units.dollars(benchmark.budget)}"
     bounds.append(f"never beyond {most}")
     return f"the first batch; then the model selects the next machines, {at_once}, {', '.join(bounds)}"
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fogspec.base.units import dollars
 from fogspec.catalog.instance_types import InstanceTypes, instance_types
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.numerics.acquisition import Batch, Policy, initial_design
@@ -104,7 +105,7 @@ def next_batch(batch: Batch, costs: SampleCosts, reasons: Sequence[str], left_us
     """Return a batch of types as offers."""
     why = batch.reason
     if not batch.machines and left_usd < costs.usd.min(initial=np.inf):
-        why = f"the cheapest sample may cost ${costs.usd.min():.4g}, and ${left_usd:.4g} of the budget is left"
+        why = f"the cheapest sample may cost {dollars(float(costs.usd.min()))}, and {dollars(left_usd)} of the budget is left"
     parts = tuple(tuple(int(costs.row[one]) for one in some) for some in batch.parts)
     return NextBatch(tuple(int(costs.row[one]) for one in batch.machines), tuple(reasons), why, parts)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fogspec.base.clouds import LOCAL
-from fogspec.base.units import dollars, format_duration, format_number
+from fogspec.base.units import dollars, format_number, shown_duration
 from fogspec.catalog.filters import matches_infra
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
@@ -31,7 +31,7 @@ def nested_notes(samples: Sequence[Sample], each: Commitment) -> list[str]:
     for one in samples:
         if one.parts:
             shapes = ", ".join(f"{part.machine.instance} ({article(part.part)})" for part in one.parts)
-            notes.append(f"nested in {one.machine.instance}: {shapes}; each {format_duration(PART_S)} at most")
+            notes.append(f"nested in {one.machine.instance}: {shapes}; each {shown_duration(PART_S)} at most")
             hourly += sum(part.machine.price for part in one.parts)
     if not notes:
         return ["nested shapes: none, for no part of these machines is worth measuring"]

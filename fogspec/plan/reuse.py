@@ -1,8 +1,8 @@
-"""Reuse of a measured plan: a narrower search space or new prices cost no new samples."""
+"""Reuse of a measured plan: a narrower search space or new prices cost no new samples; whether a campaign continues."""
 
 from collections.abc import Mapping, Sequence
 
-from fogspec.base import units
+from fogspec.base import digest, units
 from fogspec.base.units import Range
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Machine
@@ -82,6 +82,28 @@ def covers(application: Application, sampling: Sampling) -> bool:
     return contains(sampling.hardware, sampling.infra, application.spec.hardware, application.spec.infra)
 
 
+def selects_more(application: Application, sampler: str, sampling: Sampling | None) -> bool:
+    """Return whether the model will still select machines to measure: an adaptive campaign that did not end, or resumes."""
+    if sampler != "adaptive":
+        return False
+    return sampling is None or sampling.stop_reason is None or should_resume(application, sampling)
+
+
+def should_resume(application: Application, sampling: Sampling) -> bool:
+    """Return whether a campaign that ended resumes: for other limits, a larger search space, or more money."""
+    same = sampling.limits_digest == limits_of(application) and covers(application, sampling)
+    return sampling.out_of_budget or not same
+
+
+def limits_of(application: Application) -> str:
+    """Return a short digest of the limits, the objective and what bounds sampling: they decide what is sampled."""
+    chosen = fingerprints.chosen_part(application)
+    parts = {name: chosen[name] for name in ("constraints", "objective", "metrics")}
+    bounding = {"volume", "wall_time", *(["servers"] if application.spec.benchmark.servers > 1 else [])}
+    benchmark = application.spec.benchmark.model_dump(mode="json", include=bounding, exclude_none=True)
+    return digest.shorten(digest.of_value(parts | ({"benchmark": benchmark} if benchmark else {})))
+
+
 def price_rises(samples: Sequence[Sample], catalog: Catalog) -> list[str]:
     """Return a line for each sample that is more expensive than in the plan or no longer on offer."""
     found = []
@@ -93,7 +115,8 @@ def price_rises(samples: Sequence[Sample], catalog: Catalog) -> list[str]:
         if now is None:
             found.append(f"{name} is not on offer in {catalog.about.source}")
         elif now > machine.price * (1 + 1e-6):
-            found.append(f"{name} costs {units.format_price(now)}, the plan says {units.format_price(machine.price)}")
+            price, planned = units.shown_apart(now, machine.price, units.shown_price)
+            found.append(f"{name} costs {price}, the plan says {planned}")
     return found
 
 

@@ -4,7 +4,6 @@ import itertools
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from os import PathLike, fspath
 from types import MappingProxyType
 from typing import Literal
 
@@ -13,7 +12,6 @@ from pydantic import Field
 from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
 from fogspec.base.quantities import Duration, Id, Lean, Money, Strict
-from fogspec.base.text import shell_command
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import Commitment
 from fogspec.spec.schema import Hardware, Name, NameInEnvironment
@@ -187,10 +185,6 @@ class Plan(Strict):
     kind: Literal["SamplingPlan"] = "SamplingPlan"
     metadata: PlanMetadata
     spec: PlanBody
-
-    def bench_command(self, spec: str | PathLike[str]) -> str:
-        """Return the command that measures this plan, with the spec at this path."""
-        return shell_command("fogspec", "bench", fspath(spec), *self.runner_options)
 
     @property
     def runner_options(self) -> list[str]:

@@ -66,14 +66,14 @@ def _against(head: str, big: str, value: float, bound: float | None, words: Any,
     """Return a tile with a bar of a value in its limit."""
     if bound is None or bound <= 0:
         return _tile(head, big, f"{between.strip()} no limit".strip())
-    room = f"{1 - value / bound:.0%} headroom" if value <= bound else "over the limit"
+    room = units.headroom_text(value, bound)
     return _tile(head, big, f"{between.strip()} limit {words(bound)}, {room}".strip(), value / bound)
 
 
 def cost_bar(compiled: Artifacts) -> Tile | None:
     """Return what the benchmark spent of its plan and its budget, with the widths of a bar in percent; None if it is free."""
     body, results = compiled.plan.spec, compiled.results
-    spent, planned, budget = results.spec.spent if results else 0.0, body.estimate.total, body.budget
+    spent, planned, budget = results.spec.spent if results else 0.0, compiled.most_usd, body.budget
     total = max(spent, planned, budget or 0.0)
     if not total:
         return None

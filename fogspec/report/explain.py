@@ -9,7 +9,7 @@ from fogspec.base.quantities import as_numbers
 from fogspec.base.text import count, paragraph
 from fogspec.base.units import dollars, rounded
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LIMIT_UNITS, entry_of, menu_data, shown_limit, shown_text
+from fogspec.choice.menu import LIMIT_UNITS, entry_of, menu_data, shown_limit, shown_probability, shown_text
 from fogspec.choice.next_samples import NextSample, best_next_sample, probability_better
 from fogspec.choice.sensitivity import (
     LEVEL,
@@ -176,13 +176,10 @@ def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
         return []
     terms = " and ".join(f"{name} / {shown_text(name, divisor)}" for name, divisor in scale.items())
     pool, meet = int(choice.candidates.sum()), int(choice.feasible.sum())
-    among = "the only machine that meets all limits" if meet == 1 else f"the {meet} machines that meet all limits"
+    among = ": no other machine meets all limits" if meet == 1 else f", among the {meet} machines that meet all limits"
     if pool < meet:
-        among = f"the {pool} measured machines of {meet} that meet all limits"
-    lines = [
-        f"why       lowest objective value, {units.format_number(rounded(float(choice.objective[row])))}, of {terms}, "
-        f"among {among}"
-    ]
+        among = f", among the {pool} measured machines of {meet} that meet all limits"
+    lines = [f"why       lowest objective value, {units.shown(float(choice.objective[row]))}, of {terms}{among}"]
     probability = choice.probability(row)
     if probability is not None and choice.bounds:
         where = choice.latency.where_nested(row)
@@ -205,9 +202,8 @@ def _infeasible(choice: Choice) -> list[str]:
         if probability < 1 - choice.confidence
         else "the model cannot exclude that one does"
     )
-    return [
-        f"  most likely to meet all limits: {offer.instance} in {offer.infra}, with probability {probability:.2f}: {sure}"
-    ]
+    met = shown_probability(probability)
+    return [f"  most likely to meet all limits: {offer.instance} in {offer.infra}, with probability {met}: {sure}"]
 
 
 def _funnel(compiled: Artifacts, decision: Decision) -> str:
@@ -222,9 +218,8 @@ def _funnel_dict(compiled: Artifacts) -> list[dict[str, Any]]:
 
 def _slack_text(binding: Slack) -> str:
     name = binding.limit
-    room = (1 - binding.value / binding.bound) if binding.bound else 0.0
     value, bound = (shown_limit(name, one, binding.unit) for one in (binding.value, binding.bound))
-    words = f"{name}: {value} of at most {bound}, {room:.0%} headroom"
+    words = f"{name}: {value} of at most {bound}, {units.headroom_text(binding.value, binding.bound)}"
     words += f"; the choice holds down to {shown_limit(name, binding.required, binding.unit)}"
     words += f"; alone it excludes {count(binding.rules_out_alone, 'machine')}"
     if binding.changes_at is not None:
@@ -265,8 +260,8 @@ def _model(decision: Decision, found: Analysis) -> list[str]:
             f"  surrogate on {len(body.observations)} samples{beside}{_leave_one_out_text(choice, found.influences)}"
         )
     for one in widest_intervals(choice):
-        ends = units.shown_interval(choice.latency.interval(one.row, LEVEL) or (0.0, 0.0))
-        lines.append(f"  weak: {choice.offers.instance[one.row]}{ends}, a factor of {one.ratio:.2f}")
+        low, high = map(units.shown_duration, choice.latency.interval(one.row, LEVEL) or (0.0, 0.0))
+        lines.append(f"  weak: {choice.offers.instance[one.row]} [{low}, {high}], a factor of {one.ratio:.2f}")
     return lines + [f"  curve: {_model_text(model)}" for model in body.models]
 
 
@@ -355,14 +350,14 @@ def _next_sample_text(choice: Choice, found: NextSample | None, local: bool) -> 
     words = f"{offer.instance} in {offer.infra}, at most {dollars(found.usd)}: "
     saves = "" if found.saves_usd is None else f", which saves {dollars(found.saves_usd)} over the volume"
     if choice.chosen is None:
-        return f"{words}meets the limits with probability {choice.probability(found.row) or 0:.2f}"
+        return f"{words}meets the limits with probability {shown_probability(choice.probability(found.row) or 0)}"
     if choice.latency.measured[found.row]:
         which = "the choice" if found.row == choice.chosen else "a rival"
         again = f"{which} once more, for one sample may err"
         return f"{words}{again}: betters the choice by {found.gain:.2%} on average{saves}"
     if found.row == choice.chosen:
         return f"{words}it is the choice: measuring it verifies it{saves}"
-    better = f"better than the choice with probability {found.probability_better:.2f}"
+    better = f"better than the choice with probability {shown_probability(found.probability_better or 0)}"
     return f"{words}{better}, by {found.gain:.2%} on average{saves}"
 
 
@@ -401,7 +396,9 @@ def _difference_text(compiled: Artifacts, decision: Decision, row: int) -> str:
     both = zip(parts(app, choice, row), parts(app, choice, choice.chosen), strict=True)
     words = ", ".join(f"{name} {own - best:+.3f}" for (name, own), (_, best) in both)
     better = probability_better(decision.predicted, choice, row)
-    return f" ({words})" + ("" if better is None else f"; better after all with probability {better:.2f}")
+    return f" ({words})" + (
+        "" if better is None else f"; better after all with probability {shown_probability(better)}"
+    )
 
 
 def _unmeasured(compiled: Artifacts) -> list[str]:

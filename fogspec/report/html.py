@@ -13,7 +13,7 @@ from typing import Any
 from fogspec import __version__
 from fogspec.base import units
 from fogspec.base.templates import render, shipped
-from fogspec.base.units import rounded
+from fogspec.base.units import dollars
 from fogspec.charts import menu_chart, menu_svg, model_svg
 from fogspec.charts.chart import per_hour, per_request
 from fogspec.choice.sensitivity import Refits
@@ -28,7 +28,7 @@ SECTIONS = {
     "menu": "Explore", "why": "Why this machine", "evidence": "Evidence", "samples": "Samples", "costs": "Costs",
     "funnel": "Filters", "models": "Models", "provenance": "Provenance", "spec": "Spec",
 }  # fmt: skip
-MARKS = 120  # machines that a chart of the page has marks for
+MARKS, MARKS_NARROW = 120, 16  # machines that a chart of the page has marks for, and one for a phone
 
 
 def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
@@ -58,6 +58,7 @@ def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
         prices=compiled.catalog.about,
         version=__version__,
         command=command,
+        requests=units.REQUESTS_TEXT,
         warnings={"first": doubts, "more": rest},
         tiles=tiles(compiled, chosen) if chosen else [],
         sections=[(id, words) for id, words in SECTIONS.items() if there.get(id, True)],
@@ -71,6 +72,8 @@ def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
         explanation=explain(compiled, refits) if chosen is not None else "",
         figures=_figures(compiled, chosen, refits, doubts) if chosen and refits and data else [],
         funnel=_funnel(compiled),
+        funnel_words="admissible" if chosen is None else "meet all limits",
+        measured=results is not None,
         samples=planned_table(compiled.plan) if results is None else measured_table(results),
         models=_models(compiled, refits),
         costs=_costs(compiled),
@@ -85,9 +88,16 @@ def _panels(compiled: Artifacts, decision: Decision, data: Mapping[str, Any]) ->
     """Return the charts to explore: around the limits, of all machines, and by price per hour."""
     choice = decision.choice
     rows = sorted(data["offers"]["row"], key=lambda row: (not choice.feasible[row], choice.objective[row]))[:MARKS]
-    chart = menu_chart.menu_chart(compiled.application, choice, (), rows)
-    views = (("near", per_request(chart), True), ("all", per_request(chart), False), ("hour", per_hour(chart), False))
-    return [menu_svg.panel(chart, view, near=near, id=f"chart-{id}") for id, view, near in views]
+    found = []
+    for broad, most in ((menu_svg.WIDTH, MARKS), (menu_svg.NARROW, MARKS_NARROW)):
+        chart = menu_chart.menu_chart(compiled.application, choice, (), rows[:most])
+        views = (
+            ("near", per_request(chart), True),
+            ("all", per_request(chart), False),
+            ("hour", per_hour(chart), False),
+        )
+        found += [menu_svg.panel(chart, view, near=near, id=f"chart-{id}", broad=broad) for id, view, near in views]
+    return found
 
 
 def _figures(compiled: Artifacts, decision: Decision, refits: Refits, doubts: Sequence[str]) -> list[dict[str, Any]]:
@@ -97,7 +107,8 @@ def _figures(compiled: Artifacts, decision: Decision, refits: Refits, doubts: Se
     for id, name in (("by-vcpus", None), *([("metric-by-vcpus", metric)] if metric else [])):
         chart = model_svg.size_chart(compiled.application, decision.choice, decision.models, doubts, name)
         if chart.series:
-            svg, curves = model_svg.panel(chart, id), any(one.curve for one in chart.series)
+            svg = "".join(model_svg.panel(chart, id, broad) for broad in (menu_svg.WIDTH, menu_svg.NARROW))
+            curves = any(one.curve for one in chart.series)
             found.append(
                 {"title": f"{model_svg.title_of(chart)}.", "words": f"{chart.facts}.", "svg": svg, "curves": curves}
             )
@@ -105,7 +116,9 @@ def _figures(compiled: Artifacts, decision: Decision, refits: Refits, doubts: Se
     if points:
         inside = sum(low <= measured <= high for _, measured, _, low, high in points)
         words = f"Each sample, predicted from all others. {inside} of {len(points)} are in their 90% interval."
-        svg = model_svg.left_out_panel(points, "left-out")
+        svg = "".join(
+            model_svg.left_out_panel(points, "left-out", broad) for broad in (menu_svg.WIDTH, menu_svg.NARROW)
+        )
         title = "Leave-one-out predictions lie around the line of no error."
         found.append({"title": title, "words": words, "svg": svg, "curves": False})
     return found
@@ -113,7 +126,7 @@ def _figures(compiled: Artifacts, decision: Decision, refits: Refits, doubts: Se
 
 def _menu_note(data: Mapping[str, Any]) -> str:
     parts = [
-        f"{data['types']:,} machine types in {data['admissible']:,} offers can be predicted; of each type the cheapest counts."
+        f"{data['types']:,} instance types in {data['admissible']:,} offers can be predicted; of each type the cheapest counts."
     ]
     if not data["complete"]:
         shown = len(data["offers"]["row"])
@@ -174,16 +187,17 @@ def _models(compiled: Artifacts, refits: Refits | None) -> dict[str, Any] | None
 def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
     body, results = compiled.plan.spec, compiled.results
     rows = [
-        ("measuring", units.format_money(body.estimate.measuring)),
-        ("with set-up, start and end, at most", units.format_money(body.estimate.total)),
-        ("budget", "none" if body.budget is None else units.format_money(body.budget)),
-        ("spent on measuring", units.format_money(results.spec.spent if results else 0.0)),
+        ("measuring", dollars(body.estimate.measuring)),
+        ("with set-up, start and end, at most", dollars(body.estimate.total)),
+        *([("with what the model selects, at most", dollars(compiled.most_usd))] if compiled.selects_more else []),
+        ("budget", "none" if body.budget is None else dollars(body.budget)),
+        ("spent on measuring", dollars(results.spec.spent if results else 0.0)),
     ]
     if compiled.decision is not None and (entry := compiled.decision.menu.spec.balanced) is not None:
         rows += [
-            ("the chosen machine, per hour", units.format_money(entry.price)),
-            ("the chosen machine, a month", entry.month.removesuffix("/month")),
-            ("1,000 requests on it", units.format_money(rounded(entry.cost * 1000))),
+            ("the chosen machine, per hour", units.short_dollars(entry.price)),
+            ("the chosen machine, per month", units.shown_month(entry.usd_per_month).removesuffix("/month")),
+            (f"{units.REQUESTS_TEXT} on it", units.short_dollars(units.REQUESTS_SHOWN * entry.cost)),
         ]
     return rows
 

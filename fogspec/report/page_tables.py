@@ -57,7 +57,7 @@ def measured_table(results: Results) -> Table:
 
 def _shape(machine: Machine) -> tuple[str, str, str, str]:
     gpu = machine.gpu.label if machine.gpu else ""
-    return f"{machine.cpus:g}", units.format_memory(machine.memory), gpu, units.format_money(machine.price)
+    return f"{machine.cpus:g}", f"{units.shown(machine.memory)} GiB", gpu, units.shown_price(machine.price)
 
 
 def _measured(one: Measured) -> tuple[str, ...]:
@@ -74,15 +74,15 @@ def _measured(one: Measured) -> tuple[str, ...]:
         str(one.requests),
         *(_time(value) for value in times),
         metrics,
-        units.format_duration(rounded(one.duration)),
-        units.format_money(one.spent),
+        units.shown_duration(one.duration),
+        units.short_dollars(one.spent),
         "" if one.server is None else one.server.line(),
         "" if one.resources is None else use_line(one.resources),
     )
 
 
 def _time(seconds: float | None) -> str:
-    return "" if seconds is None else units.format_duration(rounded(seconds))
+    return "" if seconds is None else units.shown_duration(seconds)
 
 
 def curve_rows(models: Models) -> list[tuple[str, ...]]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from fogspec.base import units
 from fogspec.base.text import count, line, paragraph
 from fogspec.base.units import dollars
-from fogspec.choice.menu import menu_data, metric_text, shown_text
+from fogspec.choice.menu import menu_data, metric_text, shown_miss
 from fogspec.choice.rule import latency_limit_s
 from fogspec.compile.artifacts import Artifacts
 from fogspec.plan.commitment import unattended
@@ -100,6 +100,10 @@ def _plan_text(compiled: Artifacts) -> str:
     budget = "" if body.budget is None else f", of a budget of {dollars(body.budget)}"
     wall = f"{units.shown_duration(estimate.wall)} if all run at once"
     total = dollars(estimate.total)
+    if compiled.selects_more:
+        most = "no budget" if body.budget is None else f"at most {dollars(compiled.most_usd)}, the budget"
+        these = f"measuring the {samples} costs {units.short_dollars(estimate.measuring)}, at most {total} with set-up"
+        return f"{samples}, then the machines that the model selects: {most}; {these}; {wall}"
     return f"{samples}; measuring costs {units.short_dollars(estimate.measuring)}, at most {total} with set-up{budget}; {wall}"
 
 
@@ -136,7 +140,7 @@ def entry_text(entry: "Entry") -> str:
     spot = " spot" if entry.spot else ""
     return (
         f"{entry.instance}{spot}{gpu} in {entry.infra}, {units.shown_price(entry.price)} "
-        f"({units.shown_month(entry.price)}): {units.shown_duration(entry.latency)}"
+        f"({units.shown_month(entry.usd_per_month)}): {units.shown_duration(entry.latency)}"
         f"{units.shown_interval(entry.interval)} {_how(entry)}, "
         f"{metrics_text(entry.metrics)}{units.shown_cost(entry.cost)}"
     )
@@ -173,9 +177,9 @@ def choice_card(entry: "Entry", application: "Application") -> list[str]:
     lines = [_row("choice", "", f"{machine}  {_how(entry)}")]
     for name, text, bound, value in rows:
         limit = "" if bound is None else f"limit {bounds.get(name, units.shown)(bound)}"
-        room = "" if bound is None else f"{1 - value / bound:.0%} headroom"
+        room = "" if bound is None else units.headroom_text(value, bound)
         lines.append(_row("", "", f"{name:<8} {text:<31} {limit:<13} {room}".rstrip()))
-    price = f"{units.shown_price(entry.price)}, {units.shown_month(entry.price)}"
+    price = f"{units.shown_price(entry.price)}, {units.shown_month(entry.usd_per_month)}"
     met = f"P(all limits) {entry.probability:.3g}" if entry.probability is not None else ""
     return [*lines, _row("", "", f"{'price':<8} {price:<31} {met}".rstrip())]
 
@@ -201,10 +205,10 @@ def infeasible_text(menu: "Menu") -> list[str]:
     lines = ["  no machine meets the limits:"]
     for miss in body.missed:
         beside = "of those that meet the other limits, " if miss.alone and len(body.limits) > 1 else ""
+        bound, needs = shown_miss(miss)
         lines.append(
-            f"  {miss.limit}: limit {shown_text(miss.limit, miss.bound)} is infeasible: {beside}the best machine, "
-            f"{miss.instance} in {miss.infra}, needs {shown_text(miss.limit, miss.nearest_value)}, "
-            f"{miss.factor:.3g} times the limit"
+            f"  {miss.limit}: limit {bound} is infeasible: {beside}the best machine, {miss.instance} in {miss.infra}, "
+            f"needs {needs}"
         )
     if body.nearest is not None:
         lines.append(f"  nearest on all limits: {entry_text(body.nearest)}; {body.nearest.why_not}")
@@ -226,6 +230,7 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
             "setup": body.estimate.setup,
             "overhead": body.estimate.overhead,
             "total": body.estimate.total,
+            "at_most": compiled.most_usd,
         },
         "budget_usd": body.budget,
         "payoff_usd": None if expected is None else {"spends": expected.spends_usd, "saves": expected.saves_usd},

@@ -119,7 +119,7 @@ def _quality(named: Sequence[tuple[str, Replayed]], top: float) -> Frame:
         y=y,
         x_label="price of the samples, percent of a full sweep (log scale) →",
         y_label="↑ objective of the choice over the best (log scale)",
-        x_words=lambda percent: f"{percent:g} %",
+        x_words=lambda percent: f"{percent:g}%",
         y_words=lambda ratio: f"{ratio:.3g}",
         heading="Quality against money",
     )

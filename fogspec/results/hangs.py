@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Sequence
 
-from fogspec.base.units import format_duration
+from fogspec.base.units import shown_duration
 from fogspec.results.join import Request
 
 PAUSES = 3.0
@@ -28,6 +28,6 @@ def detect_hang(
     most_s = longest_s + timeout_s if timeout_s is not None else PAUSES * longest_s
     if waited_s <= max(most_s, LEAST_S):
         return None, True
-    last = format_duration(round(waited_s, 1))
+    last = shown_duration(round(waited_s, 1))
     said = f"no request was finished in the last {last}, though all processes ran: the node hangs"
     return said, waited_s <= (1 - valid) * (waited_s + ends[-1] - starts[0])

@@ -9,7 +9,7 @@ from typing import BinaryIO, TypeGuard
 
 from fogspec.base.files import open_untrusted
 from fogspec.base.quantities import Bounds
-from fogspec.base.units import UnitError, format_duration
+from fogspec.base.units import UnitError, shown_duration
 from fogspec.results.join import VERDICT, Request, Value, join
 from fogspec.results.ranges import CLOCK_S, METRIC, REQUEST_S
 from fogspec.spec.probe import name_of
@@ -146,7 +146,7 @@ def _count(one: Request, rules: RecordRules, requests: Requests) -> None:
     if late or not one.ok:
         requests.failed += 1
         requests.lost += one.lost
-        reason = f"took longer than {format_duration(rules.timeout_s or 0.0)}" if late else one.reason
+        reason = f"took longer than {shown_duration(rules.timeout_s or 0.0)}" if late else one.reason
         requests.first_failure = requests.first_failure or reason
     elif rules.scenarios and one.scenario not in rules.scenarios:
         requests.unweighted += 1

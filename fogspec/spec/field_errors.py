@@ -41,6 +41,8 @@ def diagnose(model: Any, node: Node, path: Path, error: Any) -> Diagnostic:
         return Diagnostic(
             "FS306", f"{name} must have at least {context.get('min_length')} entry", span, "add one, or remove the key"
         )
+    if kind == "string_too_short":
+        return Diagnostic("FS303", f"{name} must not be empty", span, f"write text, such as {_example(model, path)}")
     if kind in KINDS:
         if kind == "list_type" and found is not None and isinstance(found.value, dict):
             span = next(iter(found.keys.values()), span)

@@ -37,6 +37,8 @@ IGNORED = (
 )
 IGNORED_AT_ROOT = ("/compiled", "/results", "/fogspec.lock")
 BUILT = ("build", "install", "log")  # colcon makes them again in a workspace on the machine
+# A login to a private registry, under SkyPilot's names (docs.skypilot.co, "Using Private Docker Registries").
+REGISTRY_LOGIN = ("SKYPILOT_DOCKER_USERNAME", "SKYPILOT_DOCKER_PASSWORD", "SKYPILOT_DOCKER_SERVER")
 PART = r"[a-z0-9]+(?:(?:\.|_{1,2}|-+)[a-z0-9]+)*"  # of a repository's name: OCI Distribution Specification 1.1
 
 
@@ -133,6 +135,11 @@ def image_of(text: str) -> Image:
 def image_named(application: Application) -> str | None:
     """Return the image that the spec names."""
     return application.spec.ros.image if application.spec.ros else None
+
+
+def registry_login(spec: Spec) -> list[str]:
+    """Return the secrets that are the login to the image's registry, and nothing for the nodes."""
+    return [name for name in spec.secrets if name in REGISTRY_LOGIN]
 
 
 def is_pinned(image: str) -> bool:

@@ -148,7 +148,7 @@ class Node(Strict):
     respawn_delay: Duration | None = Field(
         None,
         gt=0,
-        description="time until it is started again; in the cloud 1s by default, and doubled for each restart in a row",
+        description="time until it is started again; in the cloud 1 s by default, and doubled for each restart in a row",
         examples=["2s"],
     )
     composable_node_descriptions: list[ComposableNode] = Field(
@@ -380,7 +380,7 @@ class Stop(Strict):
     requests: int | None = Field(200, ge=1, description="requests", examples=[200])
     duration: Duration = Field(300.0, gt=0, description="time", examples=["5min"])
     precision: Percent | None = Field(
-        None, gt=0, description="half width of the statistic's 95 % interval", examples=["2%"]
+        None, gt=0, description="half width of the statistic's 95% interval", examples=["2%"]
     )
 
 

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.aws.site import AwsSite, Instance
+from tests.aws.site import AwsSite, Instance, until
+from tests.slurm.site import Bench
 from tests.tools import apart
 from tests.tools.aws import engine
 from tests.tools.aws.__main__ import missing
+from tests.tools.slurm.engine import start
 
 TYPES = ("c6i.large", "m6i.large", "c6i.xlarge")
 
@@ -40,7 +42,31 @@ def account() -> Path:
     folder = Path(os.environ.get(apart.FOLDER, "/nowhere"))
     if not (folder / "images.json").exists():
         pytest.skip(missing() or "needs an account: make aws-test")
+    start(engine.environment(folder))
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def begun(request: pytest.FixtureRequest) -> None:
+    """Begin first, and beside all else, what waits for minutes and computes nothing."""
+    if any("silent" in getattr(item, "fixturenames", ()) for item in request.session.items):
+        request.getfixturevalue("silent")
+
+
+@pytest.fixture(scope="session")
+def silent(account: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[AwsSite, Bench]]:
+    """A bench whose machine is up and never answers SSH."""
+    site = AwsSite(account, tmp_path_factory.mktemp("silent") / "project")
+    spec = site.write("silent", ["m6i.xlarge"])
+    site.edit(spec, "setup_timeout: 20min", "setup_timeout: 10s")
+    site.edit(spec, "duration: 1min", "duration: 20s")  # so that it is over before SkyPilot gives up by itself
+    site.prefix = site.machine("silent")
+    engine.ask("/_fault", action="boot", match=site.prefix, how="silent")
+    site.compile(spec)
+    bench = site.bench(spec)
+    until(lambda: site.jobs() and engine.ask("/_waiting") == [], site.patience_s)
+    yield site, bench
+    bench.process.kill()
 
 
 @pytest.fixture

@@ -4,11 +4,13 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, ClassVar
 
+from fogspec.backends.registry import owner_of
+from fogspec.base.layout import Layout
 from tests.slurm import site
 from tests.tools.aws import engine, shapes
 
@@ -41,13 +43,22 @@ class Instance:
 
 @dataclass
 class AwsSite(site.Site):
-    """`cluster` is the account's folder; `before` are the instances that were there before this project was."""
+    """`cluster` is the account's folder; `before` are the instances that were there before this project was, and their names.
 
-    before: frozenset[str] = frozenset()
+    Others may use the account at the same time: instances whose names do not begin with `prefix` are theirs.
+    """
+
+    before: Mapping[str, str] = field(default_factory=dict)
+    prefix: str = "fogspec-"
     patience_s: ClassVar[float] = 1500.0
 
     def __post_init__(self) -> None:
-        self.before = frozenset(one.id for one in self.instances())
+        self.before = {one.id: one.name for one in self.instances()}
+
+    def machine(self, name: str, instance: str = "") -> str:
+        """What the names of an application's machines begin with, or of those that measure one instance type."""
+        prefix = owner_of(Layout.of(self.project / "specs" / f"{name}.yaml", name)).prefix
+        return f"{prefix}aws-{shapes.REGION}-{instance.replace('.', '-')}" if instance else prefix
 
     def write(self, name: str, machines: list[str], steps: int = 20, work: str = WORK) -> str:
         """A spec, whose path is returned, and its workload."""
@@ -71,7 +82,8 @@ class AwsSite(site.Site):
         """Those of this project, with what is owed for them until now, in the order of their launch."""
         found = [one for page in engine.client().describe_instances()["Reservations"] for one in page["Instances"]]
         found.sort(key=lambda one: one["LaunchTime"])
-        return [one for one in map(_instance, found) if one.id not in self.before]
+        own = [one for one in map(_instance, found) if one.id not in self.before]
+        return [one for one in own if one.name.startswith(self.prefix)]
 
     def jobs(self, spare: str | None = None) -> list[str]:
         """Names of the machines that EC2 has, without those that begin with `spare`."""
@@ -92,7 +104,8 @@ class AwsSite(site.Site):
         return self.jobs(spare)
 
     def _known(self) -> list[str]:
-        return engine.clusters(self.cluster)
+        others = set(self.before.values())
+        return [one for one in engine.clusters(self.cluster) if one.startswith(self.prefix) and one not in others]
 
     def _env(self) -> dict[str, str]:
         return engine.environment(self.cluster) | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

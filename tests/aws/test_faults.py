@@ -29,3 +29,19 @@ def test_a_refused_launch_is_told_in_awss_words_and_costs_nothing(site: AwsSite,
         assert (record.state, record.reason, record.spent) == ("failed", reason, 0)
     assert site.instances() == []
     assert site.left() == []
+
+
+def test_a_price_that_rose_starts_nothing(site: AwsSite) -> None:
+    site.compile(spec := site.write("dearer", ["m6i.xlarge"]))
+    prices = site.cluster / "sky" / ".sky" / "catalogs" / "v8" / "aws" / "vms.csv"
+    before = prices.read_text()
+    prices.write_text(before.replace(",0.192,", ",0.384,"))
+    try:
+        bench = site.bench(spec)
+        assert bench.ended() != 0
+    finally:
+        prices.write_text(before)
+    said = (site.project / "bench.log").read_text() + str(bench.events)
+    assert "$0.384" in said
+    assert "$0.192" in said
+    assert site.instances() == []

@@ -33,8 +33,8 @@ def test_several_types_at_once_from_the_plan_to_the_manifest(benched: Benched) -
         assert one.latency is not None
         assert one.latency.mean == pytest.approx(0.02 + 0.4 / shape.cpus, rel=0.5), name
         assert one.machine.price == shape.price
-    longest_s = max(one.duration for one in records.values())
-    assert benched.took_s < longest_s + 60, "they ran at the same time"
+    # Two and one after each other would take two thirds of the sum.
+    assert benched.took_s < 0.6 * sum(one.duration for one in records.values()), "they ran at the same time"
 
 
 def test_what_ec2_bills_is_within_the_budget_and_what_was_booked(benched: Benched) -> None:

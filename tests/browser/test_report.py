@@ -91,8 +91,9 @@ MOVE = """([alpha, limits]) => {
 
 
 def move(view, alpha: str, latency: str | None, cost: str | None) -> tuple[dict[str, int], str]:
-    """Set the controls, with the events of a person who does, and read the answer."""
-    return tuple(view.evaluate(MOVE, [alpha, {"latency": latency, "cost": cost}]))
+    """Set the controls, with the events of a person who does, and read the answer; the cost is per request."""
+    per_1000 = None if cost is None else f"{1000 * float(cost):.12g}"
+    return tuple(view.evaluate(MOVE, [alpha, {"latency": latency, "cost": per_1000}]))
 
 
 def same_as_menu(browser, one: LoadedSpec, made: Artifacts, to: Path, limits, alphas) -> set[str]:
@@ -139,7 +140,8 @@ def test_the_sliders_choose_as_menu_does(browser, checkout, tmp_path, monkeypatc
 
 
 LIMITS_DRAWN = (
-    "[...document.querySelectorAll('#stage svg:not([hidden]) .limit')].filter((one) => one.getAttribute('d')).length"
+    "[...document.querySelectorAll('#stage svg.wide:not([hidden]) .limit')]"
+    ".filter((one) => one.getAttribute('d')).length"
 )
 
 
@@ -435,3 +437,68 @@ def test_it_prints_without_controls(browser, checkout, tmp_path):
     assert not view.is_visible("#controls")
     assert view.is_visible("#answer")
     assert view.is_visible("#candidates")
+
+
+# What a text of a chart is high, in px of the screen.
+SMALLEST = """() => Math.min(...[...document.querySelectorAll('main svg text')]
+    .filter((node) => node.getClientRects().length && node.textContent.trim())
+    .map((node) => parseFloat(getComputedStyle(node).fontSize) * node.ownerSVGElement.getScreenCTM().a))"""
+CROSSED = """() => [...document.querySelectorAll('#stage svg')].filter((svg) => svg.getClientRects().length).flatMap((svg) =>
+    [...svg.querySelectorAll('.label-of-limit')].filter((node) => node.textContent).flatMap((node) => {
+        const box = node.getBBox();
+        return [...svg.querySelectorAll('.bar')].filter((bar) => [...Array(201).keys()].some((i) => {
+            const at = bar.getPointAtLength(i / 200 * bar.getTotalLength());
+            return at.x > box.x && at.x < box.x + box.width && at.y > box.y && at.y < box.y + box.height;
+        })).map(() => node.textContent);
+    }))"""
+
+
+def test_on_a_phone_it_is_short_and_its_charts_can_be_read(browser, checkout, tmp_path):
+    path = written(loaded(checkout, "grasp-planning-recorded"), tmp_path / "report.html")
+    view = browser.open(path, width=360)
+    assert view.evaluate("document.documentElement.scrollHeight") < 6500, "it had 12,800 px with everything unfolded"
+    assert view.evaluate("getComputedStyle(document.getElementById('answer')).gridTemplateColumns").count("px") == 2
+    assert view.evaluate(SMALLEST) >= 10
+    rows = "[...document.querySelectorAll('#candidates tbody tr')].filter((row) => row.getClientRects().length).length"
+    assert view.evaluate(rows) == 5
+    view.click("#more")
+    assert view.evaluate(rows) == 24
+    view.click("#more")
+    assert view.evaluate(rows) == 5
+    view.fill("#filter", "T4")
+    assert not view.is_visible("#more"), "there is nothing more to show"
+    view.check("#all")
+    assert view.evaluate("document.querySelector('#stage svg.narrow:not([hidden])').dataset.view") == "chart-all"
+    view.close()
+    view = browser.open(path, width=1280)
+    assert not view.is_visible("#more")
+    assert view.evaluate(rows) == 24
+    assert view.evaluate("document.querySelectorAll('svg.narrow').length") > 3
+    assert not view.is_visible("svg.narrow >> nth=0")
+    assert browser.complaints == []
+
+
+@pytest.mark.parametrize("width", [360, 1280])
+@pytest.mark.parametrize("name", ["grasp-planning-recorded", "vslam-recorded", "motion-planning-cubicles-recorded"])
+def test_the_label_of_a_limit_crosses_no_interval(browser, checkout, tmp_path, name, width):
+    view = browser.open(written(loaded(checkout, name), tmp_path / "report.html"), width=width)
+    assert view.evaluate(CROSSED) == []
+
+
+def test_what_is_folded_is_printed(browser, checkout, tmp_path):
+    view = browser.open(written(loaded(checkout, "vslam-recorded"), tmp_path / "report.html"))
+    assert not view.is_visible("#samples table")
+    view.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert view.is_visible("#samples table")
+    view.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert not view.is_visible("#samples table")
+
+
+def test_the_limit_on_cost_has_the_unit_of_the_page(browser, checkout, tmp_path):
+    view = browser.open(written(loaded(checkout, "grasp-planning-recorded"), tmp_path / "report.html"))
+    assert view.input_value("#cost-number") == "1"
+    assert "USD per 1,000 requests" in view.inner_text("#controls")
+    assert "--cost '$0.001/request'" in view.inner_text("#command"), "the command has the unit of the spec"
+    view.fill("#cost-number", "0.3")
+    assert "--cost '$0.0003/request'" in view.inner_text("#command")
+    assert "&c=0.0003&" in view.url

@@ -1,8 +1,12 @@
-"""What every place of live state must do: one suite over the folder of a clone and refs of a git repository."""
+"""What every place of live state must do: one suite over the folder of a clone, refs of a git repository, and objects.
+
+`tests/object_store` runs it over a bucket as well.
+"""
 
 import contextlib
 import subprocess
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,14 +17,18 @@ from fogspec.backends.registry import owner_of
 from fogspec.base import project_files
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import Busy, FogspecError, Refused
+from fogspec.base.git import Ended
 from fogspec.base.layout import Layout
 from fogspec.base.locks import application_lock
 from fogspec.catalog.machine import Machine
 from fogspec.deploy import shared_state
-from fogspec.deploy.git_store import GitStore, Overtaken, StoreUnavailable
+from fogspec.deploy.git_store import GitStore
+from fogspec.deploy.object_store import FsspecObjects, ObjectStore
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.shared_state import LEASE_S, SharedRecord, holding, key_of, store_of
 from fogspec.deploy.state import DeploymentState
+from fogspec.deploy.stores import Overtaken, Store, Stored, StoreUnavailable
+from tests.support.repositories import git
 from tests.support.scenes import until
 
 HEX = "sha256:" + "1" * 64
@@ -47,10 +55,6 @@ class Times:
         self.now += seconds
         for one in self.waits:
             one()  # type: ignore[operator]
-
-
-def run(*words: str, folder: Path) -> str:
-    return subprocess.run(["git", *words], cwd=folder, check=True, capture_output=True, text=True).stdout.strip()
 
 
 @dataclass
@@ -85,9 +89,18 @@ class Project:
             boot="boot", since="2026-01-01T00:00:00+00:00",
         ).model_copy(update=more)  # fmt: skip
 
+    def store(self, layout: Layout | None = None) -> Store:
+        found = store_of(layout or self.one)
+        assert found is not None
+        return found
+
     def damage(self) -> None:
         if self.kind == "folder":
             self.one.live.write_text(self.one.live.read_text()[:-40] + "]")
+            return
+        if self.kind != "git":
+            store, key = self.store(), key_of(owner_of(self.one))
+            store.write(key, b"spec: [", store.read(key).version, "by hand")
             return
         ref = f"refs/fogspec/state/{key_of(owner_of(self.one))}"
         blob = subprocess.run(
@@ -96,34 +109,44 @@ class Project:
         entry = b"100644 blob " + blob.strip() + b"\tstate.yaml\n"
         tree = subprocess.run(["git", "mktree"], cwd=self.remote, input=entry, check=True, capture_output=True).stdout
         who = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
-        commit = run(*who, "commit-tree", "-m", "a", tree.decode().strip(), folder=self.remote)
-        run("update-ref", ref, commit, folder=self.remote)
+        commit = git(*who, "commit-tree", "-m", "a", tree.decode().strip(), folder=self.remote)
+        git("update-ref", ref, commit, folder=self.remote)
 
 
-@pytest.fixture(params=["folder", "git"])
+@pytest.fixture(params=["folder", "git", "objects"])
 def project(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
-    monkeypatch.delenv("FOGSPEC_STATE", raising=False)
+    return made(request.param, tmp_path, monkeypatch)
+
+
+@pytest.fixture(params=["git", "objects"])
+def shared(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     return made(request.param, tmp_path, monkeypatch)
 
 
 @pytest.fixture
-def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
+def in_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     return made("git", tmp_path, monkeypatch)
 
 
 def made(kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
+    """Make the clones; a `kind` that is no other one is a bucket's URL."""
+    monkeypatch.delenv("FOGSPEC_STATE", raising=False)
+    shared_state._store.cache_clear()
     monkeypatch.setattr(shared_state, "KEPT_S", -1.0)
     remote, layouts = folder / "remote.git", []
-    run("init", "-q", "--bare", str(remote), folder=folder)
+    git("init", "-q", "--bare", str(remote), folder=folder)
     for name in ("one", "other"):
-        run("init", "-q", str(folder / name), folder=folder)
-        run("remote", "add", "origin", str(remote), folder=folder / name)
+        git("init", "-q", str(folder / name), folder=folder)
+        git("remote", "add", "origin", str(remote), folder=folder / name)
         (folder / name / "specs").mkdir()
         layouts.append(Layout.of(folder / name / "specs" / "tiny.yaml", "tiny"))
-        if kind == "git":
+        if kind not in ("folder", "objects"):
             (folder / name / "fogspec.yaml").write_text(
-                "apiVersion: fogspec.dev/v1alpha1\nkind: Project\nspec: {state: git}\n"
+                f"apiVersion: fogspec.dev/v1alpha1\nkind: Project\nspec: {{state: '{kind}'}}\n"
             )
+    if kind == "objects":
+        (folder / "objects").mkdir()
+        monkeypatch.setenv("FOGSPEC_STATE", f"file://{folder}/objects")
     return Project(kind, layouts[0], layouts[0] if kind == "folder" else layouts[1], remote)
 
 
@@ -180,7 +203,8 @@ def test_clearing_leaves_nothing(project: Project) -> None:
         assert list(live.clear())
         assert list(live.clear()) == []
     assert (project.seen().machines, project.seen().total_usd()) == ([], 0.0)
-    assert run("for-each-ref", folder=project.remote) == ""
+    assert git("for-each-ref", folder=project.remote) == ""
+    assert project.kind == "folder" or project.store().read_all() == {}
 
 
 def test_what_is_damaged_is_said_with_its_place_and_a_way_on(project: Project) -> None:
@@ -190,7 +214,8 @@ def test_what_is_damaged_is_said_with_its_place_and_a_way_on(project: Project) -
     with pytest.raises(DiagnosticError) as wrong:
         project.seen()
     (first, *_) = wrong.value.diagnostics
-    assert first.span.path.startswith(str(project.one.live) if project.kind == "folder" else "refs/fogspec/state/tiny-")
+    place = project.one.live if project.kind == "folder" else project.store().path(key_of(owner_of(project.one)))
+    assert first.span.path == str(place)
     assert "fogspec down tiny" in str(first.fix)
     assert "fogspec adopt tiny" in str(first.fix)
 
@@ -202,7 +227,8 @@ def test_a_write_that_fails_changes_nothing(project: Project, monkeypatch: pytes
     with project.held() as live:
         live.put(project.machine())
         with monkeypatch.context() as broken:
-            broken.setattr(project_files, "_replace", fails)
+            broken.setattr(project_files, "_put", fails)
+            broken.setattr(FsspecObjects, "create", fails)
             broken.setattr(GitStore, "_commit", lambda *_: (_ for _ in ()).throw(StoreUnavailable("it", "away")))
             with pytest.raises(FogspecError):
                 live.put(project.machine(state="serving"))
@@ -230,10 +256,13 @@ def away(record: SharedRecord) -> None:
 
 
 def taken(project: Project, layout: Layout, what: str = "apply of tiny") -> SharedRecord:
-    store = store_of(layout)
-    assert store is not None
     record = SharedRecord(
-        store=store, layout=layout, times=project.times, what=what, report=project.said.append, owner=owner_of(layout)
+        store=project.store(layout),
+        layout=layout,
+        times=project.times,
+        what=what,
+        report=project.said.append,
+        owner=owner_of(layout),
     )
     record.take()
     return record
@@ -288,8 +317,7 @@ def test_the_lease_of_a_process_that_ended_here_is_taken_at_once(shared: Project
 
 def test_a_lease_is_renewed_beside_what_is_written(shared: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shared_state, "RENEW_S", 0.01)
-    store, key = store_of(shared.other), key_of(owner_of(shared.other))
-    assert store is not None
+    store, key = shared.store(shared.other), key_of(owner_of(shared.other))
 
     def renewed() -> int:
         found = shared_state.parsed(store.read(key), key, owner_of(shared.other))
@@ -305,24 +333,24 @@ def test_a_lease_is_renewed_beside_what_is_written(shared: Project, monkeypatch:
 
 
 def test_an_answer_that_is_lost_is_no_second_writer(shared: Project, monkeypatch: pytest.MonkeyPatch) -> None:
-    record, write, count = taken(shared, shared.one), GitStore.write, iter(range(9))
+    record, count = taken(shared, shared.one), iter(range(9))
+    kind = type(shared.store())
+    write = kind.write
 
-    def lost(self: GitStore, *words: object) -> str | None:
+    def lost(self: Store, *words: object) -> str | None:
         version = write(self, *words)  # type: ignore[arg-type]
         if next(count) == 0:
-            raise StoreUnavailable(self.where, "the connection was cut")
+            raise StoreUnavailable("it", "the connection was cut")
         return version
 
-    monkeypatch.setattr(GitStore, "write", lost)
+    monkeypatch.setattr(kind, "write", lost)
     record.save([shared.machine()], 0.0, {})
     record.save([shared.machine(state="serving")], 0.0, {})
     assert [one.state for one in shared.seen().machines] == ["serving"]
 
 
-def test_of_two_pushes_one_arrives(shared: Project) -> None:
-    one, other = store_of(shared.one), store_of(shared.other)
-    assert one is not None
-    assert other is not None
+def test_of_two_writes_one_arrives(shared: Project) -> None:
+    one, other = shared.store(shared.one), shared.store(shared.other)
     first = one.write("tiny-x", b"a: 1\n", None, "first")
     with pytest.raises(Overtaken):
         other.write("tiny-x", b"a: 2\n", None, "second")
@@ -336,13 +364,12 @@ def test_of_two_pushes_one_arrives(shared: Project) -> None:
     assert other.read_all() == {}
 
 
-def test_a_commit_without_the_file_is_damaged_not_empty(shared: Project) -> None:
-    store = store_of(shared.one)
-    assert store is not None
+def test_a_commit_without_the_file_is_damaged_not_empty(in_git: Project) -> None:
+    shared = in_git
     who = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
-    tree = run("mktree", "--missing", folder=shared.remote)
-    commit = run(*who, "commit-tree", "-m", "a", tree, folder=shared.remote)
-    run("update-ref", f"refs/fogspec/state/{key_of(owner_of(shared.one))}", commit, folder=shared.remote)
+    tree = git("mktree", "--missing", folder=shared.remote)
+    commit = git(*who, "commit-tree", "-m", "a", tree, folder=shared.remote)
+    git("update-ref", f"refs/fogspec/state/{key_of(owner_of(shared.one))}", commit, folder=shared.remote)
     with pytest.raises(DiagnosticError):
         shared.seen()
 
@@ -350,8 +377,7 @@ def test_a_commit_without_the_file_is_damaged_not_empty(shared: Project) -> None
 def test_a_record_of_another_owner_is_refused(shared: Project) -> None:
     with shared.held() as live:
         live.put(shared.machine())
-    store, key = store_of(shared.one), key_of(owner_of(shared.one))
-    assert store is not None
+    store, key = shared.store(), key_of(owner_of(shared.one))
     now = store.read(key)
     other = now.content.replace(owner_of(shared.one).digest.encode(), b"a" * 52)
     store.write(key, other, now.version, "by hand")
@@ -368,8 +394,7 @@ def test_records_of_other_applications_and_folders_are_not_mixed_up(shared: Proj
         name = owner_of(longer).deployment_name(HEX, "000001")
         live.put(shared.machine().model_copy(update={"name": name}))
     assert shared.seen().machines == []
-    store = store_of(shared.other)
-    assert store is not None
+    store = shared.store(shared.other)
     assert [one.name for one in shared_state.shared_layouts(store, shared.other.root)] == ["tiny-two"]
     prod = replace(shared.one, name="tiny@prod")
     with holding(prod, "apply of tiny@prod", shared.times, shared.said.append) as record:
@@ -382,3 +407,69 @@ def test_records_of_other_applications_and_folders_are_not_mixed_up(shared: Proj
     below = shared.other.root / "below"
     below.mkdir()
     assert shared_state.shared_layouts(store, below) == []
+
+
+def test_a_record_without_content_is_damaged_not_gone(shared: Project) -> None:
+    store, key = shared.store(), key_of(owner_of(shared.one))
+    store.write(key, b"", None, "by hand")
+    with pytest.raises(DiagnosticError):
+        shared.seen()
+
+
+def test_who_was_cut_off_for_long_does_not_write_even_where_its_number_is_free_again(shared: Project) -> None:
+    slow, other = shared.store(), shared.store(shared.other)
+    first = slow.write("tiny-x", b"a: 1\n", None, "first")
+    version = other.read("tiny-x").version
+    for number in range(2, 9):
+        version = other.write("tiny-x", b"a: %d\n" % number, version, "meanwhile")
+    with pytest.raises(Overtaken):
+        slow.write("tiny-x", b"a: slow\n", first, "late")
+    with pytest.raises(Overtaken):
+        slow.write("tiny-x", None, first, "late")
+    assert slow.read("tiny-x").content == b"a: 8\n"
+    assert other.write("tiny-x", None, version, "end") is None
+    with pytest.raises(Overtaken):
+        slow.write("tiny-x", b"a: slow\n", version, "late")
+    assert slow.read_all() == {}
+    assert other.read("tiny-x").version is None
+    again = other.write("tiny-x", b"a: 9\n", None, "again")
+    with pytest.raises(Overtaken):
+        slow.write("tiny-x", b"a: 9\n# slow\n", first, "late")
+    with pytest.raises(Overtaken):
+        slow.write("tiny-x", b"a: slow\n", None, "late")
+    assert slow.read("tiny-x") == Stored(again, b"a: 9\n")
+
+
+def test_of_many_at_once_one_arrives_each_time(shared: Project) -> None:
+    stores = [ObjectStore(one.url, one._objects) if isinstance(one := shared.store(), ObjectStore) else
+              GitStore(f"file://{shared.remote}", shared.one.root, shared.one.root) for _ in range(4)]  # fmt: skip
+    version: str | None = None
+    for turn in range(3):
+
+        def attempt(number: int, turn: int = turn, version: str | None = version) -> str | None:
+            stores[number].read("tiny-x")
+            with contextlib.suppress(Overtaken, StoreUnavailable):
+                return stores[number].write("tiny-x", b"a: %d\nb: %d\n" % (turn, number), version, "one of them")
+            return None
+
+        with ThreadPoolExecutor(len(stores)) as threads:
+            arrived = [one for one in threads.map(attempt, range(len(stores))) if one is not None]
+        assert len(arrived) == 1
+        assert stores[0].read("tiny-x").version == arrived[0]
+        version = arrived[0]
+
+
+def test_a_record_that_is_created_while_git_finds_none_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    remote = tmp_path / "remote"
+    git("init", "-q", "--bare", str(remote), folder=tmp_path)
+    slow, other = (GitStore(f"file://{remote}", tmp_path, tmp_path) for _ in range(2))
+    exchange, created = GitStore._exchange, list[str]()
+
+    def meanwhile(self: GitStore, *words: str, stdin: bytes = b"") -> Ended:
+        ended = exchange(self, *words, stdin=stdin)
+        if self is slow and words[0] == "fetch" and not created:
+            created.append(other.write("tiny-x", b"a: 1\n", None, "the first"))
+        return ended
+
+    monkeypatch.setattr(GitStore, "_exchange", meanwhile)
+    assert slow.read("tiny-x") == Stored(created[0], b"a: 1\n")

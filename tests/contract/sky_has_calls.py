@@ -19,6 +19,7 @@ CALLS = (
     (sky.tail_logs, ("c", 1), {"follow": True, "preload_content": False}),
     (sky.status, (["c"],), {"refresh": sky.StatusRefreshMode.FORCE, "all_users": True}),
     (sdk.enabled_clouds, (), {}),
+    (sdk.enabled_clouds, (), {"expand": True}),
     (sdk.check, (("aws",),), {"verbose": False}),
     (sky.down, ("c",), {}),
     (sky.autostop, ("c",), {"idle_minutes": 1, "down": True}),
@@ -26,6 +27,7 @@ CALLS = (
     # Not of the public API: fogspec/backends/skypilot/internals.py.
     (global_user_state.get_cluster_yaml_dict, ("c.yml",), {}),
     (provision.query_instances, ("aws", "c", "c-1", {}), {"non_terminated_only": True}),
+    (provision.terminate_instances, ("aws", "c-1", {}), {}),
     (skypilot_config.get_nested, (("aws", "post_provision_runcmd"),), {"default_value": None}),
     (skypilot_config.override_skypilot_config, ({"aws": {}},), {}),
 )

@@ -101,6 +101,12 @@ for path in sys.argv[1:]:
     (node_type,) = rendered["available_node_types"].values()
     print(
         json.dumps(
-            {"path": path, "pod": node_type["node_config"], "provider": rendered["provider"], "changed": CHANGED}
+            {
+                "path": path,
+                "pod": node_type["node_config"],
+                "provider": rendered["provider"],
+                "changed": CHANGED,
+                "infras": clouds.Kubernetes.expand_infras(),
+            }
         )
     )

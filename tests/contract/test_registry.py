@@ -20,10 +20,9 @@ import pytest
 
 from fogspec.backends.images.registry import Registry, _NoCredentialsElsewhere
 from fogspec.base.errors import CloudError, InvalidInput
+from tests.support.registries import HTPASSWD, PASSWORD, USER
 from tests.support.running import CATALOG, Shell, shell, spec  # noqa: F401
 
-USER, PASSWORD = "reader", "not-a-real-secret"
-HTPASSWD = f"{USER}:$2b$04$o40LmoTR3DxIUNKeoMt0d.R23nwVDY9JwJT8KlnXpg9jWL2NG3G6a\n"
 MANIFEST = "application/vnd.oci.image.manifest.v1+json"
 
 

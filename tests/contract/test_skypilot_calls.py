@@ -122,7 +122,8 @@ def arrives(seconds):
     log.append(f"{seconds:g} s")
     launches.append(launch("PENDING"))
 api.sky.api_status, api.sky.down, api.sky.api_cancel, api.sky.get = asked, down, cancel, lambda value: value
-api.clusters, api.await_gone, api.time = lambda **_: machines, lambda name: None, SimpleNamespace(sleep=arrives)
+api.clusters, api.await_gone = lambda **_: machines, lambda name, until_s: 0
+api.time = SimpleNamespace(sleep=arrives, time=lambda: 0.0)
 
 launches = []
 api.end("fogspec-a")

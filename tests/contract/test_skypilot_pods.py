@@ -113,3 +113,4 @@ def test_it_goes_to_the_context_of_the_place_and_nothing_was_changed_there(rende
     for one in rendered.values():
         assert (one["provider"]["context"], one["provider"]["namespace"]) == ("lab", "robots")
         assert one["changed"] == []
+        assert one["infras"] == ["kubernetes/lab"], "the names by which a context that is missing is noticed"

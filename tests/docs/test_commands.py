@@ -45,7 +45,7 @@ def test_what_ci_does_not_run_is_little_and_says_why() -> None:
 
 
 def test_every_block_has_a_language_that_says_what_it_is() -> None:
-    known = {"console", "sh", "yaml", "json", "python", "csv", "text", "toml", "ini"}
+    known = {"console", "sh", "yaml", "json", "python", "csv", "text", "toml", "ini", "dockerfile"}
     odd = [f"{name(b.page)}:{b.line}: {b.language!r}" for page in pages() for b in blocks(page)
            if b.language not in known and b.text != FRESH]  # fmt: skip
     assert not odd

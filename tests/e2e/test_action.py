@@ -124,14 +124,14 @@ def test_a_comment_is_created_and_then_updated(repository: Shell, origin: Path, 
     assert f"raw/{job.head}/compiled/demo/menu.svg" in text
     # The same again after another push, while others comment too.
     github.add("somebody", "looks good")
-    github.add("bot", "coverage: 97 %")
+    github.add("bot", "coverage: 97%")
     change(repository, "latency: 10s", "latency: 9s")
     repository("compile", "specs/demo.yaml")
     pushed(repository, "a limit")
     job = Job(tmp_path / "second", origin, base, github)
     job.run("review")
     assert job.run("comment") == "comment updated\n"
-    assert [one.body for one in github.comments] == [job.summary, "looks good", "coverage: 97 %"]
+    assert [one.body for one in github.comments] == [job.summary, "looks good", "coverage: 97%"]
     assert "| `spec.constraints.latency` | 10s | 9s |" in job.summary
     assert github.writes[-1] == ("PATCH", "/api/repos/team/robots/issues/comments/101")
 

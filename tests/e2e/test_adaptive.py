@@ -80,7 +80,7 @@ def usd(text: str) -> float:
 
 
 def test_few_samples_a_good_choice_and_everything_fresh(project):
-    assert "never beyond the budget of $5" in project("compile", "specs/demo.yaml", *AT).out
+    assert "never beyond the budget of $5.00" in project("compile", "specs/demo.yaml", *AT).out
     first = document(project, "compiled/demo/plan.yaml")["spec"]
     assert (first["sampler"], len(first["samples"])) == ("adaptive", 3)
     project("compile", "specs/demo.yaml", *AT, "--check")
@@ -322,7 +322,7 @@ def volume(requests: int, months: int = 6) -> str:
 
 def test_a_larger_volume_pays_for_more_samples_and_a_tiny_one_for_a_single_one(project):
     counts = {}
-    for requests in (1, 20_000, 100_000_000):
+    for requests in (1, 2_000, 100_000_000):
         write_spec(project, benchmark=with_(volume(requests)))
         project("compile", "specs/demo.yaml", *AT)
         bench(project)
@@ -332,7 +332,7 @@ def test_a_larger_volume_pays_for_more_samples_and_a_tiny_one_for_a_single_one(p
         (project.folder / "results/demo.yaml").unlink()
         (project.folder / ".fogspec/demo/journal.jsonl").unlink()
     assert counts[1] == 1
-    assert counts[1] < counts[20_000] < counts[100_000_000]
+    assert counts[1] < counts[2_000] < counts[100_000_000]
 
 
 def test_the_plan_says_what_the_benchmark_spends_and_saves(project):

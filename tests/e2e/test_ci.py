@@ -101,7 +101,11 @@ def test_an_invalid_spec_does_not_hide_the_others(repo: Shell) -> None:
     )
     said = repo("ci", *AT, code=1)
     assert "ok    demo" in said.out
+    assert "FAIL  specs/bad.yaml: invalid" in said.out
+    assert said.out.endswith("1 application: none failed, 1 file is invalid\n")
     assert "specs/bad.yaml:" in said.err
+    said = json.loads(repo("ci", "-o", "json", *AT, code=1).out)
+    assert (said["passed"], said["invalid"]) == (False, ["specs/bad.yaml"])
 
 
 def test_only_what_changed_since_the_base_is_judged(repo: Shell) -> None:
@@ -143,6 +147,9 @@ def test_several_processes_say_what_one_says(repo: Shell) -> None:
         "second",
         "third",
     ]
+    for words in (("status",), ("status", "-o", "json"), ("review", "HEAD"), ("review", "HEAD", "-o", "json")):
+        one, two = (repo(*words, "-j", number, *AT) for number in ("1", "2"))
+        assert (one.out, one.err) == (two.out, two.err), words
     repo.write("offers.csv", repo.read("offers.csv").replace("0.10", "0.11"))
     one, two = (repo("ci", "-j", number, code=3) for number in ("1", "2"))
     assert (one.out, one.err) == (two.out, two.err), "an error of a process is this command's"

@@ -158,7 +158,7 @@ def test_machines_that_cannot_be_torn_down_are_told_of(tmp_path: Path, monkeypat
         (
             ["--infra", "aws/us-east-1", "--catalog", "snapshot", "--machines", "c6i.large"],
             2,
-            "two machine types are needed",
+            "two instance types are needed",
         ),
         (["--infra", "aws/us-east-1", "--catalog", "snapshot", "--machines", "c6i.large,nope"], 2, "has no nope"),
         (["--infra", "kubernetes/lab", "--catalog", "nowhere.csv"], 1, "nowhere.csv"),

@@ -116,7 +116,7 @@ def test_nodes_that_crash_are_said_and_nothing_is_left(app: Make) -> None:
     # Without a command that asks them, nodes that take long to crash would answer by staying alive.
     tiny = app(SPEC + "  deployment: {ready: ['false']}\n")
     crashed = tiny.apply(code=1, env={"ROS_TOOK_S": "no number"})
-    assert "python3 ended with exit code 1" in crashed.stderr
+    assert "python3 work.py ended with exit code 1: ValueError" in crashed.stderr
     assert (tiny.machines(), tiny.alive()) == ([], [])
 
 
@@ -218,7 +218,7 @@ def test_over_the_limit_is_degraded(app: Make) -> None:
     until(lambda: tiny.status()["observed"]["interval_s"] is not None)
     live = tiny.status()
     assert live["health"] == "Degraded"
-    assert any("over its limit of 100ms" in reason for reason in live["reasons"])
+    assert any("over its limit of 100 ms" in reason for reason in live["reasons"])
     tiny("status", "--exit-code", code=3)
     tiny("down", "tiny")
 
@@ -291,7 +291,7 @@ def test_down_needs_no_spec_that_is_right(tiny: Deployed) -> None:
 
 
 def test_down_of_nobody(tiny: Deployed) -> None:
-    assert "no application named other" in tiny("down", "other", code=1).stderr
+    assert "no application named other" in tiny("down", "other", code=2).stderr
     for name in (".", "..", ""):
         assert "is not an application's name" in tiny("down", name, code=1).stderr
 
@@ -315,7 +315,7 @@ def test_secrets_reach_the_nodes_and_no_file(app: Make, monkeypatch: pytest.Monk
     (here / "end").touch()
     until(lambda: tiny.status()["health"] == "Degraded")
     said.append(tiny("status"))
-    assert b"$MY_SECRET\n" in log.read_bytes().splitlines(keepends=True), "its last words are kept"
+    assert b"[python3] $MY_SECRET\n" in log.read_bytes().splitlines(keepends=True), "its last words are kept"
     assert [path for path in tiny.folder.rglob("*") if path.is_file() and b"hunter2" in path.read_bytes()] == []
     (here / "end").unlink()
     said.append(tiny("down", "tiny"))

@@ -37,7 +37,7 @@ def files(folder: Path) -> dict[Path, bytes]:
 
 
 def local(shell: Shell) -> None:
-    shell.write("offers.csv", "InstanceType,vCPUs,MemoryGiB,Price,Region\nlocal,1,1,0,\n")
+    shell.write("offers.csv", "Cloud,InstanceType,vCPUs,MemoryGiB,Price,Region\nlocal,1cpu-1gib,1,1,0.02,\n")
     shell.write("specs/work.py", "print('work')\n")
     shell.write("specs/demo.yaml", spec(**LOCAL))
 
@@ -165,3 +165,14 @@ def test_state_that_git_tracks_is_a_problem(shell: Shell) -> None:
     found = checked(shell, "demo", code=1)
     assert "git tracks it" in found["state"][0]["detail"]
     assert "left over" not in found
+
+
+def test_a_place_without_prices_is_a_problem_and_no_other_clouds_list_is_named(shell: Shell) -> None:
+    local(shell)
+    text = shell("doctor", "demo", "--catalog", "snapshot", code=1).out
+    assert "problem      catalog    no price list has machines in local" in text
+    assert "fogspec lock specs/demo.yaml --catalog FILE" in text
+    assert "AWS" not in text
+    shell.write("specs/demo.yaml", spec(infra="[gcp/us-central1]", hardware="{cpus: 1..2}"))
+    (missing,) = checked(shell, "demo", code=1)["catalog"]
+    assert missing["detail"].endswith("no machine in gcp/us-central1")

@@ -188,9 +188,9 @@ def test_a_bench_of_an_environment_names_the_one_that_serves_it(repo: Shell) -> 
 
 
 def test_unknown_environments_are_answered_with_a_near_one(repo: Shell) -> None:
-    for words in (("compile", "demo@prdo"), ("menu", "demo@prdo"), ("apply", "demo@prdo"), ("verify", "demo@prdo")):
-        assert "did you mean demo@prod?" in repo(*words, code=2).err
-    assert "there is no application named demo@prdo here" in repo("down", "demo@prdo", code=1).err
+    for verb in ("compile", "menu", "apply", "verify", "down", "logs"):
+        assert "did you mean demo@prod?" in repo(verb, "demo@prdo", code=2).err, verb
+    assert "looked for .fogspec/zzz" in repo("down", "zzz", code=2).err
 
 
 def test_a_field_that_all_share_is_refused_where_it_stands(repo: Shell) -> None:

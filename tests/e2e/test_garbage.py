@@ -118,6 +118,6 @@ def test_down_ends_what_runs_whatever_its_live_state_is(tiny: Deployed, monkeypa
 def test_nothing_is_written_over_what_is_no_file(whole: Shell) -> None:
     device = whole.folder / "null"
     device.symlink_to("/dev/null")
-    said = whole("report", "demo", "--to", "null", code=1).err
+    said = whole("report", "demo", "--out", "null", code=1).err
     assert said.startswith("error: null: it is a link, which may lead out of the project: not followed\n")
     assert device.is_symlink()

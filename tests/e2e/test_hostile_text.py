@@ -55,7 +55,7 @@ VERBS: tuple[tuple[str, ...], ...] = (
     ("doctor", "demo", *AT, "-o", "json"),
     ("bench", "demo", "--runner", "local", "--dry-run"),
     ("apply", MANIFEST, *AT, "--dry-run"),
-    ("report", "demo", *AT, "--to", "-"),
+    ("report", "demo", *AT, "--out", "-"),
     ("evaluate", "--suite", "results"),
     ("join", "results/demo.yaml", "results/demo.yaml"),
     ("conformance", "--infra", "aws/us-east-1", *AT, "--dry-run"),
@@ -207,11 +207,11 @@ def test_texts_in_specs_results_and_locks_through_every_verb(written: Shell) -> 
 
 @pytest.mark.slow
 def test_a_report_has_the_elements_of_a_harmless_one(written: Shell, tmp_path: Path) -> None:
-    page = written("report", "demo", *AT, "--to", "-").out
+    page = written("report", "demo", *AT, "--out", "-").out
     folder = Shell(tmp_path / "plain", written.monkeypatch, written.capsys)
     folder.folder.mkdir()
     made(folder, [f"text{number}" for number in range(len(TEXTS))])
-    assert Elements(page).found == Elements(folder("report", "demo", *AT, "--to", "-").out).found
+    assert Elements(page).found == Elements(folder("report", "demo", *AT, "--out", "-").out).found
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from fogspec.backends.skypilot.errors import CloudProblem
 from fogspec.catalog import sources
 from tests.e2e.test_bench_money import _Shop
 from tests.support.fake_sky import Cloud, SimulatedClient
-from tests.support.running import Ended, Shell, measure, project, shell  # noqa: F401
+from tests.support.running import Ended, Shell, measure, project, shell, spec  # noqa: F401
 
 AT = ("--catalog", "offers.csv")
 DENIED = CloudProblem("access", "NoCloudAccessError: the security token included in the request is expired")
@@ -143,3 +143,59 @@ def test_an_apply_without_access_starts_nothing(shell: Shell, cloud: Cloud, when
     assert cloud.machines == {}
     live = json.loads(shell("status", *AT, "-o", "json").out)[0]["deployment"]
     assert live is None or live["machine"] is None
+
+
+FORBIDDEN = 'pods is forbidden: User "me" cannot create resource "pods" in API group "" in the namespace "robots"'
+
+
+class ResourcesUnavailableError(Exception):
+    """As SkyPilot's: what the provider said is in its text."""
+
+
+def test_a_namespace_without_rights_starts_nothing(shell: Shell, cloud: Cloud) -> None:
+    cloud.fails = lambda op, _words: ResourcesUnavailableError(FORBIDDEN) if op == "launched" else None
+    said = bench(shell, code=6).err
+    assert f"SkyPilot cannot start a machine: {FORBIDDEN}" in said
+    assert "kubectl auth can-i create pods" in said
+    assert cloud.machines == {}
+    assert not (shell.folder / "results").exists()
+
+
+def test_a_region_without_quota_says_where_to_look(shell: Shell, cloud: Cloud) -> None:
+    words = "VcpuLimitExceeded: You have requested more vCPU capacity than your current vCPU limit of 0 allows"
+    cloud.fails = lambda op, _words: ResourcesUnavailableError(words) if op == "launched" else None
+    said = bench(shell, code=1)
+    assert words in said.out
+    assert "aws service-quotas list-service-quotas --service-code ec2 --region r1 lists it" in said.out
+    assert cloud.machines == {}
+    assert {(one["reason"], float(one["spent"].removeprefix("$"))) for one in results(shell)["samples"]} == {
+        ("quota", 0.0)
+    }
+
+
+@pytest.mark.parametrize(
+    ("place", "known", "words"),
+    [
+        ("kubernetes/nolab", ("aws", "kubernetes/lab", "kubernetes/office"), "kubernetes/lab, kubernetes/office"),
+        ("slurm/nolab", ("slurm/lab",), "slurm/lab"),
+    ],
+)
+def test_a_context_or_cluster_that_is_not_configured_starts_no_machine(
+    shell: Shell, cloud: Cloud, place: str, known: tuple[str, ...], words: str
+) -> None:
+    name, _, region = place.partition("/")
+    prices = "Cloud,InstanceType,vCPUs,MemoryGiB,Price,Region\n"
+    shell.write("offers.csv", prices + "".join(f"{name},{n}CPU--8GB,{n},8,0.{n},{region}\n" for n in (2, 4, 8)))
+    shell.write("specs/demo.yaml", spec(infra=f"[{place}]"))
+    shell("compile", "specs/demo.yaml", *AT)
+    cloud.known = known
+    said = bench(shell, code=6).err
+    assert f"spec.infra: SkyPilot has no {place}" in said
+    assert f"write one that it has: {words}" in said
+    assert f"sky check {name}" in said
+    assert cloud.machines == {}
+    assert not (shell.folder / "results").exists()
+    checked = shell("doctor", "demo", *AT, code=1).out
+    assert f"problem      access     spec.infra: SkyPilot has no {place}" in checked
+    cloud.known = (*known, place)
+    assert "SkyPilot has access" in shell("doctor", "demo", *AT, code=None).out

@@ -62,7 +62,7 @@ def test_the_page_is_whole_by_itself_and_the_same_each_time(checkout):
 
 
 def test_the_numbers_in_the_page_are_data(checkout):
-    text = fogspec(checkout, "report", "vslam-recorded", "--to", "-").stdout
+    text = fogspec(checkout, "report", "vslam-recorded", "--out", "-").stdout
     data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)[1])
     assert data["complete"]
     program, *words = shlex.split(data["command"])
@@ -74,7 +74,7 @@ def test_the_numbers_in_the_page_are_data(checkout):
 
 def test_what_was_not_measured_has_a_page_without_a_menu(checkout):
     (checkout / "results" / "vslam-recorded.yaml").unlink()
-    text = fogspec(checkout, "report", "vslam-recorded", "--to", "-").stdout
+    text = fogspec(checkout, "report", "vslam-recorded", "--out", "-").stdout
     assert "not measured yet" in text
     assert "To be measured" in text
     assert 'id="data"' not in text
@@ -84,7 +84,7 @@ def test_what_was_not_measured_has_a_page_without_a_menu(checkout):
 def test_an_answer_of_none_has_a_page(checkout):
     spec = checkout / "specs" / "vslam-recorded.yaml"
     spec.write_text(re.sub(r"latency: .*", "latency: 1ms", spec.read_text(), count=1))
-    text = fogspec(checkout, "report", "vslam-recorded", "--to", "-").stdout
+    text = fogspec(checkout, "report", "vslam-recorded", "--out", "-").stdout
     assert "No machine meets the latency limit of 1 ms" in text
 
 
@@ -157,8 +157,8 @@ def test_the_page_of_every_offering_stays_small(checkout, tmp_path_factory, cata
         text = re.sub(old, new, text)
     spec.write_text(text)
     catalog = str(catalog_of(tmp_path_factory.mktemp("offerings")))
-    page = fogspec(checkout, "report", "vslam-recorded", "--catalog", catalog, "--to", "-").stdout
-    said = re.search(r"([\d,]+) machine types in ([\d,]+) offers can be predicted", page)
+    page = fogspec(checkout, "report", "vslam-recorded", "--catalog", catalog, "--out", "-").stdout
+    said = re.search(r"([\d,]+) instance types in ([\d,]+) offers can be predicted", page)
     assert int(said[2].replace(",", "")) > 90_000
     assert int(said[1].replace(",", "")) > 1500
     assert "can win under some weight and limits" in page
@@ -181,3 +181,24 @@ def test_verbs_take_the_name_of_an_application_as_well_as_its_spec(checkout):
     assert "write 'name'" in fogspec(checkout, "menu", "vslam-recorded", code=1).stderr, (
         "its mistakes, not that it is missing"
     )
+
+
+def test_a_weight_that_is_no_number_is_wrong_usage(checkout):
+    for alpha in ("nan", "inf", "2", "x"):
+        said = fogspec(checkout, "menu", "vslam-recorded", "--alpha", alpha, code=2).stderr
+        assert said.startswith("error: Invalid value for '--alpha'"), alpha
+
+
+def test_a_month_is_the_paid_hours_of_a_month_everywhere(checkout):
+    """With sessions of 20 min a week and 5 min of start-up, and not 730 hours."""
+    spec = checkout / "specs" / "vslam-recorded.yaml"
+    usage = "{billing: provisioned, rate: 20/s, usage: {session: 20min, sessions: 1/week}}"
+    text = re.sub(r"\n  objective:.*?(?=\n  [a-z])", "", spec.read_text(), flags=re.S)
+    text = text.replace("$0.01/1000 requests", "$1/request")
+    spec.write_text(text.replace("\nspec:\n", f"\nspec:\n  objective: {usage}\n"))
+    usd = json.loads(fogspec(checkout, "menu", "vslam-recorded", "-o", "json").stdout)[0]["balanced"]["usd_per_month"]
+    assert usd < 10
+    month = f"${usd:.2f}"
+    assert f"({month}/month)" in fogspec(checkout, "menu", "vslam-recorded").stdout
+    assert f"/h, {month}/month" in fogspec(checkout, "compile", "vslam-recorded").stdout
+    assert f"{month} per month" in fogspec(checkout, "report", "vslam-recorded", "--out", "-").stdout

@@ -73,7 +73,7 @@ def test_another_machine_with_its_price_and_why(repository: Shell) -> None:
     assert "### demo: a.large in aws/r1 -\\> a.small in aws/r1" in said
     assert "| machine | $0.4/h | $0.1/h | -75% |" in said
     assert "| `spec.objective.alpha` | 0\\.5 | 0\\.0 |" in said.partition("<details>")[0]
-    assert "**1 of 1 application changed.** All machines: $292.00/month before, $73.00/month after (-75%)." in said
+    assert "**1 of 1 application changed.** All machines: $292/month before, $73.00/month after (-75%)." in said
     assert "`apply` starts a new machine, and ends the old one once the new one answers" in said
     assert "![menu of demo](https://example.org/raw/abc/compiled/demo/menu.svg)" in said
     assert re.search(r"\| results \| results/demo\.yaml \| `[0-9a-f]{12}` \|", said)
@@ -97,7 +97,7 @@ def test_an_application_that_is_gone_and_one_that_stays(repository: Shell) -> No
     git(repository.folder, "rm", "-q", "-r", "specs/demo.yaml", "compiled/demo")
     said = repository("review", base, *AT).out
     assert "### demo: no longer deployed" in said
-    assert "- runs on a.large in aws/r1, $0.4/h, $292.00/month" in said
+    assert "- runs on a.large in aws/r1, $0.4/h, $292/month" in said
     assert "`fogspec down demo` ends it" in said
     assert "### other: no manifest" in said
     git(repository.folder, "rm", "-q", "-r", "specs")
@@ -227,7 +227,7 @@ def test_a_comment_is_as_long_as_github_takes_it(repository: Shell, monkeypatch:
     base = Base.of(Repository(), git(repository.folder, "rev-parse", "HEAD"))
     (inputs,) = Inputs.load(["specs/demo.yaml"], audit=True)
     one = review(status(inputs, try_compile(inputs)), base, Policies())
-    stale = dataclasses.replace(one, status=dataclasses.replace(one.status, refused="over the budget " * 20))
+    stale = dataclasses.replace(one, fresh=False, refused="over the budget " * 20)
     for number in (1, 20, 30, 300, 3000):
         reviews = many(one, number)
         reviews[-1] = dataclasses.replace(

@@ -28,7 +28,7 @@ def test_a_bench_records_the_server_of_each_sample(tiny: Deployed) -> None:
         assert one.server.threads
         assert one.server.steal is not None
     assert f"1cpu-1gib: {results.spec.samples[0].server.cpu}" in tiny("explain", "tiny").stdout
-    tiny("report", "tiny", "--to", "page.html")
+    tiny("report", "tiny", "--out", "page.html")
     assert "measured on" in (tiny.folder / "page.html").read_text()
 
 

@@ -11,10 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from fogspec.backends import registry
 from fogspec.backends.local.backend import LocalDeployments
 from fogspec.deploy import git_store, shared_state
 from fogspec.deploy.git_store import GitStore
 from tests.support.deployed import Deployed, app  # noqa: F401
+from tests.support.fake_sky import Cloud, beside
 from tests.support.forking import forked
 from tests.support.scenes import until
 
@@ -245,7 +247,12 @@ def test_a_store_that_goes_away_in_the_middle(team: Team) -> None:
     assert team.alive() == 0
 
 
-def test_a_damaged_record_is_said_kept_and_no_machine_is_lost(team: Team) -> None:
+def test_a_damaged_record_is_said_kept_and_no_machine_is_lost(
+    team: Team, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What cannot be read may have named a cloud: SkyPilot is asked too, and has no machine.
+    cloud = Cloud(tmp_path / "cloud")
+    monkeypatch.setattr(registry, "deployment_backend", beside(registry.deployment_backend, cloud))
     team.first.apply()
     whole = team.record()
     team.put(whole[: len(whole) // 2])
@@ -325,6 +332,11 @@ def test_adopt_refuses_what_does_not_answer(team: Team) -> None:
         (PROJECT.replace("git}", "git+https://user:secret@example.org/a.git}"), "fogspec.yaml:3:"),
         (PROJECT.replace("git}", "git+file:///tmp/a.git}"), "fogspec.yaml:3:"),
         (PROJECT.replace("git}", "s3}"), "fogspec.yaml:3:"),
+        (PROJECT.replace("git}", "'file:///tmp/a'}"), "fogspec.yaml:3:"),
+        (PROJECT.replace("git}", "'s3://user:secret@bucket/a'}"), "fogspec.yaml:3:"),
+        (PROJECT.replace("git}", "'simplecache::s3://bucket/a'}"), "fogspec.yaml:3:"),
+        (PROJECT.replace("git}", "'s3://bucket/../other'}"), "fogspec.yaml:3:"),
+        (PROJECT.replace("git}", "'az://bucket@account.example.org/a'}"), "fogspec.yaml:3:"),
         (PROJECT.replace("state:", "stat:"), "fogspec.yaml:3:"),
         ("{", "fogspec.yaml:1:"),
         ("", "fogspec.yaml"),
@@ -341,7 +353,10 @@ def test_a_wrong_setting_is_located(team: Team, text: str, said: str) -> None:
 def test_git_without_origin_says_what_to_do(team: Team) -> None:
     git("remote", "remove", "origin", folder=team.first.folder)
     assert "git remote add origin URL" in team.first.apply(code=1).stderr
-    assert "write folder, git, or git+URL" in team.first.apply(code=1, env={"FOGSPEC_STATE": "s3://a"}).stderr
+    assert (
+        "write folder, git, git+URL, or s3://BUCKET/PREFIX"
+        in team.first.apply(code=1, env={"FOGSPEC_STATE": "s3:"}).stderr
+    )
 
 
 def test_another_repository_has_the_state(team: Team, tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ FOLLOWS = (
     (("report", "demo", *AT), f"apply {MANIFEST} --dry-run --catalog offers.csv"),
     (("status", *AT), f"apply {MANIFEST} --dry-run --catalog offers.csv"),
     (("verify", MANIFEST, *AT), f"apply {MANIFEST} --dry-run --catalog offers.csv"),
-    (("apply", MANIFEST, *AT, "--dry-run", "--max", "$9/h"), f"apply {MANIFEST} --catalog offers.csv --max '$9/h'"),
+    (("apply", MANIFEST, *AT, "--dry-run", "--max", "$9/h"), f"apply {MANIFEST} --max '$9/h' --catalog offers.csv"),
     (("bench", "demo", "--dry-run", *AT), "compile specs/demo.yaml --catalog offers.csv"),
     (("lock", "demo", *AT), "compile demo --catalog offers.csv"),
 )
@@ -137,7 +137,7 @@ def test_lines_fit_a_terminal_of_80_columns(done: Shell, monkeypatch: pytest.Mon
     wide = []
     for words in COMMANDS:
         ended = done(*words, code=None)
-        assert ended.code in (0, 1, 4)
+        assert ended.code in (0, 1, 4, 6)
         for line in ESCAPES.sub("", ended.out + ended.err).splitlines():
             word = max(line.split(), key=len, default="")
             copied = (

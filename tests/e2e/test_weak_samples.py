@@ -256,7 +256,7 @@ def test_samples_against_the_ranges_widen_them_and_what_was_assumed_is_said(shel
     assert "which is widened by a factor of" in text
     assert widened in manifest
     assert assumed in manifest
-    shell("report", "specs/demo.yaml", "--catalog", "offers.csv", "--to", "page.html")
+    shell("report", "specs/demo.yaml", "--catalog", "offers.csv", "--out", "page.html")
     assert "ranges of predictions are widened" in (shell.folder / "page.html").read_text()
     spread = compiled(shell, [sample(name, 4 / SHAPES[name][0]) for name in names])["menu"]["warnings"]
     assert not [text for text in spread if "widened" in text or "is assumed to err" in text]

@@ -225,7 +225,9 @@ def test_a_machine_that_is_up_in_sessions_costs_them_and_their_start_up(checkout
     assert one["instance"] == other["instance"] == "c6i.large"
     assert (one["usd_per_month"], other["usd_per_month"]) == (62.05, 0.15)
     assert (one["cost_usd_per_request"], other["cost_usd_per_request"]) == (0.00002361, 0.00002951)
-    assert "up for 20min after 5min of start-up, 1/week: 1.81 h a month" in fogspec(checkout, "menu", "vslam-recorded")
+    assert "up for 20 min after 5 min of start-up, 1/week: 1.81 h per month" in fogspec(
+        checkout, "menu", "vslam-recorded"
+    )
 
 
 def test_the_savings_of_the_paper_are_ratios_of_prices_per_hour():

@@ -163,7 +163,7 @@ def test_straight_families_are_lsq_linear(latency_s, shape):
 @settings(max_examples=15)
 @given(latencies, st.sampled_from(CURVED))
 def test_no_start_of_least_squares_finds_a_better_curve(latency_s, shape):
-    """Held to 0.1 % of the variance: the narrowed grid stays in the basin that its first round finds."""
+    """Held to 0.1% of the variance: the narrowed grid stays in the basin that its first round finds."""
     fit = next((fit for fit in fit_all(CPUS, MEMORY, latency_s) if fit.shape == shape), None)
     assert fit is not None
     axis = 0 if shape.nonlinear[0] else 1

@@ -149,7 +149,9 @@ def observe(net: Net, graph: list[dict[str, Any]], seconds: float) -> tuple[Obse
     """Run the graph and watch it; returns what was seen, and what was true in that time."""
     truth, out = net.folder / "truth", net.folder / "robot.json"
     robot = net.python("robot", str(NODES / "graph.py"), json.dumps(graph), str(truth))
-    time.sleep(2.0)
+    while "ready" not in robot.said():
+        assert robot.popen.poll() is None, robot.said()
+        time.sleep(0.1)
     watched = net.run(["python3", str(AGENT), "watch", "--for", str(seconds), "--out", str(out)], seconds + 40)
     assert watched.returncode == 0, watched.stderr + robot.said()
     robot.stop()
@@ -222,8 +224,8 @@ def main() -> None:
     wrong = sum(len(one.wrong) for one in scores)
     errors = [abs(error) for one in scores for error in one.errors.values()]
     print(f"{len(scores)} graphs: {right} of {expected} pairs found, {wrong} proposed that do not exist; error of the median "
-          f"latency: median {100 * statistics.median(errors or [0]):.2f} %, largest {100 * max(errors or [0]):.2f} %; "
-          f"CPU of the watcher: median {100 * statistics.median(one.cpu for one in scores):.1f} % of a core")  # fmt: skip
+          f"latency: median {100 * statistics.median(errors or [0]):.2f}%, largest {100 * max(errors or [0]):.2f}%; "
+          f"CPU of the watcher: median {100 * statistics.median(one.cpu for one in scores):.1f}% of a core")  # fmt: skip
 
 
 if __name__ == "__main__":

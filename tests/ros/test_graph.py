@@ -3,12 +3,14 @@
 import json
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from tests.conftest import ROOT
 from tests.ros.graphs import GRAPHS, NODES, observe, score, source, ticker, worker
 from tests.ros.namespaces import PYTHON, Net
+from tests.support.agent import AGENT
 
 FOGSPEC = [str(ROOT / ".venv" / "bin" / "fogspec")] if (ROOT / ".venv").is_dir() else [sys.executable, "-m", "fogspec"]
 
@@ -47,7 +49,10 @@ def test_from_a_robot_that_runs_to_a_spec_that_compiles(net: Net) -> None:
     camera = net.python("camera", str(NODES / "graph.py"), json.dumps([source("/rgb", "image", 10)]), truth)
     net.start("detector", [str(PYTHON), str(program), json.dumps([detector]), truth,
                            "--ros-args", "-r", "/image:=/rgb"])  # fmt: skip
-    time.sleep(2.0)
+    # An answer needs both nodes; how long they take to start is the machine's affair.
+    while not Path(truth).exists() or not Path(truth).stat().st_size:
+        assert camera.popen.poll() is None, camera.said()
+        time.sleep(0.1)
     made = net.run([*FOGSPEC, "init", "arm", "--from-graph", "--watch", "5s", "--record", "3s"], 120)
     assert made.returncode == 0, made.stderr
     assert "by stamp, p50 " in made.stdout
@@ -76,6 +81,40 @@ def test_from_a_robot_that_runs_to_a_spec_that_compiles(net: Net) -> None:
     again = net.run([*FOGSPEC, "init", "other", "--from-graph", "--watch", "3s", "--record", "2s"], 120)
     assert "no request and response were found" in again.stderr
     assert not (net.folder / "specs" / "data" / "other").exists()
+
+
+LOOKS = """\
+import sys
+sys.path.insert(0, sys.argv[1])
+import rclpy
+from fogspec_agent import watch
+rclpy.init()
+node = rclpy.create_node("looks")
+robot = watch.Robot(watch.Graph(node), watch.Listener(node), watch.Observations())
+heard = robot.heard.counts
+while not heard.get("/rgb"):
+    robot.look() and robot.listen()
+    robot.listener.poll()
+print("first", *robot.topics["/rgb"]["subscribers"], flush=True)
+while not heard.get("/pose"):
+    robot.look() and robot.listen()
+    robot.listener.poll()
+while "/worker_pose" not in robot.topics["/rgb"]["subscribers"]:
+    robot.look()
+print("then", *robot.topics["/pose"]["publishers"], robot.processes.of("/worker_pose")["argv"][1], flush=True)
+"""
+
+
+def test_a_node_that_starts_during_the_watch_is_seen(net: Net) -> None:
+    program, truth = str(NODES / "graph.py"), str(net.folder / "truth")
+    net.python("camera", program, json.dumps([source("/rgb", "image", 10)]), truth)
+    looks = net.python("looks", "-c", LOOKS, str(AGENT))
+    while looks.said() != "first\n":
+        assert looks.popen.poll() is None, looks.said()
+        time.sleep(0.1)
+    net.python("late", program, json.dumps([worker("/rgb", "/pose", 0.01)]), truth)
+    assert looks.popen.wait(200) == 0, looks.said()
+    assert looks.said() == f"first\nthen /worker_pose {program}\n"
 
 
 @pytest.mark.parametrize("words", [("--watch", "2s")])

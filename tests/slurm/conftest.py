@@ -36,7 +36,7 @@ class Abandoned:
     request: str
     was_up: bool = False
 
-    def up(self, patience_s: float = 240.0) -> None:
+    def up(self, patience_s: float = 900.0) -> None:
         """Wait until it was there; to be asked before a test ends the API server that knows."""
         end = time.monotonic() + patience_s
         while not self.was_up:
@@ -62,7 +62,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """An engine is slow on a busy machine."""
     for item in items:
         if Path(__file__).parent in item.path.parents:
-            item.add_marker(pytest.mark.timeout(900))
+            item.add_marker(pytest.mark.timeout(1800))
 
 
 @pytest.fixture(scope="session")
@@ -70,7 +70,9 @@ def cluster() -> Path:
     """The folder of the cluster beside which this runs."""
     if apart.FOLDER not in os.environ:
         pytest.skip(missing() or "needs a cluster: make slurm-test")
-    return Path(os.environ[apart.FOLDER])
+    folder = Path(os.environ[apart.FOLDER])
+    engine.start(engine.environment(folder))
+    return folder
 
 
 @pytest.fixture

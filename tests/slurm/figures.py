@@ -1,4 +1,4 @@
-"""Figures of the runner on a real SkyPilot over a real Slurm: `make slurm-figures`.
+"""Figures of the runner on a real SkyPilot: over a real Slurm, `make slurm-figures`; tests.aws.figures has AWS's.
 
 What a cloud adds to it is the time that its machines take to boot; what is printed is SkyPilot's and fogspec's own.
 """
@@ -9,33 +9,44 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.slurm.site import Site, recorded
 from tests.tools import apart
 
+STARTS_S = 600.0
 SHAPES = ("2CPU--4GB", "2CPU--16GB", "16CPU--32GB", "64CPU--128GB")
 
 
-def main() -> None:
-    """Measure four shapes one after the other and all at once, beside a cluster."""
+def main(kind: type[Site] = Site, shapes: Sequence[str] = SHAPES) -> None:
+    """Measure shapes one after the other and all at once, and deploy one, beside an engine."""
     with tempfile.TemporaryDirectory() as scratch:
-        _figures(Site(Path(os.environ[apart.FOLDER]), Path(scratch) / "project"))
+        _figures(kind(Path(os.environ[apart.FOLDER]), Path(scratch) / "project"), shapes)
 
 
-def _figures(site: Site) -> None:
-    warm = _bench(site, "warm", SHAPES[:1])  # starts the API server, which stays
-    print(f"first bench, with the start of SkyPilot's API server: {warm:.1f} s")
-    one = _bench(site, "single", SHAPES[:1])
+def _figures(site: Site, shapes: Sequence[str]) -> None:
+    print(f"load of this computer before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} CPUs")
+    begun = time.monotonic()
+    spec = site.write("warm", list(shapes[:1]))
+    while "SkyPilot has access" not in site.run("doctor", spec, *site.at, code=None).stdout:
+        if time.monotonic() > begun + STARTS_S:
+            raise SystemExit("SkyPilot's API server did not start")
+    print(f"SkyPilot's API server started, and asked for access, after {time.monotonic() - begun:.1f} s")
+    one = _bench(site, "single", shapes[:1])
     record = next(iter(site.results("single").values()))
+    measuring = record.measuring or 0
     print(
-        f"one sample: {one:.1f} s, of which {record.measuring or 0:.1f} s measuring; paid for {record.duration:.1f} s"
+        f"one sample: {one:.1f} s, of which {measuring:.1f} s measuring, so {one - measuring:.1f} s overhead; "
+        f"paid for {record.duration:.1f} s"
     )
-    many = _bench(site, "many", SHAPES)
+    many = _bench(site, "many", shapes)
     longest = max(record.duration for record in site.results("many").values())
-    ratio = many / longest
-    print(f"{len(SHAPES)} samples at once: {many:.1f} s; the longest was paid for {longest:.1f} s: {ratio:.2f} of that")
-    _applied(site)
+    print(
+        f"{len(shapes)} samples at once: {many:.1f} s; the longest was paid for {longest:.1f} s: {many / longest:.2f} of "
+        f"that; {len(shapes) * one / many:.1f} times as fast as so many samples one after the other"
+    )
+    _applied(site, shapes[0])
     print(f"left: {len(site.left())} machines")
 
 
@@ -45,9 +56,9 @@ print(json.dumps(sky.get(sky.queue(sys.argv[1], all_users=True))[0]["start_at"])
 """
 
 
-def _applied(site: Site, runs: int = 3) -> None:
+def _applied(site: Site, shape: str, runs: int = 3) -> None:
     """From the start of `apply` to the first answered request: whose time it is, in the middle one of some runs."""
-    spec = site.write("served", list(SHAPES[:1]))
+    spec = site.write("served", [shape])
     site.compile(spec)
     recorded(site, "served")
     site.compile(spec)
@@ -63,7 +74,7 @@ def _applied(site: Site, runs: int = 3) -> None:
 def _shares(site: Site, spec: str) -> tuple[float, float, float, float]:
     """Seconds until SkyPilot is asked, to the job, to the first answered request, and until `apply` has ended."""
     begun = time.time()
-    words = site._argv(("apply", "compiled/served/manifest.yaml", "--catalog", site.prices, "--yes", "-o", "json"))
+    words = site._argv(("apply", "compiled/served/manifest.yaml", *site.at, "--yes", "-o", "json"))
     with subprocess.Popen(words, cwd=site.project, env=site._env(), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                           text=True) as apply:  # fmt: skip
         assert apply.stderr is not None
@@ -76,18 +87,18 @@ def _shares(site: Site, spec: str) -> tuple[float, float, float, float]:
     started = float(
         subprocess.run(queue, env=site._env(), capture_output=True, text=True, check=True).stdout.splitlines()[-1]
     )
-    live = json.loads(site.run("status", spec, "--catalog", site.prices, "-o", "json").stdout)[0]["deployment"]
+    live = json.loads(site.run("status", spec, *site.at, "-o", "json").stdout)[0]["deployment"]
     site.run("down", "served")
     answered = started + live["ready_s"]
     return asked - begun, started - asked, live["ready_s"], ended - answered
 
 
-def _bench(site: Site, name: str, shapes: tuple[str, ...]) -> float:
+def _bench(site: Site, name: str, shapes: Sequence[str]) -> float:
     spec = site.write(name, list(shapes), steps=100)
     site.compile(spec)
     begun = time.monotonic()
     if code := site.bench(spec).ended():
-        raise SystemExit(f"{name}: exit code {code}, see {site.project / 'bench.log'}")
+        raise SystemExit(f"{name}: exit code {code}\n{(site.project / 'bench.log').read_text()[-3000:]}")
     return time.monotonic() - begun
 
 

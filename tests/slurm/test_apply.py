@@ -32,7 +32,7 @@ def machines(site: Site, name: str) -> list[dict[str, Any]]:
     return list(YAML(typ="safe").load(path)["spec"]["machines"]) if path.exists() else []
 
 
-def observed(site: Site, spec: str, patience_s: float = 240.0) -> dict[str, Any]:
+def observed(site: Site, spec: str, patience_s: float = 900.0) -> dict[str, Any]:
     """The status once something was observed."""
     end = time.monotonic() + patience_s
     while True:

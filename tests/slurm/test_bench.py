@@ -29,8 +29,8 @@ def test_four_shapes_at_once_from_the_spec_to_the_manifest(benched: Benched) -> 
         assert one.spent == pytest.approx(one.duration * SHAPES[name] / 3600)
         assert one.timings is not None
         assert (site.project / "results" / one.timings.path).is_file()
-    longest_s = max(one.duration for one in records.values())
-    assert benched.took_s < longest_s + 30, "they ran at the same time"
+    # Two and two after each other would take half the sum.
+    assert benched.took_s < 0.5 * sum(one.duration for one in records.values()), "they ran at the same time"
     manifest = read_document(site.project / "compiled" / "life" / "manifest.yaml", Manifest)
     assert manifest.spec.infra.startswith("slurm/fogtest/")
 

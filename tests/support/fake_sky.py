@@ -43,10 +43,14 @@ class Cloud:
     machines: dict[str, Machine] = field(default_factory=dict)
     refused: dict[str, CloudProblem] = field(default_factory=dict)
     without_access: tuple[str, ...] = ()
+    known: tuple[str, ...] = ()
     fails: Callable[[str, Mapping[str, Any]], Exception | None] = lambda _op, _words: None
 
     def denied(self, clouds: Sequence[str]) -> list[str]:
         return [one for one in clouds if one in self.without_access]
+
+    def infras(self) -> list[str]:
+        return list(self.known)
 
     def launch(self, task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
         machine = self.machines[name] = Machine(self.folder / name, time.monotonic() + self.launch_s)

@@ -26,7 +26,8 @@ PROCESS = {
 }
 KEYWORDS = {
     "ExecuteProcess": PROCESS,
-    "Node": PROCESS - {"cmd"} | {"package", "executable", "namespace", "parameters", "remappings", "arguments"},
+    "Node": PROCESS - {"cmd"}
+    | {"package", "executable", "namespace", "parameters", "remappings", "arguments", "exec_name"},
     "SetEnvironmentVariable": {"name", "value"},
     "Shutdown": {"reason"},
     "LogInfo": {"msg"},

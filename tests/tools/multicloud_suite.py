@@ -1,8 +1,9 @@
 """Selection problems over the machines of several clouds, for `fogspec evaluate --suite`.
 
-`python -m tests.tools.multicloud_suite SOURCE FOLDER` makes them from the machines and latencies of a folder such as a library
-of performance priors, which is not here. Of the programs that were measured on machines of three clouds, one of each suite in
-turn is picked, in an order by digest of their names. Limits and scales are quantiles of what the machines have.
+`python -m tests.tools.multicloud_suite SOURCE FOLDER [PROGRAMS [EVERY]]` makes them from the machines and latencies of a
+folder such as a library of performance priors, which is not here. Of the programs that were measured on machines of three
+clouds, one of each suite in turn is picked, in an order by digest of their names. With EVERY a problem has one in so many
+machines, by digest, and is replayed in a fraction of the time. Limits and scales are quantiles of what the machines have.
 """
 
 import csv
@@ -20,7 +21,7 @@ FEWEST = 2000  # machines of a problem
 Row = dict[str, str]
 
 
-def main(source: Path, folder: Path) -> None:
+def main(source: Path, folder: Path, programs: int = COUNT, every: int = 1) -> None:
     """Write the suite."""
     machines = {f"{one['Cloud']}/{one['InstanceType']}": one for one in _rows(source / "machines.csv") if _plain(one)}
     latency_s: dict[str, dict[str, float]] = defaultdict(dict)
@@ -31,8 +32,8 @@ def main(source: Path, folder: Path) -> None:
             latency_s[one["workload"]][name] = float(one["latency_s"])
             suites[one["workload"]] = one["suite"]
     folder.mkdir(parents=True, exist_ok=True)
-    picked = _picked(latency_s, suites)
-    problems = [_problem(workload, latency_s[workload], machines) for workload in picked]
+    picked = _picked(latency_s, suites, programs)
+    problems = [_problem(workload, _some(workload, latency_s[workload], every), machines) for workload in picked]
     (folder / "machines.csv").write_text(_csv(list(machines.values())))
     rows = []
     for workload in picked:
@@ -55,16 +56,22 @@ def _plain(machine: Row) -> bool:
     return not machine["AcceleratorName"] and machine["Burstable"] == "0" and float(machine["Price"]) > 0
 
 
-def _picked(latency_s: dict[str, dict[str, float]], suites: dict[str, str]) -> list[str]:
+def _some(workload: str, latency_s: dict[str, float], every: int) -> dict[str, float]:
+    """Return the latencies of one in `every` machines."""
+    digests = {name: int(hashlib.sha256((workload + name).encode()).hexdigest(), 16) for name in latency_s}
+    return {name: seconds for name, seconds in latency_s.items() if digests[name] % every == 0}
+
+
+def _picked(latency_s: dict[str, dict[str, float]], suites: dict[str, str], programs: int) -> list[str]:
     left: dict[str, list[str]] = defaultdict(list)
     for workload in sorted(latency_s, key=lambda name: hashlib.sha256(name.encode()).hexdigest()):
         found = latency_s[workload]
         if len(found) >= FEWEST and len({name.partition("/")[0] for name in found}) >= 3:
             left[suites[workload]].append(workload)
     picked: list[str] = []
-    while len(picked) < COUNT and any(left.values()):
+    while len(picked) < programs and any(left.values()):
         picked += [some.pop(0) for some in left.values() if some]
-    return picked[:COUNT]
+    return picked[:programs]
 
 
 def _problem(workload: str, latency_s: dict[str, float], machines: dict[str, Row]) -> dict[str, object]:
@@ -101,4 +108,4 @@ def _csv(rows: list[Row]) -> str:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:]))

@@ -146,7 +146,7 @@ def _machine(catalog: Catalog, i: int) -> Row:
 
 
 def _published(name: str) -> Iterator[tuple[str, float]]:
-    """What the paper's authors measured: machine types and seconds."""
+    """What the paper's authors measured: instance types and seconds."""
     recorded = f"{name}-recorded"
     results = read_results(Layout.of(ROOT / "specs" / f"{recorded}.yaml", recorded))
     for sample in results.spec.samples:

@@ -24,7 +24,7 @@ SEED = 0
 ROWS = (  # name, sampler, method
     ("the paper as it is: its grid, best R², nearest neighbours", "grid", "paper"),
     ("the paper's grid, read by our model", "grid", None),
-    ("CherryPick-like: expected improvement, stop at 10 %", "cherrypick", None),
+    ("CherryPick-like: expected improvement, stop at 10%", "cherrypick", None),
     ("**fogspec**", "adaptive", None),
     ("a full sweep under the same rule", "full", "verified"),
     ("only the best machine (an oracle)", "best", None),
@@ -122,7 +122,7 @@ def _short(scores: dict[str, Any]) -> str:
 
 
 def _percent(share: float, digits: int) -> str:
-    return f"{100 * share:.{digits}f} %"
+    return f"{100 * share:.{digits}f}%"
 
 
 def main(arguments: list[str]) -> int:

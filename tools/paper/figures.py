@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fogspec.base.templates import render
+from fogspec.base.units import shown_percent
 from fogspec.charts.axes import axis, money, number, seconds
 from fogspec.charts.frame import Frame, Mark, frame
 from fogspec.charts.menu_svg import laid_out
@@ -29,17 +30,17 @@ def charts() -> dict[Path, str]:
     four, runs = cases(), own_runs()
     return {
         FOLDER / "paper-latency.svg": _page(
-            "Latency by vCPUs, in the four applications of the paper",
+            "SLAM slows down beyond 16 vCPUs; the others get faster",
             [_by_vcpus(one, *_corner(i), of_cost=False) for i, one in enumerate(four)],
             [("measured meets", "measured"), ("gpu", "measured, with a T4"), ("curve", "paper's curve")],
         ),
         FOLDER / "paper-cost.svg": _page(
-            "Cost by vCPUs, in the four applications of the paper",
+            "With 64 vCPUs a request costs more than with 2, in all four applications",
             [_by_vcpus(one, *_corner(i), of_cost=True) for i, one in enumerate(four)],
             [("measured meets", "measured"), ("gpu", "measured, with a T4"), ("curve", "paper's curve")],
         ),
         FOLDER / "paper-frontiers.svg": _page(
-            "Pareto frontiers, measured and of all machines",
+            "Predicted machines fill the gaps of the measured Pareto frontier",
             [_frontier(one, *_corner(i)) for i, one in enumerate(four)],
             [("measured meets", "measured"), ("predicted misses", "predicted"), ("curve", "frontier of all machines"),
              ("paper", "frontier of the measured ones")],
@@ -88,9 +89,18 @@ def _path_lengths(runs: tuple[OwnRun, ...]) -> str:
             ]
             frames.append(found)
     source = f"Our own runs, on {', '.join(dict.fromkeys(run.where for run in runs))}; both axes logarithmic"
-    return _page(
-        "Latency and path length, in our own runs", frames, [("measured meets", "measured")], source, len(runs)
-    )
+    return _page(_paths_title(runs), frames, [("measured meets", "measured")], source, len(runs))
+
+
+def _paths_title(runs: tuple[OwnRun, ...]) -> str:
+    """Return what more vCPUs change in our own runs, as ratios of the largest shape to the smallest."""
+    ends = [(min(run.samples, key=lambda one: one[1]), max(run.samples, key=lambda one: one[1])) for run in runs]
+    latency, length = (max(float(most[at]) / float(least[at]) for least, most in ends) for at in (2, 3))
+    few, many = (sorted({one[i][1] for one in ends}) for i in (0, 1))
+    if len(few) > 1 or len(many) > 1 or few == many:
+        return "Latency and path length by vCPUs, in our own runs"
+    saved = [f"{shown_percent(max(1 - ratio, 0.0))} of the {of}" for ratio, of in ((latency, "time"), (length, "path"))]
+    return f"{many[0]:g} vCPUs save at least {' and '.join(saved)}"
 
 
 def _by_vcpus(case: Case, left: float, top: float, *, of_cost: bool) -> Frame:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fogspec.base.units import HOURS_PER_MONTH, dollars, format_duration, rounded
+from fogspec.base.units import HOURS_PER_MONTH, dollars, rounded, shown_duration
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Floats
 from fogspec.choice.choose import Choice, choose
@@ -70,7 +70,7 @@ def _list(values: Sequence[float]) -> str:
 def _percent(fraction: float | None) -> str:
     if fraction is None or not np.isfinite(fraction):
         return "-"
-    return f"{CENTS * fraction:,.0f} %" if fraction >= 1 else f"{CENTS * fraction:.3g} %"
+    return f"{CENTS * fraction:,.0f}%" if fraction >= 1 else f"{CENTS * fraction:.3g}%"
 
 
 def _table_1() -> Section:
@@ -193,7 +193,7 @@ def _prices() -> Section:
         plane = relaxation.price_surface(vcpus, memory, price)(vcpus, memory)
         total = ((price - price.mean()) ** 2).sum()
         r2 = 1 - ((price - plane) ** 2).sum() / total
-        rows.append((case.title, f"{r2:.5f}", _percent(float(np.abs(plane / price - 1).max())), "0 %"))
+        rows.append((case.title, f"{r2:.5f}", _percent(float(np.abs(plane / price - 1).max())), "0%"))
     return Section(
         title="The cost model",
         before="Price per hour over 3600 times the seconds of a request (section 2.D). The relaxation needs a price "
@@ -270,7 +270,7 @@ def _path_length() -> Section:
             run.name,
             machine,
             f"{vcpus:g}",
-            f"{format_duration(rounded(latency_s, 3))}",
+            f"{shown_duration(rounded(latency_s, 3))}",
             f"{length:.4g} {run.unit}".strip(),
         )
         for run in own_runs()
@@ -330,7 +330,7 @@ def _choice_rows() -> Iterator[tuple[str, ...]]:
 
 
 def _machine(choice: Choice, row: int, latency_s: float) -> str:
-    return f"{choice.offers.instance[row]}: {format_duration(rounded(latency_s, 3))}"
+    return f"{choice.offers.instance[row]}: {shown_duration(rounded(latency_s, 3))}"
 
 
 def _why(choice: Choice, relaxed: Relaxed) -> str:
@@ -343,7 +343,7 @@ def _why(choice: Choice, relaxed: Relaxed) -> str:
     how = "measured" if choice.latency.measured[row] else "predicted"
     more = float(choice.objective[row] / choice.objective[best] - 1)
     return (
-        f"{choice.offers.instance[row]} is {how} at {format_duration(rounded(latency_s, 3))}: "
+        f"{choice.offers.instance[row]} is {how} at {shown_duration(rounded(latency_s, 3))}: "
         f"its objective is {_percent(more)} larger"
     )
 
@@ -425,7 +425,7 @@ def _vacuum() -> Section:
         spec = cases()[0].application.spec.model_copy(update={"objective": objective})
         costs = Costs.of(spec, np.array([price]), np.array([False]))
         month, request = float(costs.usd_per_month[0]), float(costs.per_request(np.array([0.01]))[0])
-        started = f"with {format_duration(startup_s)} of start-up" if startup_s else "without start-up"
+        started = f"with {shown_duration(startup_s)} of start-up" if startup_s else "without start-up"
         rows.append(
             (
                 f"20 minutes a week, {started}",

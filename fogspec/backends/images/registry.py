@@ -1,4 +1,4 @@
-"""Resolves an image's tag to its digest by the registry's own protocol: one request for the manifest, none for layers.
+"""Resolves an image's tag to its digest, and tells its CPUs, by the registry's own protocol: manifests, never layers.
 
 Sources: OCI Distribution Specification 1.1, "Pulling manifests"; distribution.github.io/distribution, "Token
 authentication". A registry on this host's loopback is queried by plain HTTP, as docker does; all others by HTTPS. Credentials
@@ -15,10 +15,11 @@ import threading
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from email.message import Message
 from functools import partial
 from http.client import HTTPException, HTTPMessage
+from typing import Any, TypeVar
 
 from fogspec.backends.images.credentials import Credentials, credentials
 from fogspec.base.errors import CloudError, InvalidInput
@@ -32,9 +33,17 @@ TIMEOUT_S = 20.0  # without a byte
 DEADLINE_S = 60.0  # for a whole answer: one byte now and then is no answer
 MAX_BYTES = 4 << 20  # of a manifest: the specification's limit
 LONGEST_CHALLENGE = 4096
+# OCI Image Specification, "Image Index" and "Image Configuration": GOARCH's names.
+ARCHITECTURES = {"x86_64": "amd64", "arm64": "arm64"}
+BLOB = re.compile(r"sha256:[0-9a-f]{64}")
 PARAMETER = re.compile(r'(\w+)="([^"]*)"')
 
 Answer = tuple[HTTPMessage, bytes]
+ResultT = TypeVar("ResultT")
+
+
+class NotShown(InvalidInput):
+    """The registry requires another login than this computer's, if any; a machine may have one."""
 
 
 class Registry:
@@ -46,22 +55,40 @@ class Registry:
         Raise InvalidInput for an invalid name or one that the registry does not have or not show,
         CloudError if the registry does not answer.
         """
-        try:
-            image = image_of(name)
-        except ValueError as wrong:
-            raise InvalidInput(str(wrong)) from None
-        try:
-            return _in_time(partial(_digest, name, image))
-        except urllib.error.HTTPError as refused:
-            raise _refused(name, image, refused) from None
-        except (OSError, HTTPException, ValueError) as problem:
-            reason = getattr(problem, "reason", None) or problem
-            raise CloudError(f"{name}: the registry {image.registry} cannot be asked: {reason}") from None
+        return _asked(name, partial(_digest, name))
+
+    def check(self, name: str, architectures: Sequence[str]) -> None:
+        """Raise InvalidInput if the registry does not have the image, or has it for other CPUs than one of `architectures`.
+
+        They are named as in spec.hardware.arch. An image that does not say its CPU passes. Raise NotShown if the registry
+        requires a login, CloudError if it does not answer.
+        """
+        has = _asked(name, _architectures)
+        if missing := [one for one in architectures if has and ARCHITECTURES[one] not in has]:
+            raise InvalidInput(
+                f"{name}: is for {', '.join(sorted(has))}, and spec.hardware.arch has {', '.join(missing)}",
+                f"build and push it for linux/{ARCHITECTURES[missing[0]]}, or change spec.hardware.arch",
+            )
 
 
-def _in_time(work: Callable[[], str]) -> str:
+def _asked(name: str, ask: Callable[[Image], ResultT]) -> ResultT:
+    """Return what the registry of an image answers; raise as `Registry.digest`."""
+    try:
+        image = image_of(name)
+    except ValueError as wrong:
+        raise InvalidInput(str(wrong)) from None
+    try:
+        return _in_time(partial(ask, image))
+    except urllib.error.HTTPError as refused:
+        raise _refused(name, image, refused) from None
+    except (OSError, HTTPException, ValueError) as problem:
+        reason = getattr(problem, "reason", None) or problem
+        raise CloudError(f"{name}: the registry {image.registry} cannot be asked: {reason}") from None
+
+
+def _in_time(work: Callable[[], ResultT]) -> ResultT:
     """Return the result of `work`; raise TimeoutError after `DEADLINE_S`, and leave it to its thread, which ends with us."""
-    ended: queue.SimpleQueue[str | Exception] = queue.SimpleQueue()
+    ended: queue.SimpleQueue[ResultT | Exception] = queue.SimpleQueue()
 
     def run() -> None:
         try:
@@ -79,15 +106,40 @@ def _in_time(work: Callable[[], str]) -> str:
     return result
 
 
-def _digest(name: str, image: Image) -> str:
-    url = f"{_address(image.registry)}/v2/{image.repository}/manifests/{image.digest or image.tag}"
-    headers = {"Accept": ACCEPT}
+def _architectures(image: Image) -> frozenset[str]:
+    """Return the CPUs that a Linux image is for, from its index or else its configuration; none if they do not say."""
+    manifest = _mapping(_fetch(image, f"manifests/{image.digest or image.tag}")[1])
+    listed = manifest.get("manifests")
+    if isinstance(listed, list):
+        told = [one.get("platform") for one in listed if isinstance(one, dict)]
+    else:
+        config = manifest.get("config")
+        digest = str(config.get("digest")) if isinstance(config, dict) else ""
+        if not BLOB.fullmatch(digest):
+            return frozenset()
+        told = [_mapping(_fetch(image, f"blobs/{digest}")[1])]
+    found = [one.get("architecture") for one in told if isinstance(one, dict) and one.get("os", "linux") == "linux"]
+    return frozenset(one for one in found if isinstance(one, str) and re.fullmatch(r"[a-z0-9]{1,20}", one))
+
+
+def _mapping(content: bytes) -> Mapping[str, Any]:
+    value = json.loads(content)
+    return value if isinstance(value, dict) else {}
+
+
+def _fetch(image: Image, what: str) -> Answer:
+    """Return a manifest or a configuration, with a login if the registry requires one."""
+    url, headers = f"{_address(image.registry)}/v2/{image.repository}/{what}", {"Accept": ACCEPT}
     try:
-        said, body = _get(url, headers)
+        return _get(url, headers)
     except urllib.error.HTTPError as refused:
         if refused.code != 401:
             raise
-        said, body = _get(url, headers | _authorization(image, refused.headers))
+        return _get(url, headers | _authorization(image, refused.headers))
+
+
+def _digest(name: str, image: Image) -> str:
+    said, body = _fetch(image, f"manifests/{image.digest or image.tag}")
     found = f"sha256:{hashlib.sha256(body).hexdigest()}"
     told = said.get("Docker-Content-Digest", found)
     if told != found:
@@ -171,6 +223,6 @@ def _refused(name: str, image: Image, refused: urllib.error.HTTPError) -> Invali
     if refused.code == 404:
         return InvalidInput(f"{name}: the registry {image.registry} has no such image")
     if refused.code in (401, 403):
-        return InvalidInput(f"{name}: the registry {image.registry} does not show it", f"docker login {image.registry}")
+        return NotShown(f"{name}: the registry {image.registry} does not show it", f"docker login {image.registry}")
     wait = " for now: too many requests" if refused.code == 429 else ""
     return CloudError(f"{name}: the registry {image.registry} refuses{wait} (HTTP {refused.code})")

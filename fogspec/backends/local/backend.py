@@ -26,6 +26,7 @@ from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefuse
 from fogspec.backends.task_check import check_sources
 from fogspec.base import child
 from fogspec.base.project_files import LinkedPath
+from fogspec.base.text import count
 from fogspec.catalog.machine import Machine
 from fogspec.results.schema import Reason
 
@@ -158,8 +159,8 @@ class LocalSamples(LocalBackend):
         kept_back = len(os.environ) - len(environment.passed(os.environ))
         self.notes = (
             f"samples run on this host: CPUs by affinity, memory {memory}",
-            f"{kept_back} variables of your environment are kept from the nodes; to pass one on, name it in spec.secrets "
-            "or give it a value in the node's env",
+            f"kept from the nodes: {count(kept_back, 'variable')} of your environment; to pass one on, name it in "
+            "spec.secrets or give it a value in the node's env",
         )
 
     def _workdir(self, job: Job) -> Path:

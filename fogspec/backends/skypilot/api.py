@@ -45,6 +45,11 @@ def _not_enabled(clouds: Sequence[str]) -> list[str]:
     return [one for one in clouds if one.lower() not in enabled]
 
 
+def infras() -> list[str]:
+    """Return the places that SkyPilot has access to, with the names of contexts, node pools and Slurm clusters."""
+    return [str(one) for one in sky.get(sdk.enabled_clouds(expand=True))]
+
+
 def launch(task: Mapping[str, Any], name: str, root: str) -> dict[str, Any]:
     """Request the task on a new machine of this name; return the request's id."""
     given = _with_secrets(_absolute(task, Path(root)), _ours(name))
@@ -202,30 +207,45 @@ def waiting(prefix: str = PREFIX) -> list[str]:
     return [name for name in dict.fromkeys(names) if name.startswith(prefix)]
 
 
-def end(name: str) -> None:
+def end(name: str) -> int:
     """Cancel its launch, take it down, and verify with its cloud that it is gone.
+
+    Return how many machines of this name the cloud had, as far as it lists those that have ended: SkyPilot starts another in
+    the next zone if it does not see the first, which is paid too.
 
     If SkyPilot does not know it, check again after SETTLE_S: the launch request may still be in flight.
     """
     secrets_file.forget(_ours(name))
-    if not _end(name):
+    known, machines = _end(name)
+    if not known:
         time.sleep(SETTLE_S)
-        _end(name)
+        machines = max(machines, _end(name)[1])
+    return machines
 
 
-def _end(name: str) -> bool:
-    """Return whether SkyPilot knew the machine, or a launch of it."""
+def _end(name: str) -> tuple[bool, int]:
+    """Return whether SkyPilot knew the machine, or a launch of it, and how many the cloud had."""
     asked = _launches(name, finished=True)
     if pending := [one.request_id for one in asked if _word(one.status) in UNFINISHED]:
         sky.get(sky.api_cancel(pending, silent=True))
+    launched_until_s = time.time() if pending else _launched_until_s(asked)
     known = bool(asked)
     with contextlib.suppress(exceptions.ClusterDoesNotExist):
         sky.get(sky.down(_ours(name)))
         known = True
     if _launches(name, finished=False) or clusters(names=[name], refresh=True):
         raise CloudProblem("setup", f"{name} is still there", again=True)
-    await_gone(name)
-    return known
+    return known, await_gone(name, launched_until_s)
+
+
+def _launched_until_s(asked: Sequence[Any]) -> float | None:
+    """Return when a launch was last in progress, in seconds since the epoch; None if the newest has succeeded.
+
+    An API server that was restarted since has forgotten when it ended: it may have been cut off just now.
+    """
+    if asked and _word(asked[0].status) == "SUCCEEDED":
+        return None
+    return float((getattr(asked[0], "finished_at", None) if asked else None) or time.time())
 
 
 def autostop(name: str, idle_minutes: int, down: bool = True) -> None:
@@ -274,5 +294,6 @@ def _word(status: Any) -> str:
 
 
 OPERATIONS: Mapping[str, Callable[..., Any]] = {
-    one.__name__: one for one in (hello, denied, launch, launched, find, jobs, log, clusters, waiting, end, autostop)
+    one.__name__: one
+    for one in (hello, denied, infras, launch, launched, find, jobs, log, clusters, waiting, end, autostop)
 }

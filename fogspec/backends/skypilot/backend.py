@@ -25,13 +25,17 @@ from fogspec.backends.skypilot.errors import FORGOTTEN, CloudProblem
 from fogspec.backends.skypilot.job_outcome import LOG, load, save
 from fogspec.backends.skypilot.logs import LogTail
 from fogspec.backends.task_check import check_sources, check_task
-from fogspec.base.clouds import cloud_of
+from fogspec.base.clouds import cloud_of, split_infra
 from fogspec.base.errors import CloudError
+from fogspec.base.text import shell_command, visible
 
+# A machine that starts takes a process of SkyPilot's API server, 0.4 GiB by its own count (LONG_WORKER_MEM_GB): eight fit
+# beside other work on a laptop. A mistake in the set-up then costs eight machines, not the whole plan.
 AT_ONCE = 8
 LAUNCH_POLL_S = 2.0
 JOB_POLL_S = 10.0
 HANGS_S = 300.0
+NAMED = 6  # places in a message
 READS = 3  # of a log that lacks its end: it may have been cut on its way
 ACCESS_S = 300.0  # it may have to start an API server and to ask each cloud
 CALL_S = 240.0  # the first call may have to start an API server
@@ -71,19 +75,41 @@ class SkyPilotBackend:
             raise Unreachable(str(problem)) from None
 
     def check_access(self, places: Collection[str]) -> None:
-        """Raise CloudError if SkyPilot does not answer, or has no access to the cloud of one of these places."""
+        """Raise CloudError if SkyPilot does not answer, or has no access to the cloud, context or cluster of a place."""
         clouds = sorted({cloud_of(place).name for place in places})
         try:
             denied = self._client.call("denied", ACCESS_S, clouds=clouds)
+            named = sorted({name for place in places if (name := _pool(place)) is not None})
+            known = self._client.call("infras", ACCESS_S) if named and not denied else []
         except (CloudProblem, Unreachable) as problem:
             raise CloudError(
                 f"SkyPilot does not answer: {problem}", "see what it says itself: sky api status"
             ) from None
         if denied:
             raise no_access(f"it has no access to {', '.join(denied)}", denied)
+        for name in named:
+            _check_known(name, known)
 
     def _call(self, op: str, **arguments: Any) -> Any:
         return self._client.call(op, CALL_S, **arguments)
+
+
+def _pool(place: str) -> str | None:
+    """Return the context, node pool or Slurm cluster that a place names, with its cloud; None if it names none."""
+    cloud, (_, *below) = cloud_of(place), split_infra(place)
+    return f"{cloud.name}/{below[0]}" if below and (cloud.context_regions or cloud.places_in_zones) else None
+
+
+def _check_known(name: str, known: Sequence[str]) -> None:
+    """Raise CloudError if SkyPilot has other contexts, pools or clusters, and not this one."""
+    cloud = name.partition("/")[0]
+    others = sorted(one for one in known if one.lower().startswith(f"{cloud}/"))
+    if others and name.partition("/")[2] not in {one.partition("/")[2] for one in others}:
+        raise CloudError(
+            f"spec.infra: SkyPilot has no {visible(name)}",
+            f"write one that it has: {', '.join(map(visible, others[:NAMED]))}",
+            f"or configure {visible(name.partition('/')[2])}, then: {shell_command('sky', 'check', cloud)}",
+        )
 
 
 @dataclass(slots=True, kw_only=True)
@@ -166,8 +192,8 @@ class SkyPilotSamples(SkyPilotBackend):
             job_outcome.write_final(job, watch.status)
         return watch.status
 
-    def stop(self, job: Job) -> None:
-        """Terminate its machine; raise Unreachable until the cloud has confirmed it."""
+    def stop(self, job: Job) -> int:
+        """Terminate its machine; raise Unreachable until the cloud has confirmed it. Return how many the cloud had."""
         if job.name not in self._stopping:
             self._await_launch(job)
             self._stopping[job.name] = self._client.begin("end", name=job.name), time.monotonic()
@@ -179,10 +205,11 @@ class SkyPilotSamples(SkyPilotBackend):
         if not call.done():
             raise Unreachable(f"SkyPilot has not taken it down within {HANGS_S:g} s")
         try:
-            call.result()
+            machines = int(call.result() or 0)
         except CloudProblem as problem:
             raise Unreachable(problem.detail) from None
         self._watched.pop(job.name, None)
+        return machines
 
     def _await_launch(self, job: Job) -> None:
         """Raise Unreachable while the launch request is in flight."""

@@ -21,6 +21,8 @@ SERVER_TRACEBACK = re.compile(r"[\s+|]*Exception Group Traceback \(most recent c
 REFUSAL = re.compile(
     r"An error occurred \((?P<code>[\w.]+)\) when calling the \w+ operation(?: \([^)]*\))?: (?P<why>.*)"
 )
+# Of an API that does not answer, botocore.exceptions has these, and SkyPilot's exception nothing.
+NO_ANSWER = re.compile(r'(?:(?:Read|Connect) timeout on|Could not connect to the) endpoint URL: "[^"]*"')
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 # The first match decides: a quota is often reported as a lack of capacity, never the other way round. Too many requests
@@ -35,9 +37,17 @@ WORDS: tuple[tuple[Reason, bool, str], ...] = (
                        r"|SkuNotAvailable|AllocationFailed|out of (stock|capacity)|no capacity|Insufficient (cpu|memory)"
                        r"|ReqNodeNotAvail|nodes? .{0,60}(down|drained)|timed out .{0,60}(allocat|provision|schedul)"),
 )  # fmt: skip
+# SkyPilot starts the container by commands on the machine, which exists by then (sky.provision.docker_utils, 0.14).
+CONTAINER = "Failed to run docker setup commands"
+PULL = re.compile(r"(docker|podman) (pull|login) .{0,400}failed with return code", re.DOTALL)
+REGISTRY_REFUSES = re.compile(
+    r"unauthorized|denied|invalid username/password|unknown|not found|no matching manifest|no image found",
+    re.IGNORECASE,
+)
 ACCESS = re.compile(
     r"credential|not enabled|no cloud access|unauthorized|permission denied|sky check"
-    r"|ExpiredToken|AuthFailure|InvalidClientTokenId",
+    r"|ExpiredToken|RequestExpired|AuthFailure|InvalidClientTokenId"
+    r"|\b(?:is|are) forbidden: User|Reason: Forbidden",  # Kubernetes: the namespace gives no right
     re.IGNORECASE,
 )
 CONTACT = {
@@ -45,6 +55,10 @@ CONTACT = {
     "FetchClusterInfoError", "RequestInterruptedError", "SkyletUnavailableError", "SkyletInternalError",
     "ConnectionError", "Timeout", "TimeoutError", "ConcurrentWorkerExhaustedError", "ExecutionRetryableError",
 }  # fmt: skip
+# RuntimeErrors of SkyPilot's client, whose own API server does not start (0.14.1: sky/server/common.py).
+SERVER = re.compile(
+    r"No SkyPilot API server endpoint|SkyPilot API server process exited|Failed to start SkyPilot API server"
+)
 GONE = {"ClusterDoesNotExist"}
 SETUP = {"ClusterSetUpError", "CommandError", "CommandFailureException", "ClusterNotUpError"}
 UNFIT = {
@@ -84,21 +98,31 @@ class CloudProblem(Exception):
 def classify(problem: BaseException, log: str = "") -> CloudProblem:
     """Return the problem that an exception of SkyPilot, or of the network below it, stands for.
 
-    `log` is what SkyPilot logged of the request that failed; what the provider answered to it comes first in the detail.
+    `log` is what SkyPilot logged of the request that failed. What the provider answered, in it or in the exception, comes
+    first in the detail.
     """
     if isinstance(problem, CloudProblem):
         return problem
     kinds = {kind.__name__ for one in _causes(problem) for kind in type(one).__mro__}
-    refusals = [f"{found['code']}: {found['why'].strip()}" for found in REFUSAL.finditer(plain(log))]
-    text = "\n".join(dict.fromkeys([*refusals, *(plain(str(one)) for one in _causes(problem))]))
+    said = [plain(str(one)) for one in _causes(problem)]
+    refusals = [
+        f"{found['code']}: {found['why'].strip()}" for text in (plain(log), *said) for found in REFUSAL.finditer(text)
+    ]
+    refusals += NO_ANSWER.findall(plain(log))
+    text = "\n".join(dict.fromkeys([*refusals, *said]))
     detail = _detail(problem, text)
     if kinds & GONE:
         return CloudProblem("capacity", detail, gone=True)
     for reason, again, words in WORDS:
         if re.search(words, text, re.IGNORECASE):
             return CloudProblem(reason, detail, again=again)
-    if kinds & CONTACT:
+    if kinds & CONTACT or SERVER.search(text):
         return CloudProblem("setup", detail, again=True, contact=True)
+    if CONTAINER in text:
+        pulled = PULL.search(text) is not None
+        return CloudProblem(
+            "image" if pulled else "setup", detail, again=not (pulled and REGISTRY_REFUSES.search(text))
+        )
     if "NoCloudAccessError" in kinds or ACCESS.search(text):
         return CloudProblem("access", detail)
     if "ResourcesUnavailableError" in kinds:
@@ -122,7 +146,9 @@ def _detail(problem: BaseException, text: str) -> str:
     text = SERVER_TRACEBACK.sub("", text)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     detail = " | ".join(dict.fromkeys(lines)) or type(problem).__name__
-    return detail if len(detail) <= DETAIL_LIMIT else f"{detail[: DETAIL_LIMIT - 2]} …"
+    if len(detail) <= DETAIL_LIMIT:
+        return detail
+    return f"{detail[: DETAIL_LIMIT // 2 - 3]} … {detail[-DETAIL_LIMIT // 2 :]}"  # SkyPilot puts the reason last
 
 
 def plain(text: str) -> str:

@@ -2,10 +2,11 @@
 
 Two things. A contract test holds them for every supported version (`tests/contract/sky_has_calls.py`).
 
-Whether a cloud has terminated a machine that SkyPilot has forgotten. `sky.down` removes its record once the cloud has accepted
-the request, and does not verify the result: in 0.14.1 the check in `CloudVmRayBackend.post_teardown_cleanup` needs the record's
-configuration, which is removed just before. The public API cannot query a machine without a record, but its configuration stays
-in the API server's database.
+Whether a cloud has, or had, a machine that SkyPilot has forgotten, and to terminate it. `sky.down` removes its record once the
+cloud has accepted the request, and does not verify the result: in 0.14.1 the check in
+`CloudVmRayBackend.post_teardown_cleanup` needs the record's configuration, which is removed just before. The public API cannot
+query a machine without a record, but its configuration stays in the API server's database. A launch that was cut off may leave
+a machine that the cloud does not list yet.
 
 A timer, set by a machine's first boot, that turns it off: an end without any supervisor. SkyPilot arms autostop once a machine
 has booted and has its files. Until then, only what the cloud does with the machine's user data can end it. On AWS SkyPilot adds
@@ -31,17 +32,32 @@ KEYS = ("aws", "post_provision_runcmd")
 _LOCK = threading.Lock()  # the configuration is the whole process's
 
 
-def await_gone(name: str) -> None:
+def await_gone(name: str, launched_until_s: float | None = None) -> int:
     """Poll the cloud until it has no such machine; raise CloudProblem if it still has one after `TIMEOUT_S`.
 
+    Return how many that have ended it lists; 0 if it lists none. `launched_until_s`, in seconds since the epoch, is when a
+    launch that did not succeed was last in progress. For a while after that a machine may appear which SkyPilot has not seen:
+    it is terminated here.
     If the API server is on another host, its database cannot be read, and the result of `sky.down` stands.
     """
     if (config := _config_of(name)) is None:
-        return
+        return 0
+    provider = config["provider"]
+    module = str(provider["module"]).rpartition(".")[2]
+    cloud = cloud_of(module)
+    visible_s = time.time() if launched_until_s is None else launched_until_s + cloud.visible_s
     end_s = time.monotonic() + TIMEOUT_S
-    while found := _instances(name, config):
-        if time.monotonic() > end_s:
+    while True:
+        states = provision.query_instances(
+            module, name, config["cluster_name"], provider, non_terminated_only=not cloud.lists_ended
+        )
+        found = sorted(one for one, (status, _) in states.items() if status is not None)
+        if not found and time.time() >= visible_s:
+            return len(states) if cloud.lists_ended else 0
+        if found and time.monotonic() > end_s:
             raise CloudProblem("setup", f"{name} was ended, and its cloud still has {', '.join(found)}", again=True)
+        if found and cloud.visible_s:
+            provision.terminate_instances(module, config["cluster_name"], provider)
         time.sleep(POLL_S)
 
 
@@ -52,14 +68,6 @@ def _config_of(name: str) -> Mapping[str, Any] | None:
     except ValueError:  # it was never provisioned, or the database is elsewhere
         return None
     return config
-
-
-def _instances(name: str, config: Mapping[str, Any]) -> list[str]:
-    """Return the names of the machines that the cloud has not terminated."""
-    provider = config["provider"]
-    module = str(provider["module"]).rpartition(".")[2]
-    states = provision.query_instances(module, name, config["cluster_name"], provider, non_terminated_only=True)
-    return sorted(one for one, (status, _) in states.items() if status is not None)
 
 
 @contextlib.contextmanager

@@ -29,7 +29,7 @@ class Timed:
 
     @property
     def p95_s(self) -> float:
-        """Their 95 % quantile."""
+        """Their 95% quantile."""
         return sorted(self.latencies_s)[math.ceil(0.95 * len(self.latencies_s)) - 1]
 
 
@@ -54,11 +54,15 @@ class Process(Part):
 
 
 class Node(Part):
-    """A node, its parameters, and its process if it runs on the computer that watched."""
+    """A node, its parameters, and its process if it runs on the computer that watched.
+
+    `late`: it appeared while the robot was watched; `gone`: it ended.
+    """
 
     parameters: dict[str, Any] = {}
     process: Process | None = None
     gone: bool = False
+    late: bool = False
 
 
 class Topic(Part):

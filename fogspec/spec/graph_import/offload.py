@@ -30,9 +30,10 @@ def stays(node: Node) -> str | None:
 
 def cores(seen: Observed, name: str) -> float | None:
     """Return how many cores a node's process used on average; None if it is not known, or not the node's alone."""
-    process = seen.nodes[name].process if name in seen.nodes else None
-    alone = process is not None and not process.shared and seen.seconds > 0 and not seen.nodes[name].gone
-    return process.cpu_s / seen.seconds if alone and process else None
+    node = seen.nodes.get(name)
+    if node is None or node.process is None or node.process.shared or node.gone or node.late or seen.seconds <= 0:
+        return None
+    return node.process.cpu_s / seen.seconds
 
 
 def members(seen: Observed, first: Member, pairs: Sequence[Pair]) -> list[Member]:

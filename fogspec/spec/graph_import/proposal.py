@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, get_args
 
-from fogspec.base.units import format_duration
+from fogspec.base.units import format_duration, shown_duration
 from fogspec.spec.graph_import.observed import Node, Observed, Process
 from fogspec.spec.graph_import.offers import Calls, Untimed, timed_calls, untimed
 from fogspec.spec.graph_import.offload import Member, cores, left, members, merged, stays
@@ -134,6 +134,8 @@ def _doubts(seen: Observed, pairs: list[Pair]) -> Iterator[str]:
             yield f"{pair.request} -> {pair.response}: only the counts agree: check it before you rely on it"
     if gone := [name for name, node in seen.nodes.items() if node.gone]:
         yield f"{_some(gone)} ended while the robot was watched"
+    if late := [name for name, node in seen.nodes.items() if node.late and not node.gone]:
+        yield f"{_some(late)} appeared while the robot was watched: for its CPU use and rates, watch again"
     if dropped := [name for name, topic in seen.topics.items() if topic.dropped]:
         yield f"{_some(dropped)}: too much data to watch without load on the robot, so left after a few seconds"
     if unknown := [name for name, topic in seen.topics.items() if topic.problem]:
@@ -255,7 +257,7 @@ def _link(proposal: Proposal, seen: Observed, node: str, chosen: Pair | Calls | 
     network_s = _rounded_up(ROUND_TRIP_S + 8 * sizes[0] / TO_CLOUD_BITS_PER_S + 8 * sizes[1] / FROM_CLOUD_BITS_PER_S)
     limits = {"network_allowance": format_duration(network_s)}
     proposal.lines.append(
-        f"network_allowance: {format_duration(ROUND_TRIP_S)} round trip, and {_bytes(sizes[0])} at "
+        f"network_allowance: {shown_duration(ROUND_TRIP_S)} round trip, and {_bytes(sizes[0])} at "
         f"{TO_CLOUD_BITS_PER_S * 1e-6:g} Mbit/s to the cloud, {_bytes(sizes[1])} at "
         f"{FROM_CLOUD_BITS_PER_S * 1e-6:g} Mbit/s back: guesses, until you measure your link"
     )

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from fogspec.base.units import SECONDS_PER_MONTH, format_duration, format_rate, rounded
+from fogspec.base.units import SECONDS_PER_MONTH, format_duration, format_rate, rounded, shown_duration
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.fingerprints import waivable
 from fogspec.spec.probe import kind_of
@@ -248,7 +248,7 @@ def billing(application: Application) -> Iterator[Finding]:
         )
     if objective.usage is not None and objective.usage.up > 1:
         usage = objective.usage
-        each = f"{format_duration(usage.session)} and {format_duration(usage.startup)} of start-up"
+        each = f"{shown_duration(usage.session)} and {shown_duration(usage.startup)} of start-up"
         most = rounded(SECONDS_PER_DAY / (usage.session + usage.startup), 3)
         yield Finding(
             "FS530",
@@ -304,7 +304,7 @@ def latency_limit(application: Application) -> Iterator[Finding]:
         yield Finding("FS519", path, f"{dotted(path)} leaves no time for the request", fix, (at, network))
     elif latency >= spec.benchmark.stop.duration:
         after: Path = ("spec", "benchmark", "stop", "duration")
-        longest = format_duration(spec.benchmark.stop.duration)
+        longest = shown_duration(spec.benchmark.stop.duration)
         message = f"spec.constraints.latency must be below the {longest} that a sample measures"
         fix = f"set spec.benchmark.stop.duration to {format_duration(2 * latency)} or more"
         yield Finding("FS520", at, message, fix, (after,))
@@ -396,7 +396,7 @@ def wall_time(application: Application) -> Iterator[Finding]:
         yield Finding(
             "FS529",
             path,
-            f"spec.benchmark.wall_time is shorter than one sample, which may take {format_duration(one_s)}",
+            f"spec.benchmark.wall_time is shorter than one sample, which may take {shown_duration(one_s)}",
             "raise it, or lower setup_timeout or stop.duration",
             (("spec", "benchmark", "setup_timeout"), ("spec", "benchmark", "stop", "duration")),
         )

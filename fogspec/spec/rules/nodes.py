@@ -7,6 +7,7 @@ from typing import Any
 
 from fogspec.base.yaml.positions import Path, dotted
 from fogspec.spec.launch_text import STARTS
+from fogspec.spec.lockfile import REGISTRY_LOGIN, registry_login
 from fogspec.spec.rules.finding import Finding
 from fogspec.spec.schema import Application, ComposableNode, Node, Spec
 
@@ -174,6 +175,21 @@ def secrets(application: Application) -> Iterator[Finding]:
                 )
 
 
+def login_to_a_registry(application: Application) -> Iterator[Finding]:
+    """Require all of a login: SkyPilot refuses a part of it, after the machine was requested."""
+    spec, path = application.spec, ("spec", "secrets")
+    given = registry_login(spec)
+    if not given:
+        return
+    at = (*path, spec.secrets.index(given[0]))
+    if missing := [name for name in REGISTRY_LOGIN if name not in given]:
+        message = f"spec.secrets has {given[0]}, and a login to a registry is {len(REGISTRY_LOGIN)} variables"
+        yield Finding("FS557", at, message, f"add {', '.join(missing)}")
+    elif spec.ros is None or spec.ros.image is None:
+        message = f"spec.secrets has {given[0]}, a login to an image's registry, and spec.ros.image is missing"
+        yield Finding("FS557", at, message, "name the image in spec.ros.image, or remove the login", severity="warning")
+
+
 RULES = (
     kind_of_node,
     environment_of_nodes,
@@ -183,4 +199,5 @@ RULES = (
     parameter_values,
     paths,
     secrets,
+    login_to_a_registry,
 )

@@ -173,5 +173,6 @@ for entry in graph:
     nodes.append(threading.Thread(target=executor.spin, daemon=True))
 for one in nodes:
     one.start()
+print("ready", flush=True)
 with contextlib.suppress(KeyboardInterrupt):
     threading.Event().wait()

@@ -48,7 +48,7 @@ def up(folder: Path) -> None:
         subprocess.Popen(
             words, stdout=log, stderr=log, env=os.environ | {"MOTO_AMIS_PATH": str(folder / "images.json")}
         )
-    cloud.until(answers)
+    cloud.until(answers, 180.0)  # however busy this machine is
     engine.furnish()
 
 

@@ -52,6 +52,7 @@ STATUS = {
     "InsufficientInstanceCapacity": "500 Internal Server Error",
     "UnauthorizedOperation": "403 Forbidden",
     "ExpiredToken": "403 Forbidden",
+    "RequestExpired": "400 Bad Request",
 }
 
 
@@ -59,10 +60,12 @@ STATUS = {
 class Fault:
     """What happens instead of, or besides, a call of the API, or to a machine.
 
-    `action` is a call, "*" or one of "boot", "reclaim" and "vanish"; `match` is in the call's words, or in the names and type
-    of the instances that it is about. `skip` such calls are answered as ever, then `times` are not. `hang_s`: the answer takes
-    so long; with no `code` it is then the right one. `how`: a machine that boots "silent" never answers, "dying" ends
-    `after_s` later; a reclaimed one ends `after_s` after its notice; a new instance is not visible for `after_s`.
+    `action` is a call, "*" or one of "boot", "reclaim" and "vanish"; each word of `match` is in the call's words, or in
+    the names and type of the instances that it is about. `skip` such calls are answered as ever, then `times` are not, or
+    all for `for_s` from the first on. `hang_s`: the answer takes so long; with no `code` it is then the right one, and `how`
+    "answer" says that the answer alone is late. `how`: a machine that boots "silent" never answers, "dying" ends `after_s`
+    later; a reclaimed one ends `after_s` after its notice, which comes once the machine has the file `sign`, if one is named; a
+    new instance is not visible for `after_s`. `met` counts what it hit; `name` and `whose` are for who posts it.
     """
 
     action: str
@@ -74,16 +77,32 @@ class Fault:
     hang_s: float = 0.0
     how: str = ""
     after_s: float = 0.0
+    sign: str = ""
+    for_s: float = 0.0
+    until_s: float = 0.0
+    met: int = 0
+    name: str = ""
+    whose: str = ""
 
     def due(self, action: str, about: str) -> bool:
         """Whether it is for this one; counts it."""
-        if self.action not in (action, "*") or self.match not in about or self.times <= 0:
+        if self.action not in (action, "*") or not self.waiting:
+            return False
+        if not all(word in about for word in self.match.split()):
             return False
         if self.skip > 0:
             self.skip -= 1
             return False
-        self.times -= 1
+        if self.for_s and not self.until_s:
+            self.until_s = time.time() + self.for_s
+        self.times -= not self.for_s
+        self.met += 1
         return True
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it can still happen."""
+        return not self.until_s or time.time() < self.until_s if self.for_s else self.times > 0
 
 
 @dataclass
@@ -149,12 +168,14 @@ class Cloud:
         shape = shapes.BY_NAME.get(one.instance_type)
         cpus, memory_gib = (shape.cpus, shape.memory_gib) if shape else (2, 4)
         wheels = sorted((self.folder / "sky" / ".sky" / "wheels").glob("?" * 32))
+        registry = self.folder / "registry.json"
         told = {
             "id": one.id, "type": one.instance_type, "region": one.region_name, "zone": one.availability_zone,
             "hostname": "ip-" + one.private_ip.replace(".", "-"), "private_ip": one.private_ip, "endpoint": ENDPOINT,
             "cpus": cpus, "user_data": str(one.user_data or ""), "scratch": str(self.folder / "disks" / one.id),
             "image": {"/home/ubuntu/skypilot-runtime": str(IMAGE), "/home/ubuntu/sky-user-env": str(self.folder / "user")},
             "uv": str(self.folder / "uv"), "wheel": wheels[-1].name if wheels else "",
+            "registry": json.loads(registry.read_text()) if registry.exists() else None,
             "silent": fault is not None and fault.how == "silent",
         }  # fmt: skip
         path = self.folder / "disks" / f"{one.id}.json"
@@ -203,7 +224,9 @@ class Cloud:
         """A notice to a machine that runs, which ends when the notice's time is over."""
         for one in self.instances():
             guest = self.guests.get(one.id)
-            if one.state != "running" or guest is None or one.id in self.ends or not fault.due("reclaim", about(one)):
+            if one.state != "running" or guest is None or one.id in self.ends or not signed(guest.pid, fault.sign):
+                continue
+            if not fault.due("reclaim", about(one)):
                 continue
             self.ends[one.id] = time.time() + fault.after_s
             notice = json.dumps({"action": "terminate", "time": self.ends[one.id]})
@@ -231,6 +254,14 @@ class Cloud:
                 (CGROUPS / name / number).rmdir()
 
 
+def signed(pid: int, file: str) -> bool:
+    """Whether the machine has this file, or none is named."""
+    try:
+        return not file or Path(f"/proc/{child(pid)}/root{file}").exists()
+    except (OSError, IndexError):  # it has just begun, or ended
+        return False
+
+
 def child(pid: int) -> int:
     """The first process of the namespaces."""
     return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
@@ -249,7 +280,7 @@ def confine(name: str, group: str, file: str, value: int) -> Path | None:
     return path
 
 
-def until(true: Callable[[], bool], patience_s: float = 30.0) -> None:
+def until(true: Callable[[], bool], patience_s: float = 300.0) -> None:
     """Wait for something that takes a moment."""
     end = time.monotonic() + patience_s
     while not true():
@@ -268,6 +299,8 @@ class Gate:
 
     def __init__(self, cloud: Cloud, app: Any) -> None:
         self.cloud, self.app = cloud, app
+        self.launches: dict[str, tuple[str, Any, bytes]] = {}
+        self.launching = threading.Lock()
 
     def __call__(self, environ: dict[str, Any], start: Any) -> Iterable[bytes]:
         length = int(environ.get("CONTENT_LENGTH") or 0)
@@ -278,17 +311,43 @@ class Gate:
         said = urllib.parse.parse_qs(body.decode("utf-8", "replace"))
         action = said.get("Action", [""])[0]
         self.cloud.calls[action] += 1
-        named = {value for key, values in said.items() if key.startswith("InstanceId") for value in values}
+        named = {
+            value for key, values in said.items() if key.startswith(("InstanceId", "ResourceId")) for value in values
+        }
         meant = [about(one) for one in self.cloud.instances() if one.id in named]
         words = " ".join([*(value for values in said.values() for value in values), *meant])
         fault = self.cloud.fault(action, f"{words} {environ.get('HTTP_AUTHORIZATION', '')}")
+        if fault is not None and fault.how == "answer":
+            answer = self.idempotent(said, environ, start)
+            time.sleep(fault.hang_s)
+            return answer
         if fault is not None and fault.hang_s:
             time.sleep(fault.hang_s)
         if fault is not None and fault.code:
             text = EC2_ERROR if "/ec2/" in environ.get("HTTP_AUTHORIZATION", "") else QUERY_ERROR
             start(STATUS.get(fault.code, "400 Bad Request"), [("Content-Type", "text/xml")])
             return [text.format(code=fault.code, message=fault.message).encode()]
-        return self.app(environ, start)
+        return self.idempotent(said, environ, start)
+
+    def idempotent(self, said: dict[str, list[str]], environ: dict[str, Any], start: Any) -> Iterable[bytes]:
+        """Moto's answer; a launch that was requested twice with one token is the same launch, as EC2 says and moto does not.
+
+        docs.aws.amazon.com/ec2/latest/devguide/ec2-api-idempotency.html
+        """
+        token = said.get("ClientToken", [""])[0]
+        if not token or said.get("Action") != ["RunInstances"]:
+            return self.app(environ, start)
+        with self.launching:
+            if token not in self.launches:
+                headers: list[Any] = []
+                body = b"".join(self.app(environ, lambda *head, **_: headers.extend(head)))
+                if not headers[0].startswith("200"):
+                    start(*headers[:2])
+                    return [body]
+                self.launches[token] = headers[0], headers[1], body
+            status, head, body = self.launches[token]
+        start(status, head)
+        return [body]
 
     def asked(self, path: str, body: bytes, start: Any) -> Iterable[bytes]:
         """What a test wants, and wants to know."""
@@ -300,12 +359,16 @@ class Gate:
             elif path == "/_clear":
                 cloud.faults.clear()
                 cloud.served.clear()
+            elif path == "/_lift":
+                whose = json.loads(body)["whose"]
+                answer = [vars(one) for one in cloud.faults if one.whose == whose]
+                cloud.faults[:] = [one for one in cloud.faults if one.whose != whose]
             elif path == "/_served":
                 answer = cloud.served
             elif path == "/_calls":
                 answer = cloud.calls
             elif path == "/_waiting":
-                answer = [vars(one) for one in cloud.faults if one.times > 0]
+                answer = [vars(one) for one in cloud.faults if one.waiting]
             elif path == "/_machines":
                 answer = sorted(cloud.guests)
         start("200 OK", [("Content-Type", "application/json")])

@@ -41,6 +41,35 @@ SYSTEMD_RUN = """\
 seconds=${1#--on-boot=}; shift
 setsid bash -c 'sleep "$0"; exec "$@"' "$seconds" "$@" </dev/null >/dev/null 2>&1 &
 """
+# SkyPilot asks docker for its runtimes in docker's words, which are not podman's. Its limits are those
+# that this root may set: SkyPilot wants more.
+DOCKER = """\
+#!/bin/bash
+case $1 in
+  info) echo 'map[crun:{}]' ;;
+  run)
+    shift
+    files=$(ulimit -Hn) processes=$(ulimit -Hu)
+    [ "$processes" -le 32768 ] 2>/dev/null || processes=32768
+    words=()
+    for word in "$@"; do [[ $word == nofile=* ]] && word=nofile=$files:$files; words+=("$word"); done
+    exec podman run --ulimit "nproc=$processes:$processes" "${words[@]}"
+    ;;
+  *) exec podman "$@" ;;
+esac
+"""
+# What SkyPilot would download into the container is the machine's, as it is outside of one. A container has no cgroups of its
+# own: it is in the machine's.
+CONTAINERS = """\
+[containers]
+cgroups = "disabled"
+env = ["AWS_ENDPOINT_URL={endpoint}"]
+volumes = [{volumes}]
+[engine]
+cgroup_manager = "cgroupfs"
+events_logger = "none"
+runtime = "crun"
+"""
 PATCHED = ("_private", "dashboard/modules/job", "autoscaler/_private")
 
 
@@ -59,12 +88,28 @@ def disk(told: dict[str, Any]) -> None:
         place = root / name.lstrip("/")
         place.mkdir(parents=True, exist_ok=True)
         run("mount", "--rbind", str(overlay(scratch, name.strip("/").replace("/", "-"), lower)), str(place))
+    if told["registry"]:
+        cgroups(root)
     (root / "old").mkdir()
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.syscall(155, str(root).encode(), str(root / "old").encode()) != 0:  # pivot_root on x86-64
         raise OSError(ctypes.get_errno(), "pivot_root")
     os.chdir("/")
     run("umount", "--lazy", "/old")
+
+
+def cgroups(root: Path) -> None:
+    """The cgroups of this machine, which whatever starts containers looks at; those of one kind, as crun wants them."""
+    run("mount", "-t", "sysfs", "sysfs", str(root / "sys"))
+    here, there = Path("/sys/fs/cgroup"), root / "sys/fs/cgroup"
+    if (here / "cgroup.controllers").exists():
+        run("mount", "--rbind", str(here), str(there))
+        return
+    run("mount", "-t", "tmpfs", "none", str(there))
+    for one in sorted(here.iterdir()):
+        if one.name != "unified":
+            (there / one.name).mkdir()
+            run("mount", "--rbind", str(one), str(there / one.name))
 
 
 def overlay(scratch: Path, name: str, lower: str) -> Path:
@@ -166,6 +211,28 @@ def owned(home: Path, uid: int, gid: int) -> None:
         subprocess.run(["chown", "-R", f"{uid}:{gid}", str(place)], check=True)
 
 
+def containers(told: dict[str, Any]) -> None:
+    """Podman under docker's name; images are kept in memory, as everything here."""
+    script("/usr/local/sbin/docker", DOCKER)
+    store = Path("/var/lib/containers")
+    store.mkdir(exist_ok=True)
+    run("mount", "-t", "tmpfs", "none", str(store))
+    home = "/home/ubuntu"
+    places = {
+        f"{home}/skypilot-runtime": "/root/skypilot-runtime",
+        f"{home}/sky-user-env": "/root/sky-user-env",
+        f"{home}/sky-user-env/bin": f"{home}/sky-user-env/bin",
+        f"{home}/.local/bin/uv": "/root/.local/bin/uv",
+        f"{home}/.sky/wheels/current_sky_wheel_hash": "/root/.sky/wheels/current_sky_wheel_hash",
+    }
+    volumes = ", ".join(json.dumps(f"{here}:{there}") for here, there in places.items() if Path(here).exists())
+    certificates = Path("/etc/containers/certs.d", told["registry"]["name"])
+    certificates.mkdir(parents=True)
+    (certificates / "ca.crt").write_text(told["registry"]["certificate"])
+    text = CONTAINERS.format(endpoint=told["endpoint"], volumes=volumes)
+    Path("/etc/containers/containers.conf").write_text(text)
+
+
 def ssh(told: dict[str, Any]) -> None:
     """The server."""
     run("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", "/etc/ssh/guest_key")
@@ -223,6 +290,8 @@ def main(path: str) -> None:
     network(told)
     Path("/run/instance.json").write_text(json.dumps({name: told[name] for name in ("id", "type", "cpus")}))
     first_boot(told)
+    if told["registry"]:
+        containers(told)
     Metadata.told = told
     server = http.server.ThreadingHTTPServer((METADATA, 80), Metadata)
     threading.Thread(target=server.serve_forever, daemon=True).start()

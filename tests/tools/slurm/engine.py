@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 import zlib
 from pathlib import Path
 
@@ -73,6 +74,18 @@ def known(environment: dict[str, str], refresh: bool = False) -> list[str]:
     ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
     names: list[str] = json.loads(ended.stdout.splitlines()[-1])
     return names
+
+
+def start(environment: dict[str, str], patience_s: float = 600.0) -> None:
+    """Have the API server of this environment running: on a busy host it may take longer than SkyPilot itself waits."""
+    end = time.monotonic() + patience_s
+    while True:
+        ended = subprocess.run([sys.executable, "-c", KNOWN % "NONE"], env=environment, capture_output=True, text=True)
+        if not ended.returncode:
+            return
+        if time.monotonic() > end:
+            raise RuntimeError(f"SkyPilot's API server does not start: {ended.stderr[-2000:]}")
+        time.sleep(2.0)
 
 
 def processes(folder: Path) -> list[int]:

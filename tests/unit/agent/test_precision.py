@@ -13,7 +13,7 @@ SHARES = {"p50": 0.5, "p95": 0.95}
 
 
 def stopped_at(chance: random.Random, deviation: float, resemblance: float, statistic: str) -> float:
-    """The statistic when the agent would stop at 5 %, of lognormal latencies each of which resembles the one before."""
+    """The statistic when the agent would stop at 5%, of lognormal latencies each of which resembles the one before."""
     timings, noise = Timings(Path("none"), warmup=0), chance.gauss(0, 1)
     while not (timings.due() and timings.precise(0.05, statistic)):
         noise = resemblance * noise + math.sqrt(1 - resemblance**2) * chance.gauss(0, 1)
@@ -31,7 +31,7 @@ def test_it_is_as_close_as_it_says(statistic, resemblance):
     truth = math.exp(deviation * quantile)
     found = [stopped_at(chance, deviation, resemblance, statistic) for _ in range(RUNS)]
     close = sum(abs(value / truth - 1) <= 0.05 for value in found) / RUNS
-    # Stopping when it looks good costs a little of the 95 %, correlation that lasts longer than one request some more.
+    # Stopping when it looks good costs a little of the 95%, correlation that lasts longer than one request some more.
     assert close >= 0.88
 
 

@@ -31,11 +31,15 @@ def test_a_process_is_found_by_the_identifier_of_its_endpoints_or_by_its_node_s_
         while not Path(f"/proc/{child.pid}/cmdline").read_text().endswith("test\0"):
             os.sched_yield()
         for gids, own in (({"/any": gid}, host), ({"/any/sleeper_of_this_test": b""}, b"")):
-            found = Processes(gids, own).of(next(iter(gids)))
+            processes = Processes()
+            processes.add(gids, own)
+            found = processes.of(next(iter(gids)))
             assert found is not None
             assert found["argv"] == words
             assert found["memory_bytes"] > 0
-        assert Processes({"/any": gid}, b"\x01\x0f\x99\x99").of("/any") is None  # on another computer
+        elsewhere = Processes()
+        elsewhere.add({"/any": gid}, b"\x01\x0f\x99\x99")  # on another computer
+        assert elsewhere.of("/any") is None
     finally:
         child.kill()
         child.wait()

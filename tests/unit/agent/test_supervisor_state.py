@@ -65,3 +65,17 @@ def test_timings_are_cut_at_a_line() -> None:
     assert cut.startswith(b"{")
     assert cut.endswith(b"\n")
     assert agent_state.tail(b"short\n") == b"short\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("[python3 a.py] no such model", "python3 a.py ended with exit code 1: no such model"),
+        ("[camera] lost", "python3 a.py ended with exit code 1: [camera] lost"),
+        ("no such model", "python3 a.py ended with exit code 1: no such model"),
+    ],
+)
+def test_the_name_of_the_node_that_ended_is_written_once(line: str, said: str) -> None:
+    state = json.dumps({"state": "ended", "detail": "python3 a.py ended with exit code 1"}).encode()
+    status = agent_state.deployment_status(state, b"", None)
+    assert agent_state.with_last_line(status, line.encode()).detail == said

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from fogspec.backends.skypilot.errors import CloudProblem
+from fogspec.backends.skypilot.errors import CloudProblem, classify
 
 NAME = "fogspec-lab-demo-one"
 MODULES = ("api", "internals")
@@ -32,7 +32,7 @@ class Sky:
     requests: list[SimpleNamespace] = field(default_factory=list)
     up: list[str] = field(default_factory=list)
     undead: int = 0
-    config: dict[str, Any] | None = None
+    config: Any = None
     at_the_cloud: list[dict[str, Any]] = field(default_factory=list)
     slept_s: list[float] = field(default_factory=list)
     task: Any = None
@@ -73,7 +73,7 @@ class Sky:
         sky.skypilot_config = SimpleNamespace(get_nested=self.nested, override_skypilot_config=self.overridden)
         sky.global_user_state = SimpleNamespace(get_cluster_yaml_dict=self.config_of)
         sky.client = SimpleNamespace(sdk=SimpleNamespace(check=self.check, enabled_clouds=self.enabled_clouds))
-        sky.provision = SimpleNamespace(query_instances=self.instances)
+        sky.provision = SimpleNamespace(query_instances=self.instances, terminate_instances=self.terminated)
         return sky
 
     def enabled_clouds(self) -> list[str]:
@@ -138,6 +138,9 @@ class Sky:
         self.calls.append(("query", module, name, there, non_terminated_only))
         return self.at_the_cloud.pop(0) if len(self.at_the_cloud) > 1 else self.at_the_cloud[0]
 
+    def terminated(self, *words: Any) -> None:
+        self.calls.append(("terminate", *words))
+
 
 def _cost(price_usd_per_hour: float | None, seconds: float) -> float:
     if price_usd_per_hour is None:
@@ -157,7 +160,7 @@ def api(sky: Sky, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setitem(sys.modules, "sky", sky.module())
     monkeypatch.setitem(sys.modules, "sky.client", sys.modules["sky"].client)
     kept = {name: sys.modules.pop(f"fogspec.backends.skypilot.{name}", None) for name in MODULES}
-    clock = SimpleNamespace(sleep=sky.sleep, monotonic=lambda: sky.now_s)
+    clock = SimpleNamespace(sleep=sky.sleep, monotonic=lambda: sky.now_s, time=lambda: sky.now_s)
     internals = importlib.import_module("fogspec.backends.skypilot.internals")
     monkeypatch.setattr(internals, "time", clock)
     module = importlib.import_module("fogspec.backends.skypilot.api")
@@ -326,13 +329,46 @@ def deployed(sky: Sky) -> Sky:
 
 def test_gone_is_what_the_cloud_has_no_more(api: Any, deployed: Sky) -> None:
     running, ending = {"i-1": ("running", None)}, {"i-1": ("shutting-down", None)}
+    deployed.request("SUCCEEDED")
     deployed.up, deployed.at_the_cloud = [NAME], [running, ending, {"i-1": (None, None)}]
-    api.end(NAME)
+    assert api.end(NAME) == 1
     assert deployed.slept_s == [1.0, 1.0]
-    assert deployed.calls[-1] == ("query", "aws", NAME, f"{NAME}-1234", True)
+    assert deployed.calls[-1] == ("query", "aws", NAME, f"{NAME}-1234", False), "also those that have ended"
+
+
+@pytest.mark.parametrize("status", ["FAILED", "RUNNING"])
+def test_a_machine_that_appears_after_its_launch_was_cut_off_is_terminated(
+    api: Any, deployed: Sky, status: str
+) -> None:
+    deployed.now_s = 1000.0
+    deployed.request(status).finished_at = 990.0
+    appears: list[dict[str, Any]] = [{}, {}, {"i-1": ("pending", None)}, {"i-1": (None, None)}]
+    deployed.at_the_cloud = appears
+    assert api.end(NAME) == 1
+    assert deployed.calls.count(("terminate", "aws", f"{NAME}-1234", deployed.config["provider"])) == 1
+    assert sum(deployed.slept_s) == (20.0 if status == "FAILED" else 30.0), "as long as EC2 may not show it"
+
+
+def test_a_launch_that_was_refused_had_no_machine(api: Any, deployed: Sky) -> None:
+    deployed.now_s = 1000.0
+    deployed.request("FAILED").finished_at = 900.0
+    deployed.at_the_cloud = [{}]
+    assert api.end(NAME) == 0
+    assert deployed.slept_s == []
+    assert "terminate" not in deployed.names()
+
+
+def test_elsewhere_a_machine_that_is_being_ended_is_only_waited_for(api: Any, deployed: Sky) -> None:
+    deployed.config["provider"]["module"] = "sky.provision.slurm"
+    deployed.request("CANCELLED")
+    deployed.at_the_cloud = [{"7": ("running", None)}, {}]
+    assert api.end(NAME) == 0
+    assert "terminate" not in deployed.names()
+    assert deployed.calls[-1] == ("query", "slurm", NAME, f"{NAME}-1234", True)
 
 
 def test_a_cloud_that_keeps_it_is_said_after_a_while_and_not_before(api: Any, deployed: Sky) -> None:
+    deployed.request("SUCCEEDED")
     deployed.up, deployed.at_the_cloud = [NAME], [{"i-2": ("running", None), "i-1": ("running", None)}]
     with pytest.raises(CloudProblem, match="its cloud still has i-1, i-2") as problem:
         api.end(NAME)
@@ -385,6 +421,12 @@ def test_a_launch_is_followed_to_its_job_and_its_secrets_go(api: Any, sky: Sky, 
     api.sky.get = lambda value: answers.get(value, value) if isinstance(value, str) else sky_get(value)
     assert api.launched(one.request_id, NAME) == {"job": 7}
     assert not secret.exists()
+
+
+def test_a_launch_that_the_providers_api_did_not_answer_is_told_as_such() -> None:
+    said = 'Read timeout on endpoint URL: "https://ec2.us-east-1.amazonaws.com/"'
+    problem = classify(RuntimeError("Max attempts exceeded."), f"AWS handler error: {said}\n")
+    assert problem.detail == f"{said} | Max attempts exceeded."
 
 
 @pytest.mark.parametrize("readable", [True, False])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fogspec.backends.skypilot.errors import CloudProblem, classify
+from fogspec.backends.skypilot.errors import DETAIL_LIMIT, CloudProblem, classify
 
 
 def raised(kind: str, text: str, history: tuple[str, ...] = ()) -> Exception:
@@ -12,6 +12,12 @@ def raised(kind: str, text: str, history: tuple[str, ...] = ()) -> Exception:
     return problem
 
 
+IMAGE = "r.example.org/team/nodes@sha256:00"
+CONTAINER = "Failed to run docker setup commands."
+LOGIN_FAILS = (
+    "Command sudo docker login --username me --password <redacted> r.example.org failed with return code 1.\n"
+    f"{CONTAINER}\nError response from daemon: Get https://r.example.org/v2/: unauthorized: authentication required"
+)
 ALL_FAILED = "Failed to provision all possible launchable resources. Relax the task's resource requirements"
 
 
@@ -34,10 +40,21 @@ ALL_FAILED = "Failed to provision all possible launchable resources. Relax the t
         (raised("ClusterSetUpError", "docker pull failed: manifest for ros:jazy not found: manifest unknown"),
          "image", False),
         (raised("CommandError", "pull access denied for me/mine, repository does not exist"), "image", False),
+        (raised("CommandError", LOGIN_FAILS), "image", False),
+        (raised("CommandError", f"Command sudo docker pull {IMAGE} failed with return code 1.\n{CONTAINER}\n"
+                                "Error response from daemon: Get https://r.example.org/v2/: net/http: TLS handshake timeout"),
+         "image", True),
+        (raised("CommandError", f"Command sudo docker pull {IMAGE} failed with return code 1.\n{CONTAINER}\n"
+                                "no matching manifest for linux/amd64 in the manifest list entries"),
+         "image", False),
+        (raised("CommandError", f"Command flock -c sudo docker run {IMAGE} failed with return code 126.\n{CONTAINER}\n"
+                                "Error: crun: setrlimit `RLIMIT_NOFILE`: Operation not permitted: OCI permission denied"),
+         "setup", True),
         (raised("CommandError", "Command rsync failed with return code 255"), "setup", True),
         (raised("NoCloudAccessError", "No cloud is enabled"), "access", False),
         (raised("ResourcesUnavailableError", ALL_FAILED, ("ExpiredToken: The security token is expired",)),
          "access", False),
+        (raised("ResourcesUnavailableError", ALL_FAILED, ("RequestExpired: Request has expired.",)), "access", False),
         (raised("ResourcesUnavailableError", ALL_FAILED, ("UnauthorizedOperation: You are not authorized",)),
          "access", False),
         (raised("ResourcesUnavailableError", ALL_FAILED, ("RequestLimitExceeded: Request limit exceeded.",)),
@@ -56,6 +73,12 @@ def test_a_machine_that_is_not_there_and_silence_are_no_reasons() -> None:
     assert classify(raised("ClusterDoesNotExist", "Cluster 'fogspec-x' does not exist.")).gone
     assert classify(raised("ApiServerConnectionError", "Could not connect to SkyPilot API server")).contact
     assert classify(ConnectionError("refused")).contact
+    for words in (
+        "No SkyPilot API server endpoint is configured, and starting a local API server on this machine is disabled",
+        "SkyPilot API server process exited unexpectedly.\nView logs at: ~/.sky/api_server/server.log",
+        "Failed to start SkyPilot API server at http://127.0.0.1:46580",
+    ):
+        assert classify(RuntimeError(words)).contact
 
 
 def test_the_cause_speaks_too_and_details_are_short_and_plain() -> None:
@@ -95,3 +118,24 @@ def test_a_problem_survives_the_pipe() -> None:
 def test_what_a_failing_api_server_was_doing_is_not_told() -> None:
     said = "Failed to get request 1: 500   + Exception Group Traceback (most recent call last):\n  | File x\n  | ValueError"
     assert classify(RuntimeError(said)).detail == "Failed to get request 1: 500"
+
+
+def test_what_the_provider_answers_comes_first_also_without_a_log() -> None:
+    found = classify(raised(
+        "StopFailoverError",
+        "terminating 'mine' failed. Details: [botocore.exceptions.ClientError] An error occurred (ExpiredToken) when calling "
+        "the DescribeInstances operation: The security token included in the request is expired",
+    ))  # fmt: skip
+    assert found.reason == "access"
+    assert found.detail.startswith(
+        "ExpiredToken: The security token included in the request is expired | terminating 'mine'"
+    )
+
+
+def test_a_long_detail_keeps_its_beginning_and_its_end() -> None:
+    found = classify(
+        raised("ResourcesUnavailableError", f"{ALL_FAILED}: {'zone by zone, ' * 60}reason: no credentials")
+    )
+    assert len(found.detail) <= DETAIL_LIMIT
+    assert found.detail.startswith(ALL_FAILED)
+    assert found.detail.endswith("reason: no credentials")

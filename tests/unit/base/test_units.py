@@ -206,6 +206,47 @@ def test_what_is_wrong_is_said(kind: str, text: Any, message: str) -> None:
     assert str(wrong.value).startswith(message) or message in str(wrong.value)
 
 
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [
+        (0.0, "0%"),
+        (0.0004, "< 0.1%"),
+        (0.004, "0.4%"),
+        (0.18, "18%"),
+        (0.997, "99.7%"),
+        (0.99999, "> 99.9%"),
+        (1.0, "100%"),
+    ],
+)
+def test_a_percentage_is_0_or_100_only_where_it_is(fraction: float, text: str) -> None:
+    assert units.shown_percent(fraction) == text
+
+
+def test_headroom_and_excess_are_told_apart() -> None:
+    assert units.headroom_text(1e-5, 1.0) == "> 99.9% headroom"
+    assert units.headroom_text(1.04, 1.0) == "4% over the limit"
+    assert units.headroom_text(1.0, 0.0) == "over the limit"
+    assert units.headroom_text(0.0, 0.0) == "0% headroom"
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "texts"),
+    [
+        (2.0004, 2.0, ("2.0004 s", "2 s")),
+        (13.54, 10.0, ("13.5 s", "10 s")),
+        (0.04389, 0.04, ("43.9 ms", "40 ms")),
+        (2.0, 2.0, ("2 s", "2 s")),
+    ],
+)
+def test_a_value_and_its_limit_never_read_the_same(left: float, right: float, texts: tuple[str, str]) -> None:
+    assert units.shown_apart(left, right, units.shown_duration) == texts
+
+
+def test_a_duration_that_rounds_up_takes_the_larger_unit() -> None:
+    assert units.shown_duration(0.9999) == "1 s"
+    assert units.shown_duration(0.0009999) == "1 ms"
+
+
 def test_an_amount_without_a_denominator_is_mended_in_both() -> None:
     for text, fix in (("2.50 USD", "$2.50/request"), ("USD 2.50/", "$2.50/request"), ("many/request s", None)):
         with pytest.raises(UnitError) as wrong:

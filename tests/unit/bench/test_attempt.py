@@ -40,7 +40,7 @@ class At:
         self.now += seconds
 
 
-def made() -> Attempt:
+def made(machines: int = 0) -> Attempt:
     started = LaunchRecord(
         name=NAME, runner="sky", application="sha256:app", sample=SAMPLE, price_usd_per_hour=3.6, lifetime_s=600.0,
         paid_s=1000.0, at_s=100.0, at_unix_s=1.7e9, boot="boot",
@@ -58,6 +58,7 @@ def made() -> Attempt:
         ),
         since_s=100.0,
         found_s=100.0,
+        machines=machines,
     )
 
 
@@ -131,3 +132,20 @@ def test_that_nothing_is_paid_is_not_believed_of_a_machine_that_measured():
     attempt.reached(SampleStatus(running=True))
     assert attempt.billed_s(free, At(250.0)) == 150.0
     assert made().billed_s(SampleStatus(running=False, billed_s=7.0), At(250.0)) == 7.0
+
+
+def test_every_machine_that_its_provider_lists_is_paid() -> None:
+    """SkyPilot starts another where it does not see the first; and a refused launch may have had a machine."""
+    refused = SampleStatus(running=False, reason="access", billed_s=0.0)
+    assert made(machines=1).billed_s(refused, At(250.0)) == 150.0
+    assert made(machines=2).billed_s(refused, At(250.0)) == 300.0
+    assert made(machines=2).billed_s(OVER, At(250.0)) == 300.0
+    assert made(machines=1).billed_s(OVER, At(250.0)) == 150.0
+
+
+def test_no_machine_costs_less_than_its_cloud_bills_at_least() -> None:
+    """AWS and Google Cloud bill a minute at least."""
+    assert made().billed_s(OVER, At(105.0)) == 60.0
+    assert made(machines=2).billed_s(OVER, At(105.0)) == 120.0
+    free = SampleStatus(running=False, reason="capacity", billed_s=0.0)
+    assert made().billed_s(free, At(105.0)) == 0.0, "there was none"

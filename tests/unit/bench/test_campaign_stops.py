@@ -1,8 +1,10 @@
 """What a campaign says and keeps of machines that it cannot reach or end."""
 
+from dataclasses import replace
+
 import pytest
 
-from fogspec.backends.protocol import LaunchRefused, SampleStatus, Unreachable
+from fogspec.backends.protocol import LaunchRefused, SampleStatus, Unreachable, no_access
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.progress import FINAL
 from fogspec.bench.types import Event, EventKind, Queued
@@ -288,6 +290,31 @@ def test_where_no_machine_can_be_had_only_one_is_asked_for_and_nothing_is_record
     assert not [one for one in events if one.kind in FINAL]
 
 
+def test_once_access_is_lost_nothing_is_started_again_or_in_its_place(told, monkeypatch):
+    campaign, _, world = told
+    asked, before = [], FaultyBackend.start
+
+    def start(self, job):
+        asked.append(job.name)
+        before(self, job)
+
+    def poll(self, job):
+        if len(asked) < 3:
+            return SampleStatus(running=True, ready=False)
+        if job.name == asked[0]:
+            return SampleStatus(running=False, reason="access", detail="ExpiredToken", billed_s=0.0)
+        return SampleStatus(running=False, reason="capacity", again=job.name == asked[1], detail="none", billed_s=0.0)
+
+    monkeypatch.setattr(FaultyBackend, "start", start)
+    monkeypatch.setattr(FaultyBackend, "poll", poll)
+    other = samples(4)[3]
+    campaign.config = replace(campaign.config, substitutes=lambda _name: [other])
+    campaign.run(samples(3))
+    assert campaign.denied == "ExpiredToken"
+    assert len(asked) == 3
+    assert set(world.disk["samples"]) == {samples(3)[2].id}, "what a retry may still help has no record"
+
+
 def test_parts_of_a_machine_are_put_with_it(told, monkeypatch):
     campaign, _, world = told
     record = Measured(
@@ -323,3 +350,59 @@ def test_parts_of_a_machine_that_failed_are_no_measurements(told, monkeypatch, s
     campaign._record(attempt.started, record, SampleStatus(running=False))
     assert [one.id for one in put] == kept
     assert [one.id for one in campaign.journal.state.unwritten_parts.get(attempt.started.name, [])] == kept
+
+
+def test_what_a_machine_cost_until_access_was_lost_is_booked(told, monkeypatch):
+    campaign, _, world = told
+    before = FaultyBackend.stop
+
+    def poll(self, job):
+        world.now += 60
+        return SampleStatus(running=False, reason="access", detail="ExpiredToken", billed_s=0.0)
+
+    def stop(self, job):
+        before(self, job)
+        return 1
+
+    monkeypatch.setattr(FaultyBackend, "poll", poll)
+    monkeypatch.setattr(FaultyBackend, "stop", stop)
+    campaign.run(samples(2))
+    assert campaign.denied == "ExpiredToken"
+    assert campaign.denied_usd > 0
+    assert campaign.denied_usd == pytest.approx(campaign.journal.state.spent_usd, rel=1e-6)
+    assert "its machine cost $" in no_access(campaign.denied, booked_usd=campaign.denied_usd).hints[0]
+    assert "nothing was started" in no_access(campaign.denied).hints[0]
+
+
+def test_without_access_to_verify_a_machine_gone_it_is_named_soon_and_measured_once_there_is(told, monkeypatch):
+    campaign, _, world = told
+    poll, stop, refused = FaultyBackend.poll, FaultyBackend.stop, []
+
+    def expired(self, job):
+        if not refused:
+            refused.append(job.name)
+        return SampleStatus(running=False, reason="access", detail="ExpiredToken", billed_s=0.0)
+
+    def cannot(self, job):
+        raise Unreachable("ExpiredToken")
+
+    monkeypatch.setattr(FaultyBackend, "poll", expired)
+    monkeypatch.setattr(FaultyBackend, "stop", cannot)
+    begun_s = world.now
+    campaign.run(samples(1))
+    assert campaign.denied == "ExpiredToken"
+    assert campaign.left == refused == list(campaign.journal.state.open)
+    assert world.now - begun_s < COMMITMENT.paid_s, "its user has to log in, however long it waits"
+    assert "cannot be verified" in no_access(campaign.denied, verified=False).hints[0]
+    campaign.journal.close()
+
+    # What the first launch ended with is still on disk.
+    monkeypatch.setattr(FaultyBackend, "poll", lambda self, job: (expired if job.name in refused else poll)(self, job))
+    monkeypatch.setattr(FaultyBackend, "stop", stop)
+    again = campaign_of(world, 0, 10.0, lambda _: None)
+    again.recover()
+    again.run([])
+    again.journal.close()
+    assert again.denied is None
+    assert again.left == []
+    assert {name: one.state for name, one in world.disk["samples"].items()} == {"s0": "ok"}

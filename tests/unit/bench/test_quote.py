@@ -101,13 +101,13 @@ def test_what_another_runner_spent_is_no_money_of_this_one() -> None:
 def test_an_adaptive_campaign_that_has_ended_asks_for_no_more(
     sampler: str, only: bool, stopped: str | None, adaptive: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fogspec.bench.quote.should_resume", lambda *_: False)
+    monkeypatch.setattr("fogspec.plan.reuse.should_resume", lambda *_: False)
     one = prepared(5.0, 0.0)
     one.plan.spec.sampler, one.only = sampler, only
     one.results = SimpleNamespace(spec=SimpleNamespace(sampling=SimpleNamespace(stop_reason=stopped)))
     assert Quote.of(one, backend(), None).adaptive is adaptive
     if stopped:
-        monkeypatch.setattr("fogspec.bench.quote.should_resume", lambda *_: True)
+        monkeypatch.setattr("fogspec.plan.reuse.should_resume", lambda *_: True)
         assert Quote.of(one, backend(), None).adaptive, "unless other limits ask for more"
 
 

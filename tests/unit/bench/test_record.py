@@ -89,7 +89,7 @@ def answered(*ends_s: float, latency_s: float = 0.01) -> list[dict[str, Any]]:
         ((1.0, 6.0, 11.0), 16.0, None, True),
         ((1.0, 6.0, 11.0), 6.5, 1.0, True),  # asked after five seconds at most, and too late after one more
         ((1.0, 6.0, 11.0), 5.5, 1.0, False),
-        ((1.0, 1.1, 1.2), None, None, False),  # whoever asked has ended
+        ((1.0, 1.1, 1.2), None, None, False),  # the client has ended
     ],
 )
 def test_a_node_that_hangs_does_not_count_by_what_it_did_before(tmp_path, ends_s, waited_s, timeout_s, hangs):
@@ -98,7 +98,7 @@ def test_a_node_that_hangs_does_not_count_by_what_it_did_before(tmp_path, ends_s
     assert made.requests == 3
     if hangs:
         assert (made.state, made.reason) == ("failed", "no_response")
-        assert f"in the last {waited_s:g}s, though all processes ran: the node hangs" in made.detail
+        assert f"in the last {waited_s:g} s, though all processes ran: the node hangs" in made.detail
     else:
         assert (made.state, made.detail) == ("ok", None)
 
@@ -107,7 +107,7 @@ def test_a_share_of_the_time_may_be_lost_as_of_the_requests(tmp_path):
     rules, waited = replace(RULES, warmup=0, valid=0.5), SampleStatus(running=False, waited_s=4.0)
     made = record(tmp_path, *answered(*(1 + 0.1 * i for i in range(60))), rules=rules, progress=waited)
     assert (made.state, made.requests) == ("ok", 60)
-    assert made.detail.startswith("no request was finished in the last 4s")
+    assert made.detail.startswith("no request was finished in the last 4 s")
 
 
 @pytest.mark.parametrize(("statistic", "needed"), [("p50", 2), ("p95", 20), ("p99", 100)])
@@ -264,7 +264,7 @@ def test_a_request_that_took_too_long_has_failed(tmp_path):
     made = record(tmp_path, probed(0, 0.5), probed(1, 1.5), rules=PROBED)
     assert (made.state, made.requests, made.failed_requests, made.lost) == ("ok", 1, 1, None)
     made = record(tmp_path, probed(0, 0.5), probed(1, 1.5), probed(3, 2), rules=PROBED)
-    assert made.detail == "2 of 3 requests failed their check: took longer than 1s"
+    assert made.detail == "2 of 3 requests failed their check: took longer than 1 s"
 
 
 def test_lost_requests_failed_and_foreign_responses_are_counted(tmp_path):
@@ -279,7 +279,7 @@ def test_waiting_is_told_from_working(tmp_path):
     made = record(tmp_path, probed(0, 0.5, 0.5), probed(0.1, 0.9, 0.5), rules=PROBED)
     assert (made.latency.mean, made.service.mean, made.detail) == (pytest.approx(0.7), 0.5, None)
     made = record(tmp_path, probed(0, 0.2, 0.2), *[probed(0, 0.2 * i, 0.2) for i in (2, 3, 4)], rules=PROBED)
-    assert made.detail == "requests waited for one another: of 500ms on average the node worked 200ms"
+    assert made.detail == "requests waited for one another: of 500 ms on average the node worked 200 ms"
     no_service = {key: value for key, value in probed(5, 0.4).items() if key != "service_s"}
     assert record(tmp_path, probed(0, 0.2), no_service, rules=PROBED).service is None
 

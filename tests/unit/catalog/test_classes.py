@@ -2,7 +2,7 @@
 
 import pytest
 
-from fogspec.catalog.classes import accelerated, burstable, left_out, platforms
+from fogspec.catalog.classes import accelerated, burstable, cpu_kind, left_out, platforms
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.sources import load_catalog
 from fogspec.plan.design import design
@@ -98,6 +98,14 @@ def test_families_of_one_kind_of_cpu() -> None:
     ):
         rows = [f"{name},,,4,16,0.1,,r1," for name in instances]
         assert set(platforms(table(*rows, cloud=cloud))) == {kind}
+
+
+def test_what_stands_for_a_cpu_that_no_catalog_names() -> None:
+    assert len({cpu_kind("aws", "x86_64", one) for one in ("c5", "m5", "c6i", "m6i")}) == 4
+    assert cpu_kind("gcp", "x86_64", "c4d") != cpu_kind("aws", "x86_64", "c4d")
+    # A shape of Slurm is not a family, and a measured machine that is not on offer has none.
+    assert not cpu_kind("slurm", "x86_64", "4CPU")
+    assert not cpu_kind("aws", "", "")
 
 
 @pytest.mark.parametrize(

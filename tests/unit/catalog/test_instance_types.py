@@ -1,5 +1,7 @@
 """Instance types: one for all places and price kinds of a machine."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fogspec.catalog.instance_types import instance_types, types_with_measured
@@ -59,6 +61,20 @@ def test_types_of_measured_machines_lie_among_those_of_the_offers():
     same = types_with_measured(catalog, gone)
     assert same.keys == whole.keys
     assert np.array_equal(same.of, whole.of)
+
+
+def test_without_clock_rates_the_family_tells_the_cpu():
+    """SkyPilot's lists have none: machines of one family share a CPU, whose speed the models then learn."""
+    family = np.array(["c5", "m5"] * 20, dtype=np.object_)
+    catalog = replace(offers(40), family=family)
+    known, unknown = instance_types(catalog), instance_types(replace(catalog, clock_ghz=np.full(40, np.nan)))
+    cpu, of_family = unknown.machines.cpu_model, unknown.machines.family
+    assert len(set(zip(cpu.tolist(), of_family.tolist(), strict=True))) == len(set(cpu.tolist())) == 2
+    assert (cpu >= 0).all()
+    assert not set(cpu.tolist()) & set(known.machines.cpu_model.tolist())
+    # Where others of the cloud have one, a machine without is of no kind.
+    some = instance_types(replace(catalog, clock_ghz=np.array([3.0, *[np.nan] * 39])))
+    assert set(some.machines.cpu_model.tolist()) == {some.machines.cpu_model.max(), -1}
 
 
 def test_catalogs_are_concatenated():

@@ -109,7 +109,7 @@ def test_the_table_is_reproducible_bytes() -> None:
 
 @dataclass(frozen=True)
 class PriceList:
-    """Prices and shapes in us-east-1 from elsewhere: by machine type, USD per hour, vCPUs, GiB and GPU."""
+    """Prices and shapes in us-east-1 from elsewhere: by instance type, USD per hour, vCPUs, GiB and GPU."""
 
     offers: Callable[[], dict[str, tuple[float, float, float, str]]]
     at_least: int

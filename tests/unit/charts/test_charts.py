@@ -277,6 +277,12 @@ def test_the_choice_is_labelled_even_beside_its_likes(apart):
     assert len(nodes(svg, "label-chosen")) == 1
 
 
+def test_the_label_of_a_machine_that_misses_a_limit_is_gray_as_its_mark():
+    misses = machine("two", 1.5, 0.002, 2.0, meets=False, role="ruled out", row=1)
+    svg = draw(chart([machine("one", 1.0, 0.001, 1.0, role="chosen", row=0), misses]))
+    assert ["".join(node.itertext()) for node in nodes(svg, "label-misses")] == ["two"]
+
+
 def test_one_machine_is_drawn_with_ticks_and_none_is_refused():
     svg = draw(chart(FRONT[:1]))
     assert "1 machine drawn" in svg

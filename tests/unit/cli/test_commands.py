@@ -167,12 +167,14 @@ def test_explain_suggests(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "number", "offered"),
     [("fogspec val", "1", "validate"), ("fogspec explain spec.benchmark.bud", "2", "spec.benchmark.budget"),
-     ("fogspec explain FS20", "2", "FS201")],
+     ("fogspec explain FS20", "2", "FS201"), ("fogspec logs vslam-recorded --node r", "4", "ros2 launch")],
 )  # fmt: skip
 def test_the_shell_completes(words: str, number: str, offered: str) -> None:
     environment = {**os.environ, "_FOGSPEC_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": number}
     program = "import sys; sys.argv[0] = 'fogspec'; from fogspec.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False, cwd=ROOT
+    )
     assert f"plain,{offered}" in done.stdout.splitlines()
 
 

@@ -47,6 +47,9 @@ def test_the_clouds_launch_file_starts_the_nodes_as_the_spec_says(tmp_path, monk
     assert words["arguments"] == NODE["arguments"]
     assert words["additional_env"] == NODE["env"]
     assert process.keywords["cmd"] == ["printf", NASTY, "more"]
+    assert words["exec_name"] == NODE["name"], "the name in front of what it prints"
+    assert process.keywords["name"].startswith("printf ")
+    assert process.keywords["name"].isprintable()
     assert all(one.keywords["on_exit"].kind == "Shutdown" for one in (node, process)), "when one ends, all end"
 
 

@@ -23,6 +23,7 @@ from fogspec.compile.tasks import (
 )
 from fogspec.plan.commitment import Commitment
 from fogspec.plan.schema import Part, Sample
+from fogspec.spec.lockfile import REGISTRY_LOGIN
 from fogspec.spec.schema import Application, Node
 from tests.support.agent import AGENT
 
@@ -152,7 +153,8 @@ def test_hostile_words_reach_the_process_unchanged(tmp_path):
 def test_a_node_with_respawn_is_a_process_of_its_own():
     plain = application(cloud=[{"cmd": ["python3", "a.py"], "respawn": True, "respawn_delay": "2s"}, {"cmd": ["b"]}])
     assert deployed_processes(plain) == [
-        {"argv": ["python3", "a.py"], "name": "python3 a.py", "respawn": "always", "respawn_delay": 2.0}, ["b"],
+        {"argv": ["python3", "a.py"], "name": "python3 a.py", "respawn": "always", "respawn_delay": 2.0},
+        {"argv": ["b"], "name": "b"},
     ]  # fmt: skip
     nodes = [
         {"package": "p", "executable": "e", "respawn": "on_failure"},
@@ -311,6 +313,35 @@ def test_secrets_come_in_a_file_that_is_gone_before_a_node_starts(tmp_path):
     assert not handed.exists()
     assert not (tmp_path / "owned").exists()
     assert "secrets" not in rendered_sample(application())
+
+
+def test_the_login_to_the_registry_is_not_passed_to_the_nodes(tmp_path):
+    said = 'print([name for name in os.environ if "DOCKER" in name], os.environ["API_KEY"])'
+    (tmp_path / "agent.pyz").write_text(f"import os\n{said}")
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(tmp_path / "agent.pyz")}
+    environment |= {"FOGSPEC_OUT": str(tmp_path / "out"), "API_KEY": "kept", **dict.fromkeys(REGISTRY_LOGIN, "login")}
+    app = application(secrets=["API_KEY", *REGISTRY_LOGIN], ros={"image": "registry.example.org/team/nodes:1"})
+    task = task_of(app, sample())
+    assert task["secrets"] == dict.fromkeys(["API_KEY", *REGISTRY_LOGIN])
+    script = rendered_sample(app).replace("/opt/ros/jazzy", str(tmp_path))
+    (tmp_path / "setup.bash").touch()
+    for job in ({}, {"SKYPILOT_TASK_ID": "x"}):
+        run = subprocess.run(
+            ["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment | job
+        )
+        assert run.stdout == "[] kept\n", run.stderr
+
+
+def test_where_an_image_or_its_login_is_not_used_is_said():
+    image = "registry.example.org/team/nodes:1"
+    app = application(secrets=["API_KEY", *REGISTRY_LOGIN], ros={"image": image})
+    (said,) = left_out(app.spec, sample(infra="kubernetes/lab", instance="4CPU--16GB").machine)
+    assert said.startswith("SKYPILOT_DOCKER_USERNAME, ")
+    assert "imagePullSecrets" in said
+    here = sample(infra="local", instance="4cpu-16gib")
+    assert left_out(app.spec, here.machine) == [f"image {image} is left out on this host: its own ROS 2 is used"]
+    assert "image_id" not in task_of(app, here)["resources"]
+    assert left_out(app.spec, sample().machine) == []
 
 
 def test_slurm_has_neither_images_nor_spot_and_it_is_said():

@@ -172,7 +172,7 @@ def test_the_link_starts_first_and_nodes_by_ros2_launch(tmp_path):
         "bash /home/me and you/.fogspec/link/link.sh cloud up",
         "ros2 launch /home/me and you/.fogspec/launch/cloud.launch.py",
     ]
-    assert deployed_processes(application(cloud=[{"cmd": ["./x", "y"]}])) == [["./x", "y"]]
+    assert deployed_processes(application(cloud=[{"cmd": ["./x", "y"]}])) == [{"argv": ["./x", "y"], "name": "x y"}]
 
 
 def run_script(app: Application) -> str:

@@ -110,7 +110,7 @@ def shifts(cloud: str, benchmark: str) -> np.ndarray:
 
 @pytest.mark.parametrize(("cloud", "benchmark"), [("aws", "redis"), ("aws", "static_web"), ("azure", "geekbench")])
 def test_ranges_cover_a_second_server(cloud: str, benchmark: str) -> None:
-    """90 % ranges of measured machines, scored against second servers of real types: 0.82 and 0.59 without the term."""
+    """90% ranges of measured machines, scored against second servers of real types: 0.82 and 0.59 without the term."""
     if not REPEATS.is_file():
         pytest.skip("needs the larger data in FOGSPEC_SHARED")
     moved = shifts(cloud, benchmark)

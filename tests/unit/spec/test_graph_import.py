@@ -215,6 +215,16 @@ def test_the_spec_is_valid_and_has_what_was_seen(shell: Shell) -> None:
     )
 
 
+def test_the_cpu_use_of_a_node_that_came_late_is_unknown(shell: Shell) -> None:
+    robot = full()
+    robot.nodes["/arm/detector"]["late"] = True
+    shell.write("robot.json", json.dumps(robot.data()))
+    ended = shell("init", "arm", "--observed", "robot.json")
+    assert "/arm/detector appeared while the robot was watched: for its CPU use and rates, watch again" in ended.err
+    assert "0.40 cores" not in ended.out
+    assert "/arm/detector" in ended.out
+
+
 def test_a_machine_library_names_a_first_machine(shell: Shell) -> None:
     robot = full()
     robot.more["machine"] = {"cpu": "Intel Core i7", "arch": "x86_64", "vcpus": 8, "memory_gib": 16.0}
@@ -276,7 +286,7 @@ def test_a_file_that_is_not_there_is_said(shell: Shell) -> None:
         (("--from-graph", "--from-launch", "x.py"), "three sources"),
         (("--record", "5s"), "--record needs a robot that runs"),
         (("--from-graph", "--watch", "5"), "--watch"),
-        (("--from-graph", "--watch", "2h"), "between 1s and 10min"),
+        (("--from-graph", "--watch", "2h"), "between 1 s and 10 min"),
     ],
 )
 def test_options_that_make_no_sense_together(words: tuple[str, ...], message: str, shell: Shell) -> None:

@@ -89,9 +89,10 @@ def test_a_deployment_is_watched_by_the_same_library_and_starts_without_it() -> 
     app = {"apiVersion": "fogspec.dev/v1alpha1", "kind": "Application", "metadata": {"name": "app"}}
     whole = {"cloud": [{"cmd": ["node"]}], "probe": {"service": "/s"}, "infra": ["aws"]}
     found = deployed_processes(Application.model_validate({**app, "spec": whole}))
-    assert found == [[*words("fogspec_agent.preload", "--service", "/s", "--optional", "--"), "node"]]
+    argv = [*words("fogspec_agent.preload", "--service", "/s", "--optional", "--"), "node"]
+    assert found == [{"argv": argv, "name": "node"}]
     found = deployed_processes(Application.model_validate({**app, "spec": {**whole, "probe": {"callback": "plan"}}}))
-    assert found == [["node"]]
+    assert found == [{"argv": ["node"], "name": "node"}]
 
 
 def test_kinds_and_ways() -> None:

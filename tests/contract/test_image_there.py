@@ -1,0 +1,151 @@
+"""Before a machine is started: whether the registry has a pinned image, and for the CPUs of the machines."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from fogspec.backends import registry as backends
+from fogspec.backends.images.registry import Registry
+from fogspec.backends.skypilot import backend
+from fogspec.base.errors import InvalidInput
+from tests.contract.test_registry import MANIFEST, free_port, private, project, push, registry, send  # noqa: F401
+from tests.support.fake_sky import Cloud, SimulatedClient
+from tests.support.running import Shell, shell  # noqa: F401
+
+INDEX = "application/vnd.oci.image.index.v1+json"
+AT = ("--catalog", "offers.csv")
+
+
+@pytest.fixture
+def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cloud]:
+    made = Cloud(shell.folder.parent / "cloud")
+    monkeypatch.setattr(backends, "sample_backend", lambda _: lambda: backend.SkyPilotSamples(SimulatedClient(made)))
+    monkeypatch.setattr(backends, "deployment_backend", lambda _: backend.SkyPilotDeployments(SimulatedClient(made)))
+    yield made
+    for name in list(made.machines):
+        made.end(name)
+
+
+def push_for(registry: str, name: str, *architectures: str) -> str:
+    """Push an image for one CPU, or an index of several; return its name by digest."""
+    found = [_push_one(registry, name, one) for one in architectures]
+    content, kind = found[0][0], MANIFEST
+    if len(found) > 1:
+        listed = [
+            {
+                "mediaType": MANIFEST,
+                "digest": _digest(one),
+                "size": len(one),
+                "platform": {"os": "linux", "architecture": cpu},
+            }
+            for one, cpu in found
+        ]
+        attested = listed[0] | {"platform": {"os": "unknown", "architecture": "unknown"}}
+        content, kind = (
+            json.dumps({"schemaVersion": 2, "mediaType": INDEX, "manifests": [*listed, attested]}).encode(),
+            INDEX,
+        )
+        send("PUT", f"http://{registry}/v2/{name}/manifests/{_digest(content)}", content, kind)
+    return f"{registry}/{name}@{_digest(content)}"
+
+
+def _push_one(registry: str, name: str, cpu: str) -> tuple[bytes, str]:
+    described = []
+    config = json.dumps({"os": "linux", "architecture": cpu}).encode()
+    for blob, kind in ((config, "config.v1+json"), (cpu.encode(), "layer.v1.tar")):
+        where = send("POST", f"http://{registry}/v2/{name}/blobs/uploads/")
+        send("PUT", f"{where}&digest={_digest(blob)}", blob)
+        described.append({"mediaType": f"application/vnd.oci.image.{kind}", "digest": _digest(blob), "size": len(blob)})
+    body = {"schemaVersion": 2, "mediaType": MANIFEST, "config": described[0], "layers": described[1:]}
+    content = json.dumps(body).encode()
+    send("PUT", f"http://{registry}/v2/{name}/manifests/{_digest(content)}", content, MANIFEST)
+    return content, cpu
+
+
+def _digest(content: bytes) -> str:
+    return f"sha256:{hashlib.sha256(content).hexdigest()}"
+
+
+def doctor(shell: Shell) -> dict[str, Any]:
+    said = json.loads(shell("doctor", "demo", *AT, "-o", "json", code=None).out)
+    (found,) = [one for one in said if one["what"] == "image"]
+    return dict(found)
+
+
+def bench(shell: Shell, code: int) -> str:
+    shell("compile", "specs/demo.yaml", *AT)
+    return shell("bench", "demo", "--runner", "skypilot", "--yes", *AT, code=code).err
+
+
+@pytest.mark.parametrize("cpus", [("amd64",), ("arm64", "amd64")])
+def test_an_image_for_the_machines_cpus_is_fine(
+    registry: str, shell: Shell, cloud: Cloud, cpus: tuple[str, ...]
+) -> None:
+    project(shell, push_for(registry, "robots/fine", *cpus))
+    assert (doctor(shell)["state"], doctor(shell)["fixes"]) == ("ok", [])
+
+
+def test_an_image_for_another_cpu_starts_no_machine(registry: str, shell: Shell, cloud: Cloud) -> None:
+    image = push_for(registry, "robots/pi", "arm64")
+    project(shell, image)
+    found, wrong = doctor(shell), f"{image}: is for arm64, and spec.hardware.arch has x86_64"
+    assert (found["state"], found["detail"]) == ("problem", wrong)
+    assert found["fixes"] == ["build and push it for linux/amd64, or change spec.hardware.arch"]
+    said = bench(shell, code=1)
+    assert wrong in said
+    assert found["fixes"][0] in said
+    assert cloud.machines == {}
+    assert not (shell.folder / "results").exists()
+    Registry().check(image, ["arm64"])
+    with pytest.raises(InvalidInput, match="has x86_64"):
+        Registry().check(image, ["arm64", "x86_64"])
+
+
+def test_an_image_that_is_gone_starts_no_machine(registry: str, shell: Shell, cloud: Cloud) -> None:
+    image = f"{registry}/robots/gone@sha256:{'0' * 64}"
+    project(shell, image)
+    found = doctor(shell)
+    assert (found["state"], found["detail"]) == ("problem", f"{image}: the registry {registry} has no such image")
+    assert "fogspec lock specs/demo.yaml --upgrade all" in found["fixes"][0]
+    assert found["detail"] in bench(shell, code=1)
+    assert cloud.machines == {}
+
+
+def test_a_registry_that_does_not_tell_is_not_checked(private: str, shell: Shell, cloud: Cloud) -> None:
+    digest = push(private, "robots/hidden", "v1", b"layer", user=True)
+    project(shell, f"{private}/robots/hidden@{digest}")
+    found = doctor(shell)
+    assert found["state"] == "not checked", "a machine may have another login"
+    assert f"docker login {private}" in found["fixes"]
+    silent = f"127.0.0.1:{free_port()}"
+    project(shell, f"{silent}/robots/hidden@{digest}")
+    found = doctor(shell)
+    assert (found["state"], "cannot be asked" in found["detail"]) == ("not checked", True)
+    assert found["fixes"] == [f"docker manifest inspect {silent}/robots/hidden@{digest}"]
+
+
+def test_what_does_not_say_its_cpu_passes(registry: str) -> None:
+    image = f"{registry}/robots/plain@{push(registry, 'robots/plain', 'v1', b'layer')}"
+    Registry().check(image, ["x86_64", "arm64"])
+
+
+@pytest.mark.parametrize(
+    "manifest", ["[]", '{"manifests": [1, {"platform": "x"}]}', '{"config": {"digest": "../../x"}}']
+)
+def test_a_strange_manifest_passes_or_is_no_answer(
+    registry: str, manifest: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fogspec.backends.images import registry as module
+
+    asked: list[str] = []
+
+    def get(url: str, *_words: object) -> tuple[object, bytes]:
+        asked.append(url)
+        return {}, manifest.encode()
+
+    monkeypatch.setattr(module, "_get", get)
+    Registry().check(f"{registry}/robots/strange:v1", ["x86_64"])
+    assert len(asked) == 1

@@ -1,0 +1,63 @@
+"""How many machines run at the same time: 8 unless `--at-once` says otherwise, and then really that many."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from fogspec.backends import registry
+from fogspec.backends.skypilot import backend
+from fogspec.catalog import sources
+from tests.e2e.test_bench_money import _Shop
+from tests.e2e.test_no_access import AT, WORK, bench, results, sources_missing
+from tests.support.fake_sky import Cloud, SimulatedClient
+from tests.support.running import CATALOG, Shell, shell, spec  # noqa: F401
+
+MACHINES = 13
+
+
+class Together(Cloud):
+    """A cloud where no machine is up before so many were requested, that remembers how many there were at a time."""
+
+    wanted = 0
+    most = 0
+
+    def launch(self, task: Any, name: str, root: str) -> dict[str, Any]:
+        asked = super().launch(task, name, root)
+        self.most = max(self.most, len(self.machines))
+        return asked
+
+    def launched(self, request: str, name: str) -> dict[str, Any] | None:
+        return super().launched(request, name) if self.most >= self.wanted else None
+
+
+@pytest.fixture
+def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Together]:
+    def none(*_: object) -> None:
+        raise sources_missing()
+
+    monkeypatch.setattr(sources, "load_catalog", _Shop(none))
+    names = [f"m{number}.large" for number in range(MACHINES)]
+    shell.write("offers.csv", CATALOG + "".join(f"{one},,,2,4,0.1{at:02},,r1,\n" for at, one in enumerate(names)))
+    shell.write("specs/work.py", WORK)
+    stop = "warmup: 0, stop: {requests: 5, duration: 1min}, setup_timeout: 10min"
+    shell.write("specs/demo.yaml", spec(benchmark=f"{{budget: $50, machines: [{', '.join(names)}], {stop}}}"))
+    shell("compile", "specs/demo.yaml", *AT)
+    made = Together(shell.folder.parent / "cloud")
+    monkeypatch.setattr(backend.SkyPilotSamples, "poll_s", 0.05)
+    monkeypatch.setattr(backend, "LAUNCH_POLL_S", 0.05)
+    monkeypatch.setattr(registry, "sample_backend", lambda _: lambda: backend.SkyPilotSamples(SimulatedClient(made)))
+    yield made
+    for name in list(made.machines):
+        made.end(name)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(("words", "wanted"), [((), 8), (("--at-once", "12"), 12), (("--at-once", "3"), 3)])
+def test_so_many_machines_run_at_once(shell: Shell, cloud: Together, words: tuple[str, ...], wanted: int) -> None:
+    cloud.wanted = wanted
+    said = bench(shell, *words)
+    assert cloud.most == wanted, "no machine was up before so many were requested, and there were never more"
+    assert f"{wanted} machines at once: at most $" in said.err
+    assert [one["state"] for one in results(shell)["samples"]] == ["ok"] * MACHINES
