@@ -11,7 +11,6 @@ import errno
 import itertools
 import os
 import random
-import re
 import signal
 import statistics
 import subprocess
@@ -23,6 +22,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 
+from fogspec.backends.local import limits
 from fogspec.backends.local.backend import LocalDeployments
 from fogspec.backends.protocol import Job, Unreachable
 from fogspec.base import files, project_files
@@ -53,22 +53,31 @@ class Left:
 
 
 def left(deployed: Deployed) -> Left:
-    """Groups that have processes are somebody else's: what is ours has none left."""
-    paths = Path("/sys/fs/cgroup").glob("**/fogspec-*")
-    groups = [str(path) for path in paths if re.fullmatch(r"fogspec-\d+-\d+", path.name) and not _members(path)]
-    return Left(deployed.alive(), deployed.left(), groups)
+    """What a deployment has left; of cgroups, those that commands of `run` made."""
+    made = _made(deployed).read_text().split() if _made(deployed).exists() else []
+    return Left(deployed.alive(), deployed.left(), [str(group) for name in made for group in limits.groups(name)])
 
 
-def _members(group: Path) -> bytes:
-    try:
-        return (group / "cgroup.procs").read_bytes()
-    except OSError:
-        return b"it is gone"
+def _made(deployed: Deployed) -> Path:
+    return deployed.folder.with_name(f"{deployed.folder.name}.cgroups")
 
 
 def run(deployed: Deployed, *words: str, fault: Fault | None = None) -> int:
     """A command in a process of its own, with a fault put into it; its exit code, negative for a signal."""
-    return forked(deployed.folder, words, first=fault).returncode
+
+    def first() -> None:
+        make = limits._new_group
+
+        def noted(name: str, limit_bytes: int) -> tuple[Path | None, bool]:
+            with open(_made(deployed), "a") as file:
+                file.write(f"{name}\n")
+            return make(name, limit_bytes)
+
+        limits._new_group = noted
+        if fault is not None:
+            fault()
+
+    return forked(deployed.folder, words, first=first).returncode
 
 
 def killed(at: int, before: bool) -> Fault:
