@@ -3,7 +3,10 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, permutations
+
+import numpy as np
+import numpy.typing as npt
 
 from fogspec.charts.axes import Axis, tall, wide
 from fogspec.charts.text import LABEL, SIZE, width
@@ -11,9 +14,18 @@ from fogspec.charts.text import LABEL, SIZE, width
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]
 Segment = tuple[float, float, float, float]
+Rows = npt.NDArray[np.float64]  # of a box or a segment each
+Flags = npt.NDArray[np.bool_]
 
 ROUND = range(0, 360, 15)
 AWAY = (3, 8, 16, 26, 38, 52, 68, 86, 106, 130, 160, 200, 250, 310)
+SLID = (0.0, -0.25, 0.25)  # by this part of its width a label is further to the right
+BESIDE = (3, 8, 14)  # px between the line of a limit and its label
+# What a label costs, in px of its distance: no place at all, a leader line through a mark or a label, crossing an interval,
+# crossing another line, a leader line and each interval that it crosses.
+MISSING, BLOCKED, CROSSED, PASSED, LED = 10_000, 1000, 100, 40, 12
+CLEAR = 10  # px that another mark is further away than its own, or the label has a leader line
+ORDERED = 4  # labels whose best order is searched
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,165 +180,188 @@ def clipped(segment: Segment, box: Box) -> Segment | None:
     return tuple(round(value, 1) for value in one)  # type: ignore[return-value]
 
 
-def crosses(segment: Segment, box: Box) -> bool:
-    """Return whether a part of a segment lies within a box. Most segments are beside a box, which is seen at once."""
-    x1, y1, x2, y2 = segment
-    if (x1 < box[0] - 1 and x2 < box[0] - 1) or (x1 > box[2] + 1 and x2 > box[2] + 1):
-        return False
-    if (y1 < box[1] - 1 and y2 < box[1] - 1) or (y1 > box[3] + 1 and y2 > box[3] + 1):
-        return False
-    return clipped(segment, box) is not None
-
-
 @dataclass(slots=True)
 class Obstacles:
-    """What a label must not touch, and the segments that it should not cross."""
+    """What a label must not touch, and the intervals and other segments that it should not cross."""
 
     within: Box
     boxes: list[Box]
     lines: list[Segment]
-    soft: list[Segment]
+    bars: list[Segment]
+    soft: Sequence[Segment]
 
     @classmethod
     def of(cls, found: Frame, soft: Sequence[Segment] = ()) -> "Obstacles":
         """Return what is in a frame so far."""
         bars = [mark.bar for mark in found.marks if mark.bar]
-        return cls(found.box, [mark.box for mark in found.marks], [one.segment for one in found.limits], [*bars, *soft])
+        return cls(found.box, [mark.box for mark in found.marks], [one.segment for one in found.limits], bars, soft)
 
-    def touched(self, box: Box) -> int:
-        """Return how many of the edges, marks, limits and labels a box touches."""
+    def free(self, boxes: Rows) -> Flags:
+        """Return which boxes touch none of the edges, marks, limits and labels."""
+        left, top, right, bottom = boxes.T
         w = self.within
-        outside = box[0] < w[0] + 2 or box[1] < w[1] + 1 or box[2] > w[2] - 2 or box[3] > w[3] - 1
-        marks = sum(_overlap(box, other) for other in self.boxes)
-        return outside + marks + sum(crosses(line, box) for line in self.lines)
+        inside = (left >= w[0] + 2) & (top >= w[1] + 1) & (right <= w[2] - 2) & (bottom <= w[3] - 1)
+        taken = _overlap(boxes, _rows(self.boxes)).any(1) | _through(boxes, _rows(self.lines)).any(1)
+        return np.asarray(inside & ~taken)
 
-    def blocked(self, leader: Segment | None, mark: Mark) -> bool:
-        """Return True if a leader line from a mark goes through another mark or a label."""
-        return leader is not None and any(crosses(leader, box) for box in self.boxes if box != mark.box)
-
-    def crossed(self, box: Box) -> int:
-        """Return how many other lines go through a box."""
-        return sum(crosses(line, box) for line in self.soft)
+    def crossed(self, boxes: Rows) -> Rows:
+        """Return the cost of the lines that go through each box."""
+        bars, soft = (_through(boxes, _rows(lines)).sum(1) for lines in (self.bars, self.soft))
+        return np.asarray(CROSSED * bars + PASSED * soft, dtype=float)
 
 
 def place_limits(found: Frame, obstacles: Obstacles) -> None:
     """Label the limit lines where the labels touch nothing: along the line, on either side of it."""
     for limit in found.limits:
-        room, size = width(limit.words) + 4, SIZE
-        best: tuple[float, Box] | None = None
-        own = Obstacles(
-            obstacles.within,
-            obstacles.boxes,
-            [line for line in obstacles.lines if line != limit.segment],
-            obstacles.soft,
-        )
-        for rank, box in enumerate(_along(limit.segment, room, size + 4)):
-            if own.touched(box) or crosses(limit.segment, box):
-                continue
-            bad = 50 * own.crossed(box) + rank
-            if best is None or bad < best[0]:
-                best = bad, box
-        if best is not None:
-            box = best[1]
+        boxes = _rows(_along(limit.segment, width(limit.words) + 4, SIZE + 4))
+        far = np.arange(len(boxes)) / len(BESIDE)
+        cost = np.where(obstacles.free(boxes), obstacles.crossed(boxes) + far, np.inf)
+        at = int(cost.argmin())
+        if math.isfinite(cost[at]):
+            box: Box = tuple(boxes[at].tolist())
             obstacles.boxes.append(box)
-            found.labels.append(
-                Label(
-                    x=round(box[0] + 2, 1), y=round(box[3] - 5, 1), anchor="start", words=limit.words, kind="of-limit"
-                )
-            )
+            found.labels.append(_label(box, limit.words, "of-limit", inset=2))
 
 
-def _along(segment: Segment, room: float, high: float) -> Iterable[Box]:
-    """Yield boxes beside a line, the far end of it first."""
+def _label(box: Box, words: str, kind: str, *, inset: float = 1, leader: Segment | None = None) -> Label:
+    x, y = round(box[0] + inset, 1), round(box[3] - 5, 1)
+    return Label(x=x, y=y, anchor="start", words=words, kind=kind, leader=leader)
+
+
+def _along(segment: Segment, room: float, high: float) -> list[Box]:
+    """Return boxes beside a line, the far end of it first."""
     x1, y1, x2, y2 = segment
     # From the upper or the right end on, where labels of limits are looked for.
     if (abs(x2 - x1) < 1 and y1 > y2) or (abs(x2 - x1) >= 1 and x1 < x2):
         x1, y1, x2, y2 = x2, y2, x1, y1
     steep = abs(y2 - y1) > abs(x2 - x1)
+    found = []
     for step in range(41):
         x, y = x1 + step / 40 * (x2 - x1), y1 + step / 40 * (y2 - y1)
         if steep:
-            for left in (x + 6, x - 6 - room):
-                yield left, y + 4, left + room, y + 4 + high
+            sides = [left for by in BESIDE for left in (x + by + 3, x - by - 3 - room)]
+            found += [(left, y + 4, left + room, y + 4 + high) for left in sides]
         else:
-            for top in (y - 3 - high, y + 3):
-                yield x - room - 3, top, x - 3, top + high
+            sides = [top for by in BESIDE for top in (y - by - high, y + by)]
+            found += [(x - room - 3, top, x - 3, top + high) for top in sides]
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """The places that a label could have: its boxes, its leader lines (NaN for none) and what each place costs."""
+
+    boxes: Rows
+    leaders: Rows
+    cost: Rows
+
+    def best(self, placed: Sequence[tuple["_Places", int]]) -> int:
+        """Return the place of least cost beside labels that have their place."""
+        cost = self.cost.copy()
+        for other, at in placed:
+            box, leader = other.boxes[at : at + 1], other.leaders[at : at + 1]
+            cost[_overlap(self.boxes, box)[:, 0] | _through(self.boxes, leader)[:, 0]] = np.inf
+            cost[_through(box, self.leaders)[0]] += BLOCKED
+        return int(cost.argmin()) if np.isfinite(cost).any() else -1
 
 
 def place_labels(found: Frame, wanted: Sequence[tuple[Mark, str, str]], obstacles: Obstacles) -> None:
-    """Place labels (mark, words, class) near their marks, where they touch nothing; one without such a place is left out."""
-    others = [mark.box for mark in found.marks]
-    for mark, words, kind in wanted:
-        room = width(words, LABEL, bold=True) + 2
-        best: tuple[float, Box] | None = None
-        for away in AWAY:
-            if best is not None and best[0] <= away:
-                break  # what is further away is worse
-            free = [box for box in _spots(mark, room, away) if not obstacles.touched(box)]
-            best = min(
-                [*((_badness(box, mark, obstacles, others), box) for box in free), *([best] if best else [])],
-                default=None,
-            )
-        if best is None:
-            continue
-        box, leader = best[1], _leader(best[1], mark, others)
+    """Place labels (mark, words, class) near their marks, where they touch nothing; one without such a place is left out.
+
+    Of a few labels, the order of placement with the least cost is searched.
+    """
+    places = [_places(mark, width(words, LABEL, bold=True) + 2, obstacles, found.marks) for mark, words, _ in wanted]
+    some = range(len(wanted))
+    best, least = {}, math.inf
+    for order in permutations(some) if len(wanted) <= ORDERED else [some]:
+        chosen: dict[int, int] = {}
+        for i in order:
+            at = places[i].best([(places[j], k) for j, k in chosen.items()])
+            if at >= 0:
+                chosen[i] = at
+        cost = sum(float(places[i].cost[at]) for i, at in chosen.items()) + MISSING * (len(wanted) - len(chosen))
+        if cost < least:
+            best, least = chosen, cost
+    for i, at in sorted(best.items()):
+        box: Box = tuple(places[i].boxes[at].tolist())
+        ends = places[i].leaders[at]
+        leader: Segment | None = None if np.isnan(ends).any() else tuple(ends.round(1).tolist())
         obstacles.boxes.append(box)
-        if leader is not None:
-            obstacles.lines.append(leader)
-        found.labels.append(
-            Label(
-                x=round(box[0] + 1, 1),
-                y=round(box[3] - 5, 1),
-                anchor="start",
-                words=words,
-                kind=kind,
-                leader=leader,
-            )
-        )
+        found.labels.append(_label(box, *wanted[i][1:], leader=leader))
 
 
-def _spots(mark: Mark, room: float, away: float) -> Iterable[Box]:
-    """Yield candidate boxes around a mark, so far away; each faces the mark with one side."""
+def _places(mark: Mark, room: float, obstacles: Obstacles, marks: Sequence[Mark]) -> _Places:
+    """Return the places around a mark where its label touches nothing."""
+    boxes = _rows(_spots(mark, room))
+    boxes = boxes[obstacles.free(boxes)]
+    left, top, right, bottom = boxes.T
+    own = _apart(boxes, _rows([mark.box]))[:, 0]
+    others = _rows([box for box in obstacles.boxes if box != mark.box])
+    nearer = (_apart(boxes, _rows([one.box for one in marks if one.box != mark.box])) < own[:, None] + CLEAR).any(1)
+    # The leader line goes from the edge of the mark to the nearest point of the label.
+    x, y = np.clip(mark.x, left, right), np.clip(mark.y, top + 2, bottom - 3)
+    long = np.hypot(x - mark.x, y - mark.y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut = (mark.radius + 1) / long
+        ends = np.stack([mark.x + cut * (x - mark.x), mark.y + cut * (y - mark.y), x, y], axis=1)
+    led = (own >= 14) | nearer
+    leaders = np.where((led & (long > mark.radius + 1))[:, None], ends, np.nan)
+    met = _meet(leaders, _rows([bar for bar in obstacles.bars if bar != mark.bar])).sum(1)
+    cost = own + 0.05 * abs((top + bottom) / 2 - mark.y) + np.where(left > mark.x, 0, 1.5)
+    cost += obstacles.crossed(boxes) + LED * (led + met) + BLOCKED * _through(others, leaders).sum(0)
+    return _Places(boxes, leaders, cost.round(6))
+
+
+def _spots(mark: Mark, room: float) -> Iterable[Box]:
+    """Yield boxes around a mark, the nearest first; each faces the mark with one side."""
     high = LABEL + 5
-    for angle in ROUND:
-        dx, dy = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-        x, y = mark.x + dx * (mark.radius + away), mark.y + dy * (mark.radius + away)
-        left, top = x - room * (1 - dx) / 2, y - high * (1 - dy) / 2
-        yield left, top, left + room, top + high
+    for away in AWAY:
+        for angle in ROUND:
+            dx, dy = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+            x, y = mark.x + dx * (mark.radius + away), mark.y + dy * (mark.radius + away)
+            for slid in SLID:
+                left, top = x - room * ((1 - dx) / 2 - slid), y - high * (1 - dy) / 2
+                yield left, top, left + room, top + high
 
 
-def _badness(box: Box, mark: Mark, obstacles: Obstacles, others: Sequence[Box]) -> float:
-    own = _distance(box, mark)
-    nearer = any(_apart(box, other) < own for other in others if other != mark.box)
-    middle = abs((box[1] + box[3]) / 2 - mark.y)
-    return own + 16 * obstacles.crossed(box) + 14 * nearer + 0.05 * middle + (0 if box[0] > mark.x else 1.5)
+def _rows(items: Iterable[tuple[float, float, float, float]]) -> Rows:
+    return np.array(list(items), dtype=float).reshape(-1, 4)
 
 
-def _leader(box: Box, mark: Mark, others: Sequence[Box]) -> Segment | None:
-    own = _distance(box, mark)
-    if own < 14 and not any(_apart(box, other) < own for other in others if other != mark.box):
-        return None
-    x, y = min(max(mark.x, box[0]), box[2]), min(max(mark.y, box[1] + 2), box[3] - 3)
-    long = math.hypot(x - mark.x, y - mark.y)
-    if long <= mark.radius + 1:
-        return None
-    cut = (mark.radius + 1) / long
-    start = mark.x + cut * (x - mark.x), mark.y + cut * (y - mark.y)
-    return round(start[0], 1), round(start[1], 1), round(x, 1), round(y, 1)
+def _pairs(ones: Rows, others: Rows) -> tuple[Rows, Rows]:
+    """Return the columns of both, so that a result has a row for each of the first and a column for each of the others."""
+    return ones.T[:, :, None], others.T[:, None, :]
 
 
-def _distance(box: Box, mark: Mark) -> float:
-    return _apart(box, mark.box)
+def _apart(boxes: Rows, others: Rows) -> Rows:
+    """Return the distances between boxes."""
+    a, b = _pairs(boxes, others)
+    dx, dy = np.maximum(a[0] - b[2], b[0] - a[2]), np.maximum(a[1] - b[3], b[1] - a[3])
+    return np.asarray(np.hypot(np.maximum(dx, 0), np.maximum(dy, 0)))
 
 
-def _apart(one: Box, other: Box) -> float:
-    dx = max(one[0] - other[2], other[0] - one[2], 0)
-    dy = max(one[1] - other[3], other[1] - one[3], 0)
-    return math.hypot(dx, dy)
+def _overlap(boxes: Rows, others: Rows) -> Flags:
+    a, b = _pairs(boxes, others)
+    return np.asarray((a[0] < b[2]) & (b[0] < a[2]) & (a[1] < b[3]) & (b[1] < a[3]))
 
 
-def _overlap(one: Box, other: Box) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+def _through(boxes: Rows, lines: Rows) -> Flags:
+    """Return which segments go through which boxes: near them, and with corners on both sides. None do that are NaN."""
+    (left, top, right, bottom), (x1, y1, x2, y2) = _pairs(boxes, lines)
+    near = (np.minimum(x1, x2) <= right) & (np.maximum(x1, x2) >= left)
+    near &= (np.minimum(y1, y2) <= bottom) & (np.maximum(y1, y2) >= top)
+    sides = np.stack([(x2 - x1) * (y - y1) - (y2 - y1) * (x - x1) for x in (left, right) for y in (top, bottom)])
+    return np.asarray(near & (sides.min(0) <= 0) & (sides.max(0) >= 0))
+
+
+def _meet(lines: Rows, others: Rows) -> Flags:
+    """Return which segments cross which: the ends of each are on both sides of the other."""
+    a, b = _pairs(lines, others)
+
+    def side(line: Rows, x: Rows, y: Rows) -> Rows:
+        return np.asarray((line[2] - line[0]) * (y - line[1]) - (line[3] - line[1]) * (x - line[0]))
+
+    return np.asarray((side(a, b[0], b[1]) * side(a, b[2], b[3]) < 0) & (side(b, a[0], a[1]) * side(b, a[2], a[3]) < 0))
 
 
 def segments(points: Sequence[Point]) -> list[Segment]:

@@ -42,8 +42,8 @@ def charts() -> dict[Path, str]:
         FOLDER / "paper-frontiers.svg": _page(
             "Predicted machines fill the gaps of the measured Pareto frontier",
             [_frontier(one, *_corner(i)) for i, one in enumerate(four)],
-            [("measured meets", "measured"), ("predicted misses", "predicted"), ("curve", "frontier of all machines"),
-             ("paper", "frontier of the measured ones")],
+            [("measured meets", "measured"), ("predicted misses", "predicted"), ("diamond", "with GPU"),
+             ("curve", "frontier of all machines"), ("paper", "frontier of the measured ones")],
         ),
         **({FOLDER / "paper-path-length.svg": _path_lengths(runs)} if runs else {}),
         FOLDER / "menu.svg": MENU.read_text("utf-8"),

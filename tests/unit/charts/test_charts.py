@@ -5,6 +5,7 @@ import math
 import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from pathlib import Path
 
 import click
 import numpy as np
@@ -20,6 +21,9 @@ from fogspec.charts.menu_svg import draw, panel
 from fogspec.charts.model_svg import Series, SizeChart, Sized, title_of
 from fogspec.charts.terminal import plot
 from fogspec.charts.text import LABEL, shortened, width, wrapped
+
+ROOT = Path(__file__).parents[3]
+CHARTS = sorted([*ROOT.glob("compiled/*/*.svg"), ROOT / "docs/figures/menu.svg"])
 
 HOSTILE = [
     '"><script>alert(1)</script>&]]>',
@@ -264,6 +268,17 @@ def test_labels_touch_nothing(seed):
     price_limit = {"price_limit_usd_per_hour": 1.05} if seed % 5 == 0 else {}
     found = assert_labels_touch_nothing(draw(chart(machines, **limits, **price_limit)))
     assert found >= 1 or spread == 0.02, "only where machines leave no room is there no label"
+
+
+@pytest.mark.parametrize("path", CHARTS, ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_labels_of_the_charts_in_the_repository_cross_no_interval(path):
+    svg = path.read_text()
+    assert assert_labels_touch_nothing(svg) >= 2
+    intervals = [tuple(numbers(node.get("d"))) for node in nodes(svg, "bar") if node.get("data-bar")]
+    assert len(intervals) > 5
+    assert not [(label, line) for label in label_boxes(svg) for line in intervals if clipped(line, label)]
+    leaders = [tuple(numbers(node.get("d"))) for node in nodes(svg, "leader")]
+    assert not [line for line in leaders if sum(clipped(line, mark) is not None for mark in mark_boxes(svg)) > 1]
 
 
 @pytest.mark.parametrize("apart", [1.0, 1.05, 1.4, 3.0])
