@@ -1,18 +1,25 @@
-"""What all tests share: where more data may be, and that CI skips nothing."""
+"""What all tests share: where more data may be, where temporary files are, and that CI skips nothing."""
 
 import os
+import shutil
 import signal
+import tempfile
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
 
+from tests.support import once
 from tests.tools import apart
 
 # Busy machines are slow; what must be fast is timed elsewhere, as whole processes.
 settings.register_profile("steady", deadline=None)
 settings.load_profile("steady")
+
+# Several workers share the CPUs. Threads of one more library would wait for each other, busily, and sums would depend on their
+# number. It is read when numpy is imported, after this.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # A shell without job control starts what it puts in the background (`make test &`) with Ctrl-C ignored, which every
 # process below would inherit: those that are to end by it would not, and bash could not even trap it.
@@ -32,6 +39,17 @@ SHARED = Path(os.environ.get("FOGSPEC_SHARED", ROOT.parent / "shared"))
 
 # What has one cluster, browser or laid-out project for all its tests runs in one worker.
 TOGETHER = ("tests/aws/", "tests/slurm/", "tests/browser/", "tests/contract/")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Everything temporary is below one folder, which ends with the session, whatever was killed in it."""
+    if apart.FOLDER in os.environ or "PYTEST_XDIST_WORKER" in os.environ:
+        return  # workers have the folder of the process that starts them
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())  # where pytest keeps what failed tests wrote
+    folder = tempfile.mkdtemp(prefix="fog-")
+    config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+    os.environ |= {"TMPDIR": folder, once.SESSION: folder}
+    tempfile.tempdir = folder
 
 
 class Together(LoadScopeScheduling):

@@ -1,13 +1,11 @@
 """A tiny application that is measured and compiled for this host, and what runs of it."""
 
-import atexit
 import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +15,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from tests.support.forking import Ended, forked
+from tests.support.once import once
 from tests.support.scenes import environments
 
 SPEC = """\
@@ -62,7 +61,6 @@ local,1cpu-1gib,1,1,0.02,
 local,2cpu-1gib,2,1,0.04,
 """
 MANIFEST = "compiled/tiny/manifest.yaml"
-MADE: dict[str, Path] = {}
 
 
 @dataclass(frozen=True)
@@ -74,19 +72,17 @@ class Deployed:
     @classmethod
     def made(cls, folder: Path, spec: str = SPEC, hosts: str = HOSTS) -> "Deployed":
         """Measured by a real bench once for each spec, then copied."""
-        key = spec + hosts
-        if key not in MADE:
-            first = cls(Path(tempfile.mkdtemp(prefix="fogspec-deployed-")))
-            atexit.register(shutil.rmtree, first.folder, ignore_errors=True)
+
+        def measured(place: Path) -> None:
             for name, text in (("specs/tiny.yaml", spec), ("specs/work.py", WORK), ("hosts.csv", hosts)):
-                (first.folder / name).parent.mkdir(exist_ok=True)
-                (first.folder / name).write_text(text)
+                (place / name).parent.mkdir(exist_ok=True)
+                (place / name).write_text(text)
             for words in (["lock", "--catalog", "hosts.csv"], ["compile", "specs/tiny.yaml"],
                           ["bench", "specs/tiny.yaml", "--runner", "local"], ["compile", "specs/tiny.yaml"]):  # fmt: skip
-                first(*words)
-            shutil.rmtree(first.folder / ".fogspec")
-            MADE[key] = first.folder
-        shutil.copytree(MADE[key], folder, dirs_exist_ok=True)
+                cls(place)(*words)
+            shutil.rmtree(place / ".fogspec")
+
+        shutil.copytree(once(f"deployed {spec} {hosts}", measured), folder, dirs_exist_ok=True)
         return cls(folder)
 
     def __call__(self, *words: str, code: int | None = 0, env: dict[str, str] | None = None) -> Ended:

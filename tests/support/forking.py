@@ -1,4 +1,4 @@
-"""The command line in a process of its own that need not load everything anew."""
+"""The command line in a process of its own that need not load everything again."""
 
 import contextlib
 import os

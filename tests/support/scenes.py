@@ -1,18 +1,19 @@
 """A tiny application in a folder of its own, and the command line on it, as a user has both."""
 
-import atexit
 import json
 import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
+
+from tests.support.forking import Ended, forked
+from tests.support.once import once
 
 SPEC = """\
 apiVersion: fogspec.dev/v1alpha1
@@ -52,7 +53,6 @@ while True:
     fogspec_probe.stop("work")
     count += 1
 """
-COMPILED: dict[str, Path] = {}
 
 
 @dataclass(frozen=True)
@@ -65,15 +65,15 @@ class Scene:
     @classmethod
     def made(cls, folder: Path, work: str = WORK, spec: str = SPEC) -> "Scene":
         """Spec, compiled, and workload; what was compiled before is copied, for it is the same in every folder."""
-        if spec not in COMPILED:
-            first = cls(Path(tempfile.mkdtemp(prefix="fogspec-scene-")))
-            atexit.register(shutil.rmtree, first.folder, ignore_errors=True)
-            (first.folder / "specs").mkdir()
+
+        def compiled(place: Path) -> None:
+            first = cls(place)
+            (place / "specs").mkdir()
             first.spec.write_text(spec)
-            (first.folder / "specs" / "work.py").touch()
+            (place / "specs" / "work.py").touch()
             assert first.run("compile").returncode == 0
-            COMPILED[spec] = first.folder
-        shutil.copytree(COMPILED[spec], folder)
+
+        shutil.copytree(once(f"scene {spec}", compiled), folder)
         (folder / "specs" / "work.py").write_text(work)
         return cls(folder)
 
@@ -88,14 +88,14 @@ class Scene:
     def command(self, verb: str, *words: str) -> list[str]:
         return [sys.executable, "-m", "fogspec", verb, f"specs/{self.name}.yaml", *words]
 
-    def run(self, verb: str, *words: str) -> "subprocess.CompletedProcess[str]":
+    def run(self, verb: str, *words: str) -> Ended:
         """Run to the end; no command may ever show a traceback or leave half-written files."""
-        ended = subprocess.run(self.command(verb, *words), cwd=self.folder, capture_output=True, text=True, timeout=240)
+        ended = forked(self.folder, [verb, f"specs/{self.name}.yaml", *words], patience_s=240)
         assert "Traceback" not in ended.stdout + ended.stderr
         assert not [path for path in self.folder.rglob(".*.yaml.*") if path.is_file()]
         return ended
 
-    def bench(self, *words: str) -> "subprocess.CompletedProcess[str]":
+    def bench(self, *words: str) -> Ended:
         return self.run("bench", "--runner", "local", *words)
 
     def begin(self, *more: str) -> "subprocess.Popen[str]":
