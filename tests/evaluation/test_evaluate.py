@@ -16,6 +16,7 @@ from fogspec.spec.loader import load, read_document
 from tests.conftest import ROOT
 from tests.evaluation.making import write_suite
 from tests.support.files import write_yaml
+from tests.support.forking import forked
 
 FIELDS = {
     "kind", "problems", "ok1", "ok5", "ok10", "bench", "samples", "violation5", "false_infeasible", "regret", "mdape",
@@ -23,11 +24,8 @@ FIELDS = {
 }  # fmt: skip
 
 
-def run(*arguments, code=0, cwd=None, **environment):
-    done = subprocess.run(
-        [sys.executable, "-m", "fogspec", *map(str, arguments)], capture_output=True, text=True, check=False, cwd=cwd or ROOT,
-        env={**os.environ, **environment},
-    )  # fmt: skip
+def run(*arguments, code=0):
+    done = forked(ROOT, [str(one) for one in arguments])
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     return done
@@ -218,7 +216,10 @@ def test_a_library_is_built_from_a_folder_and_used(suite, tmp_path):
 
 
 def test_without_sparecores_data_the_install_command_is_said(tmp_path):
-    done = run("priors", "build", "--out", tmp_path / "a.zip", code=1, PYTHONPATH=str(_without_sc_data(tmp_path)))
+    words = [sys.executable, "-m", "fogspec", "priors", "build", "--out", str(tmp_path / "a.zip")]
+    environment = {**os.environ, "PYTHONPATH": str(_without_sc_data(tmp_path))}
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT, env=environment)
+    assert done.returncode == 1, done.stderr
     assert "python -m pip install sparecores-data" in done.stderr
     assert not (tmp_path / "a.zip").exists()
 

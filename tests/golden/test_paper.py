@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,7 @@ import yaml
 
 from fogspec.numerics import families, relaxation
 from fogspec.numerics.families import fit_all
+from tests.support.forking import forked
 from tools.paper import published, tables
 from tools.paper.cases import price_usd_per_hour
 
@@ -38,9 +37,7 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def fogspec(cwd: Path, *words: str, code: int = 0) -> str:
-    ended = subprocess.run(
-        [sys.executable, "-m", "fogspec", *words], cwd=cwd, capture_output=True, text=True, timeout=120
-    )
+    ended = forked(cwd, words)
     assert ended.returncode == code, ended.stderr + ended.stdout
     return ended.stdout
 
