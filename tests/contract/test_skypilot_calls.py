@@ -5,6 +5,8 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -14,21 +16,69 @@ from fogspec.base.clouds import CLOUDS
 PYTHONS = [sys.executable, *filter(None, os.environ.get("FOGSPEC_SKYPILOT_PYTHONS", "").split(os.pathsep))]
 
 
-@pytest.fixture
-def no_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing here may start an API server or look at the user's machines."""
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv("SKYPILOT_DISABLE_LOCAL_API_SERVER", "1")
-    monkeypatch.setenv("SKYPILOT_DISABLE_USAGE_COLLECTION", "1")
+# Nothing here may start an API server or look at the user's machines.
+ALONE = {"SKYPILOT_DISABLE_LOCAL_API_SERVER": "1", "SKYPILOT_DISABLE_USAGE_COLLECTION": "1"}
+# Importing SkyPilot takes seconds: each script has a process that comes of one which has it, and SkyPilot as it was imported.
+FORKING = """
+import json, os, sys, traceback
+from fogspec.backends.skypilot import api
+for line in sys.stdin:
+    script, out, environment = json.loads(line)
+    if (child := os.fork()) == 0:
+        code = 1
+        try:
+            os.dup2(os.open(out, os.O_WRONLY | os.O_CREAT), 1)
+            os.dup2(1, 2)
+            os.environ |= environment
+            exec(compile(script, "script", "exec"), {"__name__": "__main__"})
+            code = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            os._exit(code)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def forking(tmp_path_factory: pytest.TempPathFactory) -> Iterator["subprocess.Popen[str]"]:
     if not importlib.util.find_spec("sky"):
         pytest.skip("needs SkyPilot: pip install 'fogspec[sky]'")
+    environment = os.environ | ALONE | {"HOME": str(tmp_path_factory.mktemp("home"))}
+    with tempfile.TemporaryFile("w+") as log:
+        process = subprocess.Popen([sys.executable, "-c", FORKING], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
+                                   text=True, env=environment)  # fmt: skip
+        with process:
+            yield process
+
+
+@pytest.fixture
+def skypilot(forking: "subprocess.Popen[str]", tmp_path: Path) -> Callable[..., str]:
+    """Runs a script to its end and returns what it printed."""
+
+    def run(script: str, **environment: str) -> str:
+        assert forking.stdin is not None
+        assert forking.stdout is not None
+        out = tmp_path / "said"
+        forking.stdin.write(json.dumps([script, str(out), {"HOME": str(tmp_path), **environment}]) + "\n")
+        forking.stdin.flush()
+        code = forking.stdout.readline()
+        assert code == "0\n", out.read_text()[-2000:] if out.exists() else "SkyPilot was not imported"
+        return out.read_text()
+
+    return run
 
 
 @pytest.mark.parametrize("python", PYTHONS)
-@pytest.mark.usefixtures("no_server")
-def test_the_calls_and_exceptions_are_there(python: str) -> None:
-    script = str(Path(__file__).with_name("sky_has_calls.py"))
-    ended = subprocess.run([python, script], capture_output=True, text=True, timeout=120)
+def test_the_calls_and_exceptions_are_there(python: str, tmp_path: Path) -> None:
+    if python == sys.executable and not importlib.util.find_spec("sky"):
+        pytest.skip("needs SkyPilot: pip install 'fogspec[sky]'")
+    script, environment = (
+        str(Path(__file__).with_name("sky_has_calls.py")),
+        os.environ | ALONE | {"HOME": str(tmp_path)},
+    )
+    ended = subprocess.run([python, script], capture_output=True, text=True, timeout=280, env=environment)
     assert ended.returncode == 0, ended.stderr[-2000:]
     said = json.loads(ended.stdout.splitlines()[-1])
     assert said["missing"] == []
@@ -49,10 +99,8 @@ for op, words in [("end", {"name": "production"}), ("launch", {"task": {"run": "
 """
 
 
-@pytest.mark.usefixtures("no_server")
-def test_what_is_not_ours_is_refused_before_skypilot_is_asked() -> None:
-    ended = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, timeout=120)
-    assert ended.returncode == 0, ended.stderr[-2000:]
+def test_what_is_not_ours_is_refused_before_skypilot_is_asked(skypilot: Callable[..., str]) -> None:
+    skypilot(SCRIPT)
 
 
 HANDED = """
@@ -94,11 +142,10 @@ except CloudProblem as problem:
 """
 
 
-@pytest.mark.usefixtures("no_server")
-def test_secrets_are_in_no_task_that_skypilot_gets_but_in_a_file_of_their_own(tmp_path: Path) -> None:
-    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}
-    ended = subprocess.run([sys.executable, "-c", HANDED], capture_output=True, text=True, timeout=120, env=environment)
-    assert ended.returncode == 0, ended.stderr[-2000:]
+def test_secrets_are_in_no_task_that_skypilot_gets_but_in_a_file_of_their_own(
+    tmp_path: Path, skypilot: Callable[..., str]
+) -> None:
+    skypilot(HANDED, XDG_RUNTIME_DIR=str(tmp_path))
 
 
 ENDED = """
@@ -138,10 +185,8 @@ assert log == ["down"], ("the machine was there", log)
 """
 
 
-@pytest.mark.usefixtures("no_server")
-def test_what_skypilot_knows_nothing_of_is_looked_for_once_more() -> None:
-    ended = subprocess.run([sys.executable, "-c", ENDED], capture_output=True, text=True, timeout=120)
-    assert ended.returncode == 0, ended.stderr[-2000:]
+def test_what_skypilot_knows_nothing_of_is_looked_for_once_more(skypilot: Callable[..., str]) -> None:
+    skypilot(ENDED)
 
 
 POWER_OFF = """
@@ -167,6 +212,7 @@ def user_data(task):
 def task(infra, **autostop):
     return {"resources": {"infra": infra, "autostop": {"idle_minutes": 15, "down": True, **autostop}}}
 
+skypilot_config.reload_config()  # of this process's home
 before = skypilot_config.to_dict()
 sample = user_data(task("aws/us-east-1", wait_for="none"))
 print(json.dumps({
@@ -178,16 +224,15 @@ print(json.dumps({
 """
 
 
-@pytest.mark.usefixtures("no_server")
 @pytest.mark.parametrize("theirs", [None, "modprobe fuse"])
-def test_the_first_boot_on_aws_arms_a_timer_that_turns_the_machine_off(tmp_path: Path, theirs: str | None) -> None:
+def test_the_first_boot_on_aws_arms_a_timer_that_turns_the_machine_off(
+    tmp_path: Path, theirs: str | None, skypilot: Callable[..., str]
+) -> None:
     """Fifteen minutes of lifetime, after five until SkyPilot's own end is armed: in the user data that the cloud gets."""
     if theirs is not None:
         (tmp_path / ".sky").mkdir()
         (tmp_path / ".sky" / "config.yaml").write_text(f"aws: {{post_provision_runcmd: [{theirs}]}}\n")
-    ended = subprocess.run([sys.executable, "-c", POWER_OFF], capture_output=True, text=True, timeout=120)
-    assert ended.returncode == 0, ended.stderr[-2000:]
-    said, kept = json.loads(ended.stdout.splitlines()[-1]), [theirs] if theirs else []
+    said, kept = json.loads(skypilot(POWER_OFF).splitlines()[-1]), [theirs] if theirs else []
     assert said["sample"] == ["systemd-run --on-boot=1200 systemctl poweroff", *kept]
     assert said["deployment"] == said["gcp"] == (kept or None), "no end of ours, and the user's own commands stay"
     assert "runcmd" in said["first_boot"]

@@ -13,6 +13,7 @@ import pytest
 
 from fogspec.plan.schema import Plan
 from fogspec.spec.loader import read_document
+from tests.support.forking import forked
 
 DIGEST = f"sha256:{'a' * 64}"
 SPEC = f"""apiVersion: fogspec.dev/v1alpha1
@@ -43,8 +44,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plan]:
     for name, text in (("specs/pods.yaml", SPEC), ("specs/work.py", ""), ("prices.csv", PRICES)):
         (project / name).parent.mkdir(exist_ok=True)
         (project / name).write_text(text)
-    words = [sys.executable, "-m", "fogspec", "compile", "pods", "--catalog", "prices.csv"]
-    ended = subprocess.run(words, cwd=project, capture_output=True, text=True)
+    ended = forked(project, ["compile", "pods", "--catalog", "prices.csv"])
     assert ended.returncode == 0, ended.stderr
     return project, read_document(project / "compiled" / "pods" / "plan.yaml", Plan)
 

@@ -15,6 +15,7 @@ import pytest
 from fogspec.catalog.sources import load_catalog
 from fogspec.plan.schema import Plan
 from fogspec.spec.loader import read_document
+from tests.support.forking import forked
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
@@ -66,12 +67,11 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (base / "home" / ".slurm" / "config").write_text("Host lab\n  HostName 127.0.0.1\n  User nobody\n")
     (tables / "common").mkdir()
     (tables / "common" / "accelerators.csv").write_text("AcceleratorName,Clouds\nT4,\"['AWS', 'GCP', 'Azure']\"\n")
-    environment = os.environ | {"HOME": str(base / "home"), "XDG_CACHE_HOME": str(base / "cache")}
+    environment = {"HOME": str(base / "home"), "XDG_CACHE_HOME": str(base / "cache")}
     for spec, more in [(f"specs/{name}.yaml", []) for name in SPECS] + [
         ("specs/planner-local.yaml", []), ("specs/everywhere.yaml", ["--catalog", "skypilot"])
     ]:  # fmt: skip
-        ended = subprocess.run([sys.executable, "-m", "fogspec", "compile", spec, *more], cwd=project, env=environment,
-                               capture_output=True, text=True)  # fmt: skip
+        ended = forked(project, ["compile", spec, *more], environment)
         assert ended.returncode == 0, ended.stderr
     return project
 
