@@ -12,6 +12,7 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics
 from prometheus_client.parser import text_string_to_metric_families as textfile
 
+from fogspec.deploy import watch
 from tests.faults import deployments as faulty
 from tests.support.deployed import SPEC, Deployed, app, tiny  # noqa: F401
 from tests.support.scenes import until
@@ -98,7 +99,11 @@ def test_a_dead_supervisor_is_a_lost_deployment(tiny: Deployed) -> None:
     assert serves(tiny)
 
 
-def test_restarts_are_bounded_in_an_hour_and_wait_longer_each_time(tiny: Deployed) -> None:
+def test_restarts_are_bounded_in_an_hour_and_wait_longer_each_time(
+    tiny: Deployed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("FIRST_WAIT_S", "LONGEST_WAIT_S"):
+        monkeypatch.setattr(watch, name, 3000.0)  # longer than the commands below on any host
     tiny.apply()
     for _ in range(2):
         tiny.kill()
