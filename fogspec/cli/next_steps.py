@@ -26,7 +26,7 @@ FOLLOWED_BY: dict[str, tuple[str, ...]] = {
     "validate": ("compile",),
     "config": (),
     "lock": ("compile",),
-    "compile": ("bench", "compile", "explain"),
+    "compile": ("lock", "bench", "compile", "explain"),
     "doctor": ("compile", "bench"),
     "bench": ("bench", "compile"),
     "join": ("compile",),
@@ -146,8 +146,11 @@ def after_diff(inputs: "Inputs", one: "Difference", live: Sequence[Any] | None) 
 
 
 def to_measure(compiled: "Artifacts") -> str | None:
-    """Return the command that measures the plan, where it can be measured."""
-    return next_command(*_measure(compiled))
+    """Return the command that measures the plan; without prices there would be no choice, so first the one that has them."""
+    from fogspec.compile.inputs import unpriced
+
+    missing = unpriced(compiled.inputs.spec, compiled.catalog)
+    return next_command(*_measure(compiled)) if missing is None else missing[2]
 
 
 def _measure(compiled: "Artifacts") -> Words:

@@ -18,7 +18,7 @@ from fogspec.base.errors import OutOfDate
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
 from fogspec.catalog.classes import unknown_families
-from fogspec.catalog.filters import unknown_places
+from fogspec.catalog.filters import matches_infra, unknown_places
 from fogspec.catalog.sources import default_origin, load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.compile.agent_archive import agent_archive, is_former_agent_file
@@ -360,6 +360,20 @@ def _catalog_notes(one: LoadedSpec, catalog: Catalog) -> Iterator[str]:
         yield from strange
     if (old := age_warning(one, catalog)) is not None:
         yield f"warning: {old}: see --catalog"
+
+
+def unpriced(one: LoadedSpec, catalog: Catalog) -> tuple[str, str, str] | None:
+    """Return that no machine has a price in the spec's places, what to do, and the command; None if one has."""
+    infra = one.application.spec.infra
+    if any(matches_infra(catalog, place).any() for place in infra):
+        return None
+    places = ", ".join(infra)
+    if all(cloud_of(place).on_skypilot for place in infra):
+        again = shell_command("fogspec", "compile", one.layout.spec, "--catalog", "skypilot")
+        return f"{catalog.about.source}: no machine in {places}", "all that SkyPilot knows: --catalog skypilot", again
+    again = shell_command("fogspec", "lock", one.layout.spec, "--catalog", "FILE")
+    columns = "write a CSV with the columns Cloud,InstanceType,vCPUs,MemoryGiB,Price,Region"
+    return f"no price list has machines in {places}", columns, again
 
 
 def age_warning(one: LoadedSpec, catalog: Catalog) -> str | None:

@@ -21,9 +21,8 @@ from fogspec.base.layout import Layout
 from fogspec.base.redaction import check_set
 from fogspec.base.text import shell_command
 from fogspec.bench.journal import JournalState
-from fogspec.catalog.filters import matches_infra
 from fogspec.catalog.table import Catalog
-from fogspec.compile.inputs import Inputs, age_warning
+from fogspec.compile.inputs import Inputs, age_warning, unpriced
 from fogspec.compile.links import link_of
 from fogspec.deploy import link
 from fogspec.deploy.engines import engines_of
@@ -167,17 +166,9 @@ def _inputs(one: LoadedSpec, layout: Layout, catalog: str | None, check_image: I
 
 
 def _catalog(one: LoadedSpec, name: str, catalog: Catalog) -> Check:
-    infra = one.application.spec.infra
-    if not any(matches_infra(catalog, place).any() for place in infra):
-        places = ", ".join(infra)
-        if all(cloud_of(place).on_skypilot for place in infra):
-            detail = f"{catalog.about.source}: no machine in {places}"
-            return Check(name, "catalog", State.PROBLEM, detail, ("all that SkyPilot knows: --catalog skypilot",))
-        again = shell_command("fogspec", "lock", one.layout.spec, "--catalog", "FILE")
-        columns = "write a CSV with the columns Cloud,InstanceType,vCPUs,MemoryGiB,Price,Region"
-        return Check(
-            name, "catalog", State.PROBLEM, f"no price list has machines in {places}", (columns, f"then: {again}")
-        )
+    if (missing := unpriced(one, catalog)) is not None:
+        detail, fix, again = missing
+        return Check(name, "catalog", State.PROBLEM, detail, (fix, f"then: {again}"))
     if (old := age_warning(one, catalog)) is not None:
         return Check(name, "catalog", State.PROBLEM, old, ("prices of today: --catalog skypilot",))
     return Check(name, "catalog", State.OK, catalog.about.source)

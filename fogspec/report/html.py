@@ -67,6 +67,7 @@ def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
         script_digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         menu_picture=_image(compiled, compiled.layout.picture),
         panels=_panels(compiled, chosen, data) if chosen and data else [],
+        gpus=data is not None and any(data["offers"]["gpu"]),
         menu_note="" if data is None else _menu_note(data),
         why=why(compiled, chosen) if chosen else [],
         explanation=explain(compiled, refits) if chosen is not None else "",

@@ -9,6 +9,7 @@ from fogspec.base.units import dollars
 from fogspec.choice.menu import menu_data, metric_text, shown_miss
 from fogspec.choice.rule import latency_limit_s
 from fogspec.compile.artifacts import Artifacts
+from fogspec.compile.inputs import unpriced
 from fogspec.plan.commitment import unattended
 from fogspec.plan.design import max_cost_usd
 from fogspec.results.schema import own_records
@@ -30,8 +31,12 @@ def summary(compiled: Artifacts, following: "Sequence[str]" = ()) -> str:
     layout, body = compiled.layout, compiled.plan.spec
     catalog = body.catalog
     from_ = f"{catalog.source}, {catalog.date}" if catalog.date else catalog.source
-    lines = [layout.name, _row("catalog", from_, count(len(compiled.admissible.offers), "admissible machine"))]
-    if compiled.inputs.catalog.about.checked is not None:
+    missing = unpriced(compiled.inputs.spec, compiled.catalog)
+    if missing is None:
+        lines = [layout.name, _row("catalog", from_, count(len(compiled.admissible.offers), "admissible machine"))]
+    else:
+        lines = [layout.name, _row("catalog", "", missing[0]), _row("", "", missing[1])]
+    if compiled.inputs.catalog.about.checked is not None and missing is None:
         lines.append(_row("", "", compiled.inputs.catalog.about.checked))
     if left_out := compiled.admissible.left_out_line():
         lines.append(_row("", "", left_out))

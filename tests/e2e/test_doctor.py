@@ -173,6 +173,17 @@ def test_a_place_without_prices_is_a_problem_and_no_other_clouds_list_is_named(s
     assert "problem      catalog    no price list has machines in local" in text
     assert "fogspec lock specs/demo.yaml --catalog FILE" in text
     assert "AWS" not in text
+    shell.write(
+        "specs/demo.yaml", spec(**LOCAL, benchmark="{budget: $5, machines: [local/1cpu-1gib, local/2cpu-1gib]}")
+    )
+    text = shell("compile", "demo", "--catalog", "snapshot").out
+    assert "catalog   no price list has machines in local\n            write a CSV with the columns Cloud," in text
+    assert "next: fogspec lock specs/demo.yaml --catalog FILE" in text
+    assert "AWS" not in text
+    assert "fogspec bench" not in text
+    shell.write("prices.csv", (shell.folder / "offers.csv").read_text())
+    shell("lock", "specs/demo.yaml", "--catalog", "prices.csv")
+    assert "next: fogspec bench specs/demo.yaml" in shell("compile", "demo").out, "the command is the right one"
     shell.write("specs/demo.yaml", spec(infra="[gcp/us-central1]", hardware="{cpus: 1..2}"))
     (missing,) = checked(shell, "demo", code=1)["catalog"]
     assert missing["detail"].endswith("no machine in gcp/us-central1")

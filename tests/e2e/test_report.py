@@ -76,6 +76,16 @@ def test_the_numbers_in_the_page_are_data(checkout):
     assert {len(column) for name, column in data["offers"].items() if name != "needed"} == {21}
 
 
+def test_the_key_names_gpus_only_where_a_candidate_has_one(checkout):
+    for folder in ("specs", "results"):
+        shutil.copy(ROOT / folder / "grasp-planning-recorded.yaml", checkout / folder / "grasp-planning-recorded.yaml")
+    for name, there in (("vslam-recorded", False), ("grasp-planning-recorded", True)):
+        text = fogspec(checkout, "report", name, "--out", "-").stdout
+        (key,) = re.findall(r'<p class="soft keys">.*', text)
+        assert "misses a limit" in key
+        assert ("with GPU" in key) is there
+
+
 def test_what_was_not_measured_has_a_page_without_a_menu(checkout):
     (checkout / "results" / "vslam-recorded.yaml").unlink()
     text = fogspec(checkout, "report", "vslam-recorded", "--out", "-").stdout
