@@ -37,7 +37,6 @@ class Range:
         return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
 
 
-HOURS_PER_DAY = 24
 HOURS_PER_MONTH = 730
 REQUESTS_SHOWN, REQUESTS_TEXT = 1000, "1,000 requests"  # whose cost people are shown
 SECONDS_PER_MONTH = 3600 * HOURS_PER_MONTH
@@ -290,11 +289,16 @@ def dollars(usd: float) -> str:
     return f"${usd:.2f}" if usd >= 1 or usd == 0 else f"${usd:.4f}"
 
 
-def short_dollars(usd: float, digits: int = 3) -> str:
-    """Return `$0.0015`, with so many significant digits and no exponent."""
-    places = max(0, digits - 1 - math.floor(math.log10(usd))) if usd > 0 else 0
-    text = f"{usd:,.{places}f}"
-    return "$" + (text.rstrip("0").rstrip(".") if "." in text else text)
+def money(usd: float, digits: int = 3) -> str:
+    """Return `$0.526`, `$2.40`, `$385`, for people: with so many significant digits, and cents below $100."""
+    if usd == 0:
+        return "$0"
+    to_show = abs(rounded(usd, digits))  # $99.96 is $100
+    cents = 2 if to_show < 100 else 0
+    text = f"{usd:,.{max(cents, digits - 1 - math.floor(math.log10(to_show)))}f}"
+    whole, _, rest = text.partition(".")
+    rest = rest.rstrip("0").ljust(cents, "0")
+    return f"${whole}.{rest}" if rest else f"${whole}"
 
 
 def shown(value: float, digits: int = 3) -> str:
@@ -328,17 +332,17 @@ def shown_interval(ends_s: tuple[float, float] | None) -> str:
 
 def shown_price(usd_per_hour: float, digits: int = 3) -> str:
     """Return `$0.526/h`, for people, with so many significant digits."""
-    return f"{short_dollars(usd_per_hour, digits)}/h"
+    return f"{money(usd_per_hour, digits)}/h"
 
 
 def shown_month(usd_per_month: float) -> str:
     """Return `$384/month`, or `$29.20/month`, for people."""
-    return f"${usd_per_month:,.{0 if usd_per_month >= 99.5 else 2}f}/month"
+    return f"{money(usd_per_month)}/month"
 
 
 def shown_cost(usd_per_request: float, digits: int = 3) -> str:
     """Return `$0.241 per 1,000 requests`, for people: the one unit in which costs are compared."""
-    return f"{short_dollars(REQUESTS_SHOWN * usd_per_request, digits)} per {REQUESTS_TEXT}"
+    return f"{money(REQUESTS_SHOWN * usd_per_request, digits)} per {REQUESTS_TEXT}"
 
 
 def shown_apart(left: float, right: float, show: Callable[[float, int], str] = shown) -> tuple[str, str]:

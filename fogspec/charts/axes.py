@@ -79,14 +79,3 @@ def seconds(value: float) -> str:
 def number(value: float) -> str:
     """Format the value of an application's metric with three significant digits, such as `12.5`."""
     return shown(value)
-
-
-def money(usd: float) -> str:
-    """Format an amount with three significant digits, and cents if it is below $100: `$0.526`, `$2.40`, `$385`."""
-    if usd == 0:
-        return "$0"
-    places = max(0 if abs(usd) >= 99.95 else 2, 2 - math.floor(math.log10(abs(usd))))
-    text = f"{usd:,.{places}f}"
-    while "." in text and text.endswith("0") and len(text.partition(".")[2]) > 2:
-        text = text[:-1]
-    return f"${text}"

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT
-from fogspec.charts.axes import LEAST_SPAN, Axis, axis, money, number, seconds
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, money
+from fogspec.charts.axes import LEAST_SPAN, Axis, axis, number, seconds
 from fogspec.choice.menu import LEVEL
 from fogspec.model.predict import Predictions
 

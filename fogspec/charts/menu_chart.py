@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.text import line
-from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, shown_percent
-from fogspec.charts.axes import money, number, seconds
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, money, shown_percent
+from fogspec.charts.axes import number, seconds
 from fogspec.charts.chart import Chart, Crowd, PlottedMachine, interval_of
 from fogspec.charts.text import HEAD, LEAD, SIZE, shortened
 from fogspec.choice.choose import Choice

@@ -8,8 +8,8 @@ import numpy as np
 
 from fogspec.base.templates import render
 from fogspec.base.text import line
-from fogspec.base.units import shown_cost
-from fogspec.charts.axes import Axis, money
+from fogspec.base.units import money, shown_cost
+from fogspec.charts.axes import Axis
 from fogspec.charts.chart import Bound, Chart, PlottedMachine, View, per_request, ranged, y_range, y_words
 from fogspec.charts.frame import (
     Frame,

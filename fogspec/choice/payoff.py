@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, dollars, rounded, short_dollars
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, dollars, money, rounded
 from fogspec.catalog.instance_types import instance_types
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.choice.rule import Rule, Scale, Selection
@@ -37,7 +37,7 @@ class Payoff:
     def line(self) -> str:
         """Return it as one sentence."""
         months = f"{self.volume.months:g} month" + ("" if self.volume.months == 1 else "s")
-        cost = f"{REQUESTS_TEXT} cost {short_dollars(REQUESTS_SHOWN * self.usd_per_request)}"
+        cost = f"{REQUESTS_TEXT} cost {money(REQUESTS_SHOWN * self.usd_per_request)}"
         return (
             f"spends {_about(self.spends_usd)} to save an expected {_about(self.saves_usd)} over {months} of "
             f"{self.volume.requests_per_month:,.0f} requests (median of {PROGRAMS} programs drawn from the model, if "

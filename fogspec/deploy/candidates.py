@@ -91,9 +91,8 @@ def exact(
 
 
 def price_words(usd_per_hour: float) -> str:
-    """Return the price per hour, day and month."""
-    day, month = usd_per_hour * units.HOURS_PER_DAY, usd_per_hour * units.HOURS_PER_MONTH
-    return f"{units.shown_price(usd_per_hour)}, ${day:,.2f} a day, ${month:,.2f} a month"
+    """Return the price per hour and month."""
+    return f"{units.shown_price(usd_per_hour)}, {units.shown_month(usd_per_hour * units.HOURS_PER_MONTH)}"
 
 
 def _named(one: Candidate) -> str:

@@ -4,8 +4,8 @@ from typing import Any
 
 from fogspec.base import units
 from fogspec.base.text import line
-from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT
-from fogspec.charts.axes import money, number, seconds
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, money
+from fogspec.charts.axes import number, seconds
 from fogspec.charts.chart import interval_of
 from fogspec.charts.menu_chart import limits_words
 from fogspec.choice.menu import floored

@@ -196,9 +196,9 @@ def _costs(compiled: Artifacts) -> list[tuple[str, str]]:
     ]
     if compiled.decision is not None and (entry := compiled.decision.menu.spec.balanced) is not None:
         rows += [
-            ("the chosen machine, per hour", units.short_dollars(entry.price)),
+            ("the chosen machine, per hour", units.money(entry.price)),
             ("the chosen machine, per month", units.shown_month(entry.usd_per_month).removesuffix("/month")),
-            (f"{units.REQUESTS_TEXT} on it", units.short_dollars(units.REQUESTS_SHOWN * entry.cost)),
+            (f"{units.REQUESTS_TEXT} on it", units.money(units.REQUESTS_SHOWN * entry.cost)),
         ]
     return rows
 

@@ -183,7 +183,7 @@ def _table(entries: list[Entry], width: int, place: bool) -> list[str]:
                 units.shown_price(e.price),
                 units.shown_duration(e.latency),
                 *(metric_text("", e.metrics[name]).strip() if name in e.metrics else "-" for name in metrics),
-                units.short_dollars(units.REQUESTS_SHOWN * e.cost),
+                units.money(units.REQUESTS_SHOWN * e.cost),
                 e.how,
             ]
         )

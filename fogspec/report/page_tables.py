@@ -75,7 +75,7 @@ def _measured(one: Measured) -> tuple[str, ...]:
         *(_time(value) for value in times),
         metrics,
         units.shown_duration(one.duration),
-        units.short_dollars(one.spent),
+        units.money(one.spent),
         "" if one.server is None else one.server.line(),
         "" if one.resources is None else use_line(one.resources),
     )

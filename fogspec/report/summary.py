@@ -107,9 +107,9 @@ def _plan_text(compiled: Artifacts) -> str:
     total = dollars(estimate.total)
     if compiled.selects_more:
         most = "no budget" if body.budget is None else f"at most {dollars(compiled.most_usd)}, the budget"
-        these = f"measuring the {samples} costs {units.short_dollars(estimate.measuring)}, at most {total} with set-up"
+        these = f"measuring the {samples} costs {units.money(estimate.measuring)}, at most {total} with set-up"
         return f"{samples}, then the machines that the model selects: {most}; {these}; {wall}"
-    return f"{samples}; measuring costs {units.short_dollars(estimate.measuring)}, at most {total} with set-up{budget}; {wall}"
+    return f"{samples}; measuring costs {units.money(estimate.measuring)}, at most {total} with set-up{budget}; {wall}"
 
 
 def payoff(compiled: Artifacts) -> "Payoff | None":
@@ -177,7 +177,7 @@ def choice_card(entry: "Entry", application: "Application") -> list[str]:
     ]
     bounds: dict[str, Callable[[float], str]] = {
         "latency": units.shown_duration,
-        "cost": lambda usd: units.short_dollars(1000 * usd),
+        "cost": lambda usd: units.money(1000 * usd),
     }
     lines = [_row("choice", "", f"{machine}  {_how(entry)}")]
     for name, text, bound, value in rows:

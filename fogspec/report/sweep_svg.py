@@ -6,7 +6,8 @@ import numpy as np
 
 from fogspec.base.templates import render
 from fogspec.base.text import line
-from fogspec.charts.axes import Axis, axis, money, number, seconds
+from fogspec.base.units import money
+from fogspec.charts.axes import Axis, axis, number, seconds
 from fogspec.charts.frame import Frame, Mark, Obstacles, frame, place_labels
 from fogspec.charts.menu_svg import LABELLED, LEFT, MARGIN, RIGHT, ROW, WIDTH, laid_out
 from fogspec.charts.text import HEAD, LABEL, shortened, wrapped

@@ -81,7 +81,7 @@ def test_what_is_measured_needs_no_yes(paid):
 def test_a_price_that_rose_is_refused_before_anything_starts(paid):
     paid.write("offers.csv", CATALOG.replace("a.large,,,8,16,0.40", "a.large,,,8,16,0.44"))
     said = bench(paid, "--yes", code=5)
-    assert "aws/r1 a.large costs $0.44/h, the plan says $0.4/h" in said.err
+    assert "aws/r1 a.large costs $0.44/h, the plan says $0.40/h" in said.err
     assert "fogspec compile specs/demo.yaml" in said.err
     assert nothing_happened(paid)
     paid("compile", "specs/demo.yaml", *AT)

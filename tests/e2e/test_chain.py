@@ -216,7 +216,7 @@ def test_diff_shows_no_secrets(shell: Shell) -> None:
 def test_markdown_cannot_be_broken_out_of(done: Shell) -> None:
     edit(done, "offers.csv", lambda text: text.replace("a.large,,,8,16,0.40", "a.large,,,8,16,0.44"))
     said = done("diff", *AT, "-o", "markdown").out
-    assert "| machine | $0.4/h | $0.44/h | +10% |" in said
+    assert "| machine | $0.40/h | $0.44/h | +10% |" in said
     assert markdown("a|b`<img>\n") == "a\\|b\\`\\<img\\>\\\\n", "an end of line is shown, and ends no row"
 
 

@@ -71,7 +71,7 @@ def test_another_machine_with_its_price_and_why(repository: Shell) -> None:
     commit(repository, "cheaper")
     said = repository("review", f"{base}..HEAD", "--picture-base", "https://example.org/raw/abc", "--exit-code").out
     assert "### demo: a.large in aws/r1 -\\> a.small in aws/r1" in said
-    assert "| machine | $0.4/h | $0.1/h | -75% |" in said
+    assert "| machine | $0.40/h | $0.10/h | -75% |" in said
     assert "| `spec.objective.alpha` | 0\\.5 | 0\\.0 |" in said.partition("<details>")[0]
     assert "**1 of 1 application changed.** All machines: $292/month before, $73.00/month after (-75%)." in said
     assert "`apply` starts a new machine, and ends the old one once the new one answers" in said
@@ -97,7 +97,7 @@ def test_an_application_that_is_gone_and_one_that_stays(repository: Shell) -> No
     git(repository.folder, "rm", "-q", "-r", "specs/demo.yaml", "compiled/demo")
     said = repository("review", base, *AT).out
     assert "### demo: no longer deployed" in said
-    assert "- runs on a.large in aws/r1, $0.4/h, $292/month" in said
+    assert "- runs on a.large in aws/r1, $0.40/h, $292/month" in said
     assert "`fogspec down demo` ends it" in said
     assert "### other: no manifest" in said
     git(repository.folder, "rm", "-q", "-r", "specs")

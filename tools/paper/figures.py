@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from fogspec.base.templates import render
-from fogspec.base.units import shown_percent
-from fogspec.charts.axes import axis, money, number, seconds
+from fogspec.base.units import money, shown_percent
+from fogspec.charts.axes import axis, number, seconds
 from fogspec.charts.frame import Frame, Mark, frame
 from fogspec.charts.menu_svg import laid_out
 from fogspec.numerics import families

@@ -145,12 +145,12 @@ def test_every_unit_and_every_other_spelling_of_it(kind: str) -> None:
 @pytest.mark.parametrize(
     ("usd", "people", "short"),
     [(0.0, "$0.00", "$0"), (0.00123, "$0.0012", "$0.00123"), (0.0000005, "$0.0000", "$0.0000005"), (0.999, "$0.9990", "$0.999"),
-     (1.0, "$1.00", "$1"), (1.005, "$1.00", "$1"), (12.345, "$12.35", "$12.3"), (99.96, "$99.96", "$100"),
-     (1234.5, "$1234.50", "$1,234"), (0.1, "$0.1000", "$0.1")],
+     (1.0, "$1.00", "$1.00"), (1.005, "$1.00", "$1.00"), (12.345, "$12.35", "$12.35"), (99.96, "$99.96", "$100"),
+     (1234.5, "$1234.50", "$1,234"), (0.1, "$0.1000", "$0.10"), (2.4, "$2.40", "$2.40"), (0.9996, "$0.9996", "$1.00")],
 )  # fmt: skip
 def test_money_for_people(usd: float, people: str, short: str) -> None:
     assert units.dollars(usd) == people
-    assert units.short_dollars(usd) == short
+    assert units.money(usd) == short
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_the_most_is_every_machine_for_all_of_its_life() -> None:
         "demo: 2 of 5 samples to measure: at most $1.50, if every machine runs until it ends by itself"
     )
     assert list(quote(ONE, FREE).lines()) == [
-        "  s-one: aws/r1 one, $3/h, at most $1.00",
+        "  s-one: aws/r1 one, $3.00/h, at most $1.00",
         "  s-free: local free, free",
     ]
 

@@ -13,8 +13,9 @@ import pytest
 
 from fogspec.base.console import STYLE
 from fogspec.base.templates import shipped
+from fogspec.base.units import money
 from fogspec.charts import model_svg
-from fogspec.charts.axes import axis, money, number, seconds, wide
+from fogspec.charts.axes import axis, number, seconds, wide
 from fogspec.charts.chart import Chart, Crowd, PlottedMachine, per_hour
 from fogspec.charts.frame import clipped
 from fogspec.charts.menu_svg import draw, panel
