@@ -274,7 +274,8 @@ def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:
         vcpus=(float(vcpus.min()), float(vcpus.max())),
         memory_gib=(float(memory.min()), float(memory.max())),
         samples=[one.id for one in group],
-        warnings=_warnings(best, len(np.unique(vcpus))),
+        # Not np.unique, whose first call imports numpy.ma.
+        warnings=_warnings(best, len(set(vcpus.tolist()))),
     )
 
 
