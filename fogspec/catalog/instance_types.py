@@ -1,5 +1,6 @@
 """Instance types: the offers of a catalog without place and kind of price, as the models read them."""
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -28,6 +29,13 @@ class InstanceTypes:
 
     def __len__(self) -> int:
         return len(self.keys)
+
+    def row(self, key: TypeKey) -> int:
+        """Return the row of a type; raise KeyError if it is not among these."""
+        row = bisect_left(self.keys, key)
+        if self.keys[row : row + 1] != (key,):
+            raise KeyError(key)
+        return row
 
     @property
     def names(self) -> list[str]:
@@ -126,7 +134,8 @@ def types_with_measured(offers: Catalog, measured: Sequence[Machine], catalog: C
     missing = {machine.type_key: machine for machine in measured if machine.type_key not in there}
     if not missing:
         return types
-    added = [machines_of(_row(machine, offers, catalog), clocked(offers)) for machine in missing.values()]
+    known_clouds = clocked(offers)
+    added = [machines_of(_row(machine, offers, catalog), known_clouds) for machine in missing.values()]
     keys = [*types.keys, *missing]
     order = np.array(sorted(range(len(keys)), key=keys.__getitem__))
     place = np.argsort(order)

@@ -172,7 +172,7 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
     missed, covered = float("nan"), False
     posterior, shown = without.latency.posterior, choice.latency.posterior
     if posterior is not None and shown is not None and predicted.space is not None:
-        at, value = predicted.space.place[left_out.machine.type_key], left_out.values["latency"]
+        at, value = predicted.space.types.row(left_out.machine.type_key), left_out.values["latency"]
         missed = abs(float(np.exp(posterior.mean[at])) / value - 1)
         own = posterior.widened(shown.calibration.factor).take(np.array([at]))
         low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))

@@ -131,13 +131,12 @@ class Predictions:
 class PredictionSpace:
     """Everything about the offers that does not depend on what was measured on them, made once.
 
-    `types` are those of the offers and of the measured machines besides; `place` finds them by key.
+    `types` are those of the offers and of the measured machines besides.
     """
 
     offers: Catalog
     types: InstanceTypes
     space: Space
-    place: Mapping[TypeKey, int]
 
     @classmethod
     def of(
@@ -151,8 +150,7 @@ class PredictionSpace:
         measured = [one for one in machines if counts(one, offers)]
         types = types_with_measured(offers, measured, catalog)
         prior = None if library is None else prior_for(library, types.names, types.machines)
-        place = {key: row for row, key in enumerate(types.keys)}
-        return cls(offers, types, prepare(types.machines, prior), place)
+        return cls(offers, types, prepare(types.machines, prior))
 
     def predicted(
         self, known: Sequence[Observation], unusable: Sequence[RejectedSample], targets: Sequence[str]
@@ -162,12 +160,12 @@ class PredictionSpace:
         unusable = [one for one in unusable if counts(one.machine, self.offers)]
         little = max((one.machine.memory for one in unusable if one.out_of_memory), default=0.0)
         unfit = self.types.machines.memory_gib <= little
-        unfit[[self.place[one.machine.type_key] for one in unusable if one.excludes_machine]] = True
+        unfit[[self.types.row(one.machine.type_key) for one in unusable if one.excludes_machine]] = True
         of = self.types.of[: len(self.offers)]
-        found = {name: _conditioned(self.space, self.place, known, unusable, name) for name in targets}
+        found = {name: _conditioned(self.space, self.types, known, unusable, name) for name in targets}
         itself = {one.machine.type_key for one in known if one.nested_in is None}
         nested = {
-            self.place[one.machine.type_key]: one.nested_in
+            self.types.row(one.machine.type_key): one.nested_in
             for one in known
             if one.nested_in is not None and one.machine.type_key not in itself
         }
@@ -232,7 +230,7 @@ def counts(machine: Machine, offers: Catalog) -> bool:
 
 def _conditioned(
     space: Space,
-    place: Mapping[TypeKey, int],
+    types: InstanceTypes,
     known: Sequence[Observation],
     unusable: Sequence[RejectedSample],
     target: str,
@@ -242,13 +240,13 @@ def _conditioned(
     if not values:
         return None
     bounds = [one for one in unusable if one.latency_lower_bound] if target == "latency" else []
-    at = [place[one.machine.type_key] for one in values]
+    at = [types.row(one.machine.type_key) for one in values]
     expected = nested_error(space.machines)[at]
     factor = _learnt(values, expected, target)
     errors = [_error(one, target, factor * more) for one, more in zip(values, expected.tolist(), strict=True)]
     return space.fit(
         observations(
-            [*at, *(place[one.machine.type_key] for one in bounds)],
+            [*at, *(types.row(one.machine.type_key) for one in bounds)],
             [*(one.values[target] for one in values), *(one.latency_lower_bound or 0.0 for one in bounds)],
             [*errors, *(math.nan for _ in bounds)],
             [*(False for _ in values), *(True for _ in bounds)],

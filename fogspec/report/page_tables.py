@@ -146,7 +146,7 @@ def _predicted(models: Models, refits: Refits, one: Observation) -> tuple[float,
     if ranges is None:
         return None
     # Only for this machine: a bisection over a whole catalog for each sample would take seconds.
-    own = ranges.take(np.array([refits.space.place[one.machine.type_key]]))
+    own = ranges.take(np.array([refits.space.types.row(one.machine.type_key)]))
     low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     return math.exp(own.mean[0]), low, high
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from fogspec.catalog.instance_types import instance_types, types_with_measured
 from fogspec.catalog.machine import Machine
@@ -61,6 +62,14 @@ def test_types_of_measured_machines_lie_among_those_of_the_offers():
     same = types_with_measured(catalog, gone)
     assert same.keys == whole.keys
     assert np.array_equal(same.of, whole.of)
+
+
+def test_a_type_has_a_row_and_what_is_none_of_the_types_has_not():
+    types = instance_types(offers(40))
+    assert [types.row(key) for key in types.keys] == list(range(len(types)))
+    for strange in (("", "", "", 0.0), ("aws", "f1.none", "", 0.0), ("zzz", "", "", 0.0)):
+        with pytest.raises(KeyError):
+            types.row(strange)
 
 
 def test_without_clock_rates_the_family_tells_the_cpu():
