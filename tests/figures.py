@@ -1,7 +1,8 @@
 """Every figure that the docs quote: `make figures` prints them, `python -m tests.figures --write` writes some of them.
 
-Whole processes are timed from outside, one warm-up and then the median of several runs, with its range. Figures
-depend on the machine; ratios within one run are what to compare.
+Commands are timed as whole processes, in turn with one that only imports pydantic and ruamel.yaml, by the processor time that
+they take of user and kernel: other programs on the machine hardly disturb the least of many. Figures depend on the machine;
+ratios to those imports are what to compare.
 """
 
 import compileall
@@ -18,17 +19,20 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PAPER_SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
-RUNS = 9
+RUNS = 15
+BARE = "import ruamel.yaml; from pydantic import BaseModel"
 QUOTED = (
     "machine:",
+    "only imports",
     "validate specs/grasp",
     "compile specs/grasp",
     "fit and choose, 50,000",
+    "choose again, 50,000",
     "install:",
 )  # in how-good.md
 BLOCK = re.compile(r"(tests\.figures --write`:\n\n```text\n).*?(```\n)", re.DOTALL)
@@ -54,9 +58,9 @@ def _measure() -> None:
         here = Path(scratch)
         for folder in ("specs", "results"):
             shutil.copytree(ROOT / folder, here / folder, ignore=shutil.ignore_patterns("lidar*", "planner*"))
-        for spec in PAPER_SPECS:
-            for verb in ("validate", "compile"):
-                print(_timed(f"{verb} specs/{spec}.yaml", [*_fogspec(), verb, f"specs/{spec}.yaml"], here))
+        commands = {f"{verb} specs/{spec}.yaml": [*_fogspec(), verb, f"specs/{spec}.yaml"]
+                    for spec in PAPER_SPECS for verb in ("validate", "compile")}  # fmt: skip
+        _beside({f"only imports ({BARE})": [sys.executable, "-c", BARE], **commands}, here)
         print(_timed("validate 1,000 specs", [*_fogspec(), "validate", str(_many(here / "many"))], here, 3))
     _module("tests.bench_choice")
     _module("tests.bench_catalog")
@@ -79,15 +83,39 @@ def _many(folder: Path) -> Path:
     return folder
 
 
-def _timed(name: str, argv: Sequence[str], cwd: Path, runs: int = RUNS) -> str:
+def _beside(commands: Mapping[str, Sequence[str]], cwd: Path) -> None:
+    """Print the processor time of each command; all of them run once, then again."""
+    took: dict[str, list[float]] = {name: [] for name in commands}
+    for run in range(RUNS + 1):
+        for name, argv in commands.items():
+            before = _children_s()
+            _run(argv, cwd)
+            if run:
+                took[name].append(_children_s() - before)
+    bare = min(next(iter(took.values())))
+    for name, times in took.items():
+        print(f"{name}: CPU time {min(times):.3f} s (median {statistics.median(times):.3f}, max {max(times):.3f}, "
+              f"{RUNS} runs, whole process): {min(times) / bare:.1f} times the imports")  # fmt: skip
+
+
+def _children_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _run(argv: Sequence[str], cwd: Path) -> None:
+    done = subprocess.run(argv, cwd=cwd, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(argv)} ended with {done.returncode}:\n{done.stderr}")
+
+
+def _timed(name: str, argv: Sequence[str], cwd: Path, runs: int) -> str:
     walls = []
     for run in range(runs + 1):
         start = time.perf_counter()
-        done = subprocess.run(argv, cwd=cwd, capture_output=True, text=True, check=False)
+        _run(argv, cwd)
         if run:
             walls.append(time.perf_counter() - start)
-        if done.returncode:
-            raise SystemExit(f"{' '.join(argv)} ended with {done.returncode}:\n{done.stderr}")
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     return (f"{name}: median {statistics.median(walls):.3f} s (min {min(walls):.3f}, max {max(walls):.3f}, "
             f"{runs} runs, whole process); largest process so far {peak:.0f} MiB")  # fmt: skip
