@@ -28,6 +28,7 @@ from fogspec.charts.frame import (
     segments,
 )
 from fogspec.charts.text import HEAD, LABEL, shortened, width, wrapped
+from fogspec.numerics.kernels import distinct
 
 WIDTH, LEFT, RIGHT, MARGIN = 720, 66, 16, 16
 NARROW = 380  # px, of a panel for a phone
@@ -246,7 +247,7 @@ def _specks(chart: Chart, view: View, found: Frame, many: int) -> list[tuple[str
         )
         left, top, right, bottom = found.box
         seen = (px * grain >= left) & (px * grain <= right) & (py * grain >= top) & (py * grain <= bottom)
-        key = np.unique((crowd.meets[seen] * 4096 + px[seen].astype(np.int64)) * 4096 + py[seen].astype(np.int64))
+        key = distinct((crowd.meets[seen] * 4096 + px[seen].astype(np.int64)) * 4096 + py[seen].astype(np.int64))
         cells = {meets: key[key // 4096**2 == meets].tolist() for meets in (0, 1)}
         if len(key) <= many:
             break

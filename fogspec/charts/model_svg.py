@@ -34,6 +34,7 @@ from fogspec.choice.menu import LEVEL
 from fogspec.choice.rule import latency_limit_s
 from fogspec.model.fit import Models, Observation
 from fogspec.numerics import families
+from fogspec.numerics.kernels import median
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.spec.schema import Application
 
@@ -183,9 +184,7 @@ def _curve(models: Models, gpu: tuple[str, float] | None, vcpus: np.ndarray, mem
     if model is None or not len(vcpus):
         return []
     at = np.geomspace(vcpus.min(), vcpus.max(), CURVE_POINTS)
-    latency = families.predict(
-        model.shape, list(model.coefficients.values()), at, at * float(np.median(memory / vcpus))
-    )
+    latency = families.predict(model.shape, list(model.coefficients.values()), at, at * median(memory / vcpus))
     return list(zip(at.tolist(), latency.tolist(), strict=True))
 
 

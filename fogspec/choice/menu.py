@@ -12,6 +12,7 @@ from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
 from fogspec.choice.rule import Violation
+from fogspec.numerics.kernels import distinct
 from fogspec.plan.schema import EnvironmentMetadata
 from fogspec.spec.schema import Application, Billing, Statistic, Usage
 
@@ -240,7 +241,7 @@ def _solve_intervals(choice: Choice) -> None:
 def thinned(rows: NDArray[np.intp]) -> list[int]:
     """Return at most `SHOWN` of the rows, spread evenly, with both ends."""
     if len(rows) > SHOWN:
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]
+        rows = rows[distinct(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]
     return [int(row) for row in rows]
 
 

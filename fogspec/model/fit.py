@@ -17,6 +17,7 @@ from fogspec.base.quantities import Duration, Lean, Strict
 from fogspec.catalog.machine import Machine
 from fogspec.numerics import families
 from fogspec.numerics.families import Fit, fit_all
+from fogspec.numerics.kernels import distinct
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.surrogate import VERSION
 from fogspec.plan.schema import PlanMetadata
@@ -274,8 +275,7 @@ def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:
         vcpus=(float(vcpus.min()), float(vcpus.max())),
         memory_gib=(float(memory.min()), float(memory.max())),
         samples=[one.id for one in group],
-        # Not np.unique, whose first call imports numpy.ma.
-        warnings=_warnings(best, len(set(vcpus.tolist()))),
+        warnings=_warnings(best, len(distinct(vcpus))),
     )
 
 

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fogspec.numerics.kernels import Floats, Machines, hstack, interaction, matern, one_hot, standardise
+from fogspec.numerics.kernels import Floats, Machines, distinct, hstack, interaction, matern, one_hot, standardise
 
 LEVEL_VARIANCE = 25.0  # of the unknown level: a factor of e^5 at one standard deviation
 SERIAL = (0.0, 0.03, 0.1, 0.3, 0.6, 1.0)
@@ -139,7 +139,7 @@ def heterogeneity(machines: Machines) -> str:
     """Return the class of the machines: "one" kind of CPU, a "few" within a generation, "many", or "gpus" among them."""
     if (machines.gpu >= 0).any():
         return "gpus"
-    models, families = len(np.unique(machines.cpu_model)), len(np.unique(machines.family))
+    models, families = len(distinct(machines.cpu_model)), len(distinct(machines.family))
     if models > MAX_FEW or families > MAX_FEW:
         return "many"
     return "few" if models > 1 or families > 3 else "one"

@@ -5,6 +5,7 @@ catalog of a thousand machines cheap, and a joint draw is F z with z ~ N(0, I).
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 from zlib import crc32
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Scalar = TypeVar("Scalar", bound=np.generic)
 MOST_NUMBERS = 20_000_000  # in a table of machines by kinds: far beyond any cloud's catalog
 
 
@@ -58,11 +60,16 @@ class Machines:
     def cores(self) -> Floats:
         """Physical cores; if unknown, vCPUs over the median vCPUs per core of the machines with known cores."""
         known = np.isfinite(self.physical_cores) & (self.physical_cores > 0)
-        ratio = _median(self.vcpus[known] / self.physical_cores[known]) if known.any() else 1.0
+        ratio = median(self.vcpus[known] / self.physical_cores[known]) if known.any() else 1.0
         return np.where(known, self.physical_cores, self.vcpus / ratio)
 
 
-def _median(values: Floats) -> float:
+def distinct(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Return the distinct values in their order, without the numpy.ma that np.unique alone imports."""
+    return np.asarray(np.unique(values, return_counts=True)[0])
+
+
+def median(values: Floats) -> float:
     """Return the median without np.median, whose first call imports numpy.ma."""
     ordered = np.sort(values)
     return float((ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2)

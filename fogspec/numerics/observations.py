@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fogspec.numerics.kernels import Floats
+from fogspec.numerics.kernels import Floats, distinct
 
 DEFAULT_NOISE = 0.025  # relative standard error of a sample without a known one
 SYSTEMATIC_NOISE = 0.008  # relative difference between machines of one type, however many requests were timed
@@ -79,7 +79,7 @@ def pooled(samples: Observations) -> tuple[np.ndarray, Floats, Floats]:
     variance = np.where(known, relative, DEFAULT_NOISE) ** 2 + SYSTEMATIC_NOISE**2
     typical = np.where(known, variance, TYPICAL_NOISE**2)
     log = np.log(samples.latency_s[use])
-    machines = np.unique(samples.machine[use])
+    machines = distinct(samples.machine[use])
     value, error_variance = np.empty(len(machines)), np.empty(len(machines))
     for i, machine in enumerate(machines):
         mine = samples.machine[use] == machine

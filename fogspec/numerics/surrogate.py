@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from fogspec.numerics.calibration import Calibration, deviations
 from fogspec.numerics.ensemble import Ensemble, ensemble_with_prior, ensemble_without_prior
-from fogspec.numerics.kernels import Floats, Machines
+from fogspec.numerics.kernels import Floats, Machines, distinct
 from fogspec.numerics.normal import normal_cdf_and_density, normal_quantile, truncated_above_moments
 from fogspec.numerics.observations import Observations, lower_bounds, mean_level, pooled
 from fogspec.numerics.servers import Shifts, shifts_of
@@ -399,7 +399,7 @@ class Space:
         count, (base, own, errors) = self.count, self._normal
         which = np.minimum(np.searchsorted(np.cumsum(weights), (np.arange(count) + 0.5) / count), len(weights) - 1)
         out = np.empty((count, len(self.machines)))
-        for model in np.unique(which).tolist():
+        for model in distinct(which).tolist():
             rows = slice(*np.searchsorted(which, [model, model + 1]))
             prior = np.sqrt(self.ensemble.nugget[keep[model]]) * own[rows]
             for amplitude, component in zip(np.sqrt(self.ensemble.theta[keep[model]]), base, strict=True):
@@ -415,7 +415,7 @@ class Space:
 
 def _few(count: int) -> np.ndarray:
     """Return the samples, of so many, that the evidence of the models is computed from."""
-    return np.unique(np.linspace(0, count - 1, min(count, MAX_EVIDENCE)).round().astype(int))
+    return distinct(np.linspace(0, count - 1, min(count, MAX_EVIDENCE)).round().astype(int))
 
 
 def _site(posterior: Posterior, machine: int, bound: float) -> tuple[float, float] | None:

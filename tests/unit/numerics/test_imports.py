@@ -1,4 +1,4 @@
-"""Imports: numerics needs numpy and scipy only, and commands that only read and compile do not import scipy."""
+"""Imports: numerics needs numpy and scipy only, and commands that only read and compile import neither scipy nor numpy.ma."""
 
 import ast
 import subprocess
@@ -20,7 +20,7 @@ def test_numerics_imports_numpy_and_scipy_only(module):
 
 
 @pytest.mark.parametrize("words", [("validate",), ("compile", "--check"), ("menu",)], ids=lambda words: words[0])
-def test_scipy_is_not_imported_to_compile(words):
+def test_neither_scipy_nor_masked_arrays_are_imported_to_compile(words):
     verb, *options = words
     ended = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "fogspec", verb, "specs/vslam-recorded.yaml", *options], cwd=ROOT,
@@ -29,6 +29,7 @@ def test_scipy_is_not_imported_to_compile(words):
     assert ended.returncode == 0, ended.stderr[-2000:]
     assert "fogspec" in ended.stderr
     assert "scipy" not in ended.stderr
+    assert "numpy.ma\n" not in ended.stderr
 
 
 SAID = """
