@@ -1,7 +1,5 @@
 """The site's own search, in a real browser: a reader who types the field's words finds the page in the first three results."""
 
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -11,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.browser.conftest import ROOT
+from tests.support.site import site  # noqa: F401
 
 FIRST = 3
 # What a reader types, and the pages that answer it, any of them.
@@ -91,11 +89,8 @@ class Quiet(SimpleHTTPRequestHandler):
 
 
 @pytest.fixture(scope="module")
-def search(chromium: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def search(chromium: Any, site: Path) -> Iterator[Any]:
     """A page of the site as a server shows it, with its search open."""
-    site = tmp_path_factory.mktemp("site")
-    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(site)]
-    subprocess.run(words, cwd=ROOT, check=True, timeout=120, capture_output=True)
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(site)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     page = chromium.new_page(viewport={"width": 1280, "height": 900})

@@ -1,32 +1,17 @@
 """The site builds, asks nobody, and names only what is there."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
-
-import pytest
 
 from fogspec.spec.field_docs import pages as field_pages
 from fogspec.spec.schema import Application
 from tests.docs import reference
 from tests.docs.blocks import ROOT, pages
+from tests.support.site import site  # noqa: F401
 
 LOADS = re.compile(r"""<(?:script|link|img|iframe|source|use)\b[^>]*?(?:src|href|srcset)=["']?(?:https?:)?//[^"'> ]+""")
 NOT_LOADED = re.compile(r"""<link\b[^>]*rel=["']?canonical""")
 IN_CODE = re.compile(r"`((?:tests|fogspec|specs|templates|docs|results)/[\w./-]*\w\.\w+)`")
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("site")
-    built = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
-        cwd=ROOT, capture_output=True, text=True, timeout=120, check=False,
-        env={"PATH": "/usr/bin:/bin", "NO_MKDOCS_2_WARNING": "1"},
-    )  # fmt: skip
-    assert built.returncode == 0, built.stdout + built.stderr
-    return folder
 
 
 def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
