@@ -19,7 +19,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("dist")
     for kind in ("--sdist", "--wheel"):
         subprocess.run([*UV, "build", kind, "--out-dir", folder, ROOT], check=True, timeout=240)
-    return {"wheel": next(folder.glob("*.whl")), "sdist": next(folder.glob("*.tar.gz"))}
+    sdist = next(folder.glob("*.tar.gz"))
+    subprocess.run([*UV, "build", "--wheel", "--out-dir", folder / "again", sdist], check=True, timeout=240)
+    return {"wheel": next(folder.glob("*.whl")), "sdist": sdist, "wheel of sdist": next(folder.glob("again/*.whl"))}
 
 
 def test_the_wheel_holds_what_runs_and_no_more(built: dict[str, Path]) -> None:
@@ -46,11 +48,19 @@ def test_the_sdist_holds_what_builds_and_tests_it(built: dict[str, Path]) -> Non
     assert not [name for name in names if name.startswith((".venv", ".fogspec", "build/", "results/lidar-odometry"))]
 
 
-@pytest.mark.parametrize("kind", ["wheel", "sdist"])
-def test_the_first_commands_work_in_an_empty_environment(kind: str, built: dict[str, Path], tmp_path: Path) -> None:
+def test_the_sdist_makes_the_same_wheel(built: dict[str, Path]) -> None:
+    """So that what works after the installation of one works after that of the other."""
+    contents = []
+    for kind in ("wheel", "wheel of sdist"):
+        with zipfile.ZipFile(built[kind]) as archive:
+            contents.append({one.filename: (archive.read(one), one.external_attr) for one in archive.infolist()})
+    assert contents[0] == contents[1]
+
+
+def test_the_first_commands_work_in_an_empty_environment(built: dict[str, Path], tmp_path: Path) -> None:
     environment, here = tmp_path / "environment", tmp_path / "empty"
     subprocess.run([*UV, "venv", "--python", sys.executable, environment], check=True, timeout=60)
-    install = [*UV, "pip", "install", "--python", environment / "bin/python", built[kind]]
+    install = [*UV, "pip", "install", "--python", environment / "bin/python", built["wheel of sdist"]]
     subprocess.run(install, check=True, timeout=300, cwd=tmp_path)
     here.mkdir()
 
