@@ -3,6 +3,7 @@
 Each of them leaves a mark outside of the folder. What the user's own workload is made of runs, of course.
 """
 
+import functools
 import importlib.metadata
 import json
 import os
@@ -49,6 +50,12 @@ REACHED = (
 )  # so its process was started, and imported it
 
 
+@functools.cache
+def installed() -> frozenset[str]:
+    """Every importable name: a read of the metadata of hundreds of packages."""
+    return frozenset(importlib.metadata.packages_distributions())
+
+
 class Hostile:
     """The folder, and the marks that were left."""
 
@@ -69,7 +76,7 @@ class Hostile:
 
     def set(self, folder: Path) -> None:
         """Fill a folder with every module that anything here imports, and with programs."""
-        third = {name for name in importlib.metadata.packages_distributions() if name.isidentifier()}
+        third = {name for name in installed() if name.isidentifier()}
         others = {"sitecustomize", "usercustomize", "conftest", "fogspec_agent", "fogspec_probe"}
         for name in {*sys.stdlib_module_names, *third, *others}:
             if name not in ("fogspec", "sky"):
@@ -99,6 +106,9 @@ class Hostile:
             "cwd": self.project,
             "env": {**os.environ, "PATH": "/usr/bin:/bin"},
         }
+        # A file as new as the index would be read again, through its filter: what git reads must not depend on the clock.
+        for name in ("specs/tiny.yaml", "hosts.csv"):
+            os.utime(self.project / name, (1_600_000_000, 1_600_000_000))
         subprocess.run(["git", "init", "-q"], **words)
         subprocess.run(["git", "add", "specs/tiny.yaml", "hosts.csv"], **words)
         who = ["-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false"]
