@@ -22,12 +22,13 @@ help:  ## say what there is
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# uv installs the large environments in a fraction of pip's CPU time.
+# uv installs the large environments in a fraction of pip's CPU time. Bytecode is there from the start, as with pip: simulated
+# machines may not write it, and each of their processes would compile SkyPilot.
 .venv/dev.stamp: requirements/dev.lock requirements/build.txt requirements/uv.txt pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "setting up .venv for development (once; SkyPilot is large)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/uv.txt
-	@$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements/dev.lock -r requirements/build.txt
+	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(BIN)/python --require-hashes -r requirements/dev.lock -r requirements/build.txt
 	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@touch $@ .venv/run.stamp
 
@@ -63,7 +64,7 @@ slurm-shell: .venv/dev.stamp  ## a shell beside a Slurm cluster with SkyPilot, a
 	@$(SLURM)
 
 slurm-test: .venv/dev.stamp .venv-ros/ros.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root
-	@$(TIMED) $(SLURM) $(BIN)/python -m pytest -q tests/slurm
+	@$(TIMED) $(SLURM) $(BIN)/python -m pytest -q --durations=10 tests/slurm
 
 slurm-faults: .venv/dev.stamp  ## at least 50 faults on the real engine: what leaked, was lost or paid too much (half an hour)
 	$(SLURM) $(BIN)/python -m tests.slurm.faults
@@ -78,7 +79,7 @@ slurm-figures: .venv/dev.stamp  ## wall time and overhead of the SkyPilot runner
 .venv-aws/aws.stamp: requirements/aws-node.txt | .venv/dev.stamp
 	@if test -x /usr/bin/python3.11; then \
 	  $(BIN)/uv venv -q --clear --relocatable --python /usr/bin/python3.11 .venv-aws && \
-	  $(BIN)/uv pip install --quiet --python .venv-aws/bin/python --require-hashes -r requirements/aws-node.txt && touch $@; \
+	  $(BIN)/uv pip install --quiet --compile-bytecode --python .venv-aws/bin/python --require-hashes -r requirements/aws-node.txt && touch $@; \
 	else echo "no /usr/bin/python3.11, which SkyPilot's Ray needs: tests/aws skip (with CI=true they fail)"; fi
 
 aws-env: .venv-aws/aws.stamp  ## what the machines of tests/aws have before SkyPilot comes (700 MB)
@@ -100,7 +101,7 @@ aws-shell: .venv/dev.stamp .venv-aws/aws.stamp  ## a shell beside an AWS account
 	@$(AWS)
 
 aws-test: .venv/dev.stamp .venv-aws/aws.stamp  ## benches and deployments through SkyPilot's own AWS provisioner, with faults at the API, as root
-	@$(TIMED) $(AWS) $(BIN)/python -m pytest -q tests/aws
+	@$(TIMED) $(AWS) $(BIN)/python -m pytest -q --durations=10 tests/aws
 
 aws-figures: .venv/dev.stamp .venv-aws/aws.stamp  ## wall time and overhead of the SkyPilot runner on that account
 	$(AWS) $(BIN)/python -m tests.aws.figures
@@ -130,12 +131,15 @@ demo: .venv/run.stamp  ## benchmark on this host and choose a machine, in about 
 check: lint types layers words  ## what to run before each commit: lint, format, types, layers and the fast unit tests (under a minute)
 	$(BIN)/python -m pytest -q $(TEST_ARGS) -m 'not slow' tests/unit
 
-# All groups beside each other: those on Slurm and AWS mostly wait. What a group prints comes whole, when it ends, and then what
-# it took. A group that fails does not end the others. Ctrl-C ends all.
-GROUPS := aws-test slurm-test object-store-test unit lint types layers words generated docs
+# The simulated engines beside each other, for they mostly wait; then the others. What a group prints comes whole, when it ends,
+# and then what it took. A group that fails does not end the others. Ctrl-C ends all.
+ENGINES := aws-test slurm-test
+GROUPS := object-store-test unit lint types layers words generated docs
 JOBS ?= 1
-test: environments  ## everything that CI checks; with JOBS=4 four groups at once
-	@+$(MAKE) --no-print-directory --keep-going --output-sync=target --jobs=$(JOBS) $(GROUPS)
+SIDE_BY_SIDE = $(MAKE) --no-print-directory --keep-going --output-sync=target
+test: environments  ## everything that CI checks; with JOBS=4 four of the groups at once that need no simulated engine
+	@+failed=; $(if $(ENGINES),$(SIDE_BY_SIDE) --jobs=2 $(ENGINES) || failed=1;) \
+	  $(if $(GROUPS),$(SIDE_BY_SIDE) --jobs=$(JOBS) $(GROUPS) || failed=1;) test -z "$$failed"
 
 environments: .venv/dev.stamp .venv-ros/ros.stamp tests/editor/node_modules/.stamp
 
