@@ -21,8 +21,9 @@ FOLDER = "FOGSPEC_APART"
 # Short, as sockets' names must be; after it comes the process that the namespaces end with.
 STATE = Path(tempfile.gettempdir(), "fog-lab-")
 OPT = Path("/opt")
-SHARES = "16384"  # of CPU time; a group has no more than one process by itself, however many are in it
-CGROUPS = tuple(Path("/sys/fs/cgroup", one) for one in ("memory", "freezer", "cpu"))
+SHARES = "16384"  # of CPU time; else a group has no more than one process by itself, however many are in it
+CPU = Path("/sys/fs/cgroup/cpu")
+CGROUPS = (CPU.with_name("memory"), CPU.with_name("freezer"), CPU)
 
 
 def enter(module: str, words: Sequence[str]) -> None:
@@ -87,8 +88,9 @@ def furnished() -> Iterator[Path]:
             _run("mount", "--bind", f"{folder}/opt/ros", f"{OPT}/ros")
         for group in groups:
             group.mkdir()
-            if (shares := group / "cpu.shares").exists():
-                shares.write_text(SHARES)
+            if group.parent == CPU:
+                (group / "cpu.shares").write_text(SHARES)
+                _enter(group)
         with _bound(groups):
             yield folder
     finally:
@@ -120,7 +122,14 @@ def _bound(groups: Sequence[Path]) -> Iterator[None]:
         _end_all()
         for group in groups:
             _run("umount", "--lazy", str(group.parent))
+            if group.parent == CPU:
+                _enter(CPU)
             _remove(group)
+
+
+def _enter(group: Path) -> None:
+    """Put this process, and what it starts from now on, into a cgroup."""
+    (group / "cgroup.procs").write_text("0")
 
 
 def _remove(group: Path) -> None:
@@ -142,10 +151,11 @@ def run(words: Sequence[str]) -> int:
     """A command as a child of the first process, which also takes leave of those whose parents are gone; its exit code."""
     # Ctrl-C is the command's to answer.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    child = subprocess.Popen(words, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)).pid
+    # Kept, for one that is forgotten takes leave of its process by itself.
+    child = subprocess.Popen(words, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     while True:
         ended, status = os.wait()
-        if ended == child:
+        if ended == child.pid:
             return os.waitstatus_to_exitcode(status)
 
 

@@ -24,7 +24,7 @@ from moto.ec2.models import ec2_backends
 from moto.moto_server.werkzeug_app import DomainDispatcherApplication, MotoRequestHandler, create_backend_app
 from werkzeug.serving import run_simple
 
-from tests.tools import apart, network
+from tests.tools import network
 from tests.tools.aws import shapes
 
 PORT = 5000
@@ -117,6 +117,7 @@ class Cloud:
     hidden: dict[str, float] = field(default_factory=dict)
     ends: dict[str, float] = field(default_factory=dict)
     addresses: int = FIRST - 1
+    sees_all: int = 0  # the thread to which no instance is hidden
     lock: threading.RLock = field(default_factory=threading.RLock)
 
     def address(self) -> str:
@@ -273,8 +274,6 @@ def confine(name: str, group: str, file: str, value: int) -> Path | None:
     try:
         path.mkdir(exist_ok=True)
         (path / file).write_text(str(value))
-        if (shares := path / "cpu.shares").exists():
-            shares.write_text(apart.SHARES)
     except OSError:
         return None
     return path
@@ -340,7 +339,11 @@ class Gate:
         with self.launching:
             if token not in self.launches:
                 headers: list[Any] = []
-                body = b"".join(self.app(environ, lambda *head, **_: headers.extend(head)))
+                self.cloud.sees_all = threading.get_ident()  # the launch itself does
+                try:
+                    body = b"".join(self.app(environ, lambda *head, **_: headers.extend(head)))
+                finally:
+                    self.cloud.sees_all = 0
                 if not headers[0].startswith("200"):
                     start(*headers[:2])
                     return [body]
@@ -401,6 +404,8 @@ def invisible(cloud: Cloud) -> None:
                 fault = cloud.fault("vanish", about(one))
                 cloud.hidden[one.id] = time.time() + fault.after_s if fault else 0.0
         found = shown(self, filters)
+        if cloud.sees_all == threading.get_ident():
+            return found
         for reservation in found:
             reservation.instances = [
                 one for one in reservation.instances if time.time() >= cloud.hidden.get(one.id, 0.0)
