@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from fogspec.backends.skypilot.client import Client
 from tests.aws.site import AwsSite, Instance, until
 from tests.slurm.site import Bench
 from tests.tools import apart
@@ -15,7 +16,17 @@ from tests.tools.aws import engine
 from tests.tools.aws.__main__ import missing
 from tests.tools.slurm.engine import start
 
+ABANDONED = "fogspec-abandoned"
 TYPES = ("c6i.large", "m6i.large", "c6i.xlarge")
+
+
+@dataclass
+class Abandoned:
+    """A machine that nothing looks after, and the client that started it."""
+
+    site: AwsSite
+    client: Client
+    request: str
 
 
 @dataclass
@@ -49,8 +60,31 @@ def account() -> Path:
 @pytest.fixture(scope="session", autouse=True)
 def begun(request: pytest.FixtureRequest) -> None:
     """Begin first, and beside all else, what waits for minutes and computes nothing."""
-    if any("silent" in getattr(item, "fixturenames", ()) for item in request.session.items):
-        request.getfixturevalue("silent")
+    for name in ("silent", "abandoned"):
+        if any(name in getattr(item, "fixturenames", ()) for item in request.session.items):
+            request.getfixturevalue(name)
+
+
+@pytest.fixture(scope="session")
+def abandoned(account: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Abandoned]:
+    """A machine that runs a compiled task which hangs, with a lifetime of a minute."""
+    site = AwsSite(account, tmp_path_factory.mktemp("abandoned") / "project", prefix=ABANDONED)
+    site.compile(site.write("hangs", ["c6i.xlarge"]))
+    task = site.task("hangs", "c6i.xlarge")
+    task["resources"]["autostop"]["idle_minutes"] = 1
+    task["run"] = "sleep 3600"
+    before, given = dict(os.environ), engine.environment(account)
+    with Client() as client:
+        try:
+            os.environ.clear()
+            os.environ.update(given)
+            client.ready()
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
+        asked = client.call("launch", 300, task=task, name=ABANDONED, root=str(site.project))
+        until(lambda: site.jobs())
+        yield Abandoned(site, client, asked["request"])
 
 
 @pytest.fixture(scope="session")

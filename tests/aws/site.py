@@ -37,6 +37,7 @@ class Instance:
     name: str
     type: str
     state: str
+    spot: bool
     lived_s: float
     usd: float
 
@@ -119,9 +120,10 @@ def _instance(one: dict[str, Any]) -> Instance:
     over = datetime.strptime(stamp[1], "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC) if stamp else datetime.now(UTC)
     lived_s = (over - one["LaunchTime"]).total_seconds()
     shape = shapes.BY_NAME[one["InstanceType"]]
-    price = shape.spot_price if one.get("InstanceLifecycle") == "spot" else shape.price
+    spot = one.get("InstanceLifecycle") == "spot"
+    price = shape.spot_price if spot else shape.price
     state = one["State"]["Name"]
-    return Instance(one["InstanceId"], name, shape.name, state, lived_s, max(lived_s, LEAST_S) * price / 3600)
+    return Instance(one["InstanceId"], name, shape.name, state, spot, lived_s, max(lived_s, LEAST_S) * price / 3600)
 
 
 def until(true: Callable[[], Any], patience_s: float = 300.0) -> Any:

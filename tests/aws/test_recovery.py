@@ -72,9 +72,10 @@ def within_what_is_booked(site: AwsSite, name: str, budget_usd: float = 10.0) ->
     return site.bill() <= booked * 1.02 and booked <= budget_usd
 
 
-def test_machines_that_fail_are_replaced_and_what_is_refused_for_a_while_is_tried_again(site: AwsSite) -> None:
+def test_spot_machines_that_fail_are_replaced_and_what_is_refused_for_a_while_is_tried_again(site: AwsSite) -> None:
     types = ("c6i.large", "m6i.large", "c6i.xlarge")
     spec = site.write("storm", list(types), steps=40, work=RECLAIMED)
+    site.edit(spec, "gpus: [none]", "gpus: [none], spot: true")
     late, dying, lost = (site.machine("storm", one) for one in types)
     # Throttled at first, then a machine that EC2 does not list yet: SkyPilot may start another, and both are paid.
     engine.ask("/_fault", action="RunInstances", match=late, code="RequestLimitExceeded",
@@ -90,6 +91,7 @@ def test_machines_that_fail_are_replaced_and_what_is_refused_for_a_while_is_trie
     assert engine.ask("/_waiting") == [], "all of it happened"
     assert {name: one.state for name, one in site.results("storm").items()} == dict.fromkeys(types, "ok")
     launched = collections.Counter(one.type for one in site.instances())
+    assert [one for one in site.instances() if not one.spot] == []
     assert launched["m6i.large"] >= 2
     assert launched["c6i.xlarge"] >= 2
     assert within_what_is_booked(site, "storm")

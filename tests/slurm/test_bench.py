@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 
 from fogspec.compile.manifest import Manifest
+from fogspec.results.schema import Results
 from fogspec.spec.loader import read_document
-from tests.slurm.conftest import SECRET, SHAPES, Benched
+from tests.slurm.conftest import ABANDONED, SECRET, SHAPES, Benched
 from tests.slurm.looking import holding
+from tests.slurm.site import Site, recorded
 
 
 def test_four_shapes_at_once_from_the_spec_to_the_manifest(benched: Benched) -> None:
@@ -33,6 +35,32 @@ def test_four_shapes_at_once_from_the_spec_to_the_manifest(benched: Benched) -> 
     assert benched.took_s < 0.5 * sum(one.duration for one in records.values()), "they ran at the same time"
     manifest = read_document(site.project / "compiled" / "life" / "manifest.yaml", Manifest)
     assert manifest.spec.infra.startswith("slurm/fogtest/")
+
+
+def test_one_machine_measured_again_confirms_results_from_before_a_change(site: Site) -> None:
+    path = site.project / (spec := site.write("changed", [small := "2CPU--4GB"]))
+    path.write_text(path.read_text().replace("alpha: 0.5", "alpha: 0").replace("cpus: 1..128", "cpus: 2"))
+    site.compile(spec)
+    recorded(site, "changed")
+    site.compile(spec)
+    path.write_text(path.read_text().replace("[python3, work.py]", "[python3, work.py, --quiet]"))
+    site.compile(spec)
+    bench = site.bench(spec, "--confirm")
+    code = bench.ended()
+    body = read_document(site.project / "results" / "changed.yaml", Results).spec
+    measured = next(one for one in body.samples if one.timings is not None)
+    assert (measured.machine.instance, measured.state) == (small, "ok")
+    if code == 0:
+        (carried,) = body.carried
+        assert carried.confirmed is not None
+        assert carried.confirmed.sample == measured.id
+        assert carried.confirmed.changes == ["spec.cloud changed"]
+        site.compile(spec)
+        assert "confirmed: " in (site.project / "compiled" / "changed" / "manifest.yaml").read_text()
+    else:  # this host was so busy that it measured another latency
+        assert code == 3
+        assert (site.project / "results" / "changed.old-1" / "changed.yaml").is_file()
+    assert site.left(spare=ABANDONED) == []
 
 
 def test_a_secret_reaches_the_workload_and_is_in_no_file_and_on_no_command_line(benched: Benched) -> None:
