@@ -409,8 +409,9 @@ function draw(answer) {
       nodes.line.setAttribute("d", d);
       nodes.drag.setAttribute("d", d);
       nodes.words.textContent = d ? found[4] : "";
-      if (d) placeWords(one, nodes.words, name === "cost", edge);
+      nodes.edge = d ? edge : null;
     }
+    for (const [name, nodes] of Object.entries(one.limits)) if (nodes.edge) placeWords(one, name, nodes);
     one.iso.setAttribute("d", one.hourly || answer.balanced === null ? "" : isoPath(one, answer));
   }
   for (const [i, nodes] of marks) for (const node of nodes) {
@@ -436,19 +437,22 @@ const crossed = (bars, [left, top, right, bottom]) => bars.filter(([x1, y1, x2, 
   return low <= high;
 }).length;
 
-// The label of a limit: beside its line, where it touches no mark, crosses the fewest intervals and is nearest the far end.
-function placeWords(one, words, upright, edge) {
-  const column = one.hourly ? offers.price : offers.cost, long = 7.6 * words.textContent.length;
+// The label of a limit: beside its line, where it touches no mark, crosses the fewest lines and is nearest the far end.
+function placeWords(one, name, {words, edge}) {
+  const upright = name === "cost", at = ([p, q]) => [one.x(p), one.y(q)];
+  const lines = Object.keys(one.limits).filter((other) => other !== name && one.limits[other].edge)
+    .map((other) => [...at(one.limits[other].edge[0]), ...at(one.limits[other].edge.at(-1))]);
+  const column = one.hourly ? offers.price : offers.cost, long = words.getComputedTextLength() || 7.6 * words.textContent.length; // 0 where it is hidden
   const dots = [...marks.keys()].map((i) => [one.x(Math.log10(column[i])), one.y(Math.log10(offers.x[i]))]);
-  const [near, far] = [...edge.slice(0, 1), ...edge.slice(-1)].map(([p, q]) => [one.x(p), one.y(q)]).sort((a, b) => (upright ? b[1] - a[1] : a[0] - b[0]));
+  const [near, far] = [edge[0], edge.at(-1)].map(at).sort((a, b) => (upright ? b[1] - a[1] : a[0] - b[0]));
   let best = null;
   for (let step = 0; step <= 40; step++) {
     const x = far[0] + step / 40 * (near[0] - far[0]), y = far[1] + step / 40 * (near[1] - far[1]);
-    const spots = upright ? [[x + 6, y + 15], [x - 6 - long, y + 15]] : [[x - long - 4, y - 6], [x - long - 4, y + 16]];
+    const spots = [0, 5, 11].flatMap((by) => (upright ? [[x + 6 + by, y + 15], [x - 6 - by - long, y + 15]] : [[x - long - 4, y - 6 - by], [x - long - 4, y + 16 + by]]));
     const free = ([left, base]) => left > one.left && left + long < one.right + 4 && base - 11 > one.top && base < one.bottom &&
       !dots.some(([dx, dy]) => dx > left - 8 && dx < left + long + 8 && dy > base - 18 && dy < base + 9);
     for (const [left, base] of spots.filter(free)) {
-      const bad = 50 * crossed(one.bars, [left - 2, base - 13, left + long + 2, base + 4]) + step;
+      const bad = 50 * crossed([...one.bars, ...lines], [left - 2, base - 13, left + long + 2, base + 4]) + step;
       if (best === null || bad < best[0]) best = [bad, left, base];
     }
   }

@@ -446,7 +446,7 @@ SMALLEST = """() => Math.min(...[...document.querySelectorAll('main svg text')]
 CROSSED = """() => [...document.querySelectorAll('#stage svg')].filter((svg) => svg.getClientRects().length).flatMap((svg) =>
     [...svg.querySelectorAll('.label-of-limit')].filter((node) => node.textContent).flatMap((node) => {
         const box = node.getBBox();
-        return [...svg.querySelectorAll('.bar')].filter((bar) => [...Array(201).keys()].some((i) => {
+        return [...svg.querySelectorAll('.bar, .limit[d*=" "]')].filter((bar) => [...Array(201).keys()].some((i) => {
             const at = bar.getPointAtLength(i / 200 * bar.getTotalLength());
             return at.x > box.x && at.x < box.x + box.width && at.y > box.y && at.y < box.y + box.height;
         })).map(() => node.textContent);
@@ -480,7 +480,7 @@ def test_on_a_phone_it_is_short_and_its_charts_can_be_read(browser, checkout, tm
 
 @pytest.mark.parametrize("width", [360, 1280])
 @pytest.mark.parametrize("name", ["grasp-planning-recorded", "vslam-recorded", "motion-planning-cubicles-recorded"])
-def test_the_label_of_a_limit_crosses_no_interval(browser, checkout, tmp_path, name, width):
+def test_the_label_of_a_limit_crosses_no_interval_and_no_limit(browser, checkout, tmp_path, name, width):
     view = browser.open(written(loaded(checkout, name), tmp_path / "report.html"), width=width)
     assert view.evaluate(CROSSED) == []
 
