@@ -95,7 +95,7 @@ spec:
   probe: {callback: work}
   hardware: {cpus: 2..64, memory_per_cpu: 2GiB..8GiB, machines: {allow: [c6i.*, m6i.*, r6i.*]}}
   infra: [aws/us-east-1]
-  benchmark: {sampler: grid, budget: $2, stop: {requests: 200, duration: 1min}, setup_timeout: 1min}
+  benchmark: {sampler: grid, budget: $5, stop: {requests: 200, duration: 1min}, setup_timeout: 1min}
 """
 
 
