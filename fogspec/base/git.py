@@ -58,6 +58,9 @@ REACHED = {
 }
 LOG_IN = ("GIT_CONFIG", "GIT_SSH", "GIT_ASKPASS", "GIT_PROXY", "GIT_SSL", "GIT_HTTP")
 
+# Commands that pass files through the filters of their attributes: programs, too.
+FILTERING = frozenset({"diff", "merge-tree", "archive"})
+
 GIT_S = 60.0
 LONGEST_OUTPUT = 64 << 20  # bytes; what a checkout holds is not ours to bound
 LONGEST_REPORT = 1 << 16
@@ -66,7 +69,10 @@ LONGEST_REPORT = 1 << 16
 def git(*words: str, folder: str | os.PathLike[str] = ".") -> bytes:
     """Return the output of a git command that reads; raise UsageError with git's own first line if it fails."""
     kept = {k: v for k, v in child.environment().items() if not k.startswith("GIT_") or k.startswith("GIT_CONFIG")}
-    ended = _run(words, folder, OVERRIDES, kept | QUIET)
+    kept = kept | QUIET
+    if not FILTERING.isdisjoint(words):
+        kept = _configured(kept, _no_filters(folder, kept))
+    ended = _run(words, folder, OVERRIDES, kept)
     if ended.code:
         raise UsageError(f"git {words[0]}: {ended.report.splitlines()[0]}")
     return ended.output
@@ -92,6 +98,21 @@ def exchange(*words: str, folder: Path, stdin: bytes = b"", headers: Mapping[str
     return _run(
         words, folder, OWN, _configured(kept | REACHED | {"GIT_DIR": os.path.abspath(folder)}, headers or {}), stdin
     )
+
+
+def _no_filters(folder: str | os.PathLike[str], environment: dict[str, str]) -> dict[str, str]:
+    """Return settings that turn off filters of the checkout's own configuration, but not those that are the user's, too."""
+    listed = _run(("config", "--show-scope", "-z", "--get-regexp", r"^filter\."), folder, OVERRIDES, environment).output
+    words = listed.decode("utf-8", "surrogateescape").split("\0")
+    entries = list(zip(words[::2], words[1::2], strict=False))
+    ours = {entry for scope, entry in entries if scope not in ("local", "worktree")}
+    found: dict[str, str] = {}
+    for scope, entry in entries:
+        name = entry.partition("\n")[0]
+        if scope in ("local", "worktree") and entry not in ours:
+            # A filter that is required and empty would be an error.
+            found |= {name: "", f"{name.rpartition('.')[0]}.required": "false"}
+    return found
 
 
 def _configured(environment: dict[str, str], settings: Mapping[str, str]) -> dict[str, str]:

@@ -106,20 +106,20 @@ class Hostile:
             "cwd": self.project,
             "env": {**os.environ, "PATH": "/usr/bin:/bin"},
         }
-        # A file as new as the index would be read again, through its filter: what git reads must not depend on the clock.
-        for name in ("specs/tiny.yaml", "hosts.csv"):
-            os.utime(self.project / name, (1_600_000_000, 1_600_000_000))
         subprocess.run(["git", "init", "-q"], **words)
         subprocess.run(["git", "add", "specs/tiny.yaml", "hosts.csv"], **words)
         who = ["-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false"]
         subprocess.run(["git", *who, "commit", "-q", "-m", "all"], **words)
         evil = self.program(self.project / "evil")
         for name in ("core.fsmonitor", "diff.external", "core.pager", "pager.show", "diff.evil.textconv", "filter.evil.smudge",
-                     "filter.evil.clean", "gpg.program", "core.sshCommand", "core.askPass", "credential.helper",
-                     "interactive.diffFilter", "uploadpack.packObjectsHook"):  # fmt: skip
+                     "filter.evil.clean", "filter.evil.process", "gpg.program", "core.sshCommand", "core.askPass",
+                     "credential.helper", "interactive.diffFilter", "uploadpack.packObjectsHook"):  # fmt: skip
             subprocess.run(["git", "config", name, str(evil)], **words)
         subprocess.run(["git", "config", "diff.evil.command", str(evil)], **words)
         (self.project / ".gitattributes").write_text("* diff=evil filter=evil\n")
+        # Of another time than in the index, they are read again, through their filter.
+        for name in ("specs/tiny.yaml", "hosts.csv"):
+            os.utime(self.project / name, (1_600_000_000, 1_600_000_000))
         hooks = self.project / ".git" / "hooks"
         for name in ("post-checkout", "post-index-change", "reference-transaction", "pre-commit"):
             self.program(hooks / name)

@@ -1,5 +1,6 @@
 """Git reads a checkout that others wrote, and runs nothing that it names."""
 
+import contextlib
 import os
 import subprocess
 from pathlib import Path
@@ -83,6 +84,28 @@ def test_it_runs_no_program_that_the_configuration_names(checkout: Path, tmp_pat
     assert not mark.exists()
     subprocess.run(["git", "status"], cwd=checkout, capture_output=True)
     assert mark.exists(), "the trap works"
+
+
+@pytest.mark.parametrize("kind", ["clean", "process"])
+def test_a_filter_runs_only_if_the_user_has_it_too(
+    checkout: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """As `git lfs install` does, for every repository or for one."""
+    evil, mark = program(tmp_path)
+    for name in (f"filter.evil.{kind}", f"filter.a=b.{kind}", "filter.evil.required"):
+        plain(checkout, "config", name, "true" if name.endswith("required") else str(evil))
+    (checkout / "other").write_text("content\n")
+    (checkout / ".gitattributes").write_text("* filter=evil\nother filter=a=b\n")
+    os.utime(checkout / "file", (1, 1))
+    assert git("diff", "--name-only", "HEAD", "--", "file", folder=checkout) == b""
+    assert not mark.exists()
+    monkeypatch.setenv("GIT_CONFIG_GLOBAL", str(tmp_path / "global"))
+    subprocess.run(["git", "config", "--global", f"filter.evil.{kind}", str(evil)], check=True)
+    subprocess.run(["git", "config", "--global", "filter.evil.required", "true"], check=True)
+    os.utime(checkout / "file", (2, 2))
+    with contextlib.suppress(UsageError):  # this one answers nothing
+        git("diff", "--name-only", "HEAD", "--", "file", folder=checkout)
+    assert mark.exists()
 
 
 def test_it_fetches_nothing_that_is_missing(checkout: Path, tmp_path: Path) -> None:
