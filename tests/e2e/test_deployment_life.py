@@ -143,7 +143,7 @@ def test_a_node_that_ends_is_degraded_and_apply_mends_it(tiny: Deployed) -> None
 
 
 def test_dry_run_and_no_answer_start_nothing(tiny: Deployed) -> None:
-    assert "a month" in tiny("apply", MANIFEST, "--dry-run").stderr
+    assert "/month" in tiny("apply", MANIFEST, "--dry-run").stderr
     assert "confirmation required" in tiny("apply", MANIFEST, code=5).stderr
     assert tiny.machines() == []
     assert tiny.alive() == []

@@ -79,7 +79,7 @@ def _shares(site: Site, spec: str) -> tuple[float, float, float, float]:
                           text=True) as apply:  # fmt: skip
         assert apply.stderr is not None
         assert apply.stdout is not None
-        asked = next(time.time() for line in apply.stderr if "a month" in line)  # all is checked; now SkyPilot is asked
+        asked = next(time.time() for line in apply.stderr if "/month" in line)  # all is checked; now SkyPilot is asked
         apply.stderr.read()
         name = json.loads(apply.stdout.read())["name"]
     ended = time.time()

@@ -139,7 +139,7 @@ class Life:
             with contextlib.suppress(OSError):
                 return "state: ending" in (self.project / ".fogspec" / self.name / "deployment.yaml").read_text()
             return False
-        return {"begun": "", "priced": "a month", "starting": ": starting fogspec-"}[what] in said
+        return {"begun": "", "priced": "/month", "starting": ": starting fogspec-"}[what] in said
 
     def strike(self, fault: str, process: "subprocess.Popen[bytes]") -> None:
         """Break something; it counts where there was something to break."""
