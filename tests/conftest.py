@@ -47,6 +47,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return  # workers have the folder of the process that starts them
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())  # where pytest keeps what failed tests wrote
     folder = tempfile.mkdtemp(prefix="fog-")
+    os.chmod(folder, 0o711)  # another user may reach what a test opens to others
     config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
     os.environ |= {"TMPDIR": folder, once.SESSION: folder}
     tempfile.tempdir = folder

@@ -24,7 +24,7 @@ from fogspec.charts.terminal import plot
 from fogspec.charts.text import LABEL, shortened, width, wrapped
 
 ROOT = Path(__file__).parents[3]
-CHARTS = sorted([*ROOT.glob("compiled/*/*.svg"), ROOT / "docs/figures/menu.svg"])
+CHARTS = sorted([*ROOT.glob("compiled/*-recorded/*.svg"), ROOT / "docs/figures/menu.svg"])
 
 HOSTILE = [
     '"><script>alert(1)</script>&]]>',
