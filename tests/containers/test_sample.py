@@ -40,7 +40,7 @@ SPEC: dict[str, Any] = {
         },
     },
 }
-# It says what it sees, leaves a chain of processes behind that hide from whoever started them.
+# It says what it sees, leaves a chain of processes behind that hide from the process that started them.
 WORK = """\
 import hashlib, os, subprocess, sys, time
 import fogspec_probe
