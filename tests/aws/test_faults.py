@@ -1,8 +1,10 @@
 """Faults at AWS's API, where they really happen: the reason in AWS's words, no machine, no cost."""
 
+import time
+
 import pytest
 
-from tests.aws.site import AwsSite
+from tests.aws.site import AwsSite, until
 from tests.tools.aws import engine
 
 MACHINE = "c6i.4xlarge"
@@ -45,3 +47,22 @@ def test_a_price_that_rose_starts_nothing(site: AwsSite) -> None:
     assert "$0.384" in said
     assert "$0.192" in said
     assert site.instances() == []
+
+
+def test_machines_that_are_ended_while_they_begin_keep_no_other_from_beginning(site: AwsSite) -> None:
+    ec2 = engine.client()
+    image = ec2.describe_images()["Images"][0]["ImageId"]
+
+    def launch() -> str:
+        launched = ec2.run_instances(ImageId=image, InstanceType="c6i.large", MinCount=1, MaxCount=1)
+        return str(launched["Instances"][0]["InstanceId"])
+
+    for number in range(20):
+        one = launch()
+        time.sleep(0.05 * (number % 8))
+        ec2.terminate_instances(InstanceIds=[one])
+    last = launch()
+    try:
+        until(lambda: last in engine.ask("/_machines"))
+    finally:
+        ec2.terminate_instances(InstanceIds=[last])

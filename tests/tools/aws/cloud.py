@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 import urllib.parse
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -119,6 +120,7 @@ class Cloud:
     addresses: int = FIRST - 1
     sees_all: int = 0  # the thread to which no instance is hidden
     lock: threading.RLock = field(default_factory=threading.RLock)
+    launching: threading.Lock = field(default_factory=threading.Lock)  # held while a new instance has no tags yet
 
     def address(self) -> str:
         """The next public address: no two machines that live have the same."""
@@ -148,22 +150,33 @@ class Cloud:
 
     def look(self) -> None:
         """Start what runs according to the API and does not, and the other way round."""
-        for one in self.instances():
-            guest, now = self.guests.get(one.id), time.time()
-            if one.state == "running" and one.id in self.ends and now >= self.ends[one.id]:
-                self.end(one, "Server.SpotInstanceTermination: Instance terminated by the service")
-            elif one.state == "running" and guest is None:
-                self.boot(one)
-            elif one.state == "running" and guest is not None and guest.poll() is not None:
-                self.off(one)
-            elif one.state != "running" and guest is not None:
-                self.kill(one.id)
+        with self.launching:
+            instances = self.instances()
+        for one in instances:
+            try:
+                self.follow(one)
+            except Exception:  # whatever it is, the other machines go on
+                traceback.print_exc()
         with self.lock:
             for reclaim in self.faults:
                 if reclaim.action == "reclaim":
                     self.reclaim(reclaim)
 
-    def boot(self, one: Any) -> None:
+    def follow(self, one: Any) -> None:
+        """Do with a machine what the API says of it."""
+        guest, now = self.guests.get(one.id), time.time()
+        if one.state == "running" and one.id in self.ends and now >= self.ends[one.id]:
+            self.end(one, "Server.SpotInstanceTermination: Instance terminated by the service")
+        elif one.state == "running" and guest is None:
+            address = one.public_ip
+            if address is not None:  # else it has just been terminated
+                self.boot(one, address)
+        elif one.state == "running" and guest is not None and guest.poll() is not None:
+            self.off(one)
+        elif one.state != "running" and guest is not None:
+            self.kill(one.id)
+
+    def boot(self, one: Any, address: str) -> None:
         """A machine."""
         fault = self.fault("boot", about(one))
         shape = shapes.BY_NAME.get(one.instance_type)
@@ -196,9 +209,14 @@ class Cloud:
         with open(self.folder / "log" / f"{one.id}.log", "wb") as log:
             guest = subprocess.Popen([*words, "sh", "-c", ready, told["hostname"], sys.executable, "-P", str(GUEST), str(path)],
                                      stdin=subprocess.PIPE, stdout=log, stderr=log, preexec_fn=enter)  # fmt: skip
+        try:
+            until(lambda: os.readlink(f"/proc/{guest.pid}/ns/net") != os.readlink("/proc/self/ns/net"))
+            network.attach(str(guest.pid), "v" + one.id[-10:], address)
+        except BaseException:
+            guest.kill()
+            guest.wait()
+            raise
         self.guests[one.id] = guest
-        until(lambda: os.readlink(f"/proc/{guest.pid}/ns/net") != os.readlink("/proc/self/ns/net"))
-        network.attach(str(guest.pid), "v" + one.id[-10:], one.public_ip)
         assert guest.stdin is not None
         with contextlib.suppress(OSError):
             guest.stdin.write(b"\n")
@@ -225,22 +243,14 @@ class Cloud:
         """A notice to a machine that runs, which ends when the notice's time is over."""
         for one in self.instances():
             guest = self.guests.get(one.id)
-            if one.state != "running" or guest is None or one.id in self.ends or not signed(guest.pid, fault.sign):
+            if one.state != "running" or guest is None or one.id in self.ends:
                 continue
-            if not fault.due("reclaim", about(one)):
+            inside = signed(guest.pid, fault.sign)
+            if inside is None or not fault.due("reclaim", about(one)):
                 continue
             self.ends[one.id] = time.time() + fault.after_s
             notice = json.dumps({"action": "terminate", "time": self.ends[one.id]})
-            words = [
-                "nsenter",
-                "--target",
-                str(child(guest.pid)),
-                "--mount",
-                "sh",
-                "-c",
-                'echo "$0" > /run/spot-notice',
-                notice,
-            ]
+            words = ["nsenter", f"--target={inside}", "--mount", "sh", "-c", 'echo "$0" > /run/spot-notice', notice]
             subprocess.run(words, check=False)
             self.served.append({"action": "reclaim", "code": one.id, "at_s": time.time()})
 
@@ -255,17 +265,13 @@ class Cloud:
                 (CGROUPS / name / number).rmdir()
 
 
-def signed(pid: int, file: str) -> bool:
-    """Whether the machine has this file, or none is named."""
+def signed(pid: int, file: str) -> int | None:
+    """The first process of a machine that has this file, or of any if none is named."""
     try:
-        return not file or Path(f"/proc/{child(pid)}/root{file}").exists()
+        inside = int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
     except (OSError, IndexError):  # it has just begun, or ended
-        return False
-
-
-def child(pid: int) -> int:
-    """The first process of the namespaces."""
-    return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
+        return None
+    return inside if not file or Path(f"/proc/{inside}/root{file}").exists() else None
 
 
 def confine(name: str, group: str, file: str, value: int) -> Path | None:
@@ -299,7 +305,6 @@ class Gate:
     def __init__(self, cloud: Cloud, app: Any) -> None:
         self.cloud, self.app = cloud, app
         self.launches: dict[str, tuple[str, Any, bytes]] = {}
-        self.launching = threading.Lock()
 
     def __call__(self, environ: dict[str, Any], start: Any) -> Iterable[bytes]:
         length = int(environ.get("CONTENT_LENGTH") or 0)
@@ -336,7 +341,7 @@ class Gate:
         token = said.get("ClientToken", [""])[0]
         if not token or said.get("Action") != ["RunInstances"]:
             return self.app(environ, start)
-        with self.launching:
+        with self.cloud.launching:
             if token not in self.launches:
                 headers: list[Any] = []
                 self.cloud.sees_all = threading.get_ident()  # the launch itself does
