@@ -11,6 +11,7 @@ from fogspec.backends import registry
 from fogspec.backends.protocol import Unreachable
 from fogspec.backends.skypilot import backend, client
 from fogspec.backends.skypilot.errors import CloudProblem
+from fogspec.bench import attempt
 from fogspec.catalog import sources
 from tests.e2e.test_bench_money import _Shop
 from tests.support.fake_sky import Cloud, SimulatedClient
@@ -107,6 +108,32 @@ def test_credentials_that_expire_in_the_middle_lose_no_sample(shell: Shell, clou
     cloud.fails = lambda *_: None
     assert "3 of 4 samples to measure" in bench(shell).err
     assert [one["state"] for one in results(shell)["samples"]] == ["ok"] * 4
+
+
+def test_a_machine_that_cannot_be_verified_gone_without_access_is_found_again_with_it(
+    shell: Shell, cloud: Cloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(attempt, "STOP_BACKOFF_S", 0.1)
+    monkeypatch.setattr(attempt, "NO_ACCESS_PATIENCE_S", 0.5)
+    cloud.fails = lambda _op, _words: DENIED if cloud.machines else None
+    said = bench(shell, "--at-once", "1", code=6)
+    (left,) = cloud.machines
+    assert left in said.out + said.err
+    assert "cannot be verified" in said.err
+    said = bench(shell, "--at-once", "1", code=6)
+    assert "expired" in said.err
+    assert [*cloud.machines] == [left], "nothing more is started"
+    assert not (shell.folder / "results").exists()
+
+    cloud.fails = lambda *_: None
+    bench(shell, "--resume")
+    assert cloud.machines == {}
+    assert [one["state"] for one in results(shell)["samples"]] == ["ok"] * 4
+    journal = [json.loads(line) for line in shell.read(".fogspec/demo/journal.jsonl").splitlines()]
+    assert [one["name"] for one in journal if one["do"] == "start" and one["name"] == left] == [left]
+    assert {one["name"] for one in journal if one["do"] == "start"} == {
+        one["name"] for one in journal if one["do"] == "end"
+    }
 
 
 def test_a_failed_sample_never_replaces_a_measured_one(shell: Shell, cloud: Cloud) -> None:
