@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.classes import cpu_kind
 from fogspec.catalog.machine import Machine, TypeKey
-from fogspec.catalog.table import Catalog, Strings, ranks
+from fogspec.catalog.table import Catalog, Strings, row_ranks
 from fogspec.numerics.kernels import Machines, codes
-
-MOST_KEYS = 10_000_000  # of types, counted rather than sorted
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +28,15 @@ class InstanceTypes:
     def __len__(self) -> int:
         return len(self.keys)
 
+    def __contains__(self, key: TypeKey) -> bool:
+        row = bisect_left(self.keys, key)
+        return self.keys[row : row + 1] == (key,)
+
     def row(self, key: TypeKey) -> int:
         """Return the row of a type; raise KeyError if it is not among these."""
-        row = bisect_left(self.keys, key)
-        if self.keys[row : row + 1] != (key,):
+        if key not in self:
             raise KeyError(key)
-        return row
+        return bisect_left(self.keys, key)
 
     @property
     def names(self) -> list[str]:
@@ -45,16 +46,7 @@ class InstanceTypes:
 
 def instance_types(offers: Catalog) -> InstanceTypes:
     """Return the types of these offers."""
-    key, many = np.zeros(len(offers), dtype=np.int64), 1
-    for column in (offers.cloud, offers.instance, offers.gpu, offers.gpu_count):
-        rank = ranks(column)
-        each = int(rank.max(initial=0)) + 1
-        key, many = (key * each + rank, many * each) if each > 1 else (key, many)
-    if many <= MOST_KEYS:
-        there = np.bincount(key, minlength=many) > 0
-        of = (np.cumsum(there) - 1)[key]
-    else:
-        of = np.unique(key, return_inverse=True)[1].ravel()
+    of = row_ranks(offers.cloud, offers.instance, offers.gpu, offers.gpu_count)
     cheapest = _cheapest(of, offers)
     rows = offers.take(cheapest)
     columns = (rows.cloud.tolist(), rows.instance.tolist(), rows.gpu.tolist(), rows.gpu_count.tolist())
@@ -86,19 +78,21 @@ def machines_of(offers: Catalog, known_clouds: frozenset[str] | None = None) -> 
     `known_clouds` are those that have one, of the offers if it is None.
     """
     known_clouds = clocked(offers) if known_clouds is None else known_clouds
-    about = list(
-        zip(
-            offers.cloud.tolist(),
-            offers.arch.tolist(),
-            offers.family.tolist(),
-            # Not a number is not equal to itself, and would be a CPU of its own.
-            np.nan_to_num(offers.clock_ghz, nan=-1.0).tolist(),
-            np.nan_to_num(offers.vcpus / offers.physical_cores, nan=-1.0).tolist(),
-            strict=True,
-        )
+    about = (
+        offers.cloud,
+        offers.arch,
+        offers.family,
+        # Not a number is not equal to itself, and would be a CPU of its own.
+        np.nan_to_num(offers.clock_ghz, nan=-1.0),
+        np.nan_to_num(offers.vcpus / offers.physical_cores, nan=-1.0),
     )
-    known = {one: _cpu(*one, named=one[0] in known_clouds) for one in set(about)}
-    cpu = [known[one] for one in about]
+    of = row_ranks(*about)
+    row = np.empty(int(of.max(initial=-1)) + 1, dtype=np.intp)
+    row[of] = np.arange(len(of))
+    cpu = [
+        _cpu(*one, named=one[0] in known_clouds)
+        for one in zip(*(column[row].tolist() for column in about), strict=True)
+    ]
     return Machines(
         vcpus=offers.vcpus,
         memory_gib=offers.memory_gib,
@@ -106,7 +100,7 @@ def machines_of(offers: Catalog, known_clouds: frozenset[str] | None = None) -> 
         family=_codes(offers.family),
         arch=_codes(offers.arch),
         cloud=_codes(offers.cloud),
-        cpu_model=codes(cpu),
+        cpu_model=codes(cpu)[of],
         gpu=_codes(offers.gpu),
         gpu_count=offers.gpu_count,
         gpu_memory_gib=offers.gpu_memory_gib,
@@ -130,14 +124,14 @@ def types_with_measured(offers: Catalog, measured: Sequence[Machine], catalog: C
     does not matter, because it cannot be chosen.
     """
     types = instance_types(offers)
-    there = set(types.keys)
-    missing = {machine.type_key: machine for machine in measured if machine.type_key not in there}
+    missing = {machine.type_key: machine for machine in measured if machine.type_key not in types}
     if not missing:
         return types
     known_clouds = clocked(offers)
     added = [machines_of(_row(machine, offers, catalog), known_clouds) for machine in missing.values()]
     keys = [*types.keys, *missing]
-    order = np.array(sorted(range(len(keys)), key=keys.__getitem__))
+    among = sorted(range(len(types), len(keys)), key=keys.__getitem__)
+    order = np.insert(np.arange(len(types)), [bisect_left(types.keys, keys[one]) for one in among], among)
     place = np.argsort(order)
     return InstanceTypes(
         keys=tuple(keys[i] for i in order.tolist()),

@@ -99,7 +99,7 @@ def test_of_equal_prices_on_demand_comes_first_then_the_first_offer(monkeypatch)
     places.spot[:] = np.tile([True, False, False, True], 12)
     found = instance_types(places)
     assert sorted(found.offer.tolist()) == list(range(1, 48, 4))
-    monkeypatch.setattr("fogspec.catalog.instance_types.MOST_KEYS", 0)
+    monkeypatch.setattr("fogspec.catalog.table.COUNTED", 0)
     many = instance_types(places)
     assert many.keys == found.keys
     assert np.array_equal(many.of, found.of)
