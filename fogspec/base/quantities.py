@@ -38,6 +38,12 @@ class Strict(BaseModel):
         # Without this mark pydantic would read documents through __init__ too, and bare numbers would pass.
         __init__.__pydantic_base_init__ = True
 
+    @property
+    def is_default(self) -> bool:
+        """Whether every field has its default: as a comparison with a new model, whose class need not be built for it."""
+        fields = type(self).model_fields
+        return all(value == fields[name].get_default(call_default_factory=True) for name, value in self)
+
 
 class Lean(Strict):
     """A model that leaves out what a later version added while it is not set: digests of older files stay valid."""

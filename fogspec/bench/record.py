@@ -16,7 +16,8 @@ from fogspec.base.units import shown_duration
 from fogspec.plan.schema import Sample
 from fogspec.results import ranges
 from fogspec.results.hangs import detect_hang
-from fogspec.results.requests import SIZE_LIMIT, RecordRules, Requests, read_requests
+from fogspec.results.ranges import SIZE_LIMIT
+from fogspec.results.requests import RecordRules, Requests, read_requests
 from fogspec.results.schema import LatencySummary, Measured, Reason, State, StoppedBy, Timings
 from fogspec.results.statistics import NEEDED, summary, weights
 

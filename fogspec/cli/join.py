@@ -35,8 +35,8 @@ def command(results: Path, other: Path, base: Path | None) -> None:
     from fogspec.base.locks import application_lock
     from fogspec.base.project_files import ProjectFiles
     from fogspec.base.text import count, shell_command
-    from fogspec.results.io import bring_timings, read_results_file
-    from fogspec.results.merge import join_results
+    from fogspec.results.io import read_results_file
+    from fogspec.results.merge import bring_timings, join_results
 
     name = read_results_file(results).metadata.name
     with contextlib.ExitStack() as held:

@@ -263,14 +263,16 @@ class _Reader:
         return _as_locked(catalog, pins, layout) if pins is not None and path is None else catalog
 
     def library(self, layout: Layout, pins: Pins | None) -> "PriorData | None":
-        from fogspec.model.priors import locked_priors, read_priors
-
         if self.priors is not None:
+            from fogspec.model.priors import read_priors
+
             if self.priors not in self.libraries:
                 self.libraries[self.priors] = read_priors(self.priors)
             return self.libraries[self.priors]
         if pins is None or pins.priors is None:
             return None
+        from fogspec.model.priors import locked_priors
+
         path = layout.root / pins.priors.origin
         library = self.libraries.get(path)
         if library is None or library.digest != pins.priors.digest:

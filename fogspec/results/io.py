@@ -10,9 +10,8 @@ from fogspec.base.files import decompress, too_large
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.text import shell_command
-from fogspec.results.merge import Joined, timings_of
-from fogspec.results.requests import SIZE_LIMIT
-from fogspec.results.schema import Measured, Results, checksum_ok, with_checksum
+from fogspec.results.ranges import SIZE_LIMIT
+from fogspec.results.schema import Measured, Results, checksum_ok
 from fogspec.spec.loader import read_document
 
 PACKED_LIMIT = 64 << 20
@@ -44,27 +43,6 @@ def read_results_file(path: Path) -> Results:
     results = read_document(path, Results, ProjectFiles(path.parent))
     check_integrity(results, path)
     return results
-
-
-def bring_timings(joined: Joined, results: Path, other: Path) -> Results:
-    """Copy the raw timings of the records that come from the file `other`, and return the joined results that refer to them.
-
-    Raises InvalidInput if one is missing beside that file, or not as recorded; then nothing was copied.
-    """
-    name, found = joined.results.metadata.name, dict[str, Measured]()
-    contents: list[tuple[Path, bytes]] = []
-    for record in joined.theirs.values():
-        target = timings_of(record, name)
-        if target is None or record.timings is None:
-            continue
-        raw_timings(record, other.parent)
-        contents.append((results.parent / target, packed_timings(record, other.parent)))
-        timings = record.timings.model_copy(update={"path": target.as_posix()})
-        found[record.id] = record.model_copy(update={"timings": timings})
-    for path, content in contents:
-        ProjectFiles(results.parent).write(path, content)
-    samples = [found.get(one.id, one) for one in joined.results.spec.samples]
-    return with_checksum(joined.results.metadata, joined.results.spec.model_copy(update={"samples": samples}))
 
 
 def check_integrity(results: Results, path: str | Path) -> None:

@@ -11,7 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.base.errors import Refused
+from fogspec.base.project_files import ProjectFiles
 from fogspec.plan.schema import Batch, Sampling, next_on
+from fogspec.results.io import packed_timings, raw_timings
 from fogspec.results.schema import Carried, Measured, Results, ResultsBody, is_final, own_records, with_checksum
 from fogspec.spec import fingerprints
 from fogspec.spec.lockfile import differing, some
@@ -209,3 +211,24 @@ def _sampling(ours: Sampling | None, other: Sampling | None) -> Sampling | None:
 def timings_of(record: Measured, name: str) -> Path | None:
     """Return where the raw timings of a record of `name` belong, relative to its results file; None without any."""
     return None if record.timings is None else Path(name) / "timings" / f"{record.id}.jsonl.gz"
+
+
+def bring_timings(joined: Joined, results: Path, other: Path) -> Results:
+    """Copy the raw timings of the records that come from the file `other`, and return the joined results that refer to them.
+
+    Raises InvalidInput if one is missing beside that file, or not as recorded; then nothing was copied.
+    """
+    name, found = joined.results.metadata.name, dict[str, Measured]()
+    contents: list[tuple[Path, bytes]] = []
+    for record in joined.theirs.values():
+        target = timings_of(record, name)
+        if target is None or record.timings is None:
+            continue
+        raw_timings(record, other.parent)
+        contents.append((results.parent / target, packed_timings(record, other.parent)))
+        timings = record.timings.model_copy(update={"path": target.as_posix()})
+        found[record.id] = record.model_copy(update={"timings": timings})
+    for path, content in contents:
+        ProjectFiles(results.parent).write(path, content)
+    samples = [found.get(one.id, one) for one in joined.results.spec.samples]
+    return with_checksum(joined.results.metadata, joined.results.spec.model_copy(update={"samples": samples}))

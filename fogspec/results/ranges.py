@@ -20,6 +20,7 @@ MEMORY_GIB = Bounds(0.0, 1e9, " GiB")
 VCPUS = Bounds(0.0, 1e5)
 MONEY_USD = Bounds(0.0, 1e9, " USD")
 TEXT_LIMIT = 2000
+SIZE_LIMIT = 256 * 2**20  # bytes of the raw timings of a sample
 
 RequestTime = Annotated[Duration, AfterValidator(REQUEST_S.check)]
 Time = Annotated[Duration, AfterValidator(TIME_S.check)]

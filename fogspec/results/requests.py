@@ -11,11 +11,10 @@ from fogspec.base.files import open_untrusted
 from fogspec.base.quantities import Bounds
 from fogspec.base.units import UnitError, shown_duration
 from fogspec.results.join import VERDICT, Request, Value, join
-from fogspec.results.ranges import CLOCK_S, METRIC, REQUEST_S
+from fogspec.results.ranges import CLOCK_S, METRIC, REQUEST_S, SIZE_LIMIT
 from fogspec.spec.probe import name_of
 from fogspec.spec.schema import Application
 
-SIZE_LIMIT = 256 * 2**20
 LINE_LIMIT = 64 * 2**10
 LINES_LIMIT = 1_000_000
 OTHER_NAMES = 5

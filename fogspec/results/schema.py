@@ -278,12 +278,13 @@ class Results(Strict):
 
 def with_checksum(metadata: PlanMetadata, body: ResultsBody) -> Results:
     """Return the results with their checksum."""
-    return Results(metadata=metadata, spec=body, integrity=_checksum(metadata, body))
+    found = Results(metadata=metadata, spec=body, integrity="")
+    return found.model_copy(update={"integrity": _checksum(found)})
 
 
 def checksum_ok(results: Results) -> bool:
     """Return whether the checksum matches the content."""
-    return results.integrity == _checksum(results.metadata, results.spec)
+    return results.integrity == _checksum(results)
 
 
 def is_final(record: Measured) -> bool:
@@ -318,9 +319,10 @@ def _abandoned(body: ResultsBody) -> set[str]:
     return {one.id for one in body.samples if one.reason in UNAVAILABLE and (one.substitute_for or one.id) in requested}
 
 
-def _checksum(metadata: PlanMetadata, body: ResultsBody) -> str:
+def _checksum(results: Results) -> str:
     """Return the digest over all fields but those that are None, so that an optional field added later keeps it valid."""
-    return digest.of_value([metadata.model_dump(mode="json"), body.model_dump(mode="json", exclude_none=True)])
+    written = results.model_dump(mode="json", include={"metadata", "spec"}, exclude_none=True)
+    return digest.of_value([written["metadata"], written["spec"]])
 
 
 def other_servers(records: Sequence[Measured]) -> list[str]:

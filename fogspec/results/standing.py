@@ -99,10 +99,11 @@ def change_text(one: Waiver) -> str:
 def carried_on(results: Results, waived: Sequence[Waiver]) -> list[Carried]:
     """Return the changes after which samples count on: those that the results record, and those waived since."""
     body = results.spec
-    now = Carried(
-        application=body.application, pins=body.pins, samples=[one.id for one in body.samples], waivers=list(waived)
-    )
-    return [*(body.carried or ()), *([now] if waived and body.samples else [])]
+    carried = list(body.carried or ())
+    if waived and body.samples:
+        ids = [one.id for one in body.samples]
+        carried.append(Carried(application=body.application, pins=body.pins, samples=ids, waivers=list(waived)))
+    return carried
 
 
 def carried_text(one: Carried, total: int) -> str:

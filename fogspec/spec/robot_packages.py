@@ -1,11 +1,9 @@
 """Which nodes belong on the robot, by a list of packages and programs with a reason each (ADR 0142)."""
 
 import os.path
-import tomllib
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from functools import cache
-from importlib.resources import files
 from typing import Any
 
 
@@ -27,6 +25,9 @@ def _reason(groups: list[tuple[str, list[str]]], name: str) -> str | None:
 
 @cache
 def _listed() -> tuple[list[tuple[str, list[str]]], list[tuple[str, list[str]]]]:
+    import tomllib
+    from importlib.resources import files
+
     data = tomllib.loads(files(__package__).joinpath("robot_packages.toml").read_text("utf-8"))
     return (
         [(one["reason"], one["packages"]) for one in data["group"]],

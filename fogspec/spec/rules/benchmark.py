@@ -8,7 +8,7 @@ from fogspec.spec.fingerprints import waivable
 from fogspec.spec.probe import kind_of
 from fogspec.spec.robot_packages import reason_of
 from fogspec.spec.rules.finding import Finding
-from fogspec.spec.schema import Application, Interruption, Node, Workload, local_shape
+from fogspec.spec.schema import Application, Node, local_shape
 from fogspec.spec.suggest import closest
 
 SECONDS_PER_DAY = 86400
@@ -134,7 +134,7 @@ def sender(application: Application) -> Iterator[Finding]:
     """
     spec, at = application.spec, ("spec", "benchmark", "workload")
     kind = kind_of(spec.probe)
-    if kind not in ("topics", "service", "action") or spec.benchmark.workload != Workload():
+    if kind not in ("topics", "service", "action") or not spec.benchmark.workload.is_default:
         return
     name = spec.probe.request if kind == "topics" else getattr(spec.probe, kind)
     alone = spec.robot[0] if len(spec.robot) == 1 else None
@@ -277,7 +277,7 @@ def extra_costs(application: Application) -> Iterator[Finding]:
             ((*at, "transfer"),),
             at_key=True,
         )
-    if spec.objective.interruption != Interruption() and not spec.hardware.spot:
+    if not spec.objective.interruption.is_default and not spec.hardware.spot:
         yield Finding(
             "FS527",
             (*at, "interruption"),
