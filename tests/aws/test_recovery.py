@@ -82,7 +82,7 @@ def test_spot_machines_that_fail_are_replaced_and_what_is_refused_for_a_while_is
                message="Request limit exceeded.", times=2)  # fmt: skip
     engine.ask("/_fault", action="vanish", match=late, how="invisible", after_s=8)
     # One that dies while it is set up, and whose end is refused twice.
-    engine.ask("/_fault", action="boot", match=dying, how="dying", sign="/home/ubuntu/.sky/python_path")
+    engine.ask("/_fault", action="boot", match=dying, how="dying", after_s=12)
     engine.ask("/_fault", action="TerminateInstances", match=dying, code="InternalError", message="An internal error.",
                times=2)  # fmt: skip
     engine.ask("/_fault", action="reclaim", match=lost, how="reclaim", sign="/tmp/measuring", after_s=2)

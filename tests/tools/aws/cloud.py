@@ -65,7 +65,7 @@ class Fault:
     the names and type of the instances that it is about. `skip` such calls are answered as ever, then `times` are not, or
     all for `for_s` from the first on. `hang_s`: the answer takes so long; with no `code` it is then the right one, and `how`
     "answer" says that the answer alone is late. `how`: a machine that boots "silent" never answers, "dying" ends `after_s`
-    later; a reclaimed one ends `after_s` after its notice; both begin once the machine has the file `sign`, if one is named; a
+    later; a reclaimed one ends `after_s` after its notice, which comes once the machine has the file `sign`, if one is named; a
     new instance is not visible for `after_s`. `met` counts what it hit; `name` and `whose` are for who posts it.
     """
 
@@ -116,7 +116,6 @@ class Cloud:
     served: list[dict[str, Any]] = field(default_factory=list)
     calls: Counter[str] = field(default_factory=Counter)
     hidden: dict[str, float] = field(default_factory=dict)
-    dying: dict[str, Fault] = field(default_factory=dict)
     ends: dict[str, float] = field(default_factory=dict)
     addresses: int = FIRST - 1
     sees_all: int = 0  # the thread to which no instance is hidden
@@ -166,8 +165,6 @@ class Cloud:
     def follow(self, one: Any) -> None:
         """Do with a machine what the API says of it."""
         guest, now = self.guests.get(one.id), time.time()
-        if guest is not None and one.id in self.dying and signed(guest.pid, self.dying[one.id].sign):
-            self.ends[one.id] = now + self.dying.pop(one.id).after_s
         if one.state == "running" and one.id in self.ends and now >= self.ends[one.id]:
             self.end(one, "Server.SpotInstanceTermination: Instance terminated by the service")
         elif one.state == "running" and guest is None:
@@ -225,7 +222,7 @@ class Cloud:
             guest.stdin.write(b"\n")
             guest.stdin.flush()
         if fault is not None and fault.how == "dying":
-            self.dying[one.id] = fault
+            self.ends[one.id] = time.time() + fault.after_s
 
     def off(self, one: Any) -> None:
         """It turned itself off, which ends it or only its bill for more than the disk."""
