@@ -1,7 +1,6 @@
 """Run the main job on this host, and end with its conclusion in five lines: `make demo`."""
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -15,19 +14,14 @@ from fogspec.base.yaml.reader import documents
 
 NAME = "lidar-odometry"
 INFEASIBLE = 4
-BUSY = 1.2  # processes that want to run, per CPU
 FOGSPEC = [sys.executable, "-m", "fogspec"]
 RESULTS = Path("results") / f"{NAME}.yaml"
 
 
 def main() -> int:
     """Run the commands and print the conclusion; return the exit code of the first one that failed."""
-    cpus, load, start = os.cpu_count() or 1, os.getloadavg()[0], time.monotonic()
+    start = time.monotonic()
     say("Benchmarks LiDAR odometry on this host's CPUs and chooses a cloud machine: about a minute, nothing is rented.")
-    if load > BUSY * cpus:
-        say(
-            f"warning: load {load:.1f} on {cpus} CPUs: these are figures of a busy host, and they take longer", err=True
-        )
     steps = (["validate"], ["compile"], ["bench", "--runner", "local"], ["compile"], ["report"])
     for verb, *options in steps:
         words = [verb, NAME, *options]

@@ -236,7 +236,7 @@ def outcome(record: Measured) -> str:
     """Return the state and the main figures."""
     words = verdict(record)
     if record.latency is not None:
-        words += f": {record.requests} requests, mean {seconds(record.latency.mean)}"
+        words += f": {count(record.requests, 'request')}, mean {seconds(record.latency.mean)}"
     if record.stopped_by == "decided":
         words += ", ended early: too slow to be the choice"
     return f"{words} ({record.detail})" if record.detail else words

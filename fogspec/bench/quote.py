@@ -83,7 +83,7 @@ class Quote:
         if self.once_more:
             count = f"{self.name}: {', '.join(one.machine.instance for one in self.todo)} to measure once more"
         if self.adaptive:
-            count += ", then the machines that the model asks for"
+            count += ", then the machines that the model selects"
         if self.costs is not Costs.REAL:
             return f"{count} with the {self.runner} runner: costs nothing"
         if (most := self.most_usd) is None:

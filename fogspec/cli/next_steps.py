@@ -147,13 +147,14 @@ def after_diff(inputs: "Inputs", one: "Difference", live: Sequence[Any] | None) 
 
 def to_measure(compiled: "Artifacts") -> str | None:
     """Return the command that measures the plan; without prices there would be no choice, so first the one that has them."""
-    from fogspec.compile.inputs import unpriced
-
-    missing = unpriced(compiled.inputs.spec, compiled.catalog)
-    return next_command(*_measure(compiled)) if missing is None else missing[2]
+    return next_command(*_measure(compiled))
 
 
 def _measure(compiled: "Artifacts") -> Words:
+    from fogspec.compile.inputs import unpriced
+
+    if (missing := unpriced(compiled.inputs.spec, compiled.catalog)) is not None:
+        return missing[2]
     return "bench", fspath(compiled.layout.spec), *compiled.plan.runner_options
 
 

@@ -364,16 +364,16 @@ def _catalog_notes(one: LoadedSpec, catalog: Catalog) -> Iterator[str]:
         yield f"warning: {old}: see --catalog"
 
 
-def unpriced(one: LoadedSpec, catalog: Catalog) -> tuple[str, str, str] | None:
-    """Return that no machine has a price in the spec's places, what to do, and the command; None if one has."""
+def unpriced(one: LoadedSpec, catalog: Catalog) -> tuple[str, str, tuple[str, ...]] | None:
+    """Return that no machine has a price in the spec's places, what to do, and the command's words; None if one has."""
     infra = one.application.spec.infra
     if any(matches_infra(catalog, place).any() for place in infra):
         return None
     places = ", ".join(infra)
     if all(cloud_of(place).on_skypilot for place in infra):
-        again = shell_command("fogspec", "compile", one.layout.spec, "--catalog", "skypilot")
+        again = ("compile", str(one.layout.spec), "--catalog", "skypilot")
         return f"{catalog.about.source}: no machine in {places}", "all that SkyPilot knows: --catalog skypilot", again
-    again = shell_command("fogspec", "lock", one.layout.spec, "--catalog", "FILE")
+    again = ("lock", str(one.layout.spec), "--catalog", "FILE")
     columns = "write a CSV with the columns Cloud,InstanceType,vCPUs,MemoryGiB,Price,Region"
     return f"no price list has machines in {places}", columns, again
 

@@ -168,7 +168,7 @@ def _inputs(one: LoadedSpec, layout: Layout, catalog: str | None, check_image: I
 def _catalog(one: LoadedSpec, name: str, catalog: Catalog) -> Check:
     if (missing := unpriced(one, catalog)) is not None:
         detail, fix, again = missing
-        return Check(name, "catalog", State.PROBLEM, detail, (fix, f"then: {again}"))
+        return Check(name, "catalog", State.PROBLEM, detail, (fix, f"then: {shell_command('fogspec', *again)}"))
     if (old := age_warning(one, catalog)) is not None:
         return Check(name, "catalog", State.PROBLEM, old, ("prices of today: --catalog skypilot",))
     return Check(name, "catalog", State.OK, catalog.about.source)

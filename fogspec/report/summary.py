@@ -100,8 +100,9 @@ def _plan_text(compiled: Artifacts) -> str:
     body = compiled.plan.spec
     estimate = body.estimate
     samples = count(len(body.samples), "sample")
-    if estimate.total == 0:
-        return f"{samples} on this host, free, at most {units.shown_duration(body.duration * len(body.samples))} of measuring"
+    if compiled.plan.runner_options:
+        here = f"{samples} on this host, free, at most {units.shown_duration(body.duration * len(body.samples))} of measuring"
+        return f"{here}, then the machines that the model selects" if compiled.selects_more else here
     budget = "" if body.budget is None else f", of a budget of {dollars(body.budget)}"
     wall = f"{units.shown_duration(estimate.wall)} if all run at once"
     total = dollars(estimate.total)

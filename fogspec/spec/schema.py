@@ -521,7 +521,7 @@ class Benchmark(Strict):
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether the model asks for the machines: a list of them comes before any sampler."""
+        """Whether the model selects the machines: a list of them comes before any sampler."""
         return self.sampler == "adaptive" and not self.machines
 
 

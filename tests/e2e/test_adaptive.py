@@ -291,7 +291,7 @@ def test_machines_are_asked_for_among_those_of_the_plans_own_catalog(project):
 
 def test_asking_is_said_only_where_the_model_will_be_asked(project):
     project("compile", "specs/demo.yaml", *AT)
-    assert "then the machines that the model asks for" in bench(project).err
+    assert "then the machines that the model selects" in bench(project).err
     assert "then the machines" not in bench(project).err
 
 

@@ -286,3 +286,39 @@ def test_files_beside_the_spec_count_in_every_command(shell: Shell) -> None:
     assert "work.py: not what the lock says" in shell("compile", "--check", code=3).err
     for words in (("status", "--exit-code"), ("diff", "--exit-code"), ("verify", "compiled/demo/manifest.yaml")):
         shell(*words, code=3)
+
+
+HOSTS = "Cloud,InstanceType,vCPUs,MemoryGiB,Price,Region\nlocal,1cpu-1gib,1,1,0.02,\nlocal,2cpu-1gib,2,1,0.04,\n"
+
+
+def test_this_computer_needs_no_budget_and_a_price_before_a_bench(shell: Shell) -> None:
+    shell.write("specs/work.py", "print('work')\n")
+    here = {"infra": "[local]", "hardware": "{cpus: 1..2}", "benchmark": "{stop: {requests: 20, duration: 1min}}"}
+    shell.write("specs/demo.yaml", spec(**here))
+    assert "1 application in 1 file valid" in shell("validate").out
+    machines = "{stop: {requests: 20, duration: 1min}, machines: [local/1cpu-1gib]}"
+    shell.write("specs/demo.yaml", spec(**{**here, "benchmark": machines}))
+    for verb in ("compile", "status", "report"):
+        ended = shell(verb, "demo", code=None)
+        assert "next: fogspec lock specs/demo.yaml --catalog FILE" in ended.out + ended.err
+    shell.write("hosts.csv", HOSTS)
+    shell.write("specs/demo.yaml", spec(**here))
+    compiled = shell("compile", "demo", "--catalog", "hosts.csv").out
+    assert "2 samples on this host, free, at most 2 min of measuring" in compiled
+    priced = shell("status", "demo", "--catalog", "hosts.csv").out
+    assert "next: fogspec bench specs/demo.yaml --runner local --catalog hosts.csv" in priced
+
+
+@pytest.mark.parametrize(("load", "warned"), [(9.0, True), (0.1, False)])
+def test_a_bench_on_this_computer_warns_when_it_is_busy(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch, load: float, warned: bool
+) -> None:
+    monkeypatch.setattr("os.getloadavg", lambda: (load, load, load))
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    shell.write("specs/work.py", "print('work')\n")
+    shell.write(
+        "specs/demo.yaml", spec(benchmark="{stop: {requests: 20, duration: 1min}, machines: [local/1cpu-1gib]}")
+    )
+    shell("compile", "demo", code=None)
+    said = shell("bench", "demo", "--runner", "local", "--dry-run").err
+    assert ("warning: load 9.0 on 2 CPUs: these are figures of a busy host" in said) is warned

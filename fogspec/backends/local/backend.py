@@ -33,6 +33,7 @@ from fogspec.results.schema import Reason
 MARK = "FOGSPEC_JOB"
 LABELS = "FOGSPEC_LABELS"
 WORK = "work"
+BUSY = 1.2  # processes that want to run, per CPU
 GRACE_S = 10.0
 BUILT = "FOGSPEC_BUILT"  # the spec's own folder: a colcon workspace in it is used as its owner built it
 # Mounts that the scripts find by a variable: the reviewed files, in place.
@@ -161,6 +162,7 @@ class LocalSamples(LocalBackend):
             f"samples run on this host: CPUs by affinity, memory {memory}",
             f"kept from the nodes: {count(kept_back, 'variable')} of your environment; to pass one on, name it in "
             "spec.secrets or give it a value in the node's env",
+            *_busy(os.getloadavg()[0], os.cpu_count() or 1),
         )
 
     def _workdir(self, job: Job) -> Path:
@@ -338,6 +340,11 @@ def _ended_early(own: limits.LimitedProcess | None, job: Job) -> str:
     last = next(("".join(c for c in line if c.isprintable()) for line in reversed(lines) if line.strip()), "")
     code = own.poll() if own is not None else None
     return f"the run script ended with exit code {code}" + (f": {last.strip()[:300]}" if last else "")
+
+
+def _busy(load: float, cpus: int) -> list[str]:
+    """Return the warning that other processes slow samples down, if they do."""
+    return [f"warning: load {load:.1f} on {cpus} CPUs: these are figures of a busy host"] if load > BUSY * cpus else []
 
 
 def _processor() -> str:

@@ -323,7 +323,9 @@ def stop(application: Application) -> Iterator[Finding]:
 def budget(application: Application) -> Iterator[Finding]:
     """Require a budget if measuring costs money."""
     benchmark = application.spec.benchmark
-    local = bool(benchmark.machines) and all(machine.startswith("local/") for machine in benchmark.machines)
+    local = all(
+        place == "local" or place.startswith("local/") for place in benchmark.machines or application.spec.infra
+    )
     path: Path = ("spec", "benchmark", "budget")
     if benchmark.budget is None and not local:
         yield Finding(

@@ -60,9 +60,9 @@ def test_a_cap_counts_where_it_is_lower(cap: float | None, said: str) -> None:
 
 def test_an_adaptive_bench_may_spend_all_of_its_cap() -> None:
     assert quote(ONE, cap=9.0, adaptive=True).line() == (
-        "demo: 1 of 5 samples to measure, then the machines that the model asks for: at most $9.00"
+        "demo: 1 of 5 samples to measure, then the machines that the model selects: at most $9.00"
     )
-    assert quote(ONE, adaptive=True).line().endswith("asks for: no budget")
+    assert quote(ONE, adaptive=True).line().endswith("the model selects: no budget")
 
 
 def test_who_must_consent() -> None:
