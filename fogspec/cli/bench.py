@@ -235,12 +235,13 @@ def _check_needed(prepared: "Prepared", backend: "SampleBackend") -> None:
 
 
 def _check_image(prepared: "Prepared") -> None:
-    """Raise InvalidInput if the registry of a pinned image does not have it, or not for the CPUs of the machines.
+    """Raise InvalidInput if the registry of a pinned image does not have it, or not for the CPUs or the login of the machines.
 
     If the registry does not tell, the machines will.
     """
     from fogspec.backends.images.registry import NotShown, Registry
     from fogspec.base.errors import CloudError
+    from fogspec.compile.tasks import login_of_machines
     from fogspec.spec.lock_io import read_pins
     from fogspec.spec.lockfile import image_named, is_pinned, pinned
 
@@ -249,7 +250,7 @@ def _check_image(prepared: "Prepared") -> None:
     if image is None or not is_pinned(image):
         return
     try:
-        Registry().check(image, application.spec.hardware.arch)
+        Registry().check(image, application.spec.hardware.arch, login_of_machines(application.spec))
     except (NotShown, CloudError) as unknown:
         note(f"image not checked: {unknown.message}")
 

@@ -188,6 +188,13 @@ def left_out(spec: Spec, machine: Machine) -> list[str]:
     return found
 
 
+def login_of_machines(spec: Spec) -> list[str]:
+    """Return the secrets with which machines pull the image; none where no place has machines that log in to a registry."""
+    clouds = [cloud_of(place) for place in spec.infra]
+    log_in = [one for one in clouds if one.on_skypilot and one.containers and one.own_end is not OwnEnd.POD_DEADLINE]
+    return registry_login(spec) if log_in else []
+
+
 def measured_processes(spec: Spec) -> list[list[str]]:
     """Return every process of a sample: listeners, cloud nodes, and the client unless a node is the client."""
     client, inside = spec.benchmark.workload.node, probe_parts(spec).inside

@@ -24,6 +24,7 @@ from fogspec.bench.journal import JournalState
 from fogspec.catalog.table import Catalog
 from fogspec.compile.inputs import Inputs, age_warning, unpriced
 from fogspec.compile.links import link_of
+from fogspec.compile.tasks import login_of_machines
 from fogspec.deploy import link
 from fogspec.deploy.engines import engines_of
 from fogspec.deploy.state import DeploymentState, WallClock
@@ -37,7 +38,7 @@ SPARE_BYTES = 256 << 20  # for results, logs and state, besides the copy of the 
 TOOLS = ("ssh", "rsync")  # by which SkyPilot's API server reaches machines
 
 Backends = Callable[[str], DeploymentBackend]
-Images = Callable[[str, Sequence[str]], None]
+Images = Callable[[str, Sequence[str], Sequence[str]], None]
 
 
 class State(StrEnum):
@@ -161,7 +162,8 @@ def _inputs(one: LoadedSpec, layout: Layout, catalog: str | None, check_image: I
         yield Check(name, "lock", State.OK, f"{layout.lock} holds")
     exact = pinned(one.application, inputs.pins)
     if (image := image_named(exact)) is not None:
-        yield _image(name, image, again, partial(check_image, image, one.application.spec.hardware.arch))
+        spec = one.application.spec
+        yield _image(name, image, again, partial(check_image, image, spec.hardware.arch, login_of_machines(spec)))
     yield _disk(inputs)
 
 

@@ -11,8 +11,10 @@ from fogspec.backends import registry as backends
 from fogspec.backends.images.registry import Registry
 from fogspec.backends.skypilot import backend
 from fogspec.base.errors import InvalidInput
+from fogspec.spec.lockfile import REGISTRY_LOGIN
 from tests.contract.test_registry import MANIFEST, free_port, private, project, push, registry, send  # noqa: F401
 from tests.support.fake_sky import Cloud, SimulatedClient
+from tests.support.registries import PASSWORD, USER
 from tests.support.running import Shell, shell  # noqa: F401
 
 INDEX = "application/vnd.oci.image.index.v1+json"
@@ -125,6 +127,61 @@ def test_a_registry_that_does_not_tell_is_not_checked(private: str, shell: Shell
     found = doctor(shell)
     assert (found["state"], "cannot be asked" in found["detail"]) == ("not checked", True)
     assert found["fixes"] == [f"docker manifest inspect {silent}/robots/hidden@{digest}"]
+
+
+@pytest.fixture
+def hidden(private: str, shell: Shell, cloud: Cloud) -> str:
+    """An image that is shown to one user, in the spec of machines that log in with the spec's secrets."""
+    image = f"{private}/robots/login@{push(private, 'robots/login', 'v1', b'layer', user=True)}"
+    project(shell, image)
+    before = shell.read("specs/demo.yaml")
+    shell.write(
+        "specs/demo.yaml", before.replace("\n  probe:", f"\n  secrets: [{', '.join(REGISTRY_LOGIN)}]\n  probe:", 1)
+    )
+    return image
+
+
+def log_in(monkeypatch: pytest.MonkeyPatch, server: str, password: str = PASSWORD) -> None:
+    for name, value in zip(REGISTRY_LOGIN, (USER, password, server), strict=True):
+        monkeypatch.setenv(name, value)
+
+
+def test_the_login_of_the_machines_is_what_shows_an_image(
+    hidden: str, shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log_in(monkeypatch, hidden.partition("/")[0])
+    assert (doctor(shell)["state"], doctor(shell)["fixes"]) == ("ok", [])
+
+
+def test_a_wrong_password_of_the_machines_starts_none(
+    hidden: str, shell: Shell, cloud: Cloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    registry = hidden.partition("/")[0]
+    log_in(monkeypatch, registry, "not-the-password")
+    found, said = doctor(shell), bench(shell, code=1)
+    assert (found["state"], found["fixes"]) == (
+        "problem",
+        [f"export the values with which this works: docker login {registry}"],
+    )
+    assert f"{hidden}: the registry {registry} does not show it to the user that " in found["detail"]
+    assert found["detail"] in said
+    assert "not-the-password" not in said + str(found)
+    assert cloud.machines == {}
+    assert not (shell.folder / "results").exists()
+
+
+@pytest.mark.parametrize("server", ["registry.example.org", "https://{}", ""])
+def test_a_login_to_another_registry_starts_no_machine(
+    hidden: str, shell: Shell, cloud: Cloud, monkeypatch: pytest.MonkeyPatch, server: str
+) -> None:
+    registry = hidden.partition("/")[0]
+    log_in(monkeypatch, server.format(registry))
+    found = doctor(shell)
+    wrong = f"{hidden}: its registry is {registry}, and SKYPILOT_DOCKER_SERVER names another one"
+    assert (found["state"], found["detail"]) == ("problem", wrong)
+    assert found["fixes"] == [f"export SKYPILOT_DOCKER_SERVER={registry}"]
+    assert wrong in bench(shell, code=1)
+    assert cloud.machines == {}
 
 
 def test_what_does_not_say_its_cpu_passes(registry: str) -> None:

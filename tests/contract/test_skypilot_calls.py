@@ -103,6 +103,18 @@ def test_what_is_not_ours_is_refused_before_skypilot_is_asked(skypilot: Callable
     skypilot(SCRIPT)
 
 
+PULLED = """
+from sky.provision.docker_utils import DockerLoginConfig
+pulled = DockerLoginConfig("me", "you", "x.example").format_image
+assert [pulled(one) for one in ("nodes:1", "x.example/nodes:1")] == ["x.example/nodes:1"] * 2
+assert pulled("y.example/nodes:1") == "x.example/y.example/nodes:1"
+"""
+
+
+def test_an_image_is_pulled_from_the_server_of_the_login(skypilot: Callable[..., str]) -> None:
+    skypilot(PULLED)
+
+
 HANDED = """
 import os, sky
 from pathlib import Path

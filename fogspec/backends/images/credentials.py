@@ -1,4 +1,6 @@
-"""Docker's credentials, read from its configuration file and its credential helpers. Nothing is ever written.
+"""Docker's credentials, read from its configuration file and its credential helpers; those of machines, from the environment.
+
+Nothing is ever written.
 
 Source: docs.docker.com/reference/cli/docker/login ("Credential stores", "Credential helper protocol").
 """
@@ -7,11 +9,13 @@ import base64
 import json
 import os
 import subprocess
+from collections.abc import Container
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from fogspec.base import child
 from fogspec.base.errors import InvalidInput
+from fogspec.spec.lockfile import REGISTRY_LOGIN, image_of
 
 DOCKER_HUB_KEYS = ("https://index.docker.io/v1/", "index.docker.io", "docker.io", "registry-1.docker.io")
 HELPER_TIMEOUT_S = 30.0
@@ -44,6 +48,26 @@ def credentials(registry: str) -> Credentials | None:
     except (OSError, ValueError, AttributeError, TypeError) as problem:
         raise InvalidInput(f"{path}: docker's configuration cannot be read: {type(problem).__name__}") from None
     return None
+
+
+def credentials_of_machines(secrets: Container[str], name: str) -> Credentials | None:
+    """Return the login with which machines pull an image if it is one of the spec's `secrets`, None otherwise.
+
+    Raise InvalidInput if SkyPilot would pull the image from another registry: it puts the login's server before a name that
+    does not begin with it.
+    """
+    user, password, server = (os.environ.get(one) if one in secrets else None for one in REGISTRY_LOGIN)
+    if user is None or password is None or server is None:
+        return None
+    wanted = image_of(name)
+    try:
+        pulled = image_of(name if name.startswith(f"{server}/") else f"{server}/{name}")
+    except ValueError:
+        pulled = None
+    if pulled is None or (pulled.registry, pulled.repository) != (wanted.registry, wanted.repository):
+        message = f"{name}: its registry is {wanted.registry}, and {REGISTRY_LOGIN[2]} names another one"
+        raise InvalidInput(message, f"export {REGISTRY_LOGIN[2]}={wanted.registry}")
+    return Credentials(user, password)
 
 
 def _keys(registry: str) -> tuple[str, ...]:

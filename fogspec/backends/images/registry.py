@@ -15,15 +15,15 @@ import threading
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from email.message import Message
 from functools import partial
 from http.client import HTTPException, HTTPMessage
 from typing import Any, TypeVar
 
-from fogspec.backends.images.credentials import Credentials, credentials
+from fogspec.backends.images.credentials import Credentials, credentials, credentials_of_machines
 from fogspec.base.errors import CloudError, InvalidInput
-from fogspec.spec.lockfile import DOCKER_HUB, Image, image_of
+from fogspec.spec.lockfile import DOCKER_HUB, REGISTRY_LOGIN, Image, image_of
 
 ACCEPT = ", ".join((
     "application/vnd.oci.image.index.v1+json", "application/vnd.docker.distribution.manifest.list.v2+json",
@@ -47,7 +47,7 @@ class NotShown(InvalidInput):
 
 
 class Registry:
-    """A client of image registries, with docker's credentials."""
+    """A client of image registries, with docker's credentials or a machine's."""
 
     def digest(self, name: str) -> str:
         """Return `sha256:...` of the manifest, or the index of manifests by platform, that a tag names now.
@@ -57,13 +57,24 @@ class Registry:
         """
         return _asked(name, partial(_digest, name))
 
-    def check(self, name: str, architectures: Sequence[str]) -> None:
+    def check(self, name: str, architectures: Sequence[str], secrets: Container[str] = ()) -> None:
         """Raise InvalidInput if the registry does not have the image, or has it for other CPUs than one of `architectures`.
 
-        They are named as in spec.hardware.arch. An image that does not say its CPU passes. Raise NotShown if the registry
-        requires a login, CloudError if it does not answer.
+        They are named as in spec.hardware.arch. An image that does not say its CPU passes. If `secrets` has the login of the
+        machines, it is used as they will use it: raise InvalidInput if it is not accepted. Raise NotShown if the registry
+        requires a login and there is none, CloudError if it does not answer.
         """
-        has = _asked(name, _architectures)
+        login = credentials_of_machines(secrets, name)
+        try:
+            has = _asked(name, partial(_architectures, login=login))
+        except NotShown:
+            if login is None:
+                raise
+            registry, (user, password, _) = image_of(name).registry, REGISTRY_LOGIN
+            raise InvalidInput(
+                f"{name}: the registry {registry} does not show it to the user that {user} and {password} log in",
+                f"export the values with which this works: docker login {registry}",
+            ) from None
         if missing := [one for one in architectures if has and ARCHITECTURES[one] not in has]:
             raise InvalidInput(
                 f"{name}: is for {', '.join(sorted(has))}, and spec.hardware.arch has {', '.join(missing)}",
@@ -106,9 +117,9 @@ def _in_time(work: Callable[[], ResultT]) -> ResultT:
     return result
 
 
-def _architectures(image: Image) -> frozenset[str]:
+def _architectures(image: Image, login: Credentials | None = None) -> frozenset[str]:
     """Return the CPUs that a Linux image is for, from its index or else its configuration; none if they do not say."""
-    manifest = _mapping(_fetch(image, f"manifests/{image.digest or image.tag}")[1])
+    manifest = _mapping(_fetch(image, f"manifests/{image.digest or image.tag}", login)[1])
     listed = manifest.get("manifests")
     if isinstance(listed, list):
         told = [one.get("platform") for one in listed if isinstance(one, dict)]
@@ -117,7 +128,7 @@ def _architectures(image: Image) -> frozenset[str]:
         digest = str(config.get("digest")) if isinstance(config, dict) else ""
         if not BLOB.fullmatch(digest):
             return frozenset()
-        told = [_mapping(_fetch(image, f"blobs/{digest}")[1])]
+        told = [_mapping(_fetch(image, f"blobs/{digest}", login)[1])]
     found = [one.get("architecture") for one in told if isinstance(one, dict) and one.get("os", "linux") == "linux"]
     return frozenset(one for one in found if isinstance(one, str) and re.fullmatch(r"[a-z0-9]{1,20}", one))
 
@@ -127,15 +138,15 @@ def _mapping(content: bytes) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _fetch(image: Image, what: str) -> Answer:
-    """Return a manifest or a configuration, with a login if the registry requires one."""
+def _fetch(image: Image, what: str, login: Credentials | None = None) -> Answer:
+    """Return a manifest or a configuration, with this login or docker's if the registry requires one."""
     url, headers = f"{_address(image.registry)}/v2/{image.repository}/{what}", {"Accept": ACCEPT}
     try:
         return _get(url, headers)
     except urllib.error.HTTPError as refused:
         if refused.code != 401:
             raise
-        return _get(url, headers | _authorization(image, refused.headers))
+        return _get(url, headers | _authorization(image, refused.headers, login))
 
 
 def _digest(name: str, image: Image) -> str:
@@ -161,10 +172,10 @@ def _is_loopback(registry: str) -> bool:
         return False
 
 
-def _authorization(image: Image, said: Message) -> dict[str, str]:
+def _authorization(image: Image, said: Message, login: Credentials | None) -> dict[str, str]:
     """Return the header that answers the registry's challenge."""
     challenge = said.get("WWW-Authenticate", "")[:LONGEST_CHALLENGE]
-    kind, known = challenge.partition(" ")[0].lower(), credentials(image.registry)
+    kind, known = challenge.partition(" ")[0].lower(), login or credentials(image.registry)
     if kind == "basic" and known is not None and known.name is not None:
         return _basic(known)
     if kind != "bearer":

@@ -16,6 +16,7 @@ from fogspec.compile.tasks import (
     deployed_processes,
     launched_together,
     left_out,
+    login_of_machines,
     measured_processes,
     parameter,
     ros_environment,
@@ -330,6 +331,21 @@ def test_the_login_to_the_registry_is_not_passed_to_the_nodes(tmp_path):
             ["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment | job
         )
         assert run.stdout == "[] kept\n", run.stderr
+
+
+@pytest.mark.parametrize(
+    ("infra", "logs_in"),
+    [
+        (["aws/us-east-1"], True),
+        (["kubernetes", "aws"], True),
+        (["kubernetes"], False),
+        (["slurm/lab"], False),
+        (["local"], False),
+    ],
+)
+def test_only_machines_of_clouds_log_in_to_a_registry(infra, logs_in):
+    spec = application(infra=infra, secrets=["API_KEY", *REGISTRY_LOGIN], ros={"image": "x.example/nodes:1"}).spec
+    assert login_of_machines(spec) == (list(REGISTRY_LOGIN) if logs_in else [])
 
 
 def test_where_an_image_or_its_login_is_not_used_is_said():
