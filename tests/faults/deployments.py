@@ -148,7 +148,7 @@ def cut(polls: int, stops: int) -> Fault:
 
 
 def orphaned(deployed: Deployed) -> None:
-    """Kill the supervisor alone: the nodes keep running without it."""
+    """Kill the supervisor alone: its launcher ends the nodes, as soon as it notices."""
     for pid in deployed.alive():
         with contextlib.suppress(OSError):
             if b"agent.pyz\0supervisor" in Path("/proc", str(pid), "cmdline").read_bytes():
