@@ -10,7 +10,16 @@ from fogspec.base.errors import Refused
 from fogspec.base.text import shell_command
 from fogspec.base.units import parse_price_usd_per_hour, shown_price
 from fogspec.cli.next_steps import next_command, same_command, say_next
-from fogspec.cli.options import CATALOG, MANIFEST, OUTPUT, POLICIES, check_policies, open_manifest, quantity
+from fogspec.cli.options import (
+    CATALOG,
+    MANIFEST,
+    OUTPUT,
+    POLICIES,
+    check_image,
+    check_policies,
+    open_manifest,
+    quantity,
+)
 
 if TYPE_CHECKING:
     from fogspec.catalog.table import Catalog
@@ -86,7 +95,12 @@ def command(
         if output == "text":
             say_next(same_command(without="dry_run"))
         return
-    applied = apply(ordered, deployment_backend, SystemWallClock(), say_on, lambda: _ask(yes))
+
+    def approve() -> None:
+        check_image(ordered.image, opened.loaded.application.spec)
+        _ask(yes)
+
+    applied = apply(ordered, deployment_backend, SystemWallClock(), say_on, approve)
     machine = applied.machine
     if output == "json":
         from fogspec.base.quantities import as_numbers

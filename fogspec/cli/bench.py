@@ -11,7 +11,17 @@ from fogspec.base.console import ask, is_quiet, note, say, say_json
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused, UsageError
 from fogspec.base.text import shell_command
 from fogspec.cli.next_steps import next_command, same_command, say_next
-from fogspec.cli.options import CATALOG, PRIORS, SPEC, Dollars, applications_of, library_from, load_named, require_ready
+from fogspec.cli.options import (
+    CATALOG,
+    PRIORS,
+    SPEC,
+    Dollars,
+    applications_of,
+    check_image,
+    library_from,
+    load_named,
+    require_ready,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -225,34 +235,15 @@ def _check_place(prepared: "Prepared", backend: "SampleBackend") -> None:
 def _check_needed(prepared: "Prepared", backend: "SampleBackend") -> None:
     """Raise FogspecError for files that are not sent, missing secrets and a missing image, before a machine is paid for."""
     from fogspec.base.redaction import check_set
-    from fogspec.spec.lock_io import check_sent
+    from fogspec.spec.lock_io import check_sent, read_pins
+    from fogspec.spec.lockfile import image_named, pinned
 
     if backend.costs != "recorded":
         check_sent(prepared.application, prepared.layout, measured=True)
         check_set(prepared.application.spec.secrets if prepared.todo else ())
     if backend.costs == "real" and prepared.todo:
-        _check_image(prepared)
-
-
-def _check_image(prepared: "Prepared") -> None:
-    """Raise InvalidInput if the registry of a pinned image does not have it, or not for the CPUs or the login of the machines.
-
-    If the registry does not tell, the machines will.
-    """
-    from fogspec.backends.images.registry import NotShown, Registry
-    from fogspec.base.errors import CloudError
-    from fogspec.compile.tasks import login_of_machines
-    from fogspec.spec.lock_io import read_pins
-    from fogspec.spec.lockfile import image_named, is_pinned, pinned
-
-    application = prepared.application
-    image = image_named(pinned(application, read_pins(prepared.layout)))
-    if image is None or not is_pinned(image):
-        return
-    try:
-        Registry().check(image, application.spec.hardware.arch, login_of_machines(application.spec))
-    except (NotShown, CloudError) as unknown:
-        note(f"image not checked: {unknown.message}")
+        exact = pinned(prepared.application, read_pins(prepared.layout))
+        check_image(image_named(exact), prepared.application.spec)
 
 
 def _catalogs(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 from click.shell_completion import CompletionItem
 
-from fogspec.base.console import detail, is_verbose, timed
+from fogspec.base.console import detail, is_verbose, note, timed
 from fogspec.base.errors import FogspecError, UsageError
 from fogspec.base.text import shell
 from fogspec.base.units import UnitError
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fogspec.compile.inputs import Inputs
     from fogspec.numerics.priors import PriorData
     from fogspec.spec.loader import LoadedSpec
+    from fogspec.spec.schema import Spec
 
 
 def complete_application(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
@@ -250,3 +251,21 @@ def library_from(path: Path | None) -> "PriorData | None":
     from fogspec.model.priors import read_priors
 
     return read_priors(path)
+
+
+def check_image(image: str | None, spec: "Spec") -> None:
+    """Raise InvalidInput if the registry of a pinned image does not have it, or not for the CPUs or the login of the machines.
+
+    If the registry does not tell, the machines will.
+    """
+    from fogspec.backends.images.registry import NotShown, Registry
+    from fogspec.base.errors import CloudError
+    from fogspec.compile.tasks import login_of_machines
+    from fogspec.spec.lockfile import is_pinned
+
+    if image is None or not is_pinned(image):
+        return
+    try:
+        Registry().check(image, spec.hardware.arch, login_of_machines(spec))
+    except (NotShown, CloudError) as unknown:
+        note(f"image not checked: {unknown.message}")

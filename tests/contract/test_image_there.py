@@ -15,7 +15,7 @@ from fogspec.spec.lockfile import REGISTRY_LOGIN
 from tests.contract.test_registry import MANIFEST, free_port, private, project, push, registry, send  # noqa: F401
 from tests.support.fake_sky import Cloud, SimulatedClient
 from tests.support.registries import PASSWORD, USER
-from tests.support.running import Shell, shell  # noqa: F401
+from tests.support.running import Shell, measure, shell  # noqa: F401
 
 INDEX = "application/vnd.oci.image.index.v1+json"
 AT = ("--catalog", "offers.csv")
@@ -168,6 +168,19 @@ def test_a_wrong_password_of_the_machines_starts_none(
     assert "not-the-password" not in said + str(found)
     assert cloud.machines == {}
     assert not (shell.folder / "results").exists()
+
+
+def test_an_apply_with_a_wrong_password_starts_no_machine(
+    hidden: str, shell: Shell, cloud: Cloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log_in(monkeypatch, hidden.partition("/")[0])
+    shell("compile", "specs/demo.yaml", *AT)
+    measure(shell)
+    shell("compile", "specs/demo.yaml", *AT)
+    log_in(monkeypatch, hidden.partition("/")[0], "not-the-password")
+    said = shell("apply", "demo", *AT, "--yes", code=1).err
+    assert f"{hidden}: the registry {hidden.partition('/')[0]} does not show it to the user that " in said
+    assert cloud.machines == {}
 
 
 @pytest.mark.parametrize("server", ["registry.example.org", "https://{}", ""])
