@@ -153,7 +153,7 @@ def _section(one: Review, picture_base: str | None) -> list[str]:
         lines.append(f"- {SENTENCES[one.rollout]}")
     lines += [f"- {md(text)}" for text in _choice(one.after)]
     lines += [
-        f"- **{md(stage.name)} is {md(stage.state)}**: {md('; '.join(stage.reasons) or 'compile it')}"
+        f"- **{md(stage.words)}**: {md('; '.join(stage.reasons) or 'compile it')}"
         for stage in one.stages
         if stage.state != "fresh"
     ]
@@ -179,7 +179,7 @@ def _section(one: Review, picture_base: str | None) -> list[str]:
     if kept:
         lines += _folded(f"{count(len(kept), 'warning')}, as before", [f"- {md(text)}" for text in kept])
     found = difference.changes
-    if found and difference.before is not None and difference.after is not None:
+    if found and difference.before is not None and difference.after is not None and not one.damaged:
         fields = f"{count(len(found), 'field')} of the manifest {'differs' if len(found) == 1 else 'differ'}"
         lines += _folded(fields, _fields(found))
     return [*lines, *_provenance(difference.after)]
@@ -188,6 +188,8 @@ def _section(one: Review, picture_base: str | None) -> list[str]:
 def _headline(one: Review) -> str:
     before, after, fresh = one.before, one.after, one.fresh
     stale = "" if fresh else ", but the manifest is not fresh"
+    if one.damaged:
+        return "the manifest is damaged"
     if after is None:
         return "no manifest" if one.difference.before is None else "the manifest is gone"
     if before is None:

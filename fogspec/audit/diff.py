@@ -218,7 +218,7 @@ def _changed_inputs(inputs: Inputs, manifest: Mapping[str, Any] | None) -> Itera
     """Yield the inputs of a manifest that have changed since."""
     named = manifest.get("provenance") if manifest else None
     if not isinstance(named, Mapping):
-        yield "there is no manifest yet"
+        yield "there is no manifest yet" if manifest is None else "the manifest is damaged"
         return
     application = _mapping(named.get("application"))
     if application.get("digest") != fingerprints.chosen_digest(inputs.application):

@@ -40,6 +40,11 @@ class Stage:
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
+    @property
+    def words(self) -> str:
+        """The state as a sentence: `results are stale`."""
+        return f"{self.name} {'are' if self.name in ('results', 'models') else 'is'} {self.state}"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:

@@ -25,6 +25,7 @@ from fogspec.compile.compiler import try_compile
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
 from fogspec.spec.loader import LoadedSpec
+from fogspec.spec.lockfile import image_named, is_pinned, pinned
 from fogspec.spec.rules.policies import Policies
 
 SHOWN = 3
@@ -32,11 +33,15 @@ SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the gate found of one application: `problems` fail it; `what` is what would be deployed, in a few words."""
+    """What the gate found of one application: `problems` fail it; `what` is what would be deployed, in a few words.
+
+    `apply` refuses a manifest whose image is not pinned, unless it is to take what the tag stands for.
+    """
 
     name: str
     what: str
     problems: tuple[str, ...] = ()
+    is_pinned: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +73,15 @@ def judge(inputs: Inputs, policies: Policies, repository: Repository | None, com
         compiled: Artifacts | FogspecError = try_compile(inputs)
     except DiagnosticError as damaged:
         return Verdict(layout.name, "damaged", tuple(map(_located, damaged.diagnostics)))
-    found = status(inputs, compiled)
+    found, is_exact = status(inputs, compiled), True
     problems = [] if found.refused is None else [f"cannot be compiled: {found.refused}"]
     if layout.manifest in inputs.on_disk:
-        what = "manifest verified" + (f": partial, {found.partial}" if found.partial else "")
-        problems += _manifest(inputs, compiled, found)
+        broken = list(_manifest(inputs, compiled, found))
+        what = "manifest not verified" if broken else "manifest verified"
+        what += f": partial, {found.partial}" if found.partial else ""
+        problems += broken
+        image = image_named(pinned(inputs.application, inputs.pins))
+        is_exact = image is None or is_pinned(image)
     else:
         what = "not compiled: nothing to deploy"
         if inputs.results_file is not None or any(layout.compiled in path.parents for path in inputs.on_disk):
@@ -86,7 +95,7 @@ def judge(inputs: Inputs, policies: Policies, repository: Repository | None, com
     problems += [one.message for one in _policy_problems(inputs, policies)]
     if (tracked := tracked_state(layout)) is not None:
         problems.append(f"{tracked}: git tracks live state, which bench, apply and down refuse")
-    return Verdict(layout.name, what, tuple(dict.fromkeys(problems)))
+    return Verdict(layout.name, what, tuple(dict.fromkeys(problems)), is_exact)
 
 
 def _located(one: Diagnostic) -> str:
@@ -114,9 +123,7 @@ def _stale(found: Status) -> Iterator[str]:
     for stage in found.stages:
         early = not measured and stage.name != "plan"
         if not found.settled(stage) and not early:
-            yield f"{stage.name} {'are' if stage.name in ('results', 'models') else 'is'} {stage.state}" + (
-                f": {'; '.join(stage.reasons[:SHOWN])}" if stage.reasons else ""
-            )
+            yield stage.words + (f": {'; '.join(stage.reasons[:SHOWN])}" if stage.reasons else "")
 
 
 def _policy_problems(inputs: Inputs, policies: Policies) -> list[Diagnostic]:

@@ -131,6 +131,11 @@ class Review:
         return machine_in(self.difference.after)
 
     @property
+    def damaged(self) -> bool:
+        """True if the manifest on disk cannot be read, so that `apply` refuses it."""
+        return "damaged" in (self.difference.after or ())
+
+    @property
     def touched(self) -> bool:
         """True if there is something to review."""
         return bool(
@@ -175,7 +180,7 @@ class Whole:
     def month_usd(self) -> tuple[float, float]:
         """The cost of all machines in USD per month, before and after; of a removed application there is none after."""
         before = [*(one.before for one in self.reviews), *(one.before for one in self.removed)]
-        return _sum(before), _sum([one.after for one in self.reviews])
+        return _sum(before), _sum([one.before if one.damaged else one.after for one in self.reviews])
 
     @property
     def due(self) -> Due:
@@ -244,18 +249,22 @@ def review(status: Status, base: Base, policies: Policies) -> Review:
     )
 
 
-def removed(repository: Repository, commit: str, names: Collection[str]) -> list[Removed]:
+def removed(repository: Repository, commit: str, names: Collection[str], whole: bool = False) -> list[Removed]:
     """Return the applications that had a manifest at `commit` and have neither a manifest nor a spec now.
 
-    `names` are the applications that have a spec.
+    `names` are the applications that have a spec; all of them if `whole`. Then a manifest that is left of a spec that was
+    there at `commit` counts as none.
     """
-    gone = [
-        path
-        for path in repository.paths(commit)
-        if path.match("compiled/*/manifest.yaml") and path.parent.name not in names and not path.exists()
-    ]
-    content = ((path, repository.at(commit, path) or b"") for path in gone)
-    return [Removed(path.parent.name, redacted(manifest_in(SourceFile(path, text)))) for path, text in content]
+    found, paths = [], repository.paths(commit)
+    for path in paths:
+        name = path.parent.name
+        if not path.match("compiled/*/manifest.yaml") or name in names or (path.exists() and not whole):
+            continue
+        manifest = manifest_in(SourceFile(path, repository.at(commit, path) or b""))
+        spec = _part(manifest, "provenance", "application").get("path")
+        if not path.exists() or (spec is not None and path.parents[2] / str(spec) in paths):
+            found.append(Removed(name, redacted(manifest)))
+    return found
 
 
 def machine_in(manifest: Mapping[str, Any] | None) -> Machine | None:
@@ -322,7 +331,7 @@ def _sent_files(status: Status, base: Base) -> Iterator[Change]:
 
 def _other_inputs(old: Mapping[str, Any] | None, new: Mapping[str, Any] | None) -> Iterator[Change]:
     """Yield the inputs besides spec and files that differ between two manifests: image, catalog, results, priors, fogspec."""
-    if old is None or new is None or old == new:
+    if old is None or new is None or old == new or "damaged" in new:
         return
     was, now = _part(old, "provenance"), _part(new, "provenance")
     named = {
@@ -346,7 +355,7 @@ def _rollout(
     status: Status, base: Base, old: Mapping[str, Any] | None, new: Mapping[str, Any] | None, files: bool
 ) -> Rollout:
     """Return what `apply` does with the machine that serves `old`: it stays if the new manifest gives it nothing new."""
-    if new is None or (old == new and not files):
+    if new is None or "damaged" in new or (old == new and not files):
         return "none"
     if old is None:
         return "start"

@@ -94,4 +94,6 @@ def command(
             "fogspec status and fogspec verify say more",
             *(["what has no spec is removed by: fogspec compile --prune"] if files else []),
         )
-    note("apply deploys what is committed")
+    loose = [one.name for one in verdicts if not one.is_pinned]
+    refused = f"apply refuses {', '.join(loose[:9])} until the image is pinned: fogspec lock, then fogspec compile"
+    note(refused if loose else "apply deploys what is committed")

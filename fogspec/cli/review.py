@@ -61,14 +61,14 @@ def command(
     try:
         loaded, said = check_specs(specs)
     except InvalidInput:
-        if not removed(repository, base.commit, ()):
+        if not removed(repository, base.commit, (), whole=not specs):
             raise
         loaded, said = [], []  # the change removes the last of them
     invalid = [one for one in said if one.severity == "error"]
     reviewer = Reviewer(base, catalog_path, policies)
     reviews = share(reviewer.reviews, loaded, workers)
     # Which applications an invalid spec has is not known, so that none is said to be removed.
-    gone = [] if invalid else removed(repository, base.commit, [one.name for one in reviews])
+    gone = [] if invalid else removed(repository, base.commit, [one.name for one in reviews], whole=not specs)
     whole = Whole(base.commit, reviews, gone, invalid)
     if output == "json":
         text = json_text(json.dumps(as_dict(whole), indent=2, ensure_ascii=False)) + "\n"

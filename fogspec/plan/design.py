@@ -41,7 +41,7 @@ from fogspec.plan.schema import (
     sample_on,
 )
 from fogspec.spec import fingerprints
-from fogspec.spec.lockfile import image_named
+from fogspec.spec.lockfile import image_named, is_pinned
 from fogspec.spec.schema import Application, Benchmark, Spec, local_shape
 
 if TYPE_CHECKING:
@@ -118,7 +118,11 @@ def plan_of(
 
 def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
     image = image_named(application)
-    return [] if image is None or "image" in pins else [f"image {image} is not pinned to a digest: fogspec lock"]
+    return (
+        []
+        if image is None or is_pinned(image) or "image" in pins
+        else [f"image {image} is not pinned to a digest: fogspec lock"]
+    )
 
 
 def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "PriorData | None" = None) -> Design:

@@ -177,3 +177,19 @@ def test_init_tells_git_what_is_generated_and_overwrites_nothing(shell: Shell) -
     assert ".gitignore: is there already, and lacks: .fogspec/" in said
     assert "compiled/** linguist-generated merge=fogspec" in shell.read(".gitattributes")
     assert "linguist" not in shell("init", "third").out
+
+
+def test_it_says_that_apply_refuses_an_image_that_is_not_pinned(repo: Shell) -> None:
+    def with_image(image: str) -> str:
+        replaced("specs/demo.yaml", "  probe:", f"  ros: {{distro: jazzy, image: {image}}}\n  probe:")(repo)
+        (repo.folder / "results/demo.yaml").unlink()
+        repo("compile", *AT)
+        measure(repo)
+        repo("compile", *AT)
+        return repo("ci", *AT).err
+
+    assert "apply refuses demo until the image is pinned: fogspec lock, then fogspec compile" in with_image("ros:jazzy")
+    assert "is not pinned to a digest: fogspec lock" in repo.read("compiled/demo/plan.yaml")
+    replaced("specs/demo.yaml", "  ros: {distro: jazzy, image: ros:jazzy}\n", "")(repo)
+    assert "apply deploys what is committed" in with_image(f"ros@sha256:{'0' * 64}")
+    assert "is not pinned" not in repo.read("compiled/demo/plan.yaml")

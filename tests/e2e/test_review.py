@@ -298,3 +298,37 @@ def test_what_is_said_of_the_machine_is_what_apply_does(tiny: Deployed) -> None:
     assert len(tiny.names()) == 1
     assert tiny.names() != [first]
     tiny("down", "tiny")
+
+
+def test_a_deleted_spec_is_no_longer_deployed_though_its_compiled_files_are_left(repository: Shell) -> None:
+    repository.write("specs/other.yaml", repository.read("specs/demo.yaml").replace("name: demo", "name: other"))
+    base = commit(repository, "two")
+    git(repository.folder, "rm", "-q", "specs/demo.yaml")
+    said = repository("review", base, *AT).out
+    assert "### demo: no longer deployed" in said
+    assert "All machines: $292/month before, $0/month after" in said
+    assert "no longer deployed" not in repository("review", base, "specs/other.yaml", *AT).out
+    after = commit(repository, "deleted")
+    assert "no longer deployed" not in repository("review", after, *AT).out
+
+
+def test_a_damaged_manifest_is_neither_gone_nor_replaces_a_machine(repository: Shell) -> None:
+    change(
+        repository, "kind: DeploymentManifest", "<<<<<<< HEAD\nkind: DeploymentManifest", "compiled/demo/manifest.yaml"
+    )
+    said = repository("review", "HEAD").out
+    assert "### demo: the manifest is damaged" in said
+    assert "All machines: $292/month before, $292/month after" in said
+    assert "replace" not in said
+    assert "- **manifest is stale**" in said
+    assert "| none" not in said
+    assert "why: the manifest is damaged" in repository("diff").out
+    assert "FAIL  demo  manifest not verified" in repository("ci", code=3).out
+
+
+def test_stages_agree_with_their_verb(repository: Shell) -> None:
+    change(repository, "requests: 20", "requests: 30")
+    change(repository, "work.py", "./work.py")
+    said = repository("review", "HEAD").out
+    assert "- **results are stale**" in said
+    assert "- **models are stale**" in said
