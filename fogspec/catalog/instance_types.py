@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.classes import cpu_kind
 from fogspec.catalog.machine import Machine, TypeKey
-from fogspec.catalog.table import Catalog, Strings, row_ranks
+from fogspec.catalog.table import Catalog, Floats, Strings, ranks, row_ranks
 from fogspec.numerics.kernels import Machines, codes
 
 
@@ -17,31 +17,45 @@ from fogspec.numerics.kernels import Machines, codes
 class InstanceTypes:
     """N types of n offers: `of` (n,) is each offer's type, `offer` (N,) the cheapest offer of each.
 
-    Types are in the order of cloud, instance and accelerators, whatever the order of the offers.
+    Types are in the order of cloud, instance and accelerators, which are the `columns`, whatever the order of the offers.
     """
 
-    keys: tuple[TypeKey, ...]
+    columns: tuple[Strings, Strings, Strings, Floats]
     machines: Machines
     of: NDArray[np.intp]
     offer: NDArray[np.intp]
 
     def __len__(self) -> int:
-        return len(self.keys)
+        return len(self.offer)
 
     def __contains__(self, key: TypeKey) -> bool:
-        row = bisect_left(self.keys, key)
-        return self.keys[row : row + 1] == (key,)
+        row = self.place(key)
+        return row < len(self) and self.key(row) == key
+
+    def key(self, row: int) -> TypeKey:
+        """Return the key of the type in a row."""
+        cloud, instance, gpu, gpu_count = self.columns
+        return cloud[row], instance[row], gpu[row], float(gpu_count[row])
+
+    @property
+    def keys(self) -> tuple[TypeKey, ...]:
+        """The keys of all types, in their order."""
+        return tuple(zip(*(column.tolist() for column in self.columns), strict=True))
+
+    def place(self, key: TypeKey) -> int:
+        """Return the row of a type, or before which it would be."""
+        return bisect_left(range(len(self)), key, key=self.key)
 
     def row(self, key: TypeKey) -> int:
         """Return the row of a type; raise KeyError if it is not among these."""
         if key not in self:
             raise KeyError(key)
-        return bisect_left(self.keys, key)
+        return self.place(key)
 
     @property
     def names(self) -> list[str]:
         """Return `cloud/instance` of each, as in performance priors."""
-        return [f"{cloud}/{instance}" for cloud, instance, _, _ in self.keys]
+        return [f"{cloud}/{instance}" for cloud, instance in zip(*self.columns[:2], strict=True)]
 
 
 def instance_types(offers: Catalog) -> InstanceTypes:
@@ -49,8 +63,7 @@ def instance_types(offers: Catalog) -> InstanceTypes:
     of = row_ranks(offers.cloud, offers.instance, offers.gpu, offers.gpu_count)
     cheapest = _cheapest(of, offers)
     rows = offers.take(cheapest)
-    columns = (rows.cloud.tolist(), rows.instance.tolist(), rows.gpu.tolist(), rows.gpu_count.tolist())
-    return InstanceTypes(tuple(zip(*columns, strict=True)), machines_of(rows), of, cheapest)
+    return InstanceTypes((rows.cloud, rows.instance, rows.gpu, rows.gpu_count), machines_of(rows), of, cheapest)
 
 
 def _cheapest(of: NDArray[np.intp], offers: Catalog) -> NDArray[np.intp]:
@@ -87,12 +100,9 @@ def machines_of(offers: Catalog, known_clouds: frozenset[str] | None = None) -> 
         np.nan_to_num(offers.vcpus / offers.physical_cores, nan=-1.0),
     )
     of = row_ranks(*about)
-    row = np.empty(int(of.max(initial=-1)) + 1, dtype=np.intp)
-    row[of] = np.arange(len(of))
-    cpu = [
-        _cpu(*one, named=one[0] in known_clouds)
-        for one in zip(*(column[row].tolist() for column in about), strict=True)
-    ]
+    each = _row_of_each(of)
+    kinds = zip(*(column[each].tolist() for column in about), strict=True)
+    cpu = [_cpu(*one, named=one[0] in known_clouds) for one in kinds]
     return Machines(
         vcpus=offers.vcpus,
         memory_gib=offers.memory_gib,
@@ -108,6 +118,17 @@ def machines_of(offers: Catalog, known_clouds: frozenset[str] | None = None) -> 
         clock_ghz=offers.clock_ghz,
         burstable=offers.burstable,
     )
+
+
+def _row_of_each(of: NDArray[np.int64]) -> NDArray[np.intp]:
+    found = np.empty(int(of.max(initial=-1)) + 1, dtype=np.intp)
+    found[of] = np.arange(len(of))
+    return found
+
+
+def _codes(column: Strings) -> NDArray[np.int64]:
+    of = ranks(column)
+    return codes(column[_row_of_each(of)].tolist())[of]
 
 
 def _cpu(cloud: str, arch: str, family: str, clock_ghz: float, smt: float, *, named: bool) -> str:
@@ -128,21 +149,28 @@ def types_with_measured(offers: Catalog, measured: Sequence[Machine], catalog: C
     if not missing:
         return types
     known_clouds = clocked(offers)
-    added = [machines_of(_row(machine, offers, catalog), known_clouds) for machine in missing.values()]
-    keys = [*types.keys, *missing]
-    among = sorted(range(len(types), len(keys)), key=keys.__getitem__)
-    order = np.insert(np.arange(len(types)), [bisect_left(types.keys, keys[one]) for one in among], among)
+    rows = [_row(machine, offers, catalog) for machine in missing.values()]
+    added = [machines_of(row, known_clouds) for row in rows]
+    keys = list(missing)
+    among = sorted(range(len(keys)), key=keys.__getitem__)
+    order = np.insert(np.arange(len(types)), [types.place(keys[one]) for one in among], len(types) + np.array(among))
     place = np.argsort(order)
+    cloud, instance, gpu, gpu_count = types.columns
     return InstanceTypes(
-        keys=tuple(keys[i] for i in order.tolist()),
+        columns=(
+            np.concatenate([cloud, *(row.cloud for row in rows)])[order],
+            np.concatenate([instance, *(row.instance for row in rows)])[order],
+            np.concatenate([gpu, *(row.gpu for row in rows)])[order],
+            np.concatenate([gpu_count, *(row.gpu_count for row in rows)])[order],
+        ),
         machines=Machines(
             **{
                 name: np.concatenate([getattr(one, name) for one in (types.machines, *added)])[order]
                 for name in Machines.__slots__
             }
         ),
-        of=place[np.concatenate([types.of, np.arange(len(types), len(keys))])],
-        offer=np.concatenate([types.offer, len(offers) + np.arange(len(missing))])[order],
+        of=place[np.concatenate([types.of, np.arange(len(types), len(order))])],
+        offer=np.concatenate([types.offer, len(offers) + np.arange(len(keys))])[order],
     )
 
 
@@ -174,7 +202,3 @@ def _row(machine: Machine, offers: Catalog, catalog: Catalog | None) -> Catalog:
 
 def _text(text: str) -> Strings:
     return np.array([text], dtype=np.object_)
-
-
-def _codes(column: Strings) -> NDArray[np.int64]:
-    return codes(column.tolist())
