@@ -14,9 +14,10 @@ def main() -> None:
     # Otherwise pydantic opens every installed distribution to look for plugins of its own, of which fogspec uses none.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
-        from fogspec.base.child import leave_working_folder
+        from fogspec.base import child
 
-        leave_working_folder()
+        child.leave_working_folder()
+        child.use_one_thread()
         from fogspec.cli import main as command_line
     except KeyboardInterrupt:
         sys.exit(130)

@@ -1,6 +1,7 @@
 """How long fitting and choosing takes, for one family and for a whole catalog: `python -m tests.bench_choice`.
 
-Choosing again is with another alpha. Times are of the processor, of all threads: OPENBLAS_NUM_THREADS=1 for one.
+Choosing again is with another alpha. Times are of the processor, of all threads;
+commands have one for linear algebra, as with OPENBLAS_NUM_THREADS=1.
 """
 
 import statistics

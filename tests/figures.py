@@ -22,6 +22,8 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from fogspec.base import child
+
 ROOT = Path(__file__).resolve().parent.parent
 PAPER_SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
 RUNS = 15
@@ -122,10 +124,10 @@ def _timed(name: str, argv: Sequence[str], cwd: Path, runs: int) -> str:
 
 
 def _module(name: str) -> None:
-    print(
-        subprocess.run([sys.executable, "-m", name], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout,
-        end="",
-    )
+    # With one thread, as the commands set it for themselves.
+    ended = subprocess.run([sys.executable, "-m", name], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True,
+                           env=os.environ | {child.THREADS: "1"})  # fmt: skip
+    print(ended.stdout, end="")
 
 
 def _install_size() -> None:

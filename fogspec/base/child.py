@@ -14,6 +14,8 @@ import fogspec
 
 ELSEWHERE = "/"  # Only root writes there, and it stays: what a child leaves running may outlive the checkout.
 SEARCHED = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
+THREADS = "OPENBLAS_NUM_THREADS"
+_own: set[str] = set()  # variables that are this process's alone
 # Isolated (-I), an interpreter ignores the working folder, PYTHON* and the user's packages. Folders that come after all others
 # can hide no module: that of this fogspec, which may be an editable install, and the user's packages where they are in use.
 START = "import runpy, sys; _, name, count, *rest = sys.argv; sys.argv[1:] = rest[int(count) :]; "
@@ -39,10 +41,25 @@ def program(name: str) -> str:
 
 
 def environment(**more: str) -> dict[str, str]:
-    """Return this process's environment without search paths that depend on the working folder, and with `more`."""
+    """Return this process's environment without search paths that depend on the working folder, and with `more`.
+
+    Variables that this process set for itself alone are left out.
+    """
     absolute = {name: os.pathsep.join(_absolute(os.environ[name])) for name in SEARCHED if name in os.environ}
     # An empty path would be the working folder again.
-    return {**os.environ, **{name: path or ELSEWHERE for name, path in absolute.items()}, **more}
+    inherited = {name: value for name, value in os.environ.items() if name not in _own}
+    return {**inherited, **{name: path or ELSEWHERE for name, path in absolute.items()}, **more}
+
+
+def use_one_thread() -> None:
+    """Let numpy, which reads this when it is imported, use one thread, unless the user has set another number.
+
+    With a thread for each CPU, sums depend on the machine; and tables are so small that the threads wait, busily. Programs
+    that are started do not get the variable: a measured one is to use the CPUs that it has.
+    """
+    if THREADS not in os.environ:
+        os.environ[THREADS] = "1"
+        _own.add(THREADS)
 
 
 def leave_working_folder() -> None:

@@ -157,7 +157,8 @@ class LocalSamples(LocalBackend):
             f"affinity and to its memory {memory}: clock, turbo, caches and neighbours are that host's, "
             "not those of a machine of that shape"
         )
-        kept_back = len(os.environ) - len(environment.passed(os.environ))
+        shell = child.environment()
+        kept_back = len(shell) - len(environment.passed(shell))
         self.notes = (
             f"samples run on this host: CPUs by affinity, memory {memory}",
             f"kept from the nodes: {count(kept_back, 'variable')} of your environment; to pass one on, name it in "

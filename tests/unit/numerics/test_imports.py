@@ -1,11 +1,13 @@
 """Imports: numerics needs numpy and scipy only, and commands that only read and compile import neither scipy nor numpy.ma."""
 
 import ast
+import os
 import subprocess
 import sys
 
 import pytest
 
+from fogspec.base import child
 from tests.conftest import ROOT
 
 
@@ -48,3 +50,24 @@ def test_what_only_checks_a_spec_imports_nothing_that_it_does_not_use():
     assert ended.returncode == 0, ended.stderr[-2000:]
     assert "valid" in ended.stdout
     assert ended.stderr.split() == []
+
+
+THREADS = """
+import atexit, os, runpy, sys
+from fogspec.base import child
+told = lambda: (len(os.listdir("/proc/self/task")), "numpy" in sys.modules, child.environment().get(child.THREADS))
+atexit.register(lambda: print(*told(), file=sys.stderr))
+sys.argv[1:] = ["compile", "--check", "specs/vslam-recorded.yaml"]
+runpy.run_module("fogspec", run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize(("given", "expected"), [(None, "None"), ("1", "1")], ids=["ours", "the-users"])
+def test_numpy_has_one_thread_and_started_programs_the_users_number(given, expected):
+    environment = {name: value for name, value in os.environ.items() if name != child.THREADS}
+    ended = subprocess.run(
+        [sys.executable, "-c", THREADS], cwd=ROOT, capture_output=True, text=True, timeout=120,
+        env=environment | ({child.THREADS: given} if given else {}),
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    assert ended.stderr.splitlines()[-1] == f"1 True {expected}"
