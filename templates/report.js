@@ -118,12 +118,15 @@ function decide(alpha, latencyLimit, cost) {
 
 const times = (factor) => (Number.isFinite(factor) ? `${trim(factor.toPrecision(3))} times the limit` : "more than nothing");
 const trim = (text) => (text.includes(".") ? text.replace(/\.?0+$/, "") : text);
+const written = (value) => (value < 1000 ? Number(value.toPrecision(4)) : value); // as files have it: what is shown is rounded from that
 const digits = (value, n) => {
   if (!(value > 0)) return "0";
+  if (n <= 3) value = written(value);
   return trim(value.toFixed(Math.max(0, Math.min(20, n - 1 - Math.floor(Math.log10(value))))));
 };
 const money = (usd) => {
   if (!(usd > 0)) return "$0";
+  usd = written(usd);
   const places = Math.max(usd >= 99.95 ? 0 : 2, 2 - Math.floor(Math.log10(usd)));
   return "$" + usd.toFixed(Math.min(places, 20)).replace(/(\.\d\d\d*?)0+$/, "$1");
 };

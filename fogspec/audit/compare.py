@@ -51,8 +51,9 @@ def changes_in_file(file: SourceFile, content: bytes) -> list[Change]:
 
 
 def change_text(change: Change) -> str:
-    """Format a change, such as `expected.latency.limit: 2s -> 1s`."""
-    return line(f"{change.field}: {short(change.before)} -> {short(change.after)}".removeprefix(": "))
+    """Format a change, such as `expected.latency.limit: 2s -> 1s`; without values that differ only where they are cut."""
+    before, after = short(change.before), short(change.after)
+    return line(f"{change.field}: {'changed' if before == after else f'{before} -> {after}'}".removeprefix(": "))
 
 
 def short(value: Any) -> str:

@@ -293,6 +293,7 @@ def money(usd: float, digits: int = 3) -> str:
     """Return `$0.526`, `$2.40`, `$385`, for people: with so many significant digits, and cents below $100."""
     if usd == 0:
         return "$0"
+    usd = _as_written(usd, digits)
     to_show = abs(rounded(usd, digits))  # $99.96 is $100
     cents = 2 if to_show < 100 else 0
     text = f"{usd:,.{max(cents, digits - 1 - math.floor(math.log10(to_show)))}f}"
@@ -301,10 +302,16 @@ def money(usd: float, digits: int = 3) -> str:
     return f"${whole}.{rest}" if rest else f"${whole}"
 
 
+def _as_written(value: float, digits: int) -> float:
+    """Return the value as files have it, so that what is read from a file and what is computed are shown alike."""
+    return rounded(value) if digits <= 3 and abs(value) < 1000 else value
+
+
 def shown(value: float, digits: int = 3) -> str:
     """Return `1.65`, `26`, `1,250`: a number for people, with three significant digits, never with an exponent."""
     if not value or not math.isfinite(value):
         return f"{value:g}"
+    value = _as_written(value, digits)
     decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
     text = f"{value:,.{decimals}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text

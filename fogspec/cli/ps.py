@@ -66,7 +66,7 @@ def command(output: str) -> None:
                 machine.infra,
                 one.machine.state,
                 one.answers,
-                shown_duration(rounded(one.up_s, 2)),
+                shown_duration(rounded(one.up_s, 2)).replace(" ", "\u00a0"),
                 shown_price(machine.price),
                 dollars(one.spent_usd),
             )

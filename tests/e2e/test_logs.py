@@ -1,6 +1,7 @@
 """What runs of all applications, and what their nodes print, also those that never answered."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 
@@ -31,7 +32,9 @@ def test_what_nodes_print_is_shown_without_secrets_and_what_runs_is_listed(app: 
     assert "=== fogspec" not in "".join(said)
     (listed,) = json.loads(one("ps", "-o", "json").stdout)
     assert (listed["application"], listed["answers"], listed["has_spec"]) == ("tiny", "ready", True)
-    assert one.names()[0] in one("ps").stdout
+    shown = one("ps").stdout
+    assert one.names()[0] in shown
+    assert re.search(r"  \d+ m?s  \$", shown), "the uptime stays on its line"
     shutil.rmtree(one.folder / "specs")
     assert "tiny (no spec)" in one("ps").stdout, "what was deleted still runs"
     one("down", "tiny")

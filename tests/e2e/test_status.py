@@ -322,3 +322,15 @@ def test_a_bench_on_this_computer_warns_when_it_is_busy(
     shell("compile", "demo", code=None)
     said = shell("bench", "demo", "--runner", "local", "--dry-run").err
     assert ("warning: load 9.0 on 2 CPUs: these are figures of a busy host" in said) is warned
+
+
+def test_a_change_where_values_are_cut_is_not_shown_as_two_equal_texts(done: Shell) -> None:
+    (done.folder / "results/demo.yaml").unlink()
+    measure(done, only=3)
+    done("compile", "specs/demo.yaml", *AT, "--partial")
+    measure(done)
+    said = done("status", "specs/demo.yaml", *AT).out
+    assert "spec.observations: changed" in said
+    for one in said.splitlines():
+        before, arrow, after = one.partition(" -> ")
+        assert not arrow or not before.endswith(f": {after}")

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from fogspec.base.units import money
 from fogspec.evaluation.campaign import Campaign, by_kind, evaluate, evaluate_volumes
 from fogspec.evaluation.suites import KINDS
 from tools.generated import ROOT, write_or_check
@@ -103,7 +104,7 @@ def _volumes(scores: dict[str, Any]) -> str:
         for kind in kinds:
             one = next(row for row in rows if (row["kind"], row["requests"]) == (kind, requests))
             least = one["fixed_usd"][str(one["best_size"])]
-            cells.append(f"${one['own_usd']:.3g}, ${least:.3g} ({one['best_size']})")
+            cells.append(f"{money(one['own_usd'])}, {money(least)} ({one['best_size']})")
         lines.append(f"| {requests:,.0f} | {' | '.join(cells)} |")
     return "\n".join([*lines, ""])
 

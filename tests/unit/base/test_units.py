@@ -252,3 +252,10 @@ def test_an_amount_without_a_denominator_is_mended_in_both() -> None:
         with pytest.raises(UnitError) as wrong:
             units.parse_cost_usd_per_request(text)
         assert wrong.value.fix == fix
+
+
+@pytest.mark.parametrize("value", [0.027347, 1.71482, 0.00414499, 3.94512, 99.964])
+def test_what_is_computed_is_shown_as_what_is_read_from_a_file(value: float) -> None:
+    for show in (units.shown, units.shown_duration, units.money):
+        assert show(value) == show(units.rounded(value))
+    assert units.shown(1234567.0) == "1,234,567"
