@@ -102,10 +102,15 @@ def command(
     if check and changed:
         again = shell_command("fogspec", "compile", *specs)
         stale = [f"{one.layout.manifest} is stale: it stays until there is a new one" for one in compiled if one.kept]
+        kept = {path for one in compiled for path in one.kept}
+        written = [path for path in changed if path not in kept]
         raise OutOfDate(
-            f"{count(len(changed), 'file')} would change: what compile writes now differs",
-            *map(str, changed),
-            *(stale or [f"write them: {again}"]),
+            f"{count(len(written), 'file')} would change: what compile writes now differs"
+            if written
+            else f"{count(len(kept), 'file')} cannot be written again yet",
+            *map(str, written or changed),
+            *stale,
+            *([f"write them: {again}"] if written else []),
         )
     _check_timings(inputs, check)
     _check_lock(specs, inputs, check)

@@ -334,3 +334,15 @@ def test_a_change_where_values_are_cut_is_not_shown_as_two_equal_texts(done: She
     for one in said.splitlines():
         before, arrow, after = one.partition(" -> ")
         assert not arrow or not before.endswith(f": {after}")
+
+
+def test_check_counts_the_files_that_compile_writes_not_those_that_stay(done: Shell) -> None:
+    change(done, "work.py", "./work.py")
+    said = done("compile", "specs/demo.yaml", *AT, "--check", code=3).err
+    named = [one.strip() for one in said.splitlines() if one.startswith("  compiled/") and " " not in one.strip()]
+    assert said.startswith(f"error: {len(named)} files would change")
+    before = {name: done.read(name) for name in named}
+    done("compile", "specs/demo.yaml", *AT)
+    assert all(done.read(name) != text for name, text in before.items())
+    assert "is stale: it stays until there is a new one" in said
+    assert "cannot be written again yet" in done("compile", "specs/demo.yaml", *AT, "--check", code=3).err
