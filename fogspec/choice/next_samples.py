@@ -11,7 +11,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog, Floats
 from fogspec.choice.choose import Choice, choose
 from fogspec.choice.rule import Utility
-from fogspec.model.fit import partition, targets
+from fogspec.model.fit import is_proxy, partition, targets
 from fogspec.model.predict import PredictionSet, predict_from
 from fogspec.numerics.acquisition import Policy, expected_gains, propose_batch
 from fogspec.numerics.priors import PriorData
@@ -48,7 +48,8 @@ def next_samples(
     )
     failed = [one.machine for one in unusable if one.nested_in is None]
     state = _State.of(application, predicted, failed, usd_per_sample, excluded)
-    if not any(one.machine.infra != "local" for one in known):
+    proxy = is_proxy(application, known)
+    if all(proxy and one.machine.is_local for one in known):
         return state.again(left_usd, library)
     return state.improving(left_usd, batch, paid_share)
 

@@ -346,3 +346,18 @@ def test_check_counts_the_files_that_compile_writes_not_those_that_stay(done: Sh
     assert all(done.read(name) != text for name, text in before.items())
     assert "is stale: it stays until there is a new one" in said
     assert "cannot be written again yet" in done("compile", "specs/demo.yaml", *AT, "--check", code=3).err
+
+
+def test_sampling_on_this_computer_ends(shell: Shell) -> None:
+    shell.write("specs/work.py", "print('work')\n")
+    shell.write("hosts.csv", HOSTS)
+    shell.write("sweep.csv", "instance_type,latency_s\n1cpu-1gib,2.0\n2cpu-1gib,1.0\n")
+    here = {
+        "infra": "[local]",
+        "hardware": "{cpus: 1..2}",
+        "benchmark": "{stop: {requests: 20, duration: 1min}, sampler: adaptive}",
+    }
+    shell.write("specs/demo.yaml", spec(**here))
+    shell("compile", "demo", "--catalog", "hosts.csv")
+    shell("bench", "demo", "--runner", "replay", "--from", "sweep.csv", "--catalog", "hosts.csv", "--yes")
+    assert shell.read("results/demo.yaml").count("state: ok") <= 30
