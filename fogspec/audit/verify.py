@@ -15,7 +15,7 @@ from fogspec.audit.compare import change_text, changes_in_file
 from fogspec.base import digest
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, InvalidInput
-from fogspec.base.text import count, paragraph, shell_command
+from fogspec.base.text import count, paragraph, restore_command, shell_command
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.compiler import try_compile
@@ -220,7 +220,7 @@ def remedy(opened: ManifestBundle, broken: Check) -> str:
     layout = opened.layout
     if broken.name in ("results", "timings"):
         bench = shell_command("fogspec", "bench", layout.spec)
-        return f"put back what was measured ({shell_command('git', 'checkout', layout.results.parent)}), or measure it: {bench}"
+        return f"put back what was measured ({restore_command(layout.results.parent)}), or measure it: {bench}"
     if broken.name == "attestation":
         return f"attest it again: {shell_command('fogspec', 'attest', layout.manifest)}"
     lock = f"{shell_command('fogspec', 'lock', layout.spec)}, then " if broken.name == "lock" else ""

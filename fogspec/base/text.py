@@ -94,6 +94,11 @@ def shell_command(*words: Any) -> str:
     return " ".join(map(shell, words))
 
 
+def restore_command(path: object) -> str:
+    """Return the command that puts back what is committed, also of a file that a merge left in conflict."""
+    return shell_command("git", "checkout", "HEAD", "--", path)
+
+
 def _in_ansi_quotes(character: str) -> str:
     if character in "\\'":
         return f"\\{character}"

@@ -9,7 +9,7 @@ import click
 
 from fogspec.base.console import ask, detail, is_quiet, note, say, say_json, say_text, timed
 from fogspec.base.errors import FogspecError, InvalidInput, OutOfDate, Refused
-from fogspec.base.text import count, shell_command
+from fogspec.base.text import count, restore_command, shell_command
 from fogspec.cli.next_steps import after_compile, next_lines
 from fogspec.cli.options import (
     CATALOG,
@@ -144,7 +144,7 @@ def _check_timings(inputs: "Sequence[Inputs]", check: bool) -> None:
     """Say which raw timings are not as recorded; with `check` raise OutOfDate."""
     timings = [text for one in inputs for text in one.timings]
     if timings and check:
-        restore = shell_command("git", "checkout", "--", inputs[0].layout.results.parent)
+        restore = restore_command(inputs[0].layout.results.parent)
         raise OutOfDate("raw timings are not as recorded", *timings[:6], restore)
     if timings:
         say(f"{timings[0]}, so that ci, verify and apply refuse it", err=True)

@@ -9,7 +9,7 @@ from fogspec.base.errors import InvalidInput
 from fogspec.base.files import decompress, too_large
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import ProjectFiles
-from fogspec.base.text import shell_command
+from fogspec.base.text import restore_command
 from fogspec.results.ranges import SIZE_LIMIT
 from fogspec.results.schema import Measured, Results, checksum_ok
 from fogspec.spec.loader import read_document
@@ -54,7 +54,7 @@ def check_integrity(results: Results, path: str | Path) -> None:
                     "FS701",
                     "integrity check failed: the results file was modified after the benchmark",
                     Span(str(path), 1, 1),
-                    f"restore the file ({shell_command('git', 'checkout', '--', path)}), or move it away and measure again",
+                    f"restore the file ({restore_command(path)}), or move it away and measure again",
                 )
             ]
         )
