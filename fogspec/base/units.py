@@ -285,8 +285,11 @@ def format_money(usd: float) -> str:
 
 
 def dollars(usd: float) -> str:
-    """Return `$12.34`, for people; below one dollar to a hundredth of a cent: `$0.0123`."""
-    return f"${usd:.2f}" if usd >= 1 or usd == 0 else f"${usd:.4f}"
+    """Return `$12.34`, `$0.77`, for people; below one dollar to a hundredth of a cent where there is one: `$0.0123`."""
+    if usd >= 1 or usd == 0:
+        return f"${usd:,.2f}"
+    whole, _, rest = f"{usd:.4f}".partition(".")
+    return f"${whole}.{rest.rstrip('0').ljust(2, '0')}"
 
 
 def money(usd: float, digits: int = 3) -> str:

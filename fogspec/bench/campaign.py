@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleBackend, SampleStatus, Unreachable
+from fogspec.base import units
 from fogspec.base.clock import Clock
 from fogspec.base.errors import Refused
 from fogspec.bench.attempt import STOP_PATIENCE_S, Attempt, outlived
@@ -337,7 +338,7 @@ class Campaign:
 
     def _unaffordable(self, entry: Queued, commitment: float) -> None:
         left = (self.config.budget_usd or 0.0) - self.journal.state.spent_usd
-        detail = f"would commit ${commitment:.4f}, and ${max(left, 0.0):.4f} of the budget is left"
+        detail = f"would commit {units.dollars(commitment)}, and {units.dollars(max(left, 0.0))} of the budget is left"
         status = SampleStatus(running=False, reason="budget", detail=detail)
         record = make_record(entry.sample, status, self.config.rules, 0.0, 0.0)
         record = record.model_copy(update={"substitute_for": entry.substitute_for})

@@ -28,7 +28,7 @@ def offers(shell: Shell) -> Shell:
 def test_nothing_is_written_and_three_ways_are_named_besides_more_money(offers: Shell) -> None:
     said = refused(offers, "$1.20")
     assert "the plan may cost $1.93, the budget is $1.20" in said, "$6.42 an hour for 18 minutes"
-    assert "measuring $0.5350, set-up $0.1070, start and end of the machines $1.28, each at most" in said
+    assert "measuring $0.535, set-up $0.107, start and end of the machines $1.28, each at most" in said
     assert not (offers.folder / "compiled").exists()
     ways = [line for line in said.splitlines() if line.startswith("  - ")]
     assert len(ways) == 4

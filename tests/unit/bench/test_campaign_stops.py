@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from fogspec.backends.protocol import LaunchRefused, SampleStatus, Unreachable, no_access
+from fogspec.base.units import dollars
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.progress import FINAL
 from fogspec.bench.types import Event, EventKind, Queued
@@ -83,7 +84,7 @@ def test_samples_that_do_not_fit_are_recorded_with_what_they_would_cost(told):
     campaign.run(samples(3))
     kept = world.disk["samples"]
     assert [kept[name].reason for name in ("s0", "s1", "s2")] == [None, "budget", "budget"]
-    assert f"would commit ${each[1]:.4f}" in kept["s1"].detail
+    assert f"would commit {dollars(each[1])}," in kept["s1"].detail
     assert world.disk["spent"] <= each[0]
     assert len(world.machines) == 1
 

@@ -51,7 +51,7 @@ def test_it_shows_what_happens(tmp_path: Path):
     caption = str(table.table().caption)
     assert (
         caption
-        == "0 of 2 samples done; spent $0.00 of $2.50, committed at most $0.2000; time left: known once a sample is done"
+        == "0 of 2 samples done; spent $0.00 of $2.50, committed at most $0.20; time left: known once a sample is done"
     )
     far = SampleStatus(running=True, so_far=Partial(12, 0.25))
     table(
@@ -110,13 +110,13 @@ def test_the_time_left_rests_on_the_samples_that_are_done() -> None:
     # b is over its time, c has 60 s to go, d and e are to come: 260 s of machines, two at once.
     assert totals.left_s == 130.0
     assert totals.line() == (
-        "1 of 5 samples done; spent $0.1000 of $2.00, committed at most $0.5000; about 2.2 min left, as 1 sample took 100 s"
+        "1 of 5 samples done; spent $0.10 of $2.00, committed at most $0.50; about 2.2 min left, as 1 sample took 100 s"
     )
     totals.take(event("d", EventKind.UNWANTED, 0.1))
     assert totals.counts == (1, 4)
     for name in "bce":
         totals.take(event(name, EventKind.DONE, 0.4))
-    assert totals.line() == "4 of 4 samples done; spent $0.4000 of $2.00"
+    assert totals.line() == "4 of 4 samples done; spent $0.40 of $2.00"
 
 
 def test_a_sample_that_is_tried_again_is_not_done() -> None:
@@ -134,6 +134,6 @@ def test_totals_follow_what_is_done_in_lines_and_in_json() -> None:
                      Events(lines.append, Totals([sample("a")], 1.0, lambda: 0.0))):  # fmt: skip
         for kind in (EventKind.STARTS, EventKind.DONE):
             reporter(event("a", kind, 0.25))
-    assert lines[2] == "1 of 1 sample done; spent $0.2500 of $1.00"
+    assert lines[2] == "1 of 1 sample done; spent $0.25 of $1.00"
     assert [json.loads(one)["samples_done"] for one in lines[3:]] == [0, 1]
     assert json.loads(lines[4])["samples_planned"] == 1

@@ -47,7 +47,7 @@ def test_a_listed_machine_is_measured_with_the_parts_that_are_on_offer() -> None
     assert second.startswith("nested in m6i.2xlarge: m6i.xlarge (a half)")
     assert (
         last
-        == "nested shapes spare 4 starts of a machine: at most $0.1400 more, where samples of their own cost at most $0.3483"
+        == "nested shapes spare 4 starts of a machine: at most $0.14 more, where samples of their own cost at most $0.3483"
     )
 
 
