@@ -114,6 +114,7 @@ def serve_again(deployed: Deployed, watching: Watching, before: list[int]) -> fl
 
 def main(runs: int) -> int:
     """Print the figures; return 1 if something stayed away, was there twice or was left."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in what it starts in the background
     waits, bad, twice = defaultdict[str, list[float]](list), 0, 0
     for spec, names in ((RESPAWN, ("kill -9 of the node",)), (SPEC, None)):
         with tempfile.TemporaryDirectory(prefix="fogspec-watching-") as scratch:
