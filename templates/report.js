@@ -372,6 +372,7 @@ const charts = [...stage.querySelectorAll("svg")].map((svg) => {
   for (const name of data.metric ? ["cost"] : ["latency", "cost"]) {
     svg.querySelector(`.limit[data-limit="${name}"]`)?.remove();
     one.limits[name] = {line: inSvg("path", "limit", mark), drag: inSvg("path", "drag", mark), words: inSvg("text", "label label-of-limit", mark)};
+    svg.append(one.limits[name].words);
     one.limits[name].drag.dataset.limit = name;
   }
   for (const node of svg.querySelectorAll(".mark")) {
@@ -414,6 +415,7 @@ function draw(answer) {
       nodes.words.textContent = d ? found[4] : "";
       nodes.edge = d ? edge : null;
     }
+    one.labels = [];
     for (const [name, nodes] of Object.entries(one.limits)) if (nodes.edge) placeWords(one, name, nodes);
     one.iso.setAttribute("d", one.hourly || answer.balanced === null ? "" : isoPath(one, answer));
   }
@@ -440,10 +442,21 @@ const crossed = (bars, [left, top, right, bottom]) => bars.filter(([x1, y1, x2, 
   return low <= high;
 }).length;
 
-// The label of a limit: beside its line, where it touches no mark, crosses the fewest lines and is nearest the far end.
+// The label of a limit: the full one, or a shorter one that crosses fewer lines.
 function placeWords(one, name, {words, edge}) {
+  const full = words.textContent, texts = [full, full.replace(`${name} `, "")];
+  const found = texts.map((text) => { words.textContent = text; return placeFor(one, name, words, edge); });
+  const at = found[1] && (!found[0] || found[1].crossed < found[0].crossed) ? 1 : 0;
+  words.textContent = found[at] ? texts[at] : "";
+  if (!found[at]) return;
+  one.labels.push(found[at]);
+  for (const key of ["x", "y"]) words.setAttribute(key, found[at][key].toFixed(1));
+}
+
+// The place beside a limit's line where its label touches no mark and no label, crosses the fewest lines and is nearest the far end.
+function placeFor(one, name, words, edge) {
   const upright = name === "cost", at = ([p, q]) => [one.x(p), one.y(q)];
-  const lines = Object.keys(one.limits).filter((other) => other !== name && one.limits[other].edge)
+  const lines = Object.keys(one.limits).filter((other) => one.limits[other].edge)
     .map((other) => [...at(one.limits[other].edge[0]), ...at(one.limits[other].edge.at(-1))]);
   const column = one.hourly ? offers.price : offers.cost, long = words.getComputedTextLength() || 7.6 * words.textContent.length; // 0 where it is hidden
   const dots = [...marks.keys()].map((i) => [one.x(Math.log10(column[i])), one.y(Math.log10(offers.x[i]))]);
@@ -451,17 +464,16 @@ function placeWords(one, name, {words, edge}) {
   let best = null;
   for (let step = 0; step <= 40; step++) {
     const x = far[0] + step / 40 * (near[0] - far[0]), y = far[1] + step / 40 * (near[1] - far[1]);
-    const spots = [0, 5, 11].flatMap((by) => (upright ? [[x + 6 + by, y + 15], [x - 6 - by - long, y + 15]] : [[x - long - 4, y - 6 - by], [x - long - 4, y + 16 + by]]));
+    const spots = [0, 5, 11, 20, 30].flatMap((by) => (upright ? [[x + 6 + by, y + 15, by], [x - 6 - by - long, y + 15, by]] : [[x - long - 4, y - 6 - by, by], [x - long - 4, y + 16 + by, by]]));
     const free = ([left, base]) => left > one.left && left + long < one.right + 4 && base - 11 > one.top && base < one.bottom &&
-      !dots.some(([dx, dy]) => dx > left - 8 && dx < left + long + 8 && dy > base - 18 && dy < base + 9);
-    for (const [left, base] of spots.filter(free)) {
-      const bad = 50 * crossed([...one.bars, ...lines], [left - 2, base - 13, left + long + 2, base + 4]) + step;
-      if (best === null || bad < best[0]) best = [bad, left, base];
+      !dots.some(([dx, dy]) => dx > left - 8 && dx < left + long + 8 && dy > base - 18 && dy < base + 9) &&
+      !one.labels.some((other) => left < other.x + other.long + 8 && other.x < left + long + 8 && Math.abs(base - other.y) < 18);
+    for (const [left, base, by] of spots.filter(free)) {
+      const through = crossed([...one.bars, ...lines], [left - 2, base - 13, left + long + 3, base + 4]), bad = 50 * through + step + by;
+      if (best === null || bad < best.bad) best = {bad, crossed: through, x: left, y: base, long};
     }
   }
-  if (best === null) { words.textContent = ""; return; }
-  words.setAttribute("x", best[1].toFixed(1));
-  words.setAttribute("y", best[2].toFixed(1));
+  return best;
 }
 
 // Machines as good as the choice: alpha x / scale + (1 - alpha) cost / scale = its objective.

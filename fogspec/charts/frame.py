@@ -77,6 +77,16 @@ class LimitLine:
     segment: Segment
     words: str
 
+    @property
+    def short(self) -> str:
+        """The label without the name, which the axis has."""
+        return f"limit{self.words.rpartition(' limit')[2]}"
+
+    @property
+    def level(self) -> bool:
+        """Whether the line is horizontal."""
+        return self.segment[1] == self.segment[3]
+
 
 @dataclass(slots=True, kw_only=True)
 class Frame:
@@ -211,16 +221,26 @@ class Obstacles:
 
 
 def place_limits(found: Frame, obstacles: Obstacles) -> None:
-    """Label the limit lines where the labels touch nothing: along the line, on either side of it."""
+    """Label the limit lines where the labels touch nothing: along the line, on either side of it.
+
+    A label that would cross an interval is shortened, unless it would not say of which limit it is.
+    """
     for limit in found.limits:
-        boxes = _rows(_along(limit.segment, width(limit.words) + 4, SIZE + 4))
-        far = np.arange(len(boxes)) / len(BESIDE)
-        cost = np.where(obstacles.free(boxes), obstacles.crossed(boxes) + far, np.inf)
-        at = int(cost.argmin())
-        if math.isfinite(cost[at]):
-            box: Box = tuple(boxes[at].tolist())
+        alone = sum(one.level == limit.level for one in found.limits) == 1
+        texts = (limit.words, limit.short) if alone else (limit.words,)
+        crossed, box, words = min((_place_limit(limit, text, obstacles) for text in texts), key=lambda place: place[0])
+        if math.isfinite(crossed):
             obstacles.boxes.append(box)
-            found.labels.append(_label(box, limit.words, "of-limit", inset=2))
+            found.labels.append(_label(box, words, "of-limit", inset=2))
+
+
+def _place_limit(limit: LimitLine, words: str, obstacles: Obstacles) -> tuple[float, Box, str]:
+    """Return the best place for a label of a limit: the cost of the lines through it, its box, and the label."""
+    boxes = _rows(_along(limit.segment, width(words) + 4, SIZE + 4))
+    crossed = np.where(obstacles.free(boxes), obstacles.crossed(boxes), np.inf)
+    at = int((crossed + np.arange(len(boxes)) / len(BESIDE)).argmin())
+    box: Box = tuple(boxes[at].tolist())
+    return float(crossed[at]), box, words
 
 
 def _label(box: Box, words: str, kind: str, *, inset: float = 1, leader: Segment | None = None) -> Label:

@@ -109,10 +109,19 @@ def title_of(choice: Choice) -> str:
         return f"No machine meets {limits} with {number(100 * choice.confidence)}% probability; {name} comes closest"
     better = choice.best is not None and choice.objective[row] > choice.objective[choice.best] * (1 + 1e-9)
     measured = choice.candidates.sum() < choice.feasible.sum()
-    best = "the relaxed method's choice" if better else "the best measured machine" if measured else "the best machine"
+    only = bool(choice.bounds) and choice.feasible.sum() == 1
+    best = (
+        "the relaxed method's choice"
+        if better
+        else "the best measured machine"
+        if measured
+        else "the only machine"
+        if only
+        else "the best machine"
+    )
     if not choice.latency.measured[row]:
         return (
-            f"{name} is predicted to be the best within {limits}"
+            f"{name} is predicted to be the {'only machine' if only else 'best'} within {limits}"
             if choice.bounds
             else f"{name} is predicted to be {best}"
         )

@@ -169,14 +169,10 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
     moved = np.abs(np.log(without.latency.value[both] / choice.latency.value[both]))
     name = None if without.chosen is None else str(without.offers.instance[without.chosen])
     now = None if choice.chosen is None else str(choice.offers.instance[choice.chosen])
-    missed, covered = float("nan"), False
-    posterior, shown = without.latency.posterior, choice.latency.posterior
-    if posterior is not None and shown is not None and predicted.space is not None:
-        at, value = predicted.space.types.row(left_out.machine.type_key), left_out.values["latency"]
-        missed = abs(float(np.exp(posterior.mean[at])) / value - 1)
-        own = posterior.widened(shown.calibration.factor).take(np.array([at]))
-        low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-        covered = low <= value <= high
+    missed, covered, value = float("nan"), False, left_out.values["latency"]
+    if (known := left_out_prediction(predicted, left_out, choice)) is not None:
+        mean, low, high = known
+        missed, covered = abs(mean / value - 1), low <= value <= high
     return Influence(
         id=left_out.id,
         changes_to=name,
@@ -185,6 +181,19 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
         missed_by=missed,
         covered=covered,
     )
+
+
+def left_out_prediction(
+    predicted: PredictionSet, one: Observation, choice: Choice
+) -> tuple[float, float, float] | None:
+    """Return the latency that other samples predict for this one, and the ends of its interval, as wide as it is shown."""
+    posterior, shown = predicted.targets["latency"].posterior, choice.latency.posterior
+    if posterior is None or shown is None or predicted.space is None:
+        return None
+    # Only for this machine: a bisection over a whole catalog for each sample would take seconds.
+    own = posterior.widened(shown.calibration.factor).take(np.array([predicted.space.types.row(one.machine.type_key)]))
+    low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    return float(np.exp(own.mean[0])), low, high
 
 
 def widest_intervals(choice: Choice, count: int = 3) -> list[WideInterval]:

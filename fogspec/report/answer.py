@@ -4,7 +4,7 @@ from typing import Any
 
 from fogspec.base import units
 from fogspec.base.text import line
-from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, money
+from fogspec.base.units import REQUESTS_SHOWN, REQUESTS_TEXT, dollars, money
 from fogspec.charts.axes import number, seconds
 from fogspec.charts.chart import interval_of
 from fogspec.charts.menu_chart import limits_words
@@ -31,7 +31,7 @@ def tiles(compiled: Artifacts, decision: Decision) -> list[Tile]:
     found = [_tile("machine", line(machine.instance), shape, badge="measured" if measured else "predicted")]
     latency, bound = float(choice.latency.value[row]), choice.bounds.get("latency")
     ends = interval_of(choice.latency, row)
-    between = f" [{seconds(ends[0])}, {seconds(ends[1])}]" if ends else ""
+    between = f"[{seconds(ends[0])}, {seconds(ends[1])}]; " if ends else ""
     found.append(_against(f"{spec.constraints.statistic} latency", seconds(latency), latency, bound, seconds, between))
     if metric := choice.rule.metric:
         value, unit = float(choice.metric_value[row]), line(choice.rule.units.get(metric, ""))
@@ -65,9 +65,9 @@ def _tile(head: str, big: str, words: str, share: float | None = None, badge: st
 def _against(head: str, big: str, value: float, bound: float | None, words: Any, between: str = "") -> Tile:
     """Return a tile with a bar of a value in its limit."""
     if bound is None or bound <= 0:
-        return _tile(head, big, f"{between.strip()} no limit".strip())
+        return _tile(head, big, f"{between}no limit")
     room = units.headroom_text(value, bound)
-    return _tile(head, big, f"{between.strip()} limit {words(bound)}, {room}".strip(), value / bound)
+    return _tile(head, big, f"{between}limit {words(bound)}, {room}", value / bound)
 
 
 def cost_bar(compiled: Artifacts) -> Tile | None:
@@ -77,16 +77,16 @@ def cost_bar(compiled: Artifacts) -> Tile | None:
     total = max(spent, planned, budget or 0.0)
     if not total:
         return None
-    limit = f" of {money(budget)}" if budget is not None else ""
+    limit = f" of {dollars(budget)}" if budget is not None else ""
     samples = own_records(results.spec.samples) if results else []
     counted = f"{len(samples)} sample{'' if len(samples) == 1 else 's'} measured"
-    words = f"{money(spent)} spent, {money(planned)} planned at most" + (
-        "" if budget is None else f", budget {money(budget)}"
+    words = f"{dollars(spent)} spent, {dollars(planned)} planned at most" + (
+        "" if budget is None else f", budget {dollars(budget)}"
     )
     return {
         "words": f"{words}.",
-        "big": f"{money(spent)}{limit}",
-        "short": f"{counted}; {money(planned)} planned at most",
+        "big": f"{dollars(spent)}{limit}",
+        "short": f"{counted}; {dollars(planned)} planned at most",
         "share": spent / budget if budget else None,
         "spent": round(100 * spent / total, 1),
         "planned": round(100 * max(planned - spent, 0.0) / total, 1),
@@ -106,14 +106,17 @@ def why(compiled: Artifacts, decision: Decision) -> list[str]:
         )
     name, objective = line(choice.offers.instance[row]), choice.objective
     feasible = int(choice.feasible.sum())
-    counted = "machine that meets" if feasible == 1 else "machines that meet"
-    pool = f"the {feasible:,} {counted} {limits_words(choice)}" if choice.bounds else f"all {feasible:,} machines"
+    pool = (
+        f"the {feasible:,} machines that meet {limits_words(choice)}" if choice.bounds else f"all {feasible:,} machines"
+    )
     if int(choice.candidates.sum()) < feasible:
         pool = f"the measured ones of {pool}"
     weights = compiled.application.spec.objective
     found = [
         f"{name} has the lowest objective value, {objective[row]:.3g}, of {pool}: "
         f"{number(100 * weights.alpha)}% {line(weights.metric or 'latency')}, {number(100 * (1 - weights.alpha))}% cost."
+        if feasible != 1 or not choice.bounds
+        else f"No other machine meets {limits_words(choice)}; {name} has the objective value {objective[row]:.3g}."
     ]
     other = runner_up(choice)
     if other is not None:

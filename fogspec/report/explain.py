@@ -206,9 +206,16 @@ def _infeasible(choice: Choice) -> list[str]:
     return [f"  most likely to meet all limits: {offer.instance} in {offer.infra}, with probability {met}: {sure}"]
 
 
+def meet_words(count: int) -> str:
+    """Return what so many machines do: `meet all limits`."""
+    return f"{'meets' if count == 1 else 'meet'} all limits"
+
+
 def _funnel(compiled: Artifacts, decision: Decision) -> str:
     body = decision.menu.spec
-    return f"{compiled.admissible.funnel.line()} -> {body.predicted:,} predicted -> {body.meet:,} meet all limits"
+    return (
+        f"{compiled.admissible.funnel.line()} -> {body.predicted:,} predicted -> {body.meet:,} {meet_words(body.meet)}"
+    )
 
 
 def _funnel_dict(compiled: Artifacts) -> list[dict[str, Any]]:

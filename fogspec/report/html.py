@@ -16,11 +16,11 @@ from fogspec.base.templates import render, shipped
 from fogspec.base.units import dollars
 from fogspec.charts import menu_chart, menu_svg, model_svg
 from fogspec.charts.chart import per_hour, per_request
-from fogspec.choice.sensitivity import Refits
+from fogspec.choice.sensitivity import LEVEL, Refits
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision, caveats
 from fogspec.report.answer import cost_bar, tiles, why
-from fogspec.report.explain import explain, refits_of
+from fogspec.report.explain import explain, meet_words, refits_of
 from fogspec.report.page_data import menu_data
 from fogspec.report.page_tables import curve_rows, left_out, measured_table, planned_table, residual_rows
 
@@ -67,13 +67,14 @@ def page(compiled: Artifacts, command: str, menu_command: str) -> bytes:
         script_digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         menu_picture=_image(compiled, compiled.layout.picture),
         panels=_panels(compiled, chosen, data) if chosen and data else [],
+        level=f"{LEVEL:.0%}" if data and any(low is not None for low in data["offers"]["low"]) else "",
         gpus=data is not None and any(data["offers"]["gpu"]),
         menu_note="" if data is None else _menu_note(data),
         why=why(compiled, chosen) if chosen else [],
         explanation=explain(compiled, refits) if chosen is not None else "",
         figures=_figures(compiled, chosen, refits, doubts) if chosen and refits and data else [],
         funnel=_funnel(compiled),
-        funnel_words="admissible" if chosen is None else "meet all limits",
+        funnel_words="admissible" if chosen is None else meet_words(chosen.menu.spec.meet),
         measured=results is not None,
         samples=planned_table(compiled.plan) if results is None else measured_table(results),
         models=_models(compiled, refits),
@@ -113,14 +114,18 @@ def _figures(compiled: Artifacts, decision: Decision, refits: Refits, doubts: Se
             found.append(
                 {"title": f"{model_svg.title_of(chart)}.", "words": f"{chart.facts}.", "svg": svg, "curves": curves}
             )
-    points = left_out(decision.models, refits)
+    points = left_out(decision.models, refits, decision.choice)
     if points:
         inside = sum(low <= measured <= high for _, measured, _, low, high in points)
-        words = f"Each sample, predicted from all others. {inside} of {len(points)} are in their 90% interval."
+        missed = sorted(abs(value / measured - 1) for _, measured, value, *_ in points)
+        words = (
+            f"Each sample, predicted from those of all other machines: at most {missed[-1]:.1%} off; "
+            f"{inside} of {len(points)} are in their 90% interval."
+        )
         svg = "".join(
             model_svg.left_out_panel(points, "left-out", broad) for broad in (menu_svg.WIDTH, menu_svg.NARROW)
         )
-        title = "Leave-one-out predictions lie around the line of no error."
+        title = f"Half of the leave-one-out predictions are at most {missed[len(missed) // 2]:.1%} off."
         found.append({"title": title, "words": words, "svg": svg, "curves": False})
     return found
 
@@ -182,7 +187,11 @@ def _models(compiled: Artifacts, refits: Refits | None) -> dict[str, Any] | None
         else "Predictions come from a Gaussian process over machines, conditioned on all samples. The curves of the paper's "
         "families are fitted beside it for comparison and for the relaxed method."
     )
-    return {"words": words, "curves": curve_rows(models), "residuals": residual_rows(models, refits)}
+    return {
+        "words": words,
+        "curves": curve_rows(models),
+        "residuals": residual_rows(models, refits, compiled.decision.choice),
+    }
 
 
 def _costs(compiled: Artifacts) -> list[tuple[str, str]]:

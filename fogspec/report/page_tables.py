@@ -1,6 +1,5 @@
 """Build the tables of the report: samples, curves, residuals."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,8 +8,8 @@ import numpy as np
 from fogspec.base import units
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import Machine
-from fogspec.choice.menu import LEVEL
-from fogspec.choice.sensitivity import Refits
+from fogspec.choice.choose import Choice
+from fogspec.choice.sensitivity import Refits, left_out_prediction
 from fogspec.model.fit import Models, Observation
 from fogspec.numerics import families
 from fogspec.plan.schema import Plan
@@ -101,7 +100,7 @@ def curve_rows(models: Models) -> list[tuple[str, ...]]:
     ]
 
 
-def residual_rows(models: Models, refits: Refits) -> Sequence[tuple[str, ...]]:
+def residual_rows(models: Models, refits: Refits, choice: Choice) -> Sequence[tuple[str, ...]]:
     """Return, for each sample, the prediction of its curve and the surrogate's leave-one-out prediction."""
     fitted = {model.gpu: model for model in models.spec.models if model.target == "latency"}
     rows = []
@@ -112,43 +111,35 @@ def residual_rows(models: Models, refits: Refits) -> Sequence[tuple[str, ...]]:
         if model is not None:
             at = np.array([one.machine.cpus]), np.array([one.machine.memory])
             curve = float(families.predict(model.shape, list(model.coefficients.values()), *at)[0])
+        known = _predicted(models, refits, choice, one)
         rows.append(
-            (one.machine.instance, _time(latency), _time(curve), _off(curve, latency), *_without(models, refits, one))
+            (one.machine.instance, _time(latency), _time(curve), _off(curve, latency), *_without(known, latency))
         )
     return rows
 
 
-def left_out(models: Models, refits: Refits) -> list[tuple[str, float, float, float, float]]:
+def left_out(models: Models, refits: Refits, choice: Choice) -> list[tuple[str, float, float, float, float]]:
     """Return each sample that the others predict: name, measured seconds, predicted ones, and the ends of the interval."""
     found = []
     for one in models.spec.observations:
-        if (known := _predicted(models, refits, one)) is not None:
+        if (known := _predicted(models, refits, choice, one)) is not None:
             found.append((one.machine.instance, one.values["latency"], *known))
     return found
 
 
-def _without(models: Models, refits: Refits, one: Observation) -> tuple[str, str, str]:
+def _without(known: tuple[float, float, float] | None, latency: float) -> tuple[str, str, str]:
     """Return the leave-one-out prediction of a sample: value, interval and error, empty if it is unavailable."""
-    known = _predicted(models, refits, one)
     if known is None:
         return "", "", ""
     value, low, high = known
-    return _time(value), f"{_time(low)} to {_time(high)}", _off(value, one.values["latency"])
+    return _time(value), f"{_time(low)} to {_time(high)}", _off(value, latency)
 
 
-def _predicted(models: Models, refits: Refits, one: Observation) -> tuple[float, float, float] | None:
-    known, key = models.spec.observations, one.machine.type_key
-    others = [other for other in known if other.machine.type_key != key]
+def _predicted(models: Models, refits: Refits, choice: Choice, one: Observation) -> tuple[float, float, float] | None:
+    key = one.machine.type_key
+    others = [other for other in models.spec.observations if other.machine.type_key != key]
     predicted = refits.of(others) if others else None
-    if predicted is None or refits.space is None:
-        return None
-    ranges = predicted.targets["latency"].ranges
-    if ranges is None:
-        return None
-    # Only for this machine: a bisection over a whole catalog for each sample would take seconds.
-    own = ranges.take(np.array([refits.space.types.row(one.machine.type_key)]))
-    low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    return math.exp(own.mean[0]), low, high
+    return None if predicted is None else left_out_prediction(predicted, one, choice)
 
 
 def _off(predicted: float | None, measured: float) -> str:

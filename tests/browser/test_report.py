@@ -443,7 +443,7 @@ def test_it_prints_without_controls(browser, checkout, tmp_path):
 SMALLEST = """() => Math.min(...[...document.querySelectorAll('main svg text')]
     .filter((node) => node.getClientRects().length && node.textContent.trim())
     .map((node) => parseFloat(getComputedStyle(node).fontSize) * node.ownerSVGElement.getScreenCTM().a))"""
-CROSSED = """() => [...document.querySelectorAll('#stage svg')].filter((svg) => svg.getClientRects().length).flatMap((svg) =>
+CROSSED = """() => [...document.querySelectorAll('main svg')].filter((svg) => svg.getClientRects().length).flatMap((svg) =>
     [...svg.querySelectorAll('.label-of-limit')].filter((node) => node.textContent).flatMap((node) => {
         const box = node.getBBox();
         return [...svg.querySelectorAll('.bar, .limit[d*=" "]')].filter((bar) => [...Array(201).keys()].some((i) => {
@@ -451,6 +451,10 @@ CROSSED = """() => [...document.querySelectorAll('#stage svg')].filter((svg) => 
             return at.x > box.x && at.x < box.x + box.width && at.y > box.y && at.y < box.y + box.height;
         })).map(() => node.textContent);
     }))"""
+
+
+LABELS = """() => [...document.querySelectorAll('main svg .label-of-limit')]
+    .filter((node) => node.getClientRects().length && node.textContent).length"""
 
 
 def test_on_a_phone_it_is_short_and_its_charts_can_be_read(browser, checkout, tmp_path):
@@ -478,11 +482,16 @@ def test_on_a_phone_it_is_short_and_its_charts_can_be_read(browser, checkout, tm
     assert browser.complaints == []
 
 
-@pytest.mark.parametrize("width", [360, 1280])
-@pytest.mark.parametrize("name", ["grasp-planning-recorded", "vslam-recorded", "motion-planning-cubicles-recorded"])
-def test_the_label_of_a_limit_crosses_no_interval_and_no_limit(browser, checkout, tmp_path, name, width):
-    view = browser.open(written(loaded(checkout, name), tmp_path / "report.html"), width=width)
-    assert view.evaluate(CROSSED) == []
+@pytest.mark.parametrize("name", LIMITS)
+def test_the_label_of_a_limit_crosses_no_interval_and_no_limit(browser, checkout, tmp_path, name):
+    path = written(loaded(checkout, name), tmp_path / "report.html")
+    for width in WIDTHS:
+        view = browser.open(path, width=width)
+        for chart in ("near", "all", "per-hour"):
+            view.check(f"#{chart}")
+            assert view.evaluate(CROSSED) == [], (width, chart)
+            assert view.evaluate(LABELS) >= 3 if chart == "near" else 1, (width, chart)
+        view.close()
 
 
 def test_what_is_folded_is_printed(browser, checkout, tmp_path):

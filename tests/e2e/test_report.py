@@ -95,6 +95,36 @@ def test_what_was_not_measured_has_a_page_without_a_menu(checkout):
     assert "<svg" not in text
 
 
+@pytest.mark.parametrize(
+    "name", ["grasp-planning-recorded", "motion-planning-apartment-recorded", "motion-planning-cubicles-recorded"]
+)
+def test_page_and_terminal_have_the_same_figures(tmp_path, name):
+    for folder in ("specs", "results"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    page = fogspec(tmp_path, "report", name, "--out", "-").stdout
+    explained = fogspec(tmp_path, "explain", name).stdout
+    spec = next(path for path in (tmp_path / "specs").glob("*-recorded.yaml") if name in path.read_text())
+    compiled = fogspec(tmp_path, "compile", str(spec)).stdout.partition(f"{name}\n")[2]
+    spent = re.search(r"samples count; (\S+) spent", compiled)[1]
+    assert re.findall(r"(\$\d\S*) (?:spent,|of \$\d)", page) == [spent] * 3, "in the tile, and twice at the bar"
+    assert f'>spent on measuring</th><td class="number" data-head="USD">{spent}<' in page
+    median, most, inside = re.search(r"median (\S+), max (\S+); (\d+ of \d+) are within", explained).groups()
+    assert f"at most {median} off." in page
+    assert f"at most {most} off; {inside} are in their 90% interval" in page
+
+
+def test_one_machine_is_one_everywhere(tmp_path):
+    for folder in ("specs", "results"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    page = fogspec(tmp_path, "report", "motion-planning-apartment-recorded", "--out", "-").stdout
+    assert "c6i.4xlarge is the only machine that meets both limits" in page
+    assert "9,264 offers in the catalog, 1 meets all limits" in page
+    assert "No other machine meets both limits; c6i.4xlarge has the objective value 0.818." in page
+    assert "[6.96 s, 10.4 s]; limit 10 s, 15% headroom" in page
+    explained = fogspec(tmp_path, "explain", "motion-planning-apartment-recorded").stdout
+    assert "21 predicted -> 1 meets all limits" in explained
+
+
 def test_an_answer_of_none_has_a_page(checkout):
     spec = checkout / "specs" / "vslam-recorded.yaml"
     spec.write_text(re.sub(r"latency: .*", "latency: 1ms", spec.read_text(), count=1))
