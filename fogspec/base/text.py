@@ -23,6 +23,7 @@ MARKUP = re.compile(r"[\\`*_\[\]<>|~&]|^[#+=-](?=[#+=\s-]|$)|(?<=^\d)[.)]|(?<=^\
 MATHEMATICS = re.compile(r"\$(?!\d)")
 # GitHub links addresses, mentions and numbers of issues in plain text, also escaped ones: a zero-width space between ends it.
 LINKED = re.compile(r":(?=//)|(?<!\w)@(?=\w)|@(?=[\w-]+\.)|#(?=\d)|(?<=\bwww)\.|(?<=\bGH)-(?=\d)", re.IGNORECASE)
+SHORTEST = 16  # characters that are left of a name in a table, at least
 NAMED = {"\n": "\\n", "\t": "\\t", "\r": "\\r"}
 
 
@@ -116,9 +117,10 @@ def _json_escape(code: int) -> str:
 
 
 def table(rows: Sequence[Sequence[str]], width: int, indent: int = 2) -> list[str]:
-    """Return the lines of a table whose first row has the headings, at most `width` wide where its longest words fit.
+    """Return the lines of a table whose first row has the headings, at most `width` wide.
 
-    Where it would be wider, headings are broken at blanks first, then cells; no-break spaces become blanks.
+    Where it would be wider, headings are broken at blanks first, then cells, then words above `SHORTEST` characters are
+    shortened in their middle; no-break spaces become blanks.
     """
     columns = list(zip(*rows, strict=True))
     wide = [max(map(len, column)) for column in columns]
@@ -127,18 +129,33 @@ def table(rows: Sequence[Sequence[str]], width: int, indent: int = 2) -> list[st
         max(word, *map(len, column[1:])) if column[1:] else word for word, column in zip(words, columns, strict=True)
     ]
     room = width - indent - 2 * (len(columns) - 1)
-    for least in (bodies, words):
+    names = [
+        max(min(word, SHORTEST), *(len(one) for cell in column for one in cell.split(" ") if "\u00a0" in one), 0)
+        for word, column in zip(words, columns, strict=True)
+    ]
+    for least in (bodies, words, names):
         while sum(wide) > room and any(map(int.__gt__, wide, least)):
             at = max((n for n in range(len(wide)) if wide[n] > least[n]), key=lambda n: wide[n])
             wide[at] -= 1
     lines = []
     for row in rows:
-        cells = [textwrap.wrap(cell, max(size, 1), break_long_words=False, break_on_hyphens=False) or [""]
-                 for cell, size in zip(row, wide, strict=True)]  # fmt: skip
+        cells = [
+            textwrap.wrap(_with_short_words(cell, size), max(size, 1), break_long_words=False, break_on_hyphens=False)
+            or [""]
+            for cell, size in zip(row, wide, strict=True)
+        ]
         for parts in itertools.zip_longest(*cells, fillvalue=""):
             text = "  ".join(part.ljust(size) for part, size in zip(parts, wide, strict=True))
             lines.append((" " * indent + text).replace("\u00a0", " ").rstrip())
     return lines
+
+
+def _with_short_words(cell: str, most: int) -> str:
+    """Return a text without a word of more than so many characters; names differ at both ends."""
+    return " ".join(
+        word if len(word) <= most else f"{word[: most // 2]}…{word[len(word) - (most - 1) // 2 :]}"
+        for word in cell.split(" ")
+    )
 
 
 def blocks(rows: Sequence[Sequence[str]], width: int, keys: int = 1) -> list[str]:

@@ -140,6 +140,21 @@ def test_a_paragraph_has_as_many_lines_as_it_was_given() -> None:
     assert text.paragraph(["one", "two"]) == "one\ntwo"
 
 
+def test_a_table_shortens_names_that_do_not_fit_in_their_middle() -> None:
+    names = [f"c6i.{'very-long-' * 20}{size}" for size in ("large", "4xlarge")]
+    lines = table(
+        [["instance type", "price", ""], *([name, "$0.68/h", "measured\u00a0here\u00a0twice"] for name in names)], 80
+    )
+    assert all(len(one) <= 80 for one in lines)
+    for name, one in zip(names, lines[1:], strict=True):
+        start, _, end = one.split()[0].partition("…")
+        assert name.startswith(start)
+        assert name.endswith(end)
+        assert len(start) >= len(end) > 15
+    assert lines[1].endswith("$0.68/h  measured here twice")
+    assert table([["name"], ["x" * 30]], 20) == ["  name", f"  {'x' * 9}…{'x' * 8}"]
+
+
 def test_a_table_may_have_empty_columns_and_cells_that_are_not_broken() -> None:
     assert table([["name", ""], ["a", ""]], 80) == ["  name", "  a"]
     assert table([["", ""]], 80) == [""]
