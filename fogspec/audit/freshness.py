@@ -157,7 +157,11 @@ def _plan_reasons(compiled: Artifacts, was: PlanBody, drifted: Sequence[str]) ->
         reasons = reasons or [picked]
     if other_catalog:
         before_usd, now_usd = dollars(was.estimate.total), dollars(now.estimate.total)
-        reasons.append(f"new catalog, re-estimated: at most {before_usd} before, {now_usd} now")
+        reasons.append(
+            "new catalog; the costs of measuring stay"
+            if before_usd == now_usd
+            else f"new catalog, re-estimated: at most {before_usd} before, {now_usd} now"
+        )
     if was.budget != now.budget:
         reasons.append("spec.benchmark.budget changed, and is enough")
     if not reasons and (was.hardware, was.infra) != (application.spec.hardware, application.spec.infra):

@@ -117,6 +117,10 @@ def parse_cost_usd_per_request(text: Any) -> float:
     amount, slash, per = _body(text).partition("/")
     amount = f"${amount.strip()}" if re.fullmatch(NUMBER, amount.strip()) else amount.strip()
     match = re.fullmatch(rf"\s*({NUMBER})?\s*requests?\s*", per)
+    if per.strip().lower() in {"h", "hour", "hr"}:
+        raise UnitError(
+            "must be per request, such as $0.001/request; constraints.price limits the price per hour", None, "FS201"
+        )
     if not slash or not match:
         try:
             parse_money_usd(amount)

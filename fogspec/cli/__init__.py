@@ -169,7 +169,7 @@ _add_verbosity(fogspec)
 
 def usage(wrong: click.ClickException) -> list[str]:
     """Return what click says of a wrong command line, as lines."""
-    found = [f"error: {wrong.format_message().removesuffix('.')}"]
+    found = [f"error: {wrong.format_message().removesuffix('.').replace(' Did you mean', '; did you mean')}"]
     context = wrong.ctx if isinstance(wrong, click.UsageError) else None
     if context is not None:
         found += [f"  {' '.join(context.get_usage().split())}", f"  options: {context.command_path} --help"]

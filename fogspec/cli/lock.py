@@ -1,14 +1,19 @@
 """Implement `fogspec lock`: pin the mutable inputs of a spec to digests."""
 
 import os
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from fogspec.base.console import say, say_json
-from fogspec.base.errors import OutOfDate
+from fogspec.base.errors import CloudError, OutOfDate
 from fogspec.cli.next_steps import next_command, say_next
 from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, SPECS, library_from, require_ready
+
+if TYPE_CHECKING:
+    from fogspec.backends.images.registry import Registry
 
 SHOWN = 40
 
@@ -59,7 +64,7 @@ def command(
         about = load_catalog(located(origin, layout), clouds_of(one)).about
         pin = PriorsPin(origin=_beside(priors, layout.root), digest=library.digest) if priors and library else None
         wanted.append(lock_update.LockRequest(one.application, layout, origin, about, pin))
-    ask = (lambda _name: "not resolved yet") if check else Registry().digest
+    ask = (lambda _name: "not resolved yet") if check else partial(_digest, Registry())
     locks = lock_update.relock(wanted, ask, ["catalog"] if check else upgrade, whole=not specs)
     changes = {path: lock_update.differences(read_lock(path), lock) for path, lock in locks.items()}
     if not check:
@@ -75,6 +80,18 @@ def command(
         raise OutOfDate(
             f"{count} {'thing is' if count == 1 else 'things are'} not as locked", "write the lock: fogspec lock"
         )
+
+
+def _digest(registry: "Registry", image: str) -> str:
+    """Return the digest of an image; without a connection, the error says what needs none."""
+    try:
+        return registry.digest(image)
+    except CloudError as wrong:
+        hints = wrong.hints or (
+            "run it again with a connection; a proxy is set by HTTPS_PROXY",
+            "without one: give the image by its digest in the spec, IMAGE@sha256:...; compile only warns without a lock",
+        )
+        raise CloudError(wrong.message, *hints) from None
 
 
 def _origin(catalog: str | None, root: os.PathLike[str]) -> str | None:

@@ -139,6 +139,8 @@ def _retyped(kind: str, found: Node | None) -> str | None:
         return f"write '{text}' in quotes"
     if kind == "float_type" and (percent := re.fullmatch(rf"({NUMBER})\s*%", text)):
         return f"write {format_number(float(percent[1]) / 100)}"
+    if kind == "int_type" and (counted := re.fullmatch(r"(\d+) [a-z]+", text)):
+        return f"write {counted[1]}"
     if kind == "list_type":
         return f"write [{', '.join(text.replace(',', ' ').split())}]"
     if kind in ("int_type", "float_type", "bool_type") and found.quoted:

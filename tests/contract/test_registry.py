@@ -130,7 +130,12 @@ def test_what_a_registry_does_not_have_is_said(registry: str, shell: Shell) -> N
 
 def test_a_registry_that_is_not_there_is_the_networks_fault(shell: Shell) -> None:
     project(shell, f"127.0.0.1:{free_port()}/robots/planner:v1")
-    assert "cannot be asked" in shell("lock", code=6).err
+    said = shell("lock", code=6).err
+    assert "cannot be asked" in said
+    assert "HTTPS_PROXY" in said
+    assert "IMAGE@sha256:" in said
+    project(shell, f"127.0.0.1:{free_port()}/robots/planner@sha256:{'0' * 64}")
+    shell("lock", "--catalog", "offers.csv")
 
 
 def test_a_private_registry_is_read_with_what_docker_keeps_and_nothing_of_it_is_written(

@@ -97,6 +97,12 @@ def test_another_metric_that_was_measured_makes_models_stale(shell: Shell) -> No
     assert found["to_measure"] == 0
 
 
+def test_a_new_catalog_with_the_same_costs_is_not_called_another_estimate(done: Shell) -> None:
+    done.write("offers.csv", CATALOG.replace("0.10,0.03", "0.10,0.04"))
+    _, told, _ = states(done)
+    assert told["plan"] == ["new catalog; the costs of measuring stay"]
+
+
 def test_new_prices_re_estimate_the_plan_and_make_the_choice_stale(done: Shell) -> None:
     done.write("offers.csv", CATALOG.replace("a.small,,,2,4,0.10", "a.small,,,2,4,0.15"))
     state, told, found = states(done)

@@ -208,6 +208,7 @@ def test_verbose_names_what_was_read_and_how_long_it_took(done: Shell) -> None:
     assert re.search(r"^verbose: demo: compiling took [\d.]+ s$", said, re.MULTILINE)
     assert "verbose" not in done("compile", "demo", *AT).err, "it is over with the command"
     assert "exclude each other" in done("-q", "compile", "-v", code=2).err
+    assert "error: No such option: --name; did you mean --prune?" in done("compile", "--name", code=2).err
 
 
 def test_the_age_of_prices_is_mentioned_by_compile_alone(done: Shell) -> None:

@@ -53,7 +53,7 @@ def gpus(application: Application) -> Iterator[Finding]:
     for i, name in enumerate(application.spec.hardware.gpus):
         if name in GPUS:
             continue
-        bare = re.sub(r"(?i)\b(nvidia|tesla|geforce|amd|intel)\b[-_ ]*|:\d+$", "", name).strip()
+        bare = re.sub(r"(?i)\b(nvidia|tesla|geforce|amd|intel)\b[-_ ]*|[-_ ]*\bgpus?$|:\d+$", "", name).strip()
         path, near = ("spec", "hardware", "gpus", i), closest(bare, GPUS)
         if near or not name.strip() or ":" in name:
             fix = (

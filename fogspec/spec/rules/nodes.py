@@ -44,6 +44,9 @@ def kind_of_node(application: Application) -> Iterator[Finding]:
 
 def _missing_part(node: Node) -> str:
     """Return what to add to a node that lacks its package, its executable, or both."""
+    package, slash, executable = (node.package or "").partition("/")
+    if slash and package and executable:
+        return f"split it: package: {package}, executable: {executable}"
     if node.package:
         return f"add 'executable: {node.package}_node', or the name that `ros2 pkg executables {node.package}` lists"
     return "add 'package: …'" if node.executable else "add 'cmd: [python3, plan.py]', or a package and its executable"

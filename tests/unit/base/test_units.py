@@ -194,6 +194,7 @@ def test_ranges_are_written(low: float | None, high: float | None, text: str) ->
     [
         ("money", "many", "must be an amount such as $2.50 or 40 cent"), ("rate", "fast", "must be a rate such as 10/s"),
         ("percent", "much", "must be a share such as 5%"), ("count", "few", "must be a number without a unit"),
+        ("cost", "$0.5/h", "must be per request, such as $0.001/request; constraints.price"),
         ("cost", "$1/meter", "must say per what, such as $0.001/request"), ("price", "$1/m", "must say per hour, such as"),
         ("transfer", "$1/m3", "must say per what amount of data, such as"), ("money", "$1e999", "must be finite"),
         ("count", float("inf"), "must be finite"), ("duration", "fast", "must be a duration with its unit, such as 2s"),

@@ -95,6 +95,21 @@ def test_infra_is_mended(entry: str, fix: str) -> None:
     assert [(one.code, one.fix) for one in wrong] == [("FS531", fix)]
 
 
+@pytest.mark.parametrize(
+    ("part", "fix"),
+    [
+        ({"more": "  hardware: { gpus: [T4 GPU] }"}, "write 'T4'"),
+        ({"more": "  hardware: { gpus: [NVIDIA L4 gpu] }"}, "write 'L4'"),
+        ({"cloud": "{ package: arm/planner }"}, "split it: package: arm, executable: planner"),
+        ({"benchmark": "{ budget: $1, stop: { requests: 200 requests } }"}, "write 200"),
+    ],
+)  # fmt: skip
+def test_what_a_new_user_writes_is_mended(part: dict[str, str], fix: str) -> None:
+    usual = {"cloud": "{ cmd: [plan] }", "probe": "{ callback: p }", "benchmark": "{ budget: $1 }", "more": ""}
+    _, wrong = check_text(BASE.format(**(usual | part)).encode(), "spec.yaml")
+    assert fix in [one.fix for one in wrong]
+
+
 def test_a_gpu_unknown_to_fogspec_is_only_a_warning() -> None:
     content = BASE.format(cloud="{ cmd: [plan] }", probe="{ callback: p }", benchmark="{ budget: $1 }",
                           more="  hardware: { gpus: [Quantum9] }")  # fmt: skip
