@@ -75,6 +75,8 @@ def _summary(whole: Whole, touched: Sequence[Review]) -> Iterator[str]:
         yield f"- On `apply`: {', '.join(said)}."
     if due := whole.due:
         yield f"- **To measure first**: {count(len(due.samples), 'sample')}{due.most}."
+    elif unknown := [one.name for one in whole.reviews if one.unusable]:
+        yield f"- **Damaged results or lock**, so that what must be measured is not known: {_names(unknown)}."
     else:
         yield "- No benchmark needed."
     stale = [one.name for one in touched if not one.fresh]

@@ -94,7 +94,8 @@ def difference(status: Status) -> Difference:
     secrets = inputs.application.spec.secrets
     before = redacted(committed_manifest(inputs), secrets)
     if compiled is None:
-        return Difference(layout=inputs.layout, before=before, after=None, refused=status.refused)
+        reasons = tuple(f"{stage.name}: {text}" for stage in status.stages for text in stage.reasons)
+        return Difference(layout=inputs.layout, before=before, after=None, why=reasons, refused=status.refused)
     after = redacted(_manifest_now(compiled), secrets)
     due = to_measure(compiled)
     differing = tuple(significant(changes(before, after))) if after else ()
@@ -258,6 +259,11 @@ def measuring_text(one: Difference) -> str:
     return f"{count(len(names), 'sample')} to measure first{one.due.most}" + (f": {shown}" if names else "")
 
 
+def _measuring(one: Difference) -> list[str]:
+    """Return what must be measured as one line; none if that is not known, as nothing could be compiled."""
+    return [] if one.refused and one.after is None and not one.due else [measuring_text(one)]
+
+
 def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
     """Return the difference as text; `running` are the changes from the manifest to the deployed state."""
     lines = [line(f"{one.layout.name}: {headline(one)}")]
@@ -265,7 +271,7 @@ def as_text(one: Difference, running: Sequence[Change] | None = None) -> str:
     lines += [f"  cost: {line(cost)}" for cost in _cost_lines(one)]
     if one.differs:
         lines += [f"  why: {line(reason)}" for reason in one.why]
-        lines.append(f"  {line(measuring_text(one))}")
+        lines += [f"  {line(text)}" for text in _measuring(one)]
     if running is not None:
         lines.append(f"  running: {'as the manifest says' if not running else 'not what the manifest says'}")
         lines += [f"    {change_text(change)}" for change in running]
@@ -336,7 +342,7 @@ def markdown(one: Difference, running: Sequence[Change] | None = None) -> str:
         lines += [f"| {name} | {md(was)} | {md(now)} | {md(rel)} |" for name, was, now, rel in _shown_costs(one)]
         lines.append("")
     if one.differs:
-        lines += [*(f"- {md(reason)}" for reason in one.why), f"- {md(measuring_text(one))}", ""]
+        lines += [*(f"- {md(text)}" for text in (*one.why, *_measuring(one))), ""]
     if one.changes:
         lines += [
             f"<details><summary>{len(one.changes)} fields differ</summary>",

@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Literal
 
 from fogspec.audit.compare import change_text, changes, changes_in_file
-from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.layout import Layout
 from fogspec.base.text import count, shell_command
 from fogspec.base.units import dollars
 from fogspec.compile.artifacts import Artifacts
+from fogspec.compile.compiler import try_compile
+from fogspec.compile.damage import restorable
 from fogspec.compile.inputs import Inputs
 from fogspec.plan.schema import Plan, PlanBody, TaskRef
 from fogspec.results.progress import unfinished
@@ -25,7 +27,7 @@ from fogspec.spec import fingerprints
 from fogspec.spec.lockfile import differing, listed
 from fogspec.spec.schema import Application
 
-State = Literal["fresh", "partial", "stale", "missing"]
+State = Literal["fresh", "partial", "stale", "missing", "damaged"]
 NAMED = 6
 LOCKED = "{} is locked to something else"
 
@@ -51,7 +53,8 @@ class Status:
     """All stages of an application.
 
     `refused` is the reason why nothing can be compiled; otherwise there are `artifacts`. `to_measure` counts the samples
-    that are still to be measured. `differing` are the files that differ from what compile would write.
+    that are still to be measured. `differing` are the files that differ from what compile would write. `damaged` are the
+    errors of results or of a lock that cannot be used, each with the command that restores them.
     """
 
     inputs: Inputs
@@ -60,6 +63,7 @@ class Status:
     stages: tuple[Stage, ...] = ()
     differing: tuple[Path, ...] = ()
     to_measure: int | None = None
+    damaged: tuple[Diagnostic, ...] = ()
 
     @property
     def layout(self) -> Layout:
@@ -67,9 +71,11 @@ class Status:
         return self.inputs.layout
 
     @property
-    def spent_usd(self) -> float:
-        """The amount spent on measuring so far, in USD."""
-        return self.inputs.results.spec.spent if self.inputs.results else 0.0
+    def spent_usd(self) -> float | None:
+        """The amount spent on measuring so far, in USD; None if the results that say it are damaged."""
+        if self.inputs.results is None:
+            return None if self.inputs.results_file else 0.0
+        return self.inputs.results.spec.spent
 
     @property
     def budget_usd(self) -> float | None:
@@ -100,6 +106,24 @@ class Status:
         if decision is None or decision.manifest is None or decision.unfinished is None:
             return None
         return decision.unfinished.state
+
+
+def look(inputs: Inputs, base: str | None = None) -> Status:
+    """Return the status of an application, also of one whose results or lock are damaged; `base` may have them undamaged."""
+    try:
+        return status(inputs, try_compile(inputs))
+    except DiagnosticError as problems:
+        damaged = (problems if base is None else restorable(problems, inputs.layout, base)).diagnostics
+        reasons = (*map(located, damaged), *dict.fromkeys(one.fix for one in damaged if one.fix is not None))
+        path = Path(damaged[0].span.path)
+        name = "lock" if path == inputs.layout.lock else "results"
+        stage = Stage(name, path, "damaged", tuple(_some(reasons)))
+        return Status(inputs=inputs, refused=f"{path} is damaged", stages=(stage,), damaged=damaged)
+
+
+def located(one: Diagnostic) -> str:
+    """Return what is wrong with a file, with its place."""
+    return f"{one.span.path}:{one.span.line}:{one.span.column}: {one.message}"
 
 
 def status(inputs: Inputs, compiled: Artifacts | FogspecError) -> Status:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fogspec.audit.freshness import Status, status
+from fogspec.audit.freshness import Status, located, look, status
 from fogspec.audit.git import Repository
 from fogspec.audit.shared_work import share
 from fogspec.audit.verify import verify
@@ -61,7 +61,7 @@ class Gate:
 
     def _judge(self, loaded: Sequence[LoadedSpec]) -> list[Verdict]:
         repository = None if self.commit is None else Repository()
-        inputs = Inputs.load([], catalog=self.catalog, audit=True, loaded=loaded)
+        inputs = Inputs.load([], catalog=self.catalog, audit=True, each=True, loaded=loaded)
         rules = Policies(self.policies)
         return [judge(one, rules, repository, self.commit) for one in inputs]
 
@@ -71,8 +71,8 @@ def judge(inputs: Inputs, policies: Policies, repository: Repository | None, com
     layout = inputs.layout
     try:
         compiled: Artifacts | FogspecError = try_compile(inputs)
-    except DiagnosticError as damaged:
-        return Verdict(layout.name, "damaged", tuple(map(_located, damaged.diagnostics)))
+    except DiagnosticError:
+        return Verdict(layout.name, "damaged", look(inputs, commit).stages[0].reasons)
     found, is_exact = status(inputs, compiled), True
     problems = [] if found.refused is None else [f"cannot be compiled: {found.refused}"]
     if layout.manifest in inputs.on_disk:
@@ -98,18 +98,13 @@ def judge(inputs: Inputs, policies: Policies, repository: Repository | None, com
     return Verdict(layout.name, what, tuple(dict.fromkeys(problems)), is_exact)
 
 
-def _located(one: Diagnostic) -> str:
-    """Return what is wrong with a file, with its place."""
-    return f"{one.span.path}:{one.span.line}:{one.span.column}: {one.message}"
-
-
 def _manifest(inputs: Inputs, compiled: Artifacts | FogspecError, found: Status) -> Iterator[str]:
     """Yield why `apply` would refuse the manifest on disk, or deploy something else than was reviewed."""
     file = inputs.on_disk[inputs.layout.manifest]
     try:
         opened = ManifestBundle(file.document(Manifest), file.content, inputs)
     except DiagnosticError as damaged:
-        yield from map(_located, damaged.diagnostics)
+        yield from map(located, damaged.diagnostics)
         return
     for link in verify(opened, compiled):
         if link.breaks:

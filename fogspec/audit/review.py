@@ -17,12 +17,11 @@ from fogspec.audit.diff import (
     significant,
     to_measure,
 )
-from fogspec.audit.freshness import Stage, Status, status
+from fogspec.audit.freshness import Stage, Status, look
 from fogspec.audit.git import Repository
 from fogspec.base import digest
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.redaction import redacted
-from fogspec.compile.compiler import try_compile
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
 from fogspec.spec.loader import LoadedSpec, SourceFile, check_text
@@ -99,6 +98,7 @@ class Review:
 
     It is plain data, which passes between processes: `fresh`, `stages` and `refused` are those of its `Status`.
 
+    `unusable` are the errors of damaged results, each with the command that restores them.
     `inputs` are the inputs that differ, old and new. `rollout` is what `apply` does with the machine that serves the
     manifest of the base: `none` if nothing is deployed or changed. `due` is what must be measured first. `broken`
     says where a policy of `policies` is broken.
@@ -108,6 +108,7 @@ class Review:
     fresh: bool
     stages: tuple[Stage, ...]
     refused: str | None
+    unusable: tuple[Diagnostic, ...] = ()
     bench_options: tuple[str, ...] = ()
     inputs: tuple[Change, ...] = ()
     rollout: Rollout = "none"
@@ -209,9 +210,9 @@ class Reviewer:
 
     def reviews(self, loaded: Sequence[LoadedSpec]) -> list[Review]:
         """Return the review of each application; raise the errors of `Inputs.load`."""
-        inputs = Inputs.load([], catalog=self.catalog, audit=True, loaded=loaded)
+        inputs = Inputs.load([], catalog=self.catalog, audit=True, each=True, loaded=loaded)
         rules = Policies(self.policies)
-        return [review(status(one, try_compile(one)), self.base, rules) for one in inputs]
+        return [review(look(one, self.base.commit), self.base, rules) for one in inputs]
 
 
 def review(status: Status, base: Base, policies: Policies) -> Review:
@@ -240,6 +241,7 @@ def review(status: Status, base: Base, policies: Policies) -> Review:
         fresh=status.fresh,
         stages=status.stages,
         refused=status.refused,
+        unusable=status.damaged,
         bench_options=tuple(status.artifacts.plan.runner_options if status.artifacts else ()),
         inputs=(*_spec_changes(status, base), *files, *_other_inputs(old, new)),
         rollout=_rollout(status, base, old, new, bool(files)),

@@ -20,7 +20,8 @@ def as_lines(one: Status, running: Sequence[str] = ()) -> list[str]:
     if one.refused is not None:
         lines.append(f"  cannot be compiled: {one.refused}")
     budget = "" if one.budget_usd is None else f" of a budget of {dollars(one.budget_usd)}"
-    lines.append(f"  {'spent':<9} {dollars(one.spent_usd)}{budget}")
+    spent = "unknown" if one.spent_usd is None else dollars(one.spent_usd)
+    lines.append(f"  {'spent':<9} {spent}{budget}")
     return [*lines, *running]
 
 

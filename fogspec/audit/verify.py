@@ -217,7 +217,9 @@ def _deployment(opened: ManifestBundle, compiled: Artifacts) -> Check:
 
 def remedy(opened: ManifestBundle, broken: Check) -> str:
     """Return the commands that repair a broken link."""
-    layout = opened.layout
+    layout, damaged = opened.layout, opened.inputs.damaged
+    if broken.name == "results" and damaged is not None and (fix := damaged.diagnostics[0].fix):
+        return fix
     if broken.name in ("results", "timings"):
         bench = shell_command("fogspec", "bench", layout.spec)
         return f"put back what was measured ({restore_command(layout.results.parent)}), or measure it: {bench}"

@@ -133,7 +133,7 @@ def after_status(one: "Status", live: "HealthReport | None") -> Words | None:
         if states.get("plan") == "fresh" and (one.to_measure or states.get("results") == "partial"):
             return _measure(one.artifacts)
         return "compile", fspath(one.layout.spec)
-    return _deploy(one.inputs) if live is None or live.sync != "Synced" else None
+    return _deploy(one.inputs) if live is None or live.sync != "Synced" or live.health == "Missing" else None
 
 
 def after_diff(inputs: "Inputs", one: "Difference", live: Sequence[Any] | None) -> str | None:

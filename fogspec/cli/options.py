@@ -14,6 +14,7 @@ from fogspec.base.text import shell
 from fogspec.base.units import UnitError
 
 if TYPE_CHECKING:
+    from fogspec.base.diagnostics import Diagnostic
     from fogspec.compile.bundle import ManifestBundle
     from fogspec.compile.inputs import Inputs
     from fogspec.numerics.priors import PriorData
@@ -124,14 +125,14 @@ def quantity(option: str, text: str, parse: Callable[[str], float]) -> float:
 
 
 def load_inputs(
-    specs: Sequence[str], catalog: str | None, priors: Path | None = None, *, audit: bool = False
+    specs: Sequence[str], catalog: str | None, priors: Path | None = None, *, audit: bool = False, each: bool = False
 ) -> "list[Inputs]":
     """Read the inputs of the applications that arguments lead to, in all environments; see `check_specs` and `Inputs.load`."""
     from fogspec.compile.inputs import Inputs
     from fogspec.spec.discover import load_specs
 
     with timed("reading"):
-        found = Inputs.load([], catalog=catalog, priors=priors, audit=audit, loaded=load_specs(specs))
+        found = Inputs.load([], catalog=catalog, priors=priors, audit=audit, each=each, loaded=load_specs(specs))
     show_read(found)
     return found
 
@@ -215,6 +216,14 @@ def raise_together(refusals: Iterable[FogspecError | None]) -> None:
         together = FogspecError("; ".join(texts), *dict.fromkeys(hint for one in found for hint in one.hints))
         together.exit_code = found[0].exit_code
         raise together
+
+
+def raise_damaged(found: "Iterable[Diagnostic]") -> None:
+    """Raise the errors of damaged results, each once; nothing without any."""
+    from fogspec.base.diagnostics import DiagnosticError
+
+    if damaged := list(dict.fromkeys(found)):
+        raise DiagnosticError(damaged)
 
 
 def named(what: str, name: str | None = None) -> tuple[str, str | None]:

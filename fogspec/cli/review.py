@@ -46,7 +46,7 @@ def command(
     inputs changed, whether a machine is replaced, what must be measured first, policies, provenance, and whether everything
     is up to date. At most 65,536 characters, GitHub's limit.
 
-    Exit code 1 for an invalid spec or a policy violation, after everything is written.
+    Exit code 1 for an invalid spec, damaged results or a policy violation, after everything is written.
     """
     from fogspec.audit.comment import markdown
     from fogspec.audit.git import Repository
@@ -78,7 +78,8 @@ def command(
         say_text(text, end="")
     else:
         write_output(out, text.encode())
-    if wrong := [*invalid, *(found for one in reviews for found in one.broken)]:
+    broken = [found for one in reviews for found in one.broken]
+    if wrong := [*invalid, *broken, *dict.fromkeys(found for one in reviews for found in one.unusable)]:
         raise DiagnosticError(wrong)
     if exit_code and (stale := [one.name for one in reviews if not one.fresh]):
         raise OutOfDate(f"not fresh: {', '.join(stale)}", "fogspec status says why")

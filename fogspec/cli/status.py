@@ -11,9 +11,10 @@ from fogspec.base.console import is_verbose, note, say, say_json, say_text
 from fogspec.base.errors import OutOfDate
 from fogspec.base.text import line, paragraph
 from fogspec.cli.next_steps import Words, after_status, next_command, next_lines
-from fogspec.cli.options import CATALOG, SPECS, WORKERS, show_read
+from fogspec.cli.options import CATALOG, SPECS, WORKERS, raise_damaged, show_read
 
 if TYPE_CHECKING:
+    from fogspec.base.diagnostics import Diagnostic
     from fogspec.base.layout import Layout
     from fogspec.deploy.health import HealthReport
     from fogspec.spec.loader import LoadedSpec
@@ -31,6 +32,7 @@ class _Found:
     following: Words | None
     data: dict[str, Any]
     fresh: bool
+    damaged: "Sequence[Diagnostic]"
     live: "HealthReport | None"
     tracked: str | None
 
@@ -96,6 +98,7 @@ def command(
             for one in found
         ]
         say_text("\n\n".join([*texts, *map(line, others)]))
+    raise_damaged(problem for one in found for problem in one.damaged)
     if away is not None:
         raise away
     unwell = [one.layout.name for one in found if not (one.fresh and (one.live is None or one.live.well))]
@@ -109,16 +112,15 @@ def _found(catalog: str | None, with_live: bool, loaded: "Sequence[LoadedSpec]")
     from fogspec.audit import freshness, status
     from fogspec.backends.registry import deployment_backend
     from fogspec.base.git import tracked_note
-    from fogspec.compile.compiler import try_compile
     from fogspec.compile.inputs import Inputs
     from fogspec.deploy import health
     from fogspec.deploy.state import SystemWallClock
 
-    inputs = Inputs.load([], catalog=catalog, audit=True, loaded=loaded)
+    inputs = Inputs.load([], catalog=catalog, audit=True, each=True, loaded=loaded)
     show_read(inputs)
     found = []
     for one in inputs:
-        own = freshness.status(one, try_compile(one))
+        own = freshness.look(one)
         live = (
             health.health_report(
                 one.application, one.layout, one.sent, own.fresh, SystemWallClock(), deployment_backend
@@ -130,9 +132,11 @@ def _found(catalog: str | None, with_live: bool, loaded: "Sequence[LoadedSpec]")
             _Found(
                 layout=one.layout,
                 lines=status.as_lines(own, health.as_text(live) if live else ()),
-                following=after_status(own, live),
+                # What runs is not known if its store is away: then to deploy may not be what comes next.
+                following=after_status(own, live) if with_live or not own.fresh else None,
                 data=status.as_dict(own),
                 fresh=own.fresh,
+                damaged=own.damaged,
                 live=live,
                 tracked=tracked_note(one.layout),
             )

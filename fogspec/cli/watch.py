@@ -127,11 +127,12 @@ def _confirm(watcher: "Watcher", sure: bool) -> None:
     for name, one in watcher.watched.items():
         try:
             machines = DeploymentState.look(one.layout, watcher.times).machines
+            unknown = "nothing runs"
         except (DiagnosticError, FogspecError):
-            machines = []
+            machines, unknown = [], "what runs is not known"
         what = [f"{m.machine.instance} in {m.machine.infra}, {shown_price(m.machine.price)}" for m in machines[-1:]]
         said = f"; restarted at most {times} times per hour, at the approved price" if times else "; reported only"
-        say(f"{name}: {what[0] if what else 'nothing runs'}{said}", err=True)
+        say(f"{name}: {what[0] if what else unknown}{said}", err=True)
     if not watcher.watched:
         say("nothing runs", err=True)
     if sure or not watcher.watched:

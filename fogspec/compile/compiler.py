@@ -88,6 +88,8 @@ def standing_of(inputs: Inputs) -> Standing | None:
     """Return whether the results on disk still count, None without any; raise DiagnosticError for damaged ones."""
     if inputs.damaged is not None:
         raise inputs.damaged
+    if inputs.refused is not None:
+        raise inputs.refused
     if inputs.results is None:
         return None
     return standing(inputs.results, inputs.application, pins_of_measurement(inputs.application, inputs.pins))

@@ -4,8 +4,10 @@ import dataclasses
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -332,3 +334,65 @@ def test_stages_agree_with_their_verb(repository: Shell) -> None:
     said = repository("review", "HEAD").out
     assert "- **results are stale**" in said
     assert "- **models are stale**" in said
+
+
+@pytest.mark.parametrize("damage", [lambda text: text[:900], lambda text: text.replace("0.", "1.", 1), lambda _: "\0"])
+def test_damaged_results_hide_no_other_application(repository: Shell, damage: Callable[[str], str]) -> None:
+    repository.write("specs/other.yaml", repository.read("specs/demo.yaml").replace("name: demo", "name: other"))
+    repository("lock", *AT)
+    repository("compile")
+    base = commit(repository, "two")[:12]
+    repository.write("results/demo.yaml", damage(repository.read("results/demo.yaml")))
+    for restore in ("HEAD", base):  # damaged on disk, then damaged in the commit
+        command = f"git checkout {restore} -- results/demo.yaml"
+        said = repository("review", base, code=1).out
+        assert "- **results are damaged**: results/demo.yaml:" in said
+        assert command in said
+        assert "other" in said
+        assert "No benchmark needed" not in said
+        data = json.loads(repository("review", base, "-o", "json", code=1).out)["applications"]
+        assert [(one["name"], one["fresh"]) for one in data] == [("demo", False), ("other", False)]
+        assert [one["stages"][0]["state"] for one in data] == ["damaged", "fresh"]
+        said = repository("status", code=1).out
+        assert "results   damaged  results/demo.yaml" in said
+        assert "  spent     unknown" in said
+        assert "other\n  plan      fresh" in said
+        said = repository("diff", code=1).out
+        assert "demo: cannot be compiled to a manifest now: results/demo.yaml is damaged" in said
+        assert "no benchmark needed" not in said
+        assert "other: cannot be compiled to a manifest now: nothing is measured yet" in said
+        said = repository("ci", "--since", base, code=3).out
+        assert command in said
+        assert "FAIL  demo" in said
+        assert command in repository("ci", "--since", base, "-j", "2", code=3).out
+        if restore == "HEAD":
+            commit(repository, "damaged")
+    # Without a base, the commit before the damage has them.
+    for verb, code in (("status", 1), ("menu", 1), ("verify", 3), ("compile", 1)):
+        assert "~1' -- results/demo.yaml" in repository(verb, "demo", code=code).err
+    subprocess.run(shlex.split(command), cwd=repository.folder, check=True, capture_output=True)
+    assert "ok    demo" in repository("ci").out
+
+
+def test_a_damaged_lock_is_said_of_each_application(repository: Shell) -> None:
+    whole = repository.read("fogspec.lock")
+    repository.write("fogspec.lock", f"<<<<<<< HEAD\n{whole}")
+    restore = "git checkout HEAD -- fogspec.lock"
+    said = repository("review", "HEAD", code=1).out
+    assert "- **lock is damaged**: fogspec.lock:" in said
+    assert restore in said
+    assert "All machines: $292/month before, $292/month after" in said
+    assert restore in repository("status", code=1).out
+    assert restore in repository("diff", code=1).out
+    assert restore in repository("ci", code=3).out
+    for words in (["verify", "demo"], ["apply", "demo", "--dry-run"], ["compile", "demo"], ["bench", "demo"]):
+        assert "fogspec.lock" in repository(*words, code=1).err
+
+
+def test_a_catalog_that_is_not_the_locked_one_is_said_of_its_application(repository: Shell) -> None:
+    repository.write("offers.csv", repository.read("offers.csv").replace("0.4", "0.5", 1))
+    refused = "cannot be compiled: demo: the catalog offers.csv is not the one that fogspec.lock pins"
+    assert refused.partition(": ")[2] in repository("review", "HEAD").out
+    assert refused in repository("status").out
+    assert refused in repository("ci", code=3).out
+    assert "upgrade catalog" in repository("compile", "demo", code=3).err

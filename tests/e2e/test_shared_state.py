@@ -211,6 +211,11 @@ def test_a_store_away_starts_nothing_and_loses_nothing(team: Team) -> None:
     status = team.first("status", code=6)
     assert "manifest  fresh" in status.stdout, "what is known without it is printed"
     assert "no contact" in status.stderr
+    assert "next:" not in status.stdout, "it may run"
+    found = team.first("diff", code=6)
+    assert "tiny: the manifest is what compile would write" in found.stdout
+    assert "no contact" in found.stderr
+    assert "what runs is not known; restarted" in team.first("watch", "--once", "--yes", code=6).stderr
     team.first("ps", code=6)
     team.first("down", "tiny", code=6)
     assert team.alive() == 1
@@ -218,6 +223,7 @@ def test_a_store_away_starts_nothing_and_loses_nothing(team: Team) -> None:
     assert "1 ended" in team.first("down", "tiny", env={"FOGSPEC_STATE": "folder"}).stdout
     away.rename(team.remote)
     assert team.first.status()["health"] == "Missing"
+    assert "next: fogspec apply compiled/tiny/manifest.yaml" in team.first("status").stdout
     team.first("down", "tiny")
     assert team.refs() == []
 

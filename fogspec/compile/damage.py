@@ -1,0 +1,60 @@
+"""Say how to restore a damaged file that people commit: from a commit that has it as it was written."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.errors import UsageError
+from fogspec.base.git import git
+from fogspec.base.layout import Layout
+from fogspec.base.text import shell_command
+from fogspec.results.io import check_integrity
+from fogspec.results.schema import Results
+from fogspec.spec.loader import SourceFile
+from fogspec.spec.lockfile import Lock
+
+
+def read_results(file: SourceFile, layout: Layout) -> Results:
+    """Return the results in a file. Raise DiagnosticError if it was edited or cut short."""
+    results = file.document(Results)
+    check_integrity(results, layout.results)
+    return results
+
+
+def restorable(damaged: DiagnosticError, layout: Layout, base: str | None = None) -> DiagnosticError:
+    """Return the errors of a damaged lock and of damaged results with the command that restores the file.
+
+    Where the damage was committed, HEAD has it too: then it is the commit `base`, or the one before that change.
+    """
+    fixes = {
+        str(layout.results): _fix(
+            layout.results, lambda file: read_results(file, layout), "move it away and measure again", base
+        ),
+        str(layout.lock): _fix(
+            layout.lock, lambda file: file.document(Lock), "remove it and write it again: fogspec lock", base
+        ),
+    }
+    return DiagnosticError([replace(one, fix=fixes.get(one.span.path, one.fix)) for one in damaged.diagnostics])
+
+
+def _fix(path: Path, read: Callable[[SourceFile], object], otherwise: str, base: str | None) -> str:
+    for commit in _commits(path, base):
+        try:
+            read(SourceFile(path, git("cat-file", "blob", f"{commit}:./{path.name}", folder=path.parent)))
+        except (UsageError, DiagnosticError):
+            continue
+        return f"restore the file ({shell_command('git', 'checkout', commit, '--', path)}), or {otherwise}"
+    return f"no commit has it undamaged: {otherwise}"
+
+
+def _commits(path: Path, base: str | None) -> Iterator[str]:
+    yield "HEAD"
+    if base is not None:
+        yield base[:12]
+    try:
+        changed = git("log", "-1", "--format=%h", "--", path.name, folder=path.parent).decode().strip()
+    except UsageError:
+        return
+    if changed:
+        yield f"{changed}~1"
