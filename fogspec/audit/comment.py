@@ -82,6 +82,8 @@ def _summary(whole: Whole, touched: Sequence[Review]) -> Iterator[str]:
     stale = [one.name for one in touched if not one.fresh]
     if stale:
         yield f"- **Not fresh**, so that `apply` refuses it: {_names(stale)}."
+    if loose := [one.name for one in touched if one.deploys_unpinned]:
+        yield f"- **Image not pinned**, so that `apply` refuses it: {_names(loose)}. `fogspec lock` pins it."
     checked = {path for one in whole.reviews for path in one.policies}
     if whole.broken:
         broken = [one.name for one in touched if one.broken]

@@ -10,22 +10,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fogspec.audit.diff import manifest_in
 from fogspec.audit.freshness import Status, located, look, status
 from fogspec.audit.git import Repository
+from fogspec.audit.review import machine_in
 from fogspec.audit.shared_work import share
 from fogspec.audit.verify import verify
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.git import tracked_state
 from fogspec.base.layout import Layout
-from fogspec.base.text import paragraph
+from fogspec.base.text import paragraph, shell_command
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.compiler import try_compile
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
 from fogspec.spec.loader import LoadedSpec
-from fogspec.spec.lockfile import image_named, is_pinned, pinned
 from fogspec.spec.rules.policies import Policies
 
 SHOWN = 3
@@ -33,24 +34,21 @@ SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the gate found of one application: `problems` fail it; `what` is what would be deployed, in a few words.
-
-    `apply` refuses a manifest whose image is not pinned, unless it is to take what the tag stands for.
-    """
+    """What the gate found of one application: `problems` fail it; `what` is what would be deployed, in a few words."""
 
     name: str
     what: str
     problems: tuple[str, ...] = ()
-    is_pinned: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """What all applications are judged by; a process that helps is sent it."""
+    """What all applications are judged by; a process that helps is sent it. `resolve_image` is the option of `apply`."""
 
     catalog: str | None = None
     policies: tuple[str, ...] = ()
     commit: str | None = None
+    resolve_image: bool = False
 
     def judge(self, loaded: Sequence[LoadedSpec], workers: int | None) -> list[Verdict]:
         """Return a verdict on each of these applications, by so many processes: see `share`.
@@ -63,25 +61,33 @@ class Gate:
         repository = None if self.commit is None else Repository()
         inputs = Inputs.load([], catalog=self.catalog, audit=True, each=True, loaded=loaded)
         rules = Policies(self.policies)
-        return [judge(one, rules, repository, self.commit) for one in inputs]
+        return [judge(one, rules, repository, self.commit, self.resolve_image) for one in inputs]
 
 
-def judge(inputs: Inputs, policies: Policies, repository: Repository | None, commit: str | None) -> Verdict:
-    """Return the verdict on one application; `commit` is the base, None without a repository."""
+def judge(
+    inputs: Inputs, policies: Policies, repository: Repository | None, commit: str | None, resolve_image: bool = False
+) -> Verdict:
+    """Return the verdict on one application; `commit` is the base, None without a repository.
+
+    `apply` refuses an image that is not pinned, unless it is to resolve it.
+    """
     layout = inputs.layout
     try:
         compiled: Artifacts | FogspecError = try_compile(inputs)
     except DiagnosticError:
         return Verdict(layout.name, "damaged", look(inputs, commit).stages[0].reasons)
-    found, is_exact = status(inputs, compiled), True
+    found = status(inputs, compiled)
     problems = [] if found.refused is None else [f"cannot be compiled: {found.refused}"]
     if layout.manifest in inputs.on_disk:
         broken = list(_manifest(inputs, compiled, found))
         what = "manifest not verified" if broken else "manifest verified"
         what += f": partial, {found.partial}" if found.partial else ""
         problems += broken
-        image = image_named(pinned(inputs.application, inputs.pins))
-        is_exact = image is None or is_pinned(image)
+        image = _unpinned(inputs)
+        if image is not None and not broken and not resolve_image:
+            spec = inputs.layout.spec
+            pin = f"{shell_command('fogspec', 'lock', spec)}, then {shell_command('fogspec', 'compile', spec)}"
+            problems.append(f"image {image} is not pinned, so that apply refuses it: {pin}")
     else:
         what = "not compiled: nothing to deploy"
         if inputs.results_file is not None or any(layout.compiled in path.parents for path in inputs.on_disk):
@@ -95,7 +101,7 @@ def judge(inputs: Inputs, policies: Policies, repository: Repository | None, com
     problems += [one.message for one in _policy_problems(inputs, policies)]
     if (tracked := tracked_state(layout)) is not None:
         problems.append(f"{tracked}: git tracks live state, which bench, apply and down refuse")
-    return Verdict(layout.name, what, tuple(dict.fromkeys(problems)), is_exact)
+    return Verdict(layout.name, what, tuple(dict.fromkeys(problems)))
 
 
 def _manifest(inputs: Inputs, compiled: Artifacts | FogspecError, found: Status) -> Iterator[str]:
@@ -110,6 +116,13 @@ def _manifest(inputs: Inputs, compiled: Artifacts | FogspecError, found: Status)
         if link.breaks:
             yield f"{link.name}: {'; '.join(link.breaks[:SHOWN])}"
     yield from _stale(found)
+
+
+def _unpinned(inputs: Inputs) -> str | None:
+    """Return the image of the manifest if it is not pinned and the machine runs it in a container."""
+    manifest = manifest_in(inputs.on_disk[inputs.layout.manifest])
+    machine = machine_in(manifest)
+    return None if machine is None else machine.unpinned_image
 
 
 def _stale(found: Status) -> Iterator[str]:

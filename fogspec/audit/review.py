@@ -20,12 +20,14 @@ from fogspec.audit.diff import (
 from fogspec.audit.freshness import Stage, Status, look
 from fogspec.audit.git import Repository
 from fogspec.base import digest
+from fogspec.base.clouds import cloud_of
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.redaction import redacted
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
 from fogspec.spec.loader import LoadedSpec, SourceFile, check_text
 from fogspec.spec.lock_io import sent_tree
+from fogspec.spec.lockfile import is_pinned
 from fogspec.spec.render import render_document
 from fogspec.spec.rules.policies import Policies
 from fogspec.spec.tree import DOCUMENT
@@ -87,6 +89,14 @@ class Machine:
     planned: int | None
 
     @property
+    def unpinned_image(self) -> str | None:
+        """The image if it is not pinned by digest, and the machine runs containers: `apply` refuses it."""
+        if self.image is None or is_pinned(self.image):
+            return None
+        cloud = cloud_of(self.infra)
+        return self.image if cloud.on_skypilot and cloud.containers else None
+
+    @property
     def place(self) -> str:
         """The machine in a few words, such as `a.large in aws/r1`."""
         return f"{self.instance} in {self.infra}{' spot' if self.spot else ''}"
@@ -130,6 +140,11 @@ class Review:
     def after(self) -> Machine | None:
         """What the manifest on disk deploys."""
         return machine_in(self.difference.after)
+
+    @property
+    def deploys_unpinned(self) -> bool:
+        """True if `apply` is to start a machine with an image that is not pinned, and refuses it."""
+        return self.rollout in ("start", "replace") and self.after is not None and self.after.unpinned_image is not None
 
     @property
     def damaged(self) -> bool:

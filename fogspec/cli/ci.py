@@ -16,6 +16,7 @@ from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, SPECS, WORKERS
 @click.option(
     "--since", metavar="BASE", help="check only applications that changed since this commit, and files removed since"
 )
+@click.option("--resolve-image", is_flag=True, help="accept an image that is not pinned, as apply --resolve-image does")
 @WORKERS
 @CATALOG
 @POLICIES
@@ -23,6 +24,7 @@ from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, SPECS, WORKERS
 def command(
     specs: tuple[str, ...],
     since: str | None,
+    resolve_image: bool,
     workers: int | None,
     catalog_path: str | None,
     policies: tuple[str, ...],
@@ -31,8 +33,8 @@ def command(
     """Check that apply would deploy exactly what is committed: one line per application.
 
     Each APP is a name or a spec, by default all in specs/. Every spec is valid and meets the policies; plan, results,
-    models, menu and manifest follow from one another and from the lock; no manifest was removed, and no compiled file and
-    no deployment is left without its spec. Nothing is written.
+    models, menu and manifest follow from one another and from the lock; images are pinned; no manifest was removed, and no
+    compiled file and no deployment is left without its spec. Nothing is written.
 
     Exit code 1 for an invalid spec, 3 for any other failure.
     """
@@ -67,7 +69,7 @@ def command(
     if since is not None and repository is not None and commit is not None:
         wanted = gate.changed(loaded, repository.changed(commit))
     chosen = [one for one in loaded if one.name in wanted]
-    judged_by = gate.Gate(catalog_path, policies, commit)
+    judged_by = gate.Gate(catalog_path, policies, commit, resolve_image)
     verdicts = judged_by.judge(chosen, workers)
     whole = not invalid and all(map(os.path.isdir, specs))
     roots = {one.layout.root for one in loaded} or {Path()}
@@ -94,6 +96,4 @@ def command(
             "fogspec status and fogspec verify say more",
             *(["what has no spec is removed by: fogspec compile --prune"] if files else []),
         )
-    loose = [one.name for one in verdicts if not one.is_pinned]
-    refused = f"apply refuses {', '.join(loose[:9])} until the image is pinned: fogspec lock, then fogspec compile"
-    note(refused if loose else "apply deploys what is committed")
+    note(f"apply{' --resolve-image' if resolve_image else ''} deploys what is committed")

@@ -179,17 +179,24 @@ def test_init_tells_git_what_is_generated_and_overwrites_nothing(shell: Shell) -
     assert "linguist" not in shell("init", "third").out
 
 
-def test_it_says_that_apply_refuses_an_image_that_is_not_pinned(repo: Shell) -> None:
-    def with_image(image: str) -> str:
+def test_an_image_that_is_not_pinned_fails_it_as_apply_refuses_it(repo: Shell) -> None:
+    def with_image(image: str) -> None:
         replaced("specs/demo.yaml", "  probe:", f"  ros: {{distro: jazzy, image: {image}}}\n  probe:")(repo)
         (repo.folder / "results/demo.yaml").unlink()
         repo("compile", *AT)
         measure(repo)
         repo("compile", *AT)
-        return repo("ci", *AT).err
 
-    assert "apply refuses demo until the image is pinned: fogspec lock, then fogspec compile" in with_image("ros:jazzy")
+    with_image("ros:jazzy")
+    said = repo("ci", *AT, code=3).out
+    assert "FAIL  demo  manifest verified" in said
+    assert "image ros:jazzy is not pinned, so that apply refuses it: fogspec lock specs/demo.yaml, then fogspec" in said
+    assert "is not pinned" in repo("apply", MANIFEST, "--dry-run", *AT, code=5).err
+    assert "**Image not pinned**, so that `apply` refuses it: demo" in repo("review", "HEAD", *AT).out
+    assert "apply --resolve-image deploys what is committed" in repo("ci", "--resolve-image", *AT).err
     assert "is not pinned to a digest: fogspec lock" in repo.read("compiled/demo/plan.yaml")
     replaced("specs/demo.yaml", "  ros: {distro: jazzy, image: ros:jazzy}\n", "")(repo)
-    assert "apply deploys what is committed" in with_image(f"ros@sha256:{'0' * 64}")
+    with_image(f"ros@sha256:{'0' * 64}")
+    assert "apply deploys what is committed" in repo("ci", *AT).err
+    assert "not pinned" not in repo("review", "HEAD", *AT).out
     assert "is not pinned" not in repo.read("compiled/demo/plan.yaml")

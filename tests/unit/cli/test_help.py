@@ -24,6 +24,7 @@ def test_an_option_has_one_meaning() -> None:
         "--name",
         "--check",
         "--exit-code",
+        "--resolve-image",
         "--yes",
         "--dry-run",
         "--workers",
