@@ -38,10 +38,12 @@ def markdown(whole: Whole, picture_base: str | None = None, longest: int = LONGE
     table; the comment says how many.
     """
     touched = [one for one in whole.reviews if one.touched]
-    rest = [one.name for one in whole.reviews if not one.touched]
+    rest = [one.name for one in whole.reviews if not one.touched and not one.idle]
+    idle = [one.name for one in whole.reviews if not one.touched and one.idle]
     head = [MARK, "## fogspec: what this change deploys", "", *_summary(whole, touched), ""]
     head += _invalid(whole.invalid)
     tail = [f"Unchanged and fresh: {_names(rest)}."] if rest else []
+    tail += [f"Unchanged, without a manifest: {_names(idle)}."] if idle else []
     rows = [*(_row(one) for one in touched), *(_removed_row(one) for one in whole.removed)]
     sections = [_section(one, picture_base) for one in touched] + [_removal(one) for one in whole.removed]
     weights = [*map(_weight, touched), *(1 for _ in whole.removed)]

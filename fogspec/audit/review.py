@@ -22,6 +22,7 @@ from fogspec.audit.git import Repository
 from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
 from fogspec.base.diagnostics import Diagnostic, DiagnosticError
+from fogspec.base.layout import Layout
 from fogspec.base.redaction import redacted
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
@@ -111,7 +112,8 @@ class Review:
     `unusable` are the errors of damaged results, each with the command that restores them.
     `inputs` are the inputs that differ, old and new. `rollout` is what `apply` does with the machine that serves the
     manifest of the base: `none` if nothing is deployed or changed. `due` is what must be measured first. `broken`
-    says where a policy of `policies` is broken.
+    says where a policy of `policies` is broken. `idle` is an application that has no manifest, before and now, and of which
+    no file differs.
     """
 
     difference: Difference
@@ -125,6 +127,7 @@ class Review:
     due: Due = field(default_factory=Due)
     policies: tuple[str, ...] = ()
     broken: tuple[Diagnostic, ...] = ()
+    idle: bool = False
 
     @property
     def name(self) -> str:
@@ -159,7 +162,7 @@ class Review:
             or self.inputs
             or self.broken
             or self.rollout != "none"
-            or not self.fresh
+            or not (self.fresh or self.idle)
             or (self.difference.before is None) != (self.difference.after is None)
         )
 
@@ -207,7 +210,7 @@ class Whole:
 
     def _plans(self) -> Sequence["Review"]:
         """Return one application for each plan: its environments share it."""
-        return list({one.difference.layout.plan: one for one in self.reviews}.values())
+        return list({one.difference.layout.plan: one for one in self.reviews if not one.idle}.values())
 
     @property
     def broken(self) -> int:
@@ -263,7 +266,12 @@ def review(status: Status, base: Base, policies: Policies) -> Review:
         due=due,
         policies=tuple(policies.paths(layout.root)),
         broken=tuple(broken),
+        idle=old is None and new is None and not files and not any(map(base.differs, _own_files(layout))),
     )
+
+
+def _own_files(layout: Layout) -> list[Path]:
+    return [layout.spec, layout.results, layout.plan, *([] if layout.overlay is None else [layout.overlay])]
 
 
 def removed(repository: Repository, commit: str, names: Collection[str], whole: bool = False) -> list[Removed]:

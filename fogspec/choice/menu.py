@@ -321,7 +321,7 @@ def floored(probability: float) -> float:
 
 def _probability(choice: Choice, row: int) -> float | None:
     found = choice.probability(row)
-    return None if found is None else round(found, 3)
+    return None if found is None else floored(found)
 
 
 def _missed(choice: Choice, one: Violation) -> Limit:

@@ -12,7 +12,7 @@ from fogspec.base.quantities import Cost, Duration, Lean, Memory, Money, Price, 
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LEVEL, Entry, MetricValue, entry_of, scale_texts, weights
+from fogspec.choice.menu import LEVEL, Entry, MetricValue, entry_of, floored, scale_texts, weights
 from fogspec.choice.relaxed import Relaxed
 from fogspec.choice.rule import latency_limit_s
 from fogspec.choice.shortlist import shortlist
@@ -379,7 +379,7 @@ def _expected(application: Application, choice: Choice, row: int, entry: Entry) 
             level=LEVEL,
             limit=spec.constraints.latency,
             network_allowance=spec.constraints.network_allowance,
-            probability_met=None if probability is None else round(probability, 3),
+            probability_met=None if probability is None else floored(probability),
             measured=entry.measured,
             nested_in=entry.nested_in,
             extrapolated=entry.extrapolated,
@@ -415,7 +415,7 @@ def _expected_metrics(choice: Choice, row: int, entry: Entry) -> list[ExpectedMe
                 level=LEVEL,
                 limit=one.limit,
                 unit=one.unit,
-                probability_met=None if met is None else round(met, 3),
+                probability_met=None if met is None else floored(met),
             )
         )
     return found
@@ -425,7 +425,7 @@ def _limits(choice: Choice, row: int) -> ExpectedLimits:
     met = choice.probability(row)
     return ExpectedLimits(
         confidence=choice.confidence,
-        probability_met=None if met is None else round(met, 3),
+        probability_met=None if met is None else floored(met),
         meets_confidence=None if met is None else choice.meets_confidence,
         verified=bool(choice.latency.measured[row]),
     )

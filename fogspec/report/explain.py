@@ -9,7 +9,7 @@ from fogspec.base.quantities import as_numbers
 from fogspec.base.text import count, paragraph
 from fogspec.base.units import dollars, rounded
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LIMIT_UNITS, entry_of, menu_data, shown_limit, shown_probability, shown_text
+from fogspec.choice.menu import LIMIT_UNITS, entry_of, floored, menu_data, shown_limit, shown_probability, shown_text
 from fogspec.choice.next_samples import NextSample, best_next_sample, probability_better
 from fogspec.choice.sensitivity import (
     LEVEL,
@@ -186,7 +186,7 @@ def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
         unmeasured = "not measured" if where is None else f"measured on {where}, not itself"
         how = "measured" if choice.latency.measured[row] else f"{unmeasured}: see the sample below"
         lines.append(
-            f"confident all limits are met with probability {probability:.3f} (required {choice.confidence:g}); {how}"
+            f"confident all limits are met with probability {floored(probability):.3f} (required {choice.confidence:g}); {how}"
         )
     return lines
 

@@ -66,6 +66,20 @@ def test_nothing_changed(repository: Shell) -> None:
     assert "Unchanged and fresh: demo." in repository("review", "HEAD", "--exit-code").out
 
 
+def test_what_was_never_compiled_and_did_not_change_is_not_called_changed(repository: Shell) -> None:
+    repository.write("specs/other.yaml", repository.read("specs/demo.yaml").replace("name: demo", "name: other"))
+    said = repository("review", "HEAD").out
+    assert "- **1 of 2 applications changed.**" in said, "it is new"
+    assert "### other: no manifest" in said
+    commit(repository, "a spec")
+    said = repository("review", "HEAD").out
+    assert "- **No application changes.**" in said
+    assert "- No benchmark needed." in said
+    assert "Unchanged, without a manifest: other." in said
+    change(repository, "alpha: 0.5", "alpha: 0.4", "specs/other.yaml")
+    assert "### other: no manifest" in repository("review", "HEAD").out
+
+
 def test_another_machine_with_its_price_and_why(repository: Shell) -> None:
     base = git(repository.folder, "rev-parse", "HEAD")
     change(repository, "alpha: 0.5", "alpha: 0")
@@ -101,7 +115,7 @@ def test_an_application_that_is_gone_and_one_that_stays(repository: Shell) -> No
     assert "### demo: no longer deployed" in said
     assert "- runs on a.large in aws/r1, $0.40/h, $292/month" in said
     assert "`fogspec down demo` ends it" in said
-    assert "### other: no manifest" in said
+    assert "Unchanged, without a manifest: other." in said
     git(repository.folder, "rm", "-q", "-r", "specs")
     assert "### demo: no longer deployed" in repository("review", base).out
 
