@@ -7,6 +7,7 @@ policies; this module asks them all, and what no other verb sees: manifests that
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,13 @@ from fogspec.base.errors import FogspecError
 from fogspec.base.git import tracked_state
 from fogspec.base.layout import Layout
 from fogspec.base.text import paragraph, shell_command
+from fogspec.base.units import parse_until
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.bundle import ManifestBundle
 from fogspec.compile.compiler import try_compile
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
+from fogspec.compile.tasks import LEAST_LIFETIME_S
 from fogspec.spec.loader import LoadedSpec
 from fogspec.spec.rules.policies import Policies
 
@@ -83,6 +86,7 @@ def judge(
         what = "manifest not verified" if broken else "manifest verified"
         what += f": partial, {found.partial}" if found.partial else ""
         problems += broken
+        problems += [] if broken else _over(inputs)
         image = _unpinned(inputs)
         if image is not None and not broken and not resolve_image:
             spec = inputs.layout.spec
@@ -116,6 +120,17 @@ def _manifest(inputs: Inputs, compiled: Artifacts | FogspecError, found: Status)
         if link.breaks:
             yield f"{link.name}: {'; '.join(link.breaks[:SHOWN])}"
     yield from _stale(found)
+
+
+def _over(inputs: Inputs) -> Iterator[str]:
+    """Yield that the end in the manifest has come, if it has."""
+    until = inputs.on_disk[inputs.layout.manifest].document(Manifest).spec.until
+    if until is None:
+        return
+    end = parse_until(until)
+    left_s = (end - datetime.now(UTC)).total_seconds() if isinstance(end, datetime) else end
+    if left_s < LEAST_LIFETIME_S:
+        yield f"spec.deployment.until: {until} is over, or less than a minute away, so that apply refuses it"
 
 
 def _unpinned(inputs: Inputs) -> str | None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from fogspec.base.console import columns, say, say_json
+from fogspec.base.errors import FogspecError, InvalidInput
 from fogspec.base.text import table
 from fogspec.cli.next_steps import next_command, say_next
 from fogspec.cli.options import OUTPUT
@@ -20,7 +21,6 @@ def command(output: str) -> None:
     from functools import cache
 
     from fogspec.backends.registry import deployment_backend
-    from fogspec.base.errors import InvalidInput
     from fogspec.base.quantities import as_numbers
     from fogspec.base.units import dollars, rounded, shown_duration, shown_price
     from fogspec.deploy.running import running
@@ -34,7 +34,7 @@ def command(output: str) -> None:
         loaded = []
     names = [one.name for one in loaded]
     found, problems = running(Path(), names, SystemWallClock(), cache(deployment_backend))
-    say(*problems, err=True)
+    lost = InvalidInput("the live state of an application cannot be read", *problems) if problems else None
     if output == "json":
         say_json(
             [
@@ -49,12 +49,14 @@ def command(output: str) -> None:
                 for one in found
             ]
         )
+        _raise(lost)
         return
     if not found:
-        say("nothing runs")
+        say("nothing else runs" if problems else "nothing runs")
+        _raise(lost)
         return
-    lost = [one.application for one in found if not one.has_spec]
-    following = [next_command("down", name) for name in lost] or [next_command("status")]
+    gone = [one.application for one in found if not one.has_spec]
+    following = [next_command("down", name) for name in gone] or [next_command("status")]
     rows = [("application", "machine", "instance", "infra", "record", "nodes", "up", "price", "spent")]
     for one in found:
         machine = one.machine.machine
@@ -73,3 +75,9 @@ def command(output: str) -> None:
         )
     say(*table(rows, columns(), indent=0))
     say_next(*following)
+    _raise(lost)
+
+
+def _raise(lost: FogspecError | None) -> None:
+    if lost is not None:
+        raise lost

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fogspec.base.console import is_verbose, note, say, say_json, say_text
-from fogspec.base.errors import OutOfDate
+from fogspec.base.errors import FogspecError, OutOfDate, Refused
 from fogspec.base.text import line, paragraph
 from fogspec.cli.next_steps import Words, after_status, next_command, next_lines
-from fogspec.cli.options import CATALOG, SPECS, WORKERS, raise_damaged, show_read
+from fogspec.cli.options import CATALOG, SPECS, WORKERS, raise_damaged, raise_together, show_read
 
 if TYPE_CHECKING:
     from fogspec.base.diagnostics import Diagnostic
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 class _Found:
     """The status of an application and of what runs of it, in lines and as data for JSON; passes between processes.
 
-    `following` are the words of the next command, `tracked` is what to note of live state that git tracks.
+    `damaged` are errors of files that cannot be used, `refused` is why its live state cannot be. `known` is false if it is
+    not known whether something runs. `following` are the words of the next command, `tracked` is what to note of live state
+    that git tracks.
     """
 
     layout: "Layout"
@@ -33,7 +35,9 @@ class _Found:
     data: dict[str, Any]
     fresh: bool
     damaged: "Sequence[Diagnostic]"
+    refused: FogspecError | None
     live: "HealthReport | None"
+    known: bool
     tracked: str | None
 
 
@@ -88,7 +92,7 @@ def command(
         from fogspec.deploy.events import Events
         from fogspec.deploy.openmetrics import Metrics
 
-        reports = {one.layout.name: one.live for one in found}
+        reports = {one.layout.name: one.live for one in found if one.known}
         restarts = {one.layout.name: Events(one.layout, SystemWallClock()).restarts() for one in found}
         say_text(Metrics(reports, restarts).text(), end="")
         say(*others, err=True)
@@ -99,8 +103,7 @@ def command(
         ]
         say_text("\n\n".join([*texts, *map(line, others)]))
     raise_damaged(problem for one in found for problem in one.damaged)
-    if away is not None:
-        raise away
+    raise_together([away, *(one.refused for one in found)])
     unwell = [one.layout.name for one in found if not (one.fresh and (one.live is None or one.live.well))]
     unwell += [text.partition(":")[0] for text in others]
     if exit_code and unwell:
@@ -111,6 +114,7 @@ def _found(catalog: str | None, with_live: bool, loaded: "Sequence[LoadedSpec]")
     """Return the status of each application; what runs is not looked at if the store of its state is away."""
     from fogspec.audit import freshness, status
     from fogspec.backends.registry import deployment_backend
+    from fogspec.base.diagnostics import DiagnosticError
     from fogspec.base.git import tracked_note
     from fogspec.compile.inputs import Inputs
     from fogspec.deploy import health
@@ -121,23 +125,33 @@ def _found(catalog: str | None, with_live: bool, loaded: "Sequence[LoadedSpec]")
     found = []
     for one in inputs:
         own = freshness.look(one)
-        live = (
-            health.health_report(
-                one.application, one.layout, one.sent, own.fresh, SystemWallClock(), deployment_backend
-            )
-            if with_live
-            else None
-        )
+        live, unread, refused = None, tuple["Diagnostic", ...](), None
+        try:
+            if with_live:
+                live = health.health_report(
+                    one.application, one.layout, one.sent, own.fresh, SystemWallClock(), deployment_backend
+                )
+        except DiagnosticError as problems:
+            unread = problems.diagnostics
+        except Refused as no:
+            refused = no
+        known = with_live and not unread and refused is None
+        running = health.as_text(live) if live else [f"  {'running':<9} unknown"] if not known else []
+        running += [
+            f"  {'':<9} {text}" for text in (*map(freshness.located, unread), *([refused.message] if refused else []))
+        ]
         found.append(
             _Found(
                 layout=one.layout,
-                lines=status.as_lines(own, health.as_text(live) if live else ()),
-                # What runs is not known if its store is away: then to deploy may not be what comes next.
-                following=after_status(own, live) if with_live or not own.fresh else None,
+                lines=status.as_lines(own, running),
+                # Where what runs is not known, to deploy may not be what comes next.
+                following=after_status(own, live) if known or not own.fresh else None,
                 data=status.as_dict(own),
                 fresh=own.fresh,
-                damaged=own.damaged,
+                damaged=(*own.damaged, *unread),
+                refused=refused,
                 live=live,
+                known=known,
                 tracked=tracked_note(one.layout),
             )
         )

@@ -31,6 +31,7 @@ LINK_FOLDER = "~/.fogspec/link"
 LINK_PEER = "FOGSPEC_LINK_PEER"
 # How long the deployment may run, given when it is launched: it depends on the date, and on what was spent before.
 LIFETIME, ENDS = "FOGSPEC_LIFETIME_S", "FOGSPEC_ENDS"
+LEAST_LIFETIME_S = 60.0  # a deployment that would end before is not started
 # The release of ros-infrastructure/ros-apt-source that sets up ROS 2's package source; by distribution, the code name of
 # its Ubuntu (REP 2000) and the package's sha256, as Docker's official `ros` images check it.
 ROS_APT_SOURCE = "1.2.0"

@@ -205,7 +205,8 @@ def as_text(one: HealthReport) -> list[str]:
         f"{units.shown_price(machine.price)}, {dollars(one.spent_usd)} so far"
     )
     if subject.ends is not None:
-        lines.append(f"  {'':<9} ends by itself at {subject.ends}")
+        over = one.live is not None and one.live.state in ("ended", "gone")
+        lines.append(f"  {'':<9} {'its end was' if over else 'ends by itself at'} {subject.ends}")
     if restarted := {name: times for name, times in (one.live.restarts if one.live else {}).items() if times}:
         each = ", ".join(f"{name} {count(times, 'time')}" for name, times in restarted.items())
         lines.append(f"  {'':<9} restarted: {each}")

@@ -17,11 +17,10 @@ from fogspec.base.errors import Refused
 from fogspec.base.units import parse_until
 from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Pinned
-from fogspec.compile.tasks import ENDS, LIFETIME
+from fogspec.compile.tasks import ENDS, LEAST_LIFETIME_S, LIFETIME
 from fogspec.deploy.schema import date_of
 from fogspec.plan.commitment import PROVISIONING_S, TEARDOWN_S, engine_settings
 
-LEAST_S = 60.0
 KEPT_BY = {
     OwnEnd.AUTOSTOP: "autostop on the machine",
     OwnEnd.JOB_TIME_LIMIT: "autostop on the machine, and the job's time limit",
@@ -60,10 +59,13 @@ class End:
             found.append(now + timedelta(seconds=max(0.0, min(paid_s - away_s, 1e9))))
             reason = "spec.deployment.max_spend" if found[-1] == min(found) else reason
         end = min(found, default=now + timedelta(days=10_000))
-        if (end - now).total_seconds() < LEAST_S:
+        if (end - now).total_seconds() < LEAST_LIFETIME_S:
+            spent = f"{units.dollars(spent_usd)} spent, or reserved for what still runs"
             raise Refused(
                 f"{machine.instance} in {machine.infra}: {reason} is reached, or would be within a minute of its start",
-                f"{units.dollars(spent_usd)} spent, or reserved for what still runs; fogspec down ends it and counts from zero",
+                f"{spent}; fogspec down ends it and counts from zero"
+                if reason.endswith("max_spend")
+                else "set a later end in the spec, then: fogspec compile",
             )
         return date_of(end.timestamp())
 

@@ -77,7 +77,7 @@ def test_each_workspace_goes_on_where_the_last_one_stopped(cloud: Cloud, workspa
     said = changed("apply", MANIFEST, *AT, "--yes").err
     assert said.index("starting fogspec-") < said.index(f"{old}: gone"), "without downtime"
     (new,) = cloud.machines
-    assert new in workspace()("ps").out
+    assert new in workspace()("ps", "-o", "json").out
     assert "1 ended" in workspace()("down", "demo").out
     assert cloud.machines == {}
 

@@ -96,7 +96,7 @@ def test_a_fresh_clone_sees_updates_and_ends_what_another_started(team: Team) ->
     live = other.status()
     assert (live["sync"], live["health"]) == ("Synced", "Healthy")
     (name,) = [one["name"] for one in live["machines"]]
-    assert name in other("ps").stdout
+    assert name in other("ps", "-o", "json").stdout
     assert "no changes" in other.apply().stdout
     other.change("latency: 1s", "latency: 2s")
     other("compile", "specs/tiny.yaml")
@@ -262,9 +262,12 @@ def test_a_damaged_record_is_said_kept_and_no_machine_is_lost(
     team.first.apply()
     whole = team.record()
     team.put(whole[: len(whole) // 2])
-    for words, code in ((["status"], 1), (["apply", "tiny", "--yes"], 1), (["ps"], 0)):
-        said = team.first(*words, code=code)
+    for words in (["status"], ["apply", "tiny", "--yes"], ["ps"], ["ps", "-o", "json"]):
+        said = team.first(*words, code=1)
         assert REF in said.stderr + said.stdout, said
+        assert "nothing runs" not in said.stderr + said.stdout
+    assert "  running   unknown\n" in team.first("status", code=1).stdout
+    assert 'fogspec_deployment{application="tiny"}' not in team.first("status", "-o", "openmetrics", code=1).stdout
     assert team.alive() == 1
     adopted = team.first("adopt", "tiny")
     assert "taken over, 1cpu-1gib in local" in adopted.stdout

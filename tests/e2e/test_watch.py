@@ -267,11 +267,16 @@ def test_an_end_is_kept_by_the_machine_itself(app: Make) -> None:
     words = command_line(supervisor).split(b"\0")
     assert 0 < float(words[words.index(b"--lifetime") + 1]) <= 61
     assert "ends by itself at " in one("status").stdout
+    assert "deploys what is committed" in one("ci").stderr
 
 
 def test_an_end_that_has_come_starts_nothing(app: Make) -> None:
-    past = app(SPEC + "  deployment: {until: '2020-01-01T00:00:00Z'}\n")
-    assert "spec.deployment.until is reached" in past.apply(code=5).stderr
+    for end in ("2020-01-01T00:00:00Z", "20s"):
+        past = app(SPEC + f"  deployment: {{until: '{end}'}}\n")
+        said = past.apply(code=5).stderr
+        assert "spec.deployment.until is reached" in said
+        assert "fogspec down ends it" not in said
+        assert f"spec.deployment.until: {end} is over" in past("ci", code=3).stdout
     assert (past.alive(), past.machines()) == ([], [])
     poor = app(SPEC + "  deployment: {max_spend: $0.0001}\n")
     assert "spec.deployment.max_spend is reached" in poor.apply(code=5).stderr
