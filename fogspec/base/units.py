@@ -122,10 +122,14 @@ def parse_cost_usd_per_request(text: Any) -> float:
             "must be per request, such as $0.001/request; constraints.price limits the price per hour", None, "FS201"
         )
     if not slash or not match:
+        if worded := re.fullmatch(rf"(.+?)\s+per\s+(?:({NUMBER})\s+)?requests?", amount):
+            amount, per = worded[1], f"{worded[2]} requests" if worded[2] else "request"
         try:
             parse_money_usd(amount)
         except UnitError as wrong:
             amount = wrong.fix or ""
+        if worded and amount:
+            raise UnitError("must have '/' in place of 'per'", f"{amount}/{per}", "FS201")
         meant = amount and (not per.strip() or "req" in per.lower())
         raise _unsaid("must say per what", f"{amount}/request" if meant else None, "$0.001/request")
     count = _finite(match[1]) if match[1] else 1.0
@@ -224,7 +228,7 @@ def _unsaid(message: str, fix: str | None, example: str) -> UnitError:
 def _meant_range(text: str, parse: Callable[[Any], float]) -> UnitError | None:
     """Return the error of a range with another sign than `..` between its ends, such as `2G-64G`; None for other text."""
     match = re.fullmatch(rf"({NUMBER}\s*\w*)\s*(?:-|–|—|:|,|\bto\b)\s*({NUMBER}\s*\w*)", text)
-    ends = [_end(end, parse)[1] for end in match.groups()] if match else []
+    ends = [_end(end.strip(), parse)[1] for end in match.groups()] if match else []
     return (
         UnitError("must be a range with '..' between its ends", "..".join(map(str, ends)))
         if all(ends) and ends

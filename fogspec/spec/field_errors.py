@@ -99,7 +99,7 @@ def _legal_name(pattern: str, found: Node | None) -> str | None:
     """Return a name similar to the one found that the pattern accepts."""
     joint = "-" if "-a-z0-9" in pattern else "_"
     text = str(found.value).strip() if found else ""
-    text = text.lower() if joint == "-" else text
+    text = text.lower() if joint == "-" else re.sub(r"\W+$", "", text)
     made = "".join(one if (one.isascii() and one.isalnum()) or one == joint else joint for one in text)
     made = made.strip("-")[:63].strip("-") if joint == "-" else made
     if joint == "_" and made[:1].isdigit():

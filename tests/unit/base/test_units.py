@@ -47,6 +47,8 @@ def test_reads(kind: str, text: Any, value: float) -> None:
         ("duration", "-2s", "FS204", "2s"), ("duration", "1e400s", "FS204", None), ("duration", True, "FS303", None),
         ("duration", ["2s"], "FS303", None), ("memory", 4, "FS202", "4GiB"), ("memory", "4G", "FS203", "4GiB"),
         ("memory", "4gb", "FS203", "4GB"), ("money", 2.5, "FS202", "$2.5"), ("money", "2.50 USD", "FS204", "$2.50"),
+        ("cost", "$0.001 per request", "FS201", "$0.001/request"), ("cost", "1 cent per request", "FS201", "1 cent/request"),
+        ("cost", "2 USD per 1000 requests", "FS201", "$2/1000 requests"),
         ("cost", 0.002, "FS201", "$0.002/request"), ("cost", "$0.002", "FS201", "$0.002/request"),
         ("cost", "0.002/request", "FS202", "$0.002/request"), ("cost", "$2/0 requests", "FS204", "$2/request"),
         ("price", "$0.5", "FS201", "$0.5/h"), ("price", "0.5/h", "FS202", "$0.5/h"), ("rate", 10, "FS201", "10/s"),
@@ -80,6 +82,7 @@ def test_reads_ranges(text: Any, low: float | None, high: float | None) -> None:
         ("4GiB..8", units.parse_memory_gib, "FS202", "4GiB..8GiB"),
         ("4..", units.parse_memory_gib, "FS202", "4GiB.."),
         ("..", units.parse_count, "FS204", None),
+        ("4 to 8", units.parse_count, "FS204", "4..8"),
         ("8GiB..4096MiB", units.parse_memory_gib, "FS205", "4096MiB..8GiB"),
     ],
 )

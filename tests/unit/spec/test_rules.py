@@ -100,6 +100,7 @@ def test_infra_is_mended(entry: str, fix: str) -> None:
     [
         ({"more": "  hardware: { gpus: [T4 GPU] }"}, "write 'T4'"),
         ({"more": "  hardware: { gpus: [NVIDIA L4 gpu] }"}, "write 'L4'"),
+        ({"probe": "{ callback: plan() }"}, "write 'plan'"),
         ({"cloud": "{ package: arm/planner }"}, "split it: package: arm, executable: planner"),
         ({"benchmark": "{ budget: $1, stop: { requests: 200 requests } }"}, "write 200"),
     ],
