@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from fogspec.base.console import note, say_json, say_text
-from fogspec.base.errors import InvalidInput, OutOfDate, UsageError
+from fogspec.base.errors import OutOfDate, UsageError
 from fogspec.base.text import shell_command
 from fogspec.cli.options import CATALOG, OUTPUT, POLICIES, SPECS, WORKERS
 
@@ -45,7 +45,7 @@ def command(
     from fogspec.deploy.state import SystemWallClock
     from fogspec.deploy.stores import StoreUnavailable
     from fogspec.report.diagnostics import show_diagnostics
-    from fogspec.spec.discover import check_specs
+    from fogspec.spec.discover import NoSpecs, check_specs
 
     repository, commit = None, None
     try:
@@ -58,7 +58,7 @@ def command(
     gone = [] if repository is None or commit is None else [one.name for one in removed(repository, commit, ())]
     try:
         loaded, wrong = check_specs(specs)
-    except InvalidInput:
+    except NoSpecs:
         if not gone:
             raise
         loaded, wrong = [], []  # the change removes the last of them

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from fogspec.base.console import columns, say, say_json
+from fogspec.base.console import columns, note, say, say_json
 from fogspec.base.errors import FogspecError, InvalidInput
 from fogspec.base.text import table
 from fogspec.cli.next_steps import next_command, say_next
@@ -25,13 +25,15 @@ def command(output: str) -> None:
     from fogspec.base.units import dollars, rounded, shown_duration, shown_price
     from fogspec.deploy.running import running
     from fogspec.deploy.state import SystemWallClock
-    from fogspec.spec.discover import find_specs
-    from fogspec.spec.loader import check_file
+    from fogspec.spec.discover import NoSpecs, check_specs
 
     try:
-        loaded, _ = check_file(find_specs(()))
+        loaded, wrong = check_specs()
+        is_known = not any(one.severity == "error" for one in wrong)
+    except NoSpecs:
+        loaded, is_known = [], True
     except InvalidInput:
-        loaded = []
+        loaded, is_known = [], False
     names = [one.name for one in loaded]
     found, problems = running(Path(), names, SystemWallClock(), cache(deployment_backend))
     lost = InvalidInput("the live state of an application cannot be read", *problems) if problems else None
@@ -40,7 +42,7 @@ def command(output: str) -> None:
             [
                 {
                     "application": one.application,
-                    "has_spec": one.has_spec,
+                    "has_spec": one.has_spec or (False if is_known else None),
                     "answers": one.answers,
                     "up_s": one.up_s,
                     "spent_usd": round(one.spent_usd, 6),
@@ -55,14 +57,14 @@ def command(output: str) -> None:
         say("nothing else runs" if problems else "nothing runs")
         _raise(lost)
         return
-    gone = [one.application for one in found if not one.has_spec]
+    gone = [one.application for one in found if is_known and not one.has_spec]
     following = [next_command("down", name) for name in gone] or [next_command("status")]
     rows = [("application", "machine", "instance", "infra", "record", "nodes", "up", "price", "spent")]
     for one in found:
         machine = one.machine.machine
         rows.append(
             (
-                one.application + ("" if one.has_spec else "\u00a0(no\u00a0spec)"),
+                one.application + ("\u00a0(no\u00a0spec)" if one.application in gone else ""),
                 one.machine.name,
                 machine.instance,
                 machine.infra,
@@ -75,6 +77,8 @@ def command(output: str) -> None:
         )
     say(*table(rows, columns(), indent=0))
     say_next(*following)
+    if not is_known:
+        note("not all specs can be read, so that it is not known which have none: fogspec validate")
     _raise(lost)
 
 

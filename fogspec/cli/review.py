@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from fogspec.base.console import say_text
-from fogspec.base.errors import InvalidInput, OutOfDate
+from fogspec.base.errors import OutOfDate
 from fogspec.base.text import json_text
 from fogspec.cli.options import CATALOG, POLICIES, SPECS, WORKERS
 
@@ -54,13 +54,13 @@ def command(
     from fogspec.audit.shared_work import share
     from fogspec.base.diagnostics import DiagnosticError
     from fogspec.base.project_files import write_output
-    from fogspec.spec.discover import check_specs
+    from fogspec.spec.discover import NoSpecs, check_specs
 
     repository = Repository()
     base = Base.of(repository, repository.base_of(range_))
     try:
         loaded, said = check_specs(specs)
-    except InvalidInput:
+    except NoSpecs:
         if not removed(repository, base.commit, (), whole=not specs):
             raise
         loaded, said = [], []  # the change removes the last of them

@@ -69,16 +69,19 @@ def command(
     from fogspec.deploy.running import without_spec
     from fogspec.deploy.state import SystemWallClock
     from fogspec.deploy.stores import StoreUnavailable
-    from fogspec.spec.discover import load_specs
+    from fogspec.spec.discover import check_specs
 
-    loaded = load_specs(specs)
+    loaded, wrong = check_specs(specs)
+    invalid = [one for one in wrong if one.severity == "error"]
+    if not loaded:
+        raise_damaged(invalid)
     names = {one.name for one in loaded}
     others, away = list[str](), None
     try:
         # With the first look, so that a store without contact is said once, beside all that is known without it.
         roots = sorted({one.layout.root for one in loaded})
         listed = [text for root in roots for text in without_spec(root, names, SystemWallClock())]
-        others = [] if specs else listed
+        others = [] if specs or invalid else listed
     except StoreUnavailable as lost:
         away = lost
     # What --verbose prints is said by this process.
@@ -102,7 +105,7 @@ def command(
             for one in found
         ]
         say_text("\n\n".join([*texts, *map(line, others)]))
-    raise_damaged(problem for one in found for problem in one.damaged)
+    raise_damaged([*invalid, *(problem for one in found for problem in one.damaged)])
     raise_together([away, *(one.refused for one in found)])
     unwell = [one.layout.name for one in found if not (one.fresh and (one.live is None or one.live.well))]
     unwell += [text.partition(":")[0] for text in others]

@@ -13,6 +13,11 @@ from fogspec.spec.lockfile import some
 from fogspec.spec.overlays import spec_files
 from fogspec.spec.suggest import did_you_mean
 
+
+class NoSpecs(InvalidInput):
+    """There is no spec where one is looked for: it may have been removed."""
+
+
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 
 
@@ -49,7 +54,7 @@ def load_specs(arguments: Sequence[str] = (), overlays: Sequence[str] = ()) -> l
 def _found(arguments: Sequence[str]) -> dict[str, set[str] | None]:
     """Return the files by path, each with the names of the applications in environments that alone are meant; None for all."""
     if not arguments and not os.path.isdir("specs"):
-        raise InvalidInput(
+        raise NoSpecs(
             "there is no directory specs/ here",
             "name files, directories or patterns, or write a first spec: fogspec init",
         )
@@ -65,7 +70,7 @@ def _found(arguments: Sequence[str]) -> dict[str, set[str] | None]:
         else:
             here, nothing = [named_spec(argument)], ""
         if not here:
-            raise InvalidInput(f"{argument} {nothing}", "name a file, a directory or a pattern, such as specs/*.yaml")
+            raise NoSpecs(f"{argument} {nothing}", "name a file, a directory or a pattern, such as specs/*.yaml")
         for path in map(os.path.normpath, here):
             before = found.get(path, set())
             found[path] = None if only is None or before is None else before | only

@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -106,6 +107,25 @@ def test_an_invalid_spec_does_not_hide_the_others(repo: Shell) -> None:
     assert "specs/bad.yaml:" in said.err
     said = json.loads(repo("ci", "-o", "json", *AT, code=1).out)
     assert (said["passed"], said["invalid"]) == (False, ["specs/bad.yaml"])
+
+
+def test_specs_that_cannot_be_read_are_not_removed_ones(repo: Shell, tmp_path: Path) -> None:
+    (repo.folder / "environments").symlink_to(tmp_path)
+    for words in (("ci",), ("ci", "--since", "HEAD"), ("review", "HEAD"), ("status",)):
+        said = repo(*words, *AT, code=1)
+        assert "environments: it is a link" in said.err
+        assert "no longer deployed" not in said.out
+        assert "--prune" not in said.err
+
+
+def test_an_invalid_spec_does_not_hide_the_others_in_status(repo: Shell) -> None:
+    repo.write(
+        "specs/bad.yaml", repo.read("specs/demo.yaml").replace("name: demo", "name: bad").replace("alpha", "alfa")
+    )
+    said = repo("status", *AT, code=1)
+    assert "demo\n  plan      fresh" in said.out
+    assert "specs/bad.yaml:" in said.err
+    assert json.loads(repo("status", "-o", "json", *AT, code=1).out)[0]["name"] == "demo"
 
 
 def test_only_what_changed_since_the_base_is_judged(repo: Shell) -> None:

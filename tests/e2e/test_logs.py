@@ -35,6 +35,14 @@ def test_what_nodes_print_is_shown_without_secrets_and_what_runs_is_listed(app: 
     shown = one("ps").stdout
     assert one.names()[0][-7:] in shown
     assert re.search(r"  [\d.]+ m?s  \$", shown), "the uptime stays on its line"
+    spec = one.folder / "specs/tiny.yaml"
+    whole = spec.read_text()
+    spec.write_text(whole.replace("latency:", "latencyy:"))
+    said = one("ps")
+    assert "(no spec)" not in said.stdout, "its spec has a mistake, and is there"
+    assert "fogspec down" not in said.stdout + said.stderr
+    assert json.loads(one("ps", "-o", "json").stdout)[0]["has_spec"] is None
+    spec.write_text(whole)
     shutil.rmtree(one.folder / "specs")
     assert "tiny (no spec)" in one("ps").stdout, "what was deleted still runs"
     one("down", "tiny")
