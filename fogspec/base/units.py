@@ -294,7 +294,7 @@ def format_money(usd: float) -> str:
 
 def dollars(usd: float) -> str:
     """Return `$12.34`, `$0.77`, for people; below one dollar to a hundredth of a cent where there is one: `$0.0123`."""
-    if usd >= 1 or usd == 0:
+    if usd >= 1:
         return f"${usd:,.2f}"
     whole, _, rest = f"{usd:.4f}".partition(".")
     return f"${whole}.{rest.rstrip('0').ljust(2, '0')}"
@@ -372,7 +372,7 @@ def shown_apart(left: float, right: float, show: Callable[[float, int], str] = s
 def shown_percent(fraction: float) -> str:
     """Return `18%`, or `0.4%`, `99.7%`, `< 0.1%` and `> 99.9%` near the ends, where 0% and 100% would not be true."""
     percent = 100 * fraction
-    if percent in (0, 100) or 0.5 <= percent < 99.5 or not 0 < percent < 100:
+    if 0.5 <= percent < 99.5 or not 0 < percent < 100:
         return f"{percent:.0f}%"
     if percent < 0.05:
         return "< 0.1%"

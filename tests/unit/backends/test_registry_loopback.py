@@ -102,6 +102,7 @@ def test_credentials_are_sent_only_when_they_are_asked_for(servers: Any, docker:
     assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
     assert one.given == [BASIC]
     assert [path for _, path, *_ in one.seen] == ["/v2/robot/manifests/v1"] * 3
+    assert len(set(one.accepted)) == 1, "the same is asked for with credentials"
 
 
 def test_images_and_lists_of_images_for_several_processors_are_asked_for(servers: Any) -> None:
@@ -216,6 +217,86 @@ def test_an_answer_longer_than_a_manifest_is_cut_off(servers: Any, docker: Any) 
     one.answer = lambda _: (200, {}, b" " * ((4 << 20) + 1))
     with pytest.raises(CloudError):
         Registry().digest(f"{one.address}/robot:v1")
+
+
+def test_a_name_that_is_none_is_asked_nowhere(docker: Any) -> None:
+    docker({})
+    with pytest.raises(InvalidInput):
+        Registry().digest("127.0.0.1:1/NOT A NAME")
+
+
+def test_a_registry_that_is_not_there_is_said_in_the_systems_words(docker: Any) -> None:
+    docker({})
+    with pytest.raises(CloudError, match=r"127\.0\.0\.1:1 cannot be asked: \[Errno \d+\] Connection refused$"):
+        Registry().digest("127.0.0.1:1/robot:v1")
+
+
+# What machines are for, and their login
+
+
+def of_config(cpu: str) -> Callable[[Any], Answer]:
+    """Answer with an image whose configuration says its CPU."""
+    config = json.dumps({"os": "linux", "architecture": cpu}).encode()
+    digest = f"sha256:{hashlib.sha256(config).hexdigest()}"
+    manifest = json.dumps({"schemaVersion": 2, "config": {"digest": digest}}).encode()
+    return lambda request: (200, {}, config if request.path == f"/v2/robot/blobs/{digest}" else manifest)
+
+
+def of_index(*platforms: tuple[str, str]) -> Callable[[Any], Answer]:
+    """Answer with an index of images for these systems and CPUs."""
+    listed = [{"platform": {"os": system, "architecture": cpu}} for system, cpu in platforms]
+    return lambda _: (200, {}, json.dumps({"schemaVersion": 2, "manifests": listed}).encode())
+
+
+@pytest.mark.parametrize(
+    ("answer", "wanted", "said"),
+    [
+        (of_config("amd64"), ["x86_64"], None),
+        (of_config("amd64"), ["x86_64", "arm64"], "is for amd64, and spec.hardware.arch has arm64"),
+        (of_index(("linux", "amd64"), ("linux", "arm64")), ["x86_64", "arm64"], None),
+        (
+            of_index(("linux", "arm64"), ("windows", "amd64")),
+            ["x86_64"],
+            "is for arm64, and spec.hardware.arch has x86_64",
+        ),
+        (of_index(), ["x86_64"], None),
+        (lambda _: (200, {}, BODY), ["x86_64"], None),
+    ],
+)
+def test_an_image_is_for_the_cpus_that_it_says(
+    servers: Any, docker: Any, answer: Callable[[Any], Answer], wanted: list[str], said: str | None
+) -> None:
+    one = servers()
+    docker({})
+    one.answer = answer
+    if said is None:
+        Registry().check(f"{one.address}/robot:v1", wanted)
+    else:
+        with pytest.raises(InvalidInput, match=said):
+            Registry().check(f"{one.address}/robot:v1", wanted)
+
+
+def test_the_login_of_machines_is_used_where_the_spec_gives_it_to_them(
+    servers: Any, docker: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = servers()
+    docker({})
+    names = ("SKYPILOT_DOCKER_USERNAME", "SKYPILOT_DOCKER_PASSWORD", "SKYPILOT_DOCKER_SERVER")
+    for name, value in zip(names, ("reader", "hunter2", one.address), strict=True):
+        monkeypatch.setenv(name, value)
+    one.answer = asked_first(of_config("amd64"))
+    Registry().check(f"{one.address}/robot:v1", ["x86_64"], names)
+    assert set(one.given) == {BASIC}
+    one.seen.clear()
+    with pytest.raises(InvalidInput, match=r"does not show it$"):
+        Registry().check(f"{one.address}/robot:v1", ["x86_64"])
+    assert one.given == []
+    one.answer = lambda _: (401, {"WWW-Authenticate": "Basic realm=x"}, b"")
+    with pytest.raises(InvalidInput, match=f"does not show it to the user that {names[0]} and {names[1]} log in"):
+        Registry().check(f"{one.address}/robot:v1", ["x86_64"], names)
+    monkeypatch.setenv(names[2], "registry.example")
+    with pytest.raises(InvalidInput, match=f"its registry is {one.address}, and {names[2]} names another one"):
+        Registry().check(f"{one.address}/robot:v1", ["x86_64"], names)
 
 
 # What docker keeps

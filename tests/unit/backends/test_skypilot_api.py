@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -509,7 +510,9 @@ def test_secrets_go_beside_other_mounts_and_skypilots_own_stay_with_it(
     assert sky.names() == ["launch", "launch"]
 
 
-def test_secrets_are_written_to_a_new_file_of_their_own(api: Any, tmp_path: Path) -> None:
+def test_secrets_are_written_to_a_new_file_of_their_own(
+    api: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from fogspec.backends.skypilot import secrets_file
 
     (tmp_path / "mine").write_text("precious")
@@ -522,6 +525,8 @@ def test_secrets_are_written_to_a_new_file_of_their_own(api: Any, tmp_path: Path
     assert not path.is_symlink()
     assert (path.stat().st_mode & 0o777, path.read_text()) == (0o600, "export A=1\n")
     assert (tmp_path / "mine").read_text() == "precious"
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert secrets_file.place(NAME) == Path(tempfile.gettempdir(), f"{NAME}.secrets")
     secrets_file.check({"secrets": {}})
     secrets_file.check({})
     with pytest.raises(CloudProblem, match="NOT_SET_ANYWHERE"):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.agent.redaction import Output, Secrets, Stream
+from fogspec.agent.redaction import LONGEST_LINE, Marked, Output, Secrets, Stream
 from fogspec.base.errors import UsageError
 from fogspec.base.project_files import ProjectFiles
 from fogspec.base.redaction import check_set, redact_files, redacted
@@ -193,3 +193,15 @@ def test_a_process_starts_where_it_should_and_leaves_no_handle(
         output.settle(process)
     assert (tmp_path / "out").read_text() == f"{tmp_path}\n"
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_each_line_is_marked_with_its_node_and_a_very_long_one_is_broken() -> None:
+    marked = Marked("planner")
+    assert marked.feed(b"one\ntw") == b"[planner] one\n"
+    assert marked.feed(b"o\r\nthree") == b"[planner] two\n"
+    assert marked.rest() == b"[planner] three\n"
+    assert marked.rest() == b""
+    long = b"a" * LONGEST_LINE
+    assert marked.feed(long) == b""
+    assert marked.feed(long + b"b") == 2 * (b"[planner] " + long + b"\n")
+    assert marked.rest() == b"[planner] b\n"

@@ -10,7 +10,7 @@ from hypothesis import strategies as some
 from markdown_it import MarkdownIt
 
 from fogspec.base import text
-from fogspec.base.text import table
+from fogspec.base.text import blocks, table
 from fogspec.base.yaml.reader import decode, documents
 from fogspec.base.yaml.writer import flow, yaml_text
 from tests.support.hostile_text import HOSTILE
@@ -160,3 +160,12 @@ def test_a_table_may_have_empty_columns_and_cells_that_are_not_broken() -> None:
     assert table([["", ""]], 80) == [""]
     rows = [["application", "x"], ["tiny\u00a0(no\u00a0spec)", "long words here"]]
     assert table(rows, 26, indent=0) == ["application     x", "tiny (no spec)  long words", "                here"]
+
+
+def test_a_table_of_figures_is_cut_into_blocks_that_fit() -> None:
+    rows = [["name", "one", "two", "three"], ["a", "1", "22", "333"]]
+    assert blocks(rows, 21) == ["name  one  two  three", "a       1   22    333"]
+    twice = [["name", "of", "one"], ["a", "b", "1"]]
+    assert blocks(twice, 13, keys=2) == ["name  of  one", "a     b     1"]
+    assert blocks(twice, 12, keys=2) == ["name  of  one", "a     b     1"], "at least one figure"
+    assert blocks(rows, 20) == ["name  one  two", "a       1   22", "", "name  three", "a       333"]

@@ -1,6 +1,7 @@
 """Quantities: what is read, what is refused with which fix, and that what is written is read back."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
@@ -220,6 +221,7 @@ def test_what_is_wrong_is_said(kind: str, text: Any, message: str) -> None:
         (0.997, "99.7%"),
         (0.99999, "> 99.9%"),
         (1.0, "100%"),
+        (1.004, "100%"),
     ],
 )
 def test_a_percentage_is_0_or_100_only_where_it_is(fraction: float, text: str) -> None:
@@ -249,6 +251,24 @@ def test_a_value_and_its_limit_never_read_the_same(left: float, right: float, te
 def test_a_duration_that_rounds_up_takes_the_larger_unit() -> None:
     assert units.shown_duration(0.9999) == "1 s"
     assert units.shown_duration(0.0009999) == "1 ms"
+    assert units.shown_duration(0.0000123) == "12.3 µs"
+    assert units.shown_duration(600.0) == "10 min"
+
+
+@pytest.mark.parametrize(
+    ("text", "fix"), [("2G-64G", "2GiB..64GiB"), ("2GiB, 64GiB", "2GiB..64GiB"), ("2GiB-64xyz", None)]
+)
+def test_a_range_with_another_sign_is_mended_where_both_ends_are_known(text: str, fix: str | None) -> None:
+    with pytest.raises(UnitError) as wrong:
+        units.parse_range(text, units.parse_memory_gib)
+    assert wrong.value.fix == fix
+
+
+def test_a_deployment_lasts_longer_than_no_time() -> None:
+    assert units.check_until(" 1s ") == "1s"
+    with pytest.raises(UnitError, match="more than zero"):
+        units.check_until("0s")
+    assert units.parse_until("2027-03-31T18:00:00Z") == datetime(2027, 3, 31, 18, tzinfo=UTC)
 
 
 def test_an_amount_without_a_denominator_is_mended_in_both() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, SampleStatus
-from fogspec.bench.attempt import STOP_PATIENCE_S, Attempt
+from fogspec.bench.attempt import NO_ACCESS_PATIENCE_S, STOP_PATIENCE_S, Attempt
 from fogspec.bench.journal import LaunchRecord
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import PATIENCE_S, TEARDOWN_S
@@ -94,6 +94,15 @@ def test_asking_it_to_end_is_given_up_only_long_after_it_ended_itself():
         now_s, asked = attempt.stop_after_s, asked + 1
     assert 100 + 1000 + STOP_PATIENCE_S <= now_s <= 100 + 1000 + STOP_PATIENCE_S + 30
     assert asked < 100
+
+
+def test_without_access_asking_it_to_end_is_given_up_soon():
+    attempt, now_s = made(), 200.0
+    attempt.end = SampleStatus(running=False, reason="access", detail="log in first")
+    assert attempt.has_no_access
+    while not attempt.not_stopped(now_s):
+        now_s = attempt.stop_after_s
+    assert 200 + NO_ACCESS_PATIENCE_S <= now_s <= 200 + NO_ACCESS_PATIENCE_S + 30
 
 
 def test_what_was_measured_while_nobody_looked_is_fetched_before_it_is_overdue():

@@ -40,6 +40,7 @@ def test_a_machine_that_never_goes_is_given_up_and_stays_in_the_books(told, monk
     assert len(names) == 2
     assert sorted(campaign.left) == names, "each is named, once"
     assert campaign.running == {}
+    assert campaign.denied is None, "there is access: the next samples are measured"
     assert sorted(campaign.journal.state.open) == names
     most = sum(one.machine.price for one in samples(2)) * COMMITMENT.paid_s / 3600
     assert campaign.journal.state.committed_usd == pytest.approx(most), "its bill stays committed"

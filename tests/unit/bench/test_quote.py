@@ -45,6 +45,13 @@ def test_the_most_is_every_machine_for_all_of_its_life() -> None:
     ]
 
 
+def test_machines_that_run_together_are_priced_together_where_there_is_more_than_one() -> None:
+    assert list(quote(ONE, TWO, sample("three", 0.5)).together(2)) == ["2 machines at once: at most $4.50/h together"]
+    assert list(quote(ONE, TWO).together(1)) == []
+    assert list(quote(ONE).together(2)) == []
+    assert list(quote(ONE, TWO, costs=Costs.NOTHING).together(2)) == []
+
+
 @pytest.mark.parametrize(
     ("cap", "said"),
     [

@@ -26,6 +26,24 @@ def test_what_plans_read_of_the_benchmark_is_what_they_first_read_while_nothing_
     }  # fmt: skip
 
 
+def test_a_waiver_names_parts_that_define_no_figures() -> None:
+    for change in (
+        "image",
+        "spec.cloud",
+        "spec.cloud[0].cmd",
+        "spec.ros.image",
+        "spec.secrets",
+        "spec.benchmark.workload",
+    ):
+        assert fingerprints.waivable(change), change
+    for change in ("spec.probe", "spec.probe.callback", "spec.metrics", "spec.clouds", "spec.benchmark.warmup"):
+        assert not fingerprints.waivable(change), change
+
+
+def test_models_depend_on_the_statistic_and_the_metrics_that_count() -> None:
+    assert fingerprints.fitted_part(APPLICATION) == {"statistic": "mean", "targets": [], "local": False}
+
+
 def test_parts_are_named_by_short_digests_of_their_own() -> None:
     found = fingerprints.measured_fields(APPLICATION)
     assert found["secrets"] == hashlib.sha256(b"[]").hexdigest()[:12]
