@@ -55,6 +55,7 @@ class Job:
         self.head = git(self.folder, "rev-parse", "HEAD")
         self.given = {
             **github.environment(token), "PATHS": "specs\n", "BASE": base, "PULL_REQUEST": "7", "ACTION": str(ROOT),
+            "RESOLVE_IMAGE": "false",
             "FILES": f"https://example.org/team/robots/raw/{self.head}", "RUNNER_TEMP": str(folder),
             "GITHUB_STEP_SUMMARY": str(folder / "summary.md"),
         }  # fmt: skip
@@ -96,15 +97,15 @@ def cheaper(shell: Shell) -> str:
 def test_the_action_validates_and_checks(repository: Shell) -> None:
     assert run_step("validate", repository.folder, PATHS="specs\n").returncode == 0
     base = git(repository.folder, "rev-parse", "HEAD")
-    for since in ("", base):
-        passed = run_step("check", repository.folder, PATHS="specs\n", BASE=since)
+    for since, resolve in (("", "false"), (base, "false"), ("", "true")):
+        passed = run_step("check", repository.folder, PATHS="specs\n", BASE=since, RESOLVE_IMAGE=resolve)
         assert passed.returncode == 0, passed.stderr
     change(repository, "alpha: 0.5", "alpha: 5")
     wrong = run_step("validate", repository.folder, PATHS="specs\n")
     assert wrong.returncode == 1
     assert "::error file=specs/demo.yaml,line=" in wrong.stdout
     change(repository, "alpha: 5", "alpha: 0.25")
-    stale = run_step("check", repository.folder, PATHS="specs", BASE=base)
+    stale = run_step("check", repository.folder, PATHS="specs", BASE=base, RESOLVE_IMAGE="false")
     assert stale.returncode == 3
     assert "FAIL  demo" in stale.stdout
     assert "spec.objective" in stale.stdout
@@ -260,4 +261,4 @@ def test_the_token_is_in_one_step_alone() -> None:
 def test_the_action_names_only_inputs_it_has() -> None:
     text = (ROOT / "action.yml").read_text(encoding="utf-8")
     action = YAML(typ="safe", pure=True).load(text)
-    assert set(re.findall(r"inputs\.(\w+)", text)) == set(action["inputs"])
+    assert set(re.findall(r"inputs\.([\w-]+)", text)) == set(action["inputs"])
