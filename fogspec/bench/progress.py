@@ -136,7 +136,7 @@ class Totals:
         if done >= planned:
             return text
         if left_s is None:
-            return f"{text}; time left: known once a sample is done"
+            return f"{text}; time left: not known yet"
         each = units.shown_duration(sum(self._took_s) / len(self._took_s), 2)
         basis = f"{count(len(self._took_s), 'sample')} took {each}{' each' if len(self._took_s) > 1 else ''}"
         return f"{text}; about {units.shown_duration(left_s, 2)} left, as {basis}"

@@ -20,6 +20,7 @@ Flags = npt.NDArray[np.bool_]
 ROUND = range(0, 360, 15)
 AWAY = (3, 8, 16, 26, 38, 52, 68, 86, 106, 130, 160, 200, 250, 310)
 SLID = (0.0, -0.25, 0.25)  # by this part of its width a label is further to the right
+EDGE = 16.0  # px to the right of a frame, beyond which a picture ends
 BESIDE = (3, 8, 14)  # px between the line of a limit and its label
 # What a label costs, in px of its distance: no place at all, a leader line through a mark or a label, crossing an interval,
 # crossing another line, a leader line and each interval that it crosses.
@@ -132,7 +133,7 @@ def frame(
         y=y,
         x_label=x_label,
         y_label=y_label,
-        x_ticks=x.ticks(x_words, wide),
+        x_ticks=[(at, words) for at, words in x.ticks(x_words, wide) if at + width(words) / 2 <= x.end + EDGE],
         y_ticks=y.ticks(y_words, tall),
         heading=heading,
     )

@@ -49,10 +49,7 @@ def test_it_shows_what_happens(tmp_path: Path):
     row = drawn(table)[0]
     assert row == ["a", "aws/r1/a.large", "measures", "3 of 200", "500 ms", "40 s", "at most 60 s"]
     caption = str(table.table().caption)
-    assert (
-        caption
-        == "0 of 2 samples done; spent $0.00 of $2.50, committed at most $0.20; time left: known once a sample is done"
-    )
+    assert caption == "0 of 2 samples done; spent $0.00 of $2.50, committed at most $0.20; time left: not known yet"
     far = SampleStatus(running=True, so_far=Partial(12, 0.25))
     table(
         Event(sample=sample("b"), kind=EventKind.MEASURES, spent_usd=0.0, committed_usd=0.2, status=far, ends_s=100.0)
