@@ -96,10 +96,14 @@ def test_the_last_application_may_go(repo: Shell) -> None:
     assert "fogspec down demo" in said.err
 
 
+def write_invalid(repo: Shell) -> None:
+    """Write a second spec, with a misspelled field."""
+    invalid = repo.read("specs/demo.yaml").replace("name: demo", "name: bad").replace("alpha", "alfa")
+    repo.write("specs/bad.yaml", invalid)
+
+
 def test_an_invalid_spec_does_not_hide_the_others(repo: Shell) -> None:
-    repo.write(
-        "specs/bad.yaml", repo.read("specs/demo.yaml").replace("name: demo", "name: bad").replace("alpha", "alfa")
-    )
+    write_invalid(repo)
     said = repo("ci", *AT, code=1)
     assert "ok    demo" in said.out
     assert "FAIL  specs/bad.yaml: invalid" in said.out
@@ -119,9 +123,7 @@ def test_specs_that_cannot_be_read_are_not_removed_ones(repo: Shell, tmp_path: P
 
 
 def test_an_invalid_spec_does_not_hide_the_others_in_status(repo: Shell) -> None:
-    repo.write(
-        "specs/bad.yaml", repo.read("specs/demo.yaml").replace("name: demo", "name: bad").replace("alpha", "alfa")
-    )
+    write_invalid(repo)
     said = repo("status", *AT, code=1)
     assert "demo\n  plan      fresh" in said.out
     assert "specs/bad.yaml:" in said.err

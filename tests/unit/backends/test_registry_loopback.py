@@ -102,7 +102,7 @@ def test_credentials_are_sent_only_when_they_are_asked_for(servers: Any, docker:
     assert Registry().digest(f"{one.address}/robot:v1") == DIGEST
     assert one.given == [BASIC]
     assert [path for _, path, *_ in one.seen] == ["/v2/robot/manifests/v1"] * 3
-    assert len(set(one.accepted)) == 1, "the same is asked for with credentials"
+    assert len(set(one.accepted)) == 1, "with credentials the request accepts the same types"
 
 
 def test_images_and_lists_of_images_for_several_processors_are_asked_for(servers: Any) -> None:
