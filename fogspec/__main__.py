@@ -2,12 +2,13 @@
 
 import atexit
 import gc
+import importlib
 import os
 import sys
 
 
-def main() -> None:
-    """Run the command line; Ctrl-C while it is being loaded ends without a traceback."""
+def main(command_line: str = "fogspec.cli") -> None:
+    """Run `main` of a module; Ctrl-C while it is being loaded ends without a traceback."""
     # Modules, types and documents stay until the end. To search them for garbage takes a fifth of a command's time.
     gc.set_threshold(200_000)
     atexit.register(gc.freeze)
@@ -18,10 +19,10 @@ def main() -> None:
 
         child.leave_working_folder()
         child.use_one_thread()
-        from fogspec.cli import main as command_line
+        module = importlib.import_module(command_line)
     except KeyboardInterrupt:
         sys.exit(130)
-    command_line()
+    module.main()
 
 
 if __name__ == "__main__":

@@ -13,11 +13,10 @@ from fogspec.catalog.machine import Machine
 from fogspec.catalog.sources import load_catalog
 from fogspec.catalog.table import About, Catalog, strings
 from fogspec.choice.choose import choose
-from fogspec.model.fit import Models, fit
+from fogspec.language.schema import Application
+from fogspec.model.fit import Fitted, fit
 from fogspec.model.predict import predict
-from fogspec.plan.schema import PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
-from fogspec.spec.schema import Application
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, results_of
 
 OFFERS, RUNS = 50_000, 21
 
@@ -62,7 +61,7 @@ def application() -> Application:
     })  # fmt: skip
 
 
-def measured(names: dict[str, tuple[float, float]] | None = None) -> Models:
+def measured(names: dict[str, tuple[float, float]] | None = None) -> Fitted:
     """Nine samples; `names` gives the instance types, vCPUs and GiB."""
     shapes = names or {f"s{c:g}-{m:g}": (c, m) for c in (2.0, 16.0, 128.0) for m in (2 * c, 4 * c, 8 * c)}
     records = [
@@ -70,8 +69,8 @@ def measured(names: dict[str, tuple[float, float]] | None = None) -> Models:
                  measured_on="x", state="ok", requests=9, latency=LatencySummary(mean=1 + 8 / c), duration=9.0, spent=0.0)
         for name, (c, m) in shapes.items()
     ]  # fmt: skip
-    body = ResultsBody(application="", plan=None, runner="x", spent=0.0, samples=records)
-    return fit(application(), with_checksum(PlanMetadata(name="made-up"), body))
+    body = ResultsBody(inputs={}, runner="x", samples=records)
+    return fit(application(), results_of(body))
 
 
 def main() -> None:

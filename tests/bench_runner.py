@@ -23,12 +23,13 @@ from typing import Any
 import numpy as np
 
 from fogspec.base.units import parse_duration_s
+from fogspec.language.fingerprints import measured_record
+from fogspec.language.loader import load, read_document
+from fogspec.language.lock_io import files_sent
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
-from fogspec.spec import fingerprints
-from fogspec.spec.loader import load, read_document
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody
 from tests.support.agent import AGENT
-from tests.support.files import write_yaml
+from tests.support.results import write
 from tests.support.scenes import SPEC, Scene
 
 SAMPLES = 6
@@ -93,9 +94,9 @@ metadata: {name: nine}
 spec:
   cloud: [{cmd: [python3, work.py]}]
   probe: {callback: work}
-  hardware: {cpus: 2..64, memory_per_cpu: 2GiB..8GiB, machines: {allow: [c6i.*, m6i.*, r6i.*]}}
+  hardware: {cpus: 2..64, memory_per_cpu: 2GiB..8GiB, allow: [c6i.*, m6i.*, r6i.*]}
   infra: [aws/us-east-1]
-  benchmark: {sampler: grid, budget: $5, stop: {requests: 200, duration: 1min}, setup_timeout: 1min}
+  benchmark: {sampler: grid, budget: $5, stop: {requests: 200, duration: 1min}, ready_timeout: 1min}
 """
 
 
@@ -204,11 +205,10 @@ def parallel(folder: Path) -> str:
         )
         for number, one in enumerate(plan.spec.samples)
     ]  # fmt: skip
-    body = ResultsBody(application=fingerprints.measured_digest(load([str(spec)])[0].application), runner="skypilot",
-                       spent=0.09, samples=records)  # fmt: skip
-    recorded = with_checksum(plan.metadata, body).model_dump(mode="json", exclude_none=True)
-    write_yaml(folder / "recorded.yaml", recorded, "bench_runner")
-    words = [*fogspec, "bench", "specs/nine.yaml", "--runner", "replay", "--from", "recorded.yaml", "--pace", "1"]
+    (one,) = load([str(spec)])
+    inputs = measured_record(one.application, None, files_sent(one.application, one.layout))
+    write(folder / "recorded", ResultsBody(inputs=inputs, runner="skypilot", samples=records))
+    words = [sys.executable, "-m", "fogspec_lab", "replay", "specs/nine.yaml", "--from", "recorded", "--pace", "1"]
     wall_s = _wall(words, folder)
     return (f"{count} samples in parallel, replayed at the pace of the recording: {wall_s:.1f} s, the longest takes "
             f"{LONGEST_S:.1f} s: {wall_s / LONGEST_S - 1:+.1%}")  # fmt: skip
@@ -216,7 +216,7 @@ def parallel(folder: Path) -> str:
 
 def _wall(argv: list[str], folder: Path) -> float:
     start = time.perf_counter()
-    subprocess.run(argv, cwd=folder, check=True, capture_output=True, timeout=300)
+    subprocess.run(argv, cwd=folder, check=True, capture_output=True, timeout=600)
     return time.perf_counter() - start
 
 

@@ -1,5 +1,6 @@
 """What all tests share: where more data may be, where temporary files are, and that CI skips nothing."""
 
+import gc
 import os
 import shutil
 import signal
@@ -16,6 +17,9 @@ from tests.tools import apart
 # Busy machines are slow; what must be fast is timed elsewhere, as whole processes.
 settings.register_profile("steady", deadline=None)
 settings.load_profile("steady")
+
+# As fogspec itself does where it starts: to look for garbage every 700 objects is a tenth of the time here.
+gc.set_threshold(200_000)
 
 # Several workers share the CPUs. Threads of one more library would wait for each other, busily, and sums would depend on their
 # number. It is read when numpy is imported, after this.
@@ -51,6 +55,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
     os.environ |= {"TMPDIR": folder, once.SESSION: folder}
     tempfile.tempdir = folder
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Thousands of tests and all that they import stay: no look for garbage goes through them, or copies them in a fork."""
+    gc.collect()
+    gc.freeze()
 
 
 class Together(LoadScopeScheduling):

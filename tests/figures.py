@@ -37,7 +37,7 @@ QUOTED = (
     "choose again, 50,000",
     "install:",
 )  # in how-good.md
-BLOCK = re.compile(r"(tests\.figures --write`:\n\n```text\n).*?(```\n)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- python -m tests\.figures --write -->\n```text\n).*?(```\n)", re.DOTALL)
 
 
 def main(write: bool) -> None:
@@ -59,7 +59,7 @@ def _measure() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         here = Path(scratch)
         for folder in ("specs", "results"):
-            shutil.copytree(ROOT / folder, here / folder, ignore=shutil.ignore_patterns("lidar*", "planner*"))
+            shutil.copytree(ROOT / folder, here / folder, ignore=shutil.ignore_patterns("planner*"))
         commands = {f"{verb} specs/{spec}.yaml": [*_fogspec(), verb, f"specs/{spec}.yaml"]
                     for spec in PAPER_SPECS for verb in ("validate", "compile")}  # fmt: skip
         _beside({f"only imports ({BARE})": [sys.executable, "-c", BARE], **commands}, here)

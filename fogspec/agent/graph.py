@@ -2,7 +2,8 @@
 
 import contextlib
 import time
-from typing import Any
+from collections.abc import Generator
+from typing import Any, TypeVar
 
 SETTLED_S, LATEST_S = 1.0, 8.0  # the graph is known once it has not changed for so long, or after this time
 CALL_S = 3.0  # for all nodes' parameters
@@ -12,6 +13,9 @@ MOST_PARAMETERS = 200
 OF_EVERY_NODE = ("rcl_interfaces/", "type_description_interfaces/", "lifecycle_msgs/")
 VALUES = ("", "bool_value", "integer_value", "double_value", "string_value", "", "bool_array_value",
           "integer_array_value", "double_array_value", "string_array_value")  # fmt: skip
+END = object()
+T = TypeVar("T")
+Answer = Generator[None, None, T]  # what takes turns with others until it is known
 
 
 def full_name(namespace: str, name: str) -> str:
@@ -102,41 +106,48 @@ class Graph:
                 entry[role].append(node)
 
 
+def call(node: Any, service: Any, name: str, request: Any, within_s: float) -> Answer[Any]:
+    """Call a service, one step for each turn; return its answer, None if there is none in time."""
+    until_s, future, client = time.monotonic() + within_s, None, node.create_client(service, name)
+    try:
+        while time.monotonic() < until_s:
+            if future is None and client.service_is_ready():
+                future = client.call_async(request)
+            elif future is not None and future.done():
+                return future.result()
+            yield
+        return None
+    finally:
+        node.destroy_client(client)
+
+
+def take_turns(node: Any, steps: "list[Answer[None]]") -> "list[Answer[None]]":
+    """Take one step of each, and what comes from other nodes; return those that have not ended."""
+    import rclpy
+
+    rclpy.spin_once(node, timeout_sec=0.01)
+    return [one for one in steps if next(one, END) is not END]
+
+
 def parameters(node: Any, nodes: list[tuple[str, str]]) -> dict[str, dict[str, Any]]:
     """Return the parameters of the nodes that answer in time."""
-    import rclpy
     from rcl_interfaces.srv import GetParameters, ListParameters
 
-    until_s = time.monotonic() + CALL_S
-    clients: list[Any] = []
+    found: dict[str, dict[str, Any]] = {}
 
-    def called(service: Any, suffix: str, requests: dict[str, Any]) -> dict[str, Any]:
-        pending: dict[str, tuple[Any, Any, Any]] = {}
-        for name, request in requests.items():
-            clients.append(node.create_client(service, f"{name}/{suffix}"))
-            pending[name] = (clients[-1], request, None)
-        answers: dict[str, Any] = {}
-        while pending and time.monotonic() < until_s:
-            for name, (client, request, future) in list(pending.items()):
-                if future is None and client.service_is_ready():
-                    pending[name] = (client, request, client.call_async(request))
-                elif future is not None and future.done():
-                    answers[name] = future.result()
-                    del pending[name]
-            rclpy.spin_once(node, timeout_sec=0.01)
-        return answers
+    def ask(name: str) -> Answer[None]:
+        listed = yield from call(node, ListParameters, f"{name}/list_parameters", ListParameters.Request(), CALL_S)
+        asked = sorted(listed.result.names)[:MOST_PARAMETERS] if listed else []
+        request = GetParameters.Request(names=asked)
+        got = (yield from call(node, GetParameters, f"{name}/get_parameters", request, CALL_S)) if asked else None
+        values = zip(asked, map(plain, got.values), strict=False) if got else ()
+        if got:
+            found[name] = {key: value for key, value in values if value is not None}
 
-    names = [full_name(*one) for one in nodes[:MOST_NODES]]
-    listed = called(ListParameters, "list_parameters", {name: ListParameters.Request() for name in names})
-    asked = {name: sorted(answer.result.names)[:MOST_PARAMETERS] for name, answer in listed.items()}
-    wanted = {name: GetParameters.Request(names=names) for name, names in asked.items() if names}
-    got = called(GetParameters, "get_parameters", wanted)
-    for client in clients:
-        node.destroy_client(client)
-    return {
-        name: {key: value for key, value in zip(asked[name], map(plain, answer.values), strict=False) if value is not None}
-        for name, answer in got.items()
-    }  # fmt: skip
+    until_s, asking = time.monotonic() + CALL_S, [ask(full_name(*one)) for one in nodes[:MOST_NODES]]
+    while asking and time.monotonic() < until_s:
+        asking = take_turns(node, asking)
+    return found
 
 
 def plain(value: Any) -> Any:

@@ -27,6 +27,8 @@ def read(proc: Path = PROC, cpus: Path = CPUS) -> dict[str, Any]:
     found: dict[str, Any] = {
         "cpu": _cpu(info),
         "arch": platform.machine(),
+        "kernel": read_text(proc / "sys" / "kernel" / "osrelease").strip() or None,
+        "driver": _driver(read_text(proc / "driver" / "nvidia" / "version")),
         "features": _features(info),
         **_topology(cpus),
         "clock_ghz": _clock_ghz(info, cpus),
@@ -65,6 +67,12 @@ def _cpu(info: str) -> str | None:
     return ARM_PARTS.get(part[1], f"Arm {implementer[1]} {part[1]}")
 
 
+def _driver(version: str) -> str | None:
+    """Return the version of NVIDIA's kernel module."""
+    found = re.search(r"Kernel Module.*?\s(\d+(?:\.\d+)+)\s", version)
+    return found[1] if found else None
+
+
 def _features(info: str) -> list[str] | None:
     flags = re.search(r"^(?:flags|Features)\s*:\s*(.*)$", info, re.MULTILINE)
     return sorted(FEATURES.intersection(flags[1].split())) if flags else None
@@ -98,11 +106,11 @@ def _listed(folder: Path) -> list[Path]:
     return []
 
 
-def read_text(path: Path) -> str:
-    """Return a file of the kernel's, at most `READ_BYTES`; an empty text if it cannot be read."""
+def read_text(path: Path, most: int = READ_BYTES) -> str:
+    """Return a file of the system's, about `most` bytes of it; an empty text if it cannot be read."""
     with contextlib.suppress(OSError), open(path, "rb", buffering=0) as file:
         content = b""
-        while len(content) < READ_BYTES and (part := os.read(file.fileno(), READ_BYTES)):
+        while len(content) < most and (part := os.read(file.fileno(), READ_BYTES)):
             content += part
         return content.decode("utf-8", "replace")
     return ""

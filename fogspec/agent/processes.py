@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import os
 import re
+import select
 import signal
 import subprocess
 import time
@@ -14,6 +15,8 @@ from pathlib import Path
 VMSTAT = Path("/proc/vmstat")
 PR_SET_CHILD_SUBREAPER = 36
 KILL_S = 10.0
+PASSED_ON = {signal.SIGINT, signal.SIGILL, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGKILL, signal.SIGSEGV,
+             signal.SIGTERM}  # fmt: skip
 
 
 def is_argv(value: object) -> bool:
@@ -31,6 +34,15 @@ def apart(argv: list[str]) -> list[str]:
     """Return the command; a program of this package is started so that it imports nothing from the working folder."""
     ours = argv[1:2] == ["-m"] and argv[2:3] and argv[2].startswith(OURS)
     return [argv[0], "-c", START, *argv[2:]] if ours else argv
+
+
+def program(argv: list[str]) -> str:
+    """Return the name of a command that has no other: of what it starts."""
+    if f"{OURS}preload" in argv[:3] and "--" in argv:
+        return program(argv[argv.index("--") + 1 :])
+    if argv[:2] == ["sh", "-c"] and len(argv) > 2:
+        return argv[2].removeprefix("exec ").partition(' "')[0]
+    return f"fogspec's {argv[2].removeprefix(OURS)}" if apart(argv) != argv else os.path.basename(argv[0])
 
 
 def environment(out: Path, timings: Path) -> dict[str, str]:
@@ -51,6 +63,34 @@ def adopt_orphans(adopt: bool = True) -> None:
     """Keep processes that detach themselves below this one, so that it ends them too."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0)
+
+
+class Ends:
+    """The order in which processes end, for the end of one often ends others: the kernel keeps it, however late one looks."""
+
+    def __init__(self) -> None:
+        self.ready, self.watched = select.epoll(), dict[int, subprocess.Popen[bytes]]()
+        self.others: list[subprocess.Popen[bytes]] = []
+
+    def watch(self, process: "subprocess.Popen[bytes]") -> None:
+        """Watch a process that was started just now."""
+        try:
+            file = os.pidfd_open(process.pid)
+            self.ready.register(file, select.EPOLLIN)
+            self.watched[file] = process
+        except OSError:  # before Linux 5.3
+            self.others.append(process)
+
+    def new(self) -> "list[subprocess.Popen[bytes]]":
+        """Return the processes that have ended since the last call, the first one first."""
+        found = []
+        for file, _ in self.ready.poll(0):
+            self.ready.unregister(file)
+            os.close(file)
+            found.append(self.watched.pop(file))
+        found += [one for one in self.others if one.poll() is not None]
+        self.others = [one for one in self.others if one not in found]
+        return found
 
 
 def finish(children: list[subprocess.Popen[bytes]]) -> None:
@@ -192,10 +232,19 @@ def memory_counters() -> list[Path]:
 
 
 def exit_text(code: int) -> str:
-    """Return an exit code as a phrase, with the signal's name if a signal ended the process."""
-    return f"was ended by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+    """Return an exit code as a phrase, with the signal's name if a signal ended the process, or one that it waited for.
+
+    A shell, and launch, end with 128 and the number of the signal that ended what they started; `ros2 run` with its negative.
+    """
+    number = -code if code < 0 else code - 128 if code - 128 in PASSED_ON else 256 - code
+    if number not in PASSED_ON and code >= 0:
+        return f"ended with exit code {code}"
+    text = "was killed (SIGKILL)" if number == signal.SIGKILL else f"was ended by {signal_name(number)}"
+    return text if code < 0 else f"{text[:-1]}, exit code {code})"
 
 
 def signal_name(number: int) -> str:
-    """Return a signal's number and description."""
-    return f"signal {number} ({signal.strsignal(number)})"
+    """Return a signal's name and description, of one that has no name its number."""
+    with contextlib.suppress(ValueError):
+        return f"{signal.Signals(number).name} ({signal.strsignal(number)})"
+    return f"signal {number}"

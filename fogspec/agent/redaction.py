@@ -60,15 +60,16 @@ class Secrets:
         if self.pattern.search(line) is None:
             return line
         try:
-            return json.dumps(self._redact_value(json.loads(line))).encode() + b"\n"
+            return json.dumps(self.redact_value(json.loads(line))).encode() + b"\n"
         except (ValueError, RecursionError):
             return self.redact_bytes(line)
 
-    def _redact_value(self, value: Any) -> Any:
+    def redact_value(self, value: Any) -> Any:
+        """Return a value of JSON with secrets replaced in its strings."""
         if isinstance(value, dict):
-            return {self.redact(key): self._redact_value(one) for key, one in value.items()}
-        if isinstance(value, list):
-            return [self._redact_value(one) for one in value]
+            return {self.redact_value(key): self.redact_value(one) for key, one in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [self.redact_value(one) for one in value]
         return self.redact(value) if isinstance(value, str) else value
 
 

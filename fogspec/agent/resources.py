@@ -2,8 +2,9 @@
 
 Read once per second from /proc, from the counters of this process's cgroups (v1 or v2), and from nvidia-smi where there is one.
 CPU time and page faults are those of all processes below this one, also of those that have ended: the kernel adds them to
-the process that reaps them. Memory is the sum of the resident memory of the living ones. Swap, network and GPUs are the
-machine's. A figure that cannot be read is absent; no sample fails for it, and no look waits for anything.
+the process that reaps them. What others took is what the CPUs worked besides that and for this process. Memory is the sum of
+the resident memory of the living ones. Swap, network and GPUs are the machine's.
+A figure that cannot be read is absent; no sample fails for it, and no look waits for anything.
 """
 
 import contextlib
@@ -51,6 +52,7 @@ class Reading:
     received_bytes: int | None
     sent_bytes: int | None
     periods: dict[str, tuple[int, int]]  # of each cgroup's CPU quota: all, and those that were throttled
+    outside_s: float | None = None  # CPU time of others, and of the host, on the CPUs that this process may use
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,7 @@ class Resources:
             "vcpus": round(self.vcpus, 3),
             "cpu_mean": round(mean, 3),
             "cpu_max": round(max(mean, self.cpu_max), 3),
+            "outside": self._outside(window_s),
             "throttled": _throttled(first.periods, last.periods),
             "memory_peak": _gib(self.peak_bytes),
             "minor_faults": max(0, last.minor_faults - first.minor_faults),
@@ -179,6 +182,17 @@ class Resources:
             **self._gpu_facts(),
         }
         return {name: value for name, value in found.items() if value is not None}
+
+    def _outside(self, window_s: float) -> float | None:
+        """Return the fraction of its vCPUs that others kept from the sample, as its host did (steal); None if it is unknown.
+
+        Others may use CPUs that a quota keeps from the sample: what they left of all CPUs is compared with the vCPUs.
+        """
+        before, after = (None if one is None else one.outside_s for one in (self.first, self.last))
+        if before is None or after is None:
+            return None
+        left = len(os.sched_getaffinity(0)) - max(0.0, after - before) / window_s
+        return round(min(1.0, max(0.0, 1 - left / self.vcpus)), 4)
 
     def _look(self, now_s: float) -> None:
         begun_s = time.thread_time()
@@ -221,18 +235,20 @@ class Resources:
 
 def read(now_s: float, but: Iterable[int] = ()) -> Reading:
     """Return the counters now, of all processes below this one except `but`."""
-    cpu_ticks, minor, major, pages = 0, 0, 0, 0
+    cpu_ticks, own_ticks, minor, major, pages = 0, 0, 0, 0, 0
     if own := _stat("self"):
-        minor, major, cpu_ticks = own[8], own[10], own[13] + own[14]
+        minor, major, cpu_ticks, own_ticks = own[8], own[10], own[13] + own[14], own[11] + own[12]
     for pid in processes.tree() - set(but):
         if found := _stat(pid):
             minor, major = minor + found[7] + found[8], major + found[9] + found[10]
             cpu_ticks += sum(found[11:15])
             pages += found[21]
+    own_ticks += sum(sum(_stat(pid)[11:15]) for pid in but)
+    busy, tick_s = busy_ticks(os.sched_getaffinity(0)), 1 / os.sysconf("SC_CLK_TCK")
     received, sent = _network()
     return Reading(
         now_s,
-        cpu_ticks / os.sysconf("SC_CLK_TCK"),
+        cpu_ticks * tick_s,
         minor,
         major,
         pages * os.sysconf("SC_PAGE_SIZE"),
@@ -240,7 +256,18 @@ def read(now_s: float, but: Iterable[int] = ()) -> Reading:
         received,
         sent,
         dict(_periods()),
+        None if busy is None else (busy - cpu_ticks - own_ticks) * tick_s,
     )
+
+
+def busy_ticks(cpus: set[int]) -> int | None:
+    """Return for how long these CPUs worked or were stolen, in ticks; None if that cannot be read.
+
+    Interrupts are left out: the sample's own network and disks cause them, too.
+    """
+    rows = re.findall(r"^cpu(\d+) (\d+) (\d+) (\d+)(?: \d+){4} (\d+)", read_text(PROC / "stat"), re.MULTILINE)
+    found = [sum(map(int, ticks)) for number, *ticks in rows if int(number) in cpus]
+    return sum(found) if len(found) == len(cpus) else None
 
 
 def usable_vcpus() -> float:

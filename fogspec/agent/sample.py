@@ -2,17 +2,16 @@
 
     python3 agent.pyz sample --out DIR [--steps N] --after SECONDS --warmup N --startup SECONDS
                              [--precision P] [--decided-above SECONDS] [--statistic S] [--callback NAME]
-                             [--afterwards '<json argv>'] [--progress] [--secret NAME ...]
-                             [--part NAME:VCPUS:BYTES ... --part-limit SECONDS [--only-parts]]
-                             --process '<json argv>' [--process ...]
+                             [--expect NAME WHAT REQUESTS ...] [--asks '<json argv>'] [--afterwards '<json argv>']
+                             [--progress] [--secret NAME ...]
+                             --process '<json>' [--process ...]
 
-The processes find the probe module on PYTHONPATH and append one line of JSON per request to FOGSPEC_TIMINGS
-(DIR/timings.jsonl). Their output is kept without the values of secret variables. However the sample ends, DIR/outcome.json
-is written unless the agent itself is killed: state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s,
-duration_s, waited_s, requests, unreadable lines, facts of the server, and the resources that were used.
-
-After a sample that was measured the same processes run once more for each part of the machine, confined to its vCPUs and
-memory; DIR/NAME has its timings and outcome, with `confined`. A part takes `--part-limit` at most, start included.
+A process is an argv, or a mapping `{"argv": [...], "name": ...}` with the name by which its end is reported. The processes
+find the probe module on PYTHONPATH and append one line of JSON per request to FOGSPEC_TIMINGS (DIR/timings.jsonl). Their
+output is kept without the values of secret variables. However the sample ends, DIR/outcome.json is written unless the agent
+itself is killed: state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s, duration_s, waited_s,
+requests, unreadable lines, facts of the server, and the resources that were used.
+DIR/packages.txt lists what the machine has installed.
 """
 
 import argparse
@@ -26,11 +25,11 @@ import time
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from . import machine_facts, processes, redaction, ros
-from .confinement import Confinement
-from .files import open_plain, read_tail, truncate
+from . import machine_facts, packages, processes, redaction, ros
+from .declared import REFUSED
+from .files import open_plain, read_tail, truncate, write_new
 from .resources import Resources
 from .shared_memory import SharedMemory
 from .stopping import TIMINGS_LIMIT, Timings
@@ -39,8 +38,10 @@ from .stopping import TIMINGS_LIMIT, Timings
 ARCHIVE = Path(__file__).parents[1]
 POLL_S = 0.1
 PROGRESS_EVERY_S = 2.0
+ASKS_S = 15.0  # after the first request, for a sample that is shorter
 MISNAMED = 0.1  # of the time for the first request, while only requests of other names finish
 LOG_LIMIT = 16 * 2**20
+UNKNOWN = "it is not known whether the nodes declare the parameters that the spec sets"
 AFTERWARDS_S = 300.0
 OUTCOME_BYTES = 16384
 OUT_OF_MEMORY = re.compile(r"MemoryError|bad_alloc|[Cc]annot allocate memory|[Oo]ut of memory")
@@ -54,51 +55,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signals = processes.received_signals()
     started_s = time.monotonic()
     out = Path(options.out).absolute()
-    ok = options.only_parts or measure(options, out, signals, started_s)
-    for part in options.part if ok else ():
-        if not signals:
-            measure(options, out / part.name, signals, time.monotonic(), part)
-    return 0 if ok else 1
-
-
-def measure(
-    options: argparse.Namespace, out: Path, signals: list[int], started_s: float, part: "Part | None" = None
-) -> bool:
-    """Measure this machine, or a part of it, and write the outcome to `out`; return whether it was measured."""
     try:
-        if part is not None and out.is_symlink():
-            raise OSError(f"{part.name} is a link, which the processes made")
         out.mkdir(parents=True, exist_ok=True)
         reserve(out)
-        if part is None:
-            outcome = SampleRun(options, out, started_s, signals).run()
-        else:
-            startup_s, after_s = options.part_limit / 2, min(options.part_limit / 2, options.after)
-            own = {"startup": startup_s, "after": after_s, "progress": False, "decided_above": None}
-            limited = argparse.Namespace(**{**vars(options), **own})
-            with Confinement(part.cpus, part.memory_bytes) as confinement:
-                outcome = SampleRun(limited, out, started_s, signals, confinement).run()
+        outcome = SampleRun(options, out, started_s, signals).run()
     except OSError as problem:
         outcome = {"state": "failed", "reason": "setup", "detail": f"the agent could not work: {problem}"}
     outcome["duration_s"] = time.monotonic() - started_s
     write_outcome(out, outcome)
-    return bool(outcome["state"] == "ok")
-
-
-class Part(NamedTuple):
-    """A part of the machine to measure: its name, vCPUs and memory."""
-
-    name: str
-    cpus: int
-    memory_bytes: int
-
-    @classmethod
-    def parse(cls, text: str) -> "Part":
-        """Return the part in `half:2:4294967296`; raise ValueError for anything else."""
-        found = re.fullmatch(r"([a-z]{1,16}):([1-9][0-9]{0,4}):([1-9][0-9]{0,15})", text)
-        if found is None:
-            raise ValueError(text)
-        return cls(found[1], int(found[2]), int(found[3]))
+    return 0 if outcome["state"] == "ok" else 1
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -113,39 +78,38 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--decided-above", type=float, help="end as decided once the statistic is above this latency")
     parser.add_argument("--statistic", choices=("mean", "p50", "p95", "p99"), default="mean")
     parser.add_argument("--callback", help="count requests of this name only; without it, all")
+    parser.add_argument("--expect", action="append", nargs=3, default=[], help="a name to hear in so many requests")
+    parser.add_argument("--asks", type=json.loads, help="asks the nodes whether they have what the spec sets")
     parser.add_argument("--afterwards", type=json.loads, help="writes the records once the processes have ended")
     parser.add_argument("--secret", action="append", default=[], help="a variable whose value is not to be printed")
-    parser.add_argument("--part", type=Part.parse, action="append", default=[], help="a part to measure afterwards")
-    parser.add_argument("--part-limit", type=float, default=0.0, help="longest time for each part")
-    parser.add_argument("--only-parts", action="store_true", help="the machine itself was measured before")
     parser.add_argument("--progress", action="store_true", help="print the number of requests now and then")
     parser.add_argument("--process", type=json.loads, action="append", required=True)
     options = parser.parse_args(arguments)
-    for argv in [*options.process, *([options.afterwards] if options.afterwards is not None else [])]:
-        if not processes.is_argv(argv):
-            parser.error("--process must be a JSON list of strings")
+    given = [one if isinstance(one, dict) else {"argv": one} for one in options.process]
+    options.process, names = [one.get("argv") for one in given], [one.get("name") for one in given]
+    others = [one for one in (options.asks, options.afterwards) if one is not None]
+    if not all(map(processes.is_argv, [*options.process, *others])):
+        parser.error("--process must be a JSON list of strings, or a mapping with it as argv")
+    options.names = [str(name or processes.program(argv)) for name, argv in zip(names, options.process, strict=True)]
     return options
 
 
 class SampleRun:
     """One run of the processes, from their start to their end."""
 
-    def __init__(
-        self,
-        options: argparse.Namespace,
-        out: Path,
-        started_s: float,
-        signals: list[int],
-        confinement: Confinement | None = None,
-    ) -> None:
+    def __init__(self, options: argparse.Namespace, out: Path, started_s: float, signals: list[int]) -> None:
         self.options, self.out, self.started_s, self.signals = options, out, started_s, signals
-        self.confinement = confinement
         self.children: list[subprocess.Popen[bytes]] = []
+        self.ends, self.ended = processes.Ends(), list[int]()  # which of them have ended, in this order
+        self.asks: subprocess.Popen[bytes] | None = None
         self.output = redaction.Output(options.secret)
         self.shared_memory = SharedMemory()
         self.timings = Timings(out / "timings.jsonl", options.warmup, options.callback)
+        self.timings.expected = options.expect
+        self.environment = ros.alone(processes.environment(out, self.timings.path))
         self.setup_s: float | None = None
         self.misnamed_s: float | None = None
+        self.valid_s: float | None = None
         self.last_request_s: float | None = None
         self.next_progress_s = started_s
         self.resources = Resources()
@@ -153,20 +117,24 @@ class SampleRun:
     def run(self) -> dict[str, Any]:
         """Return the outcome, without its duration."""
         processes.adopt_orphans()
-        kills = self._memory_kills()
+        kills = processes.memory_kills()
         before = machine_facts.read()
         try:
             state, reason, detail, stopped_by = self._start() or self._watch()
             waited_s = self._waited_s(stopped_by)
             server = machine_facts.between(before, machine_facts.read())
             resources = self.resources.end()
+            if state == "ok":
+                state, reason, detail, stopped_by = self._asked(stopped_by, detail)
         finally:
             self.resources.gpus.close()
-            killed = self._memory_kills() > kills
+            killed = processes.memory_kills() > kills
             self.shared_memory.look(processes.descendants, again=True)
             processes.finish(self.children)
             self.shared_memory.remove()
             self.output.settle()
+        with contextlib.suppress(OSError):
+            write_new(self.out / "packages.txt", packages.listed())
         if stopped_by not in (None, "exit"):
             self.timings.cut()
         if self.options.afterwards:
@@ -176,6 +144,9 @@ class SampleRun:
             cause = "the kernel ended a process for lack of memory"
             state, reason, detail = "failed", "out_of_memory", f"{detail}; {cause}" if detail else cause
         self.timings.read()
+        if state == "ok" and (missing := self._unheard(time.monotonic(), over=True)):
+            detail = "; ".join(filter(None, (detail, missing[0])))
+            state, reason = ("failed", "not_reported") if missing[1] else (state, reason)
         return {
             "state": state,
             "reason": reason,
@@ -188,11 +159,7 @@ class SampleRun:
             "unreadable": self.timings.unreadable,
             "server": server,
             "resources": resources,
-            **({} if self.confinement is None else {"confined": self.confinement.facts()}),
         }
-
-    def _memory_kills(self) -> int:
-        return processes.memory_kills() + (0 if self.confinement is None else self.confinement.kills())
 
     def _waited_s(self, stopped_by: str | None) -> float | None:
         """Return the time since the last finished request.
@@ -207,27 +174,23 @@ class SampleRun:
 
     def _start(self) -> End | None:
         extract(self.out)
-        environment = self._environment()
         self.timings.path.write_bytes(b"")
         for number, argv in enumerate(self.options.process):
-            # In append mode a log can be truncated while its process writes to it.
-            with open(self._log(number), "ab") as log:
-                try:
-                    words = processes.apart(argv)
-                    child = self.output.start(
-                        words if self.confinement is None else self.confinement.command(words),
-                        log,
-                        stdin=subprocess.DEVNULL,
-                        env=environment,
-                        start_new_session=True,
-                    )
-                except OSError as problem:
-                    return "failed", "setup", f"{argv[0]} cannot be started: {problem.strerror}", None
-                self.children.append(child)
+            try:
+                self.children.append(self._started(argv, self._log(number)))
+            except OSError as problem:
+                return "failed", "setup", f"{argv[0]} cannot be started: {problem.strerror}", None
+            self.ends.watch(self.children[-1])
+        if self.options.asks:
+            self.asks = self._started(self.options.asks, self.out / "asks.log")
         return None
 
-    def _environment(self) -> dict[str, str]:
-        return ros.alone(processes.environment(self.out, self.timings.path))
+    def _started(self, argv: list[str], path: Path) -> "subprocess.Popen[bytes]":
+        # In append mode a log can be truncated while its process writes to it.
+        with open(path, "ab") as log:
+            return self.output.start(
+                processes.apart(argv), log, stdin=subprocess.DEVNULL, env=self.environment, start_new_session=True
+            )
 
     def _read_afterwards(
         self, state: str, reason: str | None, detail: str | None
@@ -235,7 +198,7 @@ class SampleRun:
         """Run the program that writes the records; its failure counts only if nothing else went wrong."""
         log = self.out / "afterwards.log"
         started = time.time() - (time.monotonic() - self.started_s)
-        environment = self._environment() | {"FOGSPEC_BEGUN": str(started)}
+        environment = self.environment | {"FOGSPEC_BEGUN": str(started)}
         message = ""
         with open(log, "wb") as file, contextlib.suppress(subprocess.TimeoutExpired, OSError):
             ended = subprocess.run(
@@ -263,8 +226,8 @@ class SampleRun:
             self._look_at_resources()
             self._print_progress()
             self.shared_memory.look(processes.descendants)
-            processes.reap(self.children)
-            end = self._enough() or self._exited(codes) or self._late(time.monotonic())
+            processes.reap([*self.children, *([self.asks] if self.asks else [])])
+            end = self._refused() or self._enough() or self._exited(codes) or self._late(time.monotonic())
             if end:
                 return end
             for number in range(len(self.children)):
@@ -272,6 +235,24 @@ class SampleRun:
                     if os.lstat(self._log(number)).st_size > LOG_LIMIT:
                         truncate(self._log(number), 0)
             time.sleep(POLL_S)
+
+    def _refused(self) -> End | None:
+        """Return that the nodes lack what the spec sets, once that is certain: something else would be measured."""
+        if self.asks is None or self.asks.poll() != REFUSED:
+            return None
+        self.output.settle(self.asks)
+        return "failed", "not_reported", last_line(self.out / "asks.log"), "startup"
+
+    def _asked(self, stopped_by: str | None, detail: str | None) -> End:
+        """Return the end of a valid sample once the nodes were asked; say so if their answer stays unknown."""
+        until_s = self.started_s + (self.setup_s or 0.0) + ASKS_S
+        while self.asks is not None and self.asks.poll() is None and stopped_by != "exit" and not self.signals:
+            if time.monotonic() >= until_s:
+                break
+            time.sleep(POLL_S)
+        if self.asks is not None and self.asks.poll() not in (0, REFUSED):
+            detail = "; ".join(filter(None, (detail, UNKNOWN)))
+        return self._refused() or ("ok", None, detail, stopped_by)
 
     def _read(self) -> None:
         if self.timings.read():
@@ -305,9 +286,10 @@ class SampleRun:
     def _exited(self, codes: list[int | None]) -> End | None:
         if self.signals:
             return "failed", "interrupted", f"ended by {processes.signal_name(self.signals[0])}", "signal"
-        for number, code in enumerate(codes):
-            if code:
-                return self._crashed(number, code)
+        self.ended += map(self.children.index, self.ends.new())
+        for place, number in enumerate(self.ended):
+            if code := codes[number]:
+                return self._crashed(number, code, self.ended[:place])
         if None in codes:
             return None
         self._read()
@@ -315,29 +297,36 @@ class SampleRun:
             return "failed", "no_response", f"the processes ended without one timed request{self._notes()}", "exit"
         return "ok", None, None, "exit"
 
-    def _crashed(self, number: int, code: int) -> End:
+    def _crashed(self, number: int, code: int, before: list[int]) -> End:
         self.output.settle(self.children[number])
-        message, program = last_line(self._log(number)), os.path.basename(self.options.process[number][0])
+        message = last_line(self._log(number))
         reason = "out_of_memory" if OUT_OF_MEMORY.search(message) else "crash"
-        detail = f"{program} {processes.exit_text(code)}"
-        return "failed", reason, f"{detail}: {message}" if message else detail, "exit"
+        detail = f"{self.options.names[number]} {processes.exit_text(code)}"
+        return "failed", reason, (f"{detail}: {message}" if message else detail) + self._gone(before), "exit"
+
+    def _gone(self, numbers: list[int]) -> str:
+        """Return which processes had ended without an error: the others may have failed for lack of them."""
+        names = [self.options.names[number] for number in numbers]
+        return f"; {', '.join(names)} had ended before, with exit code 0" if names else ""
 
     def _late(self, now_s: float) -> End | None:
         if self.options.afterwards:
             return ("ok", None, None, "time") if now_s - self.started_s >= self.options.after else None
         if self.setup_s is None:
             if wrong := self._misnamed(now_s):
-                return "failed", "no_response", wrong, "startup"
+                return "failed", "not_reported", wrong, "startup"
             if now_s - self.started_s < self.options.startup:
                 return None
-            detail = f"no timed request within {self.options.startup:g} s of the start{self._notes()}"
+            detail = f"no timed request within {self.options.startup:g} s of the start{self._notes()}{self._gone(self.ended)}"
             return "failed", "no_response", detail, "startup"
+        if (missing := self._unheard(now_s)) and missing[1]:
+            return "failed", "not_reported", missing[0], "startup"
         if now_s - self.started_s - self.setup_s < self.options.after:
             return None
         return "ok" if self.timings.valid else "timeout", None, None, "time"
 
     def _misnamed(self, now_s: float) -> str | None:
-        """Return why to wait no longer for the first request: the node times other names.
+        """Return why to wait no longer for the first request: the node times other names, or publishes other topics.
 
         At once for a slip of the keyboard. Otherwise the node may time other work first.
         """
@@ -347,7 +336,12 @@ class SampleRun:
         self.misnamed_s = now_s if self.misnamed_s is None else self.misnamed_s
         what, slip = found
         patient = not slip and now_s - self.misnamed_s < MISNAMED * self.options.startup
-        return None if patient else f"{what}: compare spec.probe with what the workload times"
+        return None if patient else what
+
+    def _unheard(self, now_s: float, over: bool = False) -> tuple[str, bool] | None:
+        """Return which metrics and scenarios were not heard so far, and whether to wait no longer."""
+        self.valid_s = now_s if self.valid_s is None and self.timings.valid else self.valid_s
+        return self.timings.unheard(now_s - (now_s if self.valid_s is None else self.valid_s), over)
 
     def _notes(self) -> str:
         count, note = self.timings.unreadable, self.timings.note

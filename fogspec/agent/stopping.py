@@ -1,7 +1,6 @@
 """The stopping rule: count a sample's requests as they are written, and decide whether there are enough."""
 
 import contextlib
-import itertools
 import json
 import math
 import re
@@ -9,16 +8,15 @@ import statistics
 from pathlib import Path
 
 from .files import open_plain, truncate
+from .intervals import LEAST, STRICT, interval
 
 TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
 LINE_LIMIT = 2**16
 NOT_REQUESTS = {"unmatched", "metric", "note", "warning"}
 OTHER_NAMES = 5
-FIRST_CHECK = 10  # valid requests before the precision is checked
-QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
-Z95 = 1.959964  # two-sided 95% quantile of the standard normal distribution
-Z99 = 2.575829
+HEARD_BY_S = 60.0  # after the first valid request
+MOST_HEARD = 100
 
 
 class Timings:
@@ -27,12 +25,15 @@ class Timings:
     def __init__(self, path: Path, warmup: int, callback: str | None = None) -> None:
         self.path, self.warmup, self.callback = path, warmup, callback
         self.offset = self.requests = self.unreadable = 0
-        self.next_check = FIRST_CHECK
+        self.next_check = LEAST
         self.valid: list[float] = []
         self.rest = b""
         self.note: str | None = None
+        self.topic = False  # the note is that a topic is published by nearly this name
         self.others: dict[str, None] = {}
         self.awaited = callback is not None  # no request of its name has started
+        self.expected: list[tuple[str, str, str]] = []  # a name, what it is, and in how many valid requests to hear it
+        self.heard: dict[str, None] = {}  # names of metrics, and of scenarios behind a word
 
     def read(self) -> bool:
         """Read new records; return True if there was at least one complete request."""
@@ -57,8 +58,10 @@ class Timings:
         try:
             record = json.loads(line)
             if NOT_REQUESTS & record.keys():
-                self.note = str(record["note"])[:200] if "note" in record else self.note
+                if "note" in record:
+                    self.note, self.topic = str(record["note"])[:200], record.get("misnamed") is True
                 self.awaited = self.awaited and record.get("started") != self.callback
+                self._hear(record.get("metric"))
                 return
             latency_s, ok = float(record["latency_s"]), record["ok"] is True
             if not 0 <= latency_s < math.inf:
@@ -74,14 +77,47 @@ class Timings:
         self.requests += 1
         if ok and self.requests > self.warmup:
             self.valid.append(latency_s)
+            self._hear(record.get("metrics"), record.get("scenario"))
+
+    def _hear(self, values: object, scenario: object = None) -> None:
+        numbers = values.items() if isinstance(values, dict) else ()
+        names = [name[:100] for name, value in numbers if type(value) in (int, float)]
+        names += [f"scenario {scenario}"] if isinstance(scenario, str) else []
+        self.heard.update(dict.fromkeys(name for name in names if len(self.heard) < MOST_HEARD))
+
+    def unheard(self, passed_s: float, over: bool = False) -> tuple[str, bool] | None:
+        """Return what is expected and was not heard, what was instead, and whether it is missing; None if all was heard.
+
+        A metric is also missing `HEARD_BY_S` after the first valid request, `passed_s` ago, and by a slip of the keyboard
+        when the sample is `over`.
+        """
+        n, texts, missing, known = len(self.valid), list[str](), False, {key for key, _, _ in self.expected}
+        for key, what, least in self.expected if n else ():
+            enough = n >= float(least)
+            if key in self.heard or (" " in key and not enough):
+                continue
+            others = [one for one in self.heard if one not in known and (" " in one) == (" " in key)]
+            near = [one for one in others if mistyped(key, one)]
+            instead = f"the node reported {', '.join(near or others) or 'no other'}"
+            if least == "inf":
+                instead = str(self.note) if what.split()[-1] in str(self.note) else "nothing was heard"
+            texts.append(f"no {what}: {instead}")
+            missing |= enough or passed_s >= HEARD_BY_S or (over and bool(near))
+        return ("; ".join(texts), missing) if texts else None
 
     def misnamed(self) -> tuple[str, bool] | None:
-        """Return why no request counts if others are timed and the spec's was not even started, and whether by a slip."""
+        """Return why no request counts, and whether that is certain: others are timed and the spec's was not even started.
+
+        That a topic is published by nearly the wanted name is not: the node of the wanted one may not be up.
+        """
+        if self.topic:
+            return str(self.note), False
         if not self.awaited or not self.others:
             return None
         timed = ", ".join(map(repr, self.others))
         slip = any(mistyped(str(self.callback), name) for name in self.others)
-        return f"no request named {self.callback!r} was timed, only {timed}", slip
+        wrong = f"no request named {self.callback!r} was timed, only {timed}"
+        return f"{wrong}: compare spec.probe with what the workload times", slip
 
     def summary(self) -> str:
         """Return the number of requests and the mean latency of the valid ones, as text."""
@@ -97,13 +133,12 @@ class Timings:
 
     def precise(self, precision: float, statistic: str) -> bool:
         """Return whether the half-width of the 95% interval is at most `precision` times the statistic."""
-        value, half = interval(self.valid, statistic)
-        return half <= precision * value
+        found = interval(self.valid, statistic)
+        return found.half <= precision * found.value
 
     def above(self, latency_s: float, statistic: str) -> bool:
         """Return whether the statistic is above this latency: the lower end of its 99% interval is."""
-        value, half = interval(self.valid, statistic, Z99)
-        return value - half > latency_s
+        return interval(self.valid, statistic, STRICT).low > latency_s
 
 
 def mistyped(one: str, other: str) -> bool:
@@ -118,38 +153,3 @@ def mistyped(one: str, other: str) -> bool:
         a, b = a[:-1], b[:-1]
     swapped = len(a) == 2 and a == b[::-1]
     return not re.search(r"\d", a + b) and (swapped or max(len(a), len(b)) <= 1)
-
-
-def interval(values: list[float], statistic: str, z: float = Z95) -> tuple[float, float]:
-    """Return the statistic of at least 10 values and the half-width of its interval: of 95%, or with this normal quantile `z`.
-
-    Mean: Student's t (Cornish-Fisher expansion of its quantile). Quantiles: binomial order statistics; infinite while
-    the upper one does not exist. Both are widened by the lag-1 autocorrelation, of the values or of the indicator of
-    being below the quantile, because successive requests are correlated.
-    """
-    n = len(values)
-    if statistic in QUANTILES:
-        share = QUANTILES[statistic]
-        ordered = sorted(values)
-        value = ordered[math.floor(n * share)]
-        below = [1.0 if one < value else 0.0 for one in values]
-        spread = z * math.sqrt(n * share * (1 - share)) * widening(below)
-        low, high = math.floor(n * share - spread), math.ceil(n * share + spread)
-        half = (ordered[high] - ordered[low]) / 2 if low >= 0 and high < n else math.inf
-        return value, half
-    mean = statistics.fmean(values)
-    square = math.fsum((value - mean) ** 2 for value in values)
-    v = n - 1
-    t = z + (z**3 + z) / (4 * v) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * v**2)
-    return mean, t * math.sqrt(square / v / n) * widening(values)
-
-
-def widening(values: list[float]) -> float:
-    """Return the ratio of an interval's width to that of independent values, from the lag-1 autocorrelation."""
-    mean = statistics.fmean(values)
-    square = math.fsum((value - mean) ** 2 for value in values)
-    if square == 0:
-        return 1.0
-    lag = math.fsum((a - mean) * (b - mean) for a, b in itertools.pairwise(values)) / square
-    lag = min(max(lag, 0.0), 0.99)
-    return math.sqrt((1 + lag) / (1 - lag))

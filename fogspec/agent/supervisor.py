@@ -2,7 +2,7 @@
 
     python3 agent.pyz supervisor --out DIR [--ready '<json argv>'] [--secret NAME ...]
                                  [--lifetime SECONDS] [--ends UNIX] --process '<json>' [--process ...]
-                                 [--listener '<json argv>' ...]
+                                 [--listener '<json argv>' ...] [--asks '<json argv>']
 
 A process is an argv, or a mapping `{"argv": [...], "name": ..., "respawn": "always"|"on_failure", "respawn_delay": s}`: with a
 name each line that it prints begins with `[name] `; with `respawn` it is started again when it ends, or when it fails. Each
@@ -13,8 +13,9 @@ With a lifetime all end after it, or at `--ends` if that comes first.
 DIR/state.json has the state (starting, ready, ended), detail, ready_s, observed, restarts by name, facts of the server, and
 the public half of the link from DIR/link.pub. Probes append one line of JSON per request to FOGSPEC_TIMINGS
 (DIR/timings.jsonl), which is moved to timings.1.jsonl when it is large, so that both together stay bounded. A listener only
-observes: its end does not end the nodes. The output of all is passed on without the values of secret variables. For
-controllers that cannot read files on this machine, the log regularly contains the same state with the latest requests:
+observes: its end does not end the nodes. Nor do parameters that a node lacks, which `--asks` finds: they are a detail. The
+output of all is passed on without the values of secret variables. For controllers that cannot read files on this machine, the
+log regularly contains the same state with the latest requests:
 
     === fogspec state {"state": "ready", ..., "latest": [[name, latency_s, ok, scenario], ...]} ===
 """
@@ -31,11 +32,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-from . import machine_facts, processes, redaction
+from . import machine_facts, packages, processes, redaction
+from .declared import REFUSED
 from .files import read_tail, write_new
-from .sample import extract
+from .sample import extract, last_line
 from .shared_memory import SharedMemory
 
 POLL_S = 0.1
@@ -46,12 +48,13 @@ TIMINGS_LIMIT = 4 * 2**20
 LOG_LIMIT = 64 * 2**20
 REPORT_FIRST_S, REPORT_EVERY_S = 10.0, 120.0
 LATEST = 100
+PACKAGES_LIMIT, PACKAGES_EVERY = 2**17, 10  # bytes; reports in the log, which are read by hundreds
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 60.0
 STEADY_S = 60.0
 MOST_RESTARTS = 5
 POLICIES = ("always", "on_failure")
 WRONG_CLOCK_S = 3600.0
-OVER = "spec.deployment.until or max_spend is reached"
+OVER = "spec.deployment.until or budget is reached"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -82,6 +85,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--ends", type=float)
     parser.add_argument("--process", type=json.loads, action="append", required=True)
     parser.add_argument("--listener", type=json.loads, action="append", default=[])
+    parser.add_argument("--asks", type=json.loads)
     options = parser.parse_args(arguments)
     try:
         options.process = [Kept.of(value) for value in options.process]
@@ -91,7 +95,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     for one in options.process:
         count = names[one.name] = names.get(one.name, 0) + 1
         one.name += f" {count}" if count > 1 else ""
-    for argv in (*options.listener, *([options.ready] if options.ready else [])):
+    for argv in (*options.listener, *(one for one in (options.ready, options.asks) if one)):
         if not processes.is_argv(argv):
             parser.error("a command must be a JSON list of strings")
     return options
@@ -116,7 +120,7 @@ class Kept:
     def of(value: Any) -> "Kept":
         """Return the process that a JSON value describes; raise ValueError for anything else."""
         if processes.is_argv(value):
-            return Kept(value, os.path.basename(value[0]))
+            return Kept(value, processes.program(value))
         wrong = "a process must be a JSON list of strings, or a mapping with argv, name, respawn and respawn_delay"
         if not isinstance(value, dict) or not processes.is_argv(value.get("argv")):
             raise ValueError(wrong)
@@ -151,14 +155,17 @@ class Supervisor:
         self.output = redaction.Output(options.secret)
         self.shared_memory = SharedMemory()
         self.kept: list[Kept] = options.process
+        self.ends = processes.Ends()
         self.listeners: list[subprocess.Popen[bytes]] = []
+        self.asks: subprocess.Popen[bytes] | None = None
         self.check: subprocess.Popen[bytes] | None = None
         self.started_s = self.check_started_s = time.monotonic()
         self.reported_s, self.report_after_s = self.started_s, REPORT_FIRST_S
         self.ready_s: float | None = None
         self.ready = False
-        self.note = self.down = ""
+        self.note = self.down = self.refused = ""
         self.facts = machine_facts.read()
+        self.packages, self.reports = "", 0
         self.over_s = self._over_s()
 
     def _over_s(self) -> "float | None":
@@ -183,15 +190,21 @@ class Supervisor:
             self._start(one)
         for argv in self.options.listener:
             self.listeners.append(self._popen(argv))
+        if self.options.asks:
+            with open(self.out / "asks.log", "wb") as log:
+                self.asks = self._popen(self.options.asks, to=log)
 
     def _start(self, one: Kept) -> None:
         one.process, one.due_s = self._popen(one.argv, one.name if one.marked else None), None
         one.started_s = self.started_s = time.monotonic()
+        self.ends.watch(one.process)
 
-    def _popen(self, argv: list[str], name: "str | None" = None) -> "subprocess.Popen[bytes]":
+    def _popen(
+        self, argv: list[str], name: "str | None" = None, to: "IO[bytes] | None" = None
+    ) -> "subprocess.Popen[bytes]":
         environment = processes.environment(self.out, self.timings)
         return self.output.start(
-            processes.apart(argv), name=name, stdin=subprocess.DEVNULL, env=environment, start_new_session=True
+            processes.apart(argv), to, name, stdin=subprocess.DEVNULL, env=environment, start_new_session=True
         )
 
     def watch(self, signals: list[int]) -> str | None:
@@ -200,7 +213,10 @@ class Supervisor:
         while not signals:
             if self.is_over():
                 return OVER
-            for one in self.kept:
+            ended = self.ends.new()
+            for one in sorted(
+                self.kept, key=lambda one: ended.index(one.process) if one.process in ended else len(ended)
+            ):
                 if (why := self._keep(one)) is not None:
                     return why
             self._watch_listeners()
@@ -209,10 +225,12 @@ class Supervisor:
                 self.ready = True
                 if self.ready_s is None:
                     self.ready_s = time.monotonic() - begun_s
+                    self.packages, self.reports = packages.packed(packages.listed()), 0
                 self._report_running()
             self._bound_files()
             self.shared_memory.look(processes.descendants)
-            processes.reap([*self._running(), *self.listeners, *([self.check] if self.check else [])])
+            own = [one for one in (self.check, self.asks) if one is not None]
+            processes.reap([*self._running(), *self.listeners, *own])
             if time.monotonic() - self.reported_s > self.report_after_s:
                 self.report_after_s = min(2 * self.report_after_s, REPORT_EVERY_S)
                 self._report_running()
@@ -283,6 +301,12 @@ class Supervisor:
             if listener.poll() is not None and not self.note:
                 self.note = f"latency is not observed: the listener ended with exit code {listener.returncode}"
                 self._report_running()
+        if self.asks is not None and self.asks.poll() is not None:
+            asked, self.asks = self.asks, None
+            if asked.returncode == REFUSED:
+                self.output.settle(asked)
+                self.refused = last_line(self.out / "asks.log")
+                self._report_running()
 
     def _bound_files(self) -> None:
         """Keep timings and log from filling the disk, which would end the nodes."""
@@ -302,20 +326,26 @@ class Supervisor:
         public = read_tail(self.out / "link.pub", 4096).decode("ascii", "replace").strip()
         document: dict[str, Any] = {
             "state": state,
-            "detail": detail or self.down or self.note or None,
+            "detail": detail or self.down or self.note or self.refused or None,
             "ready_s": self.ready_s,
             "restarts": {one.name: one.restarts for one in self.kept if one.respawn is not None},
             "observed": not self.note,
             "link": public,
             "server": machine_facts.between(self.facts, machine_facts.read()),
         }
+        listed = {"packages": self.packages} if 0 < len(self.packages) <= PACKAGES_LIMIT else {}
+        in_log = {} if self.reports % PACKAGES_EVERY else listed
+        self.reports += 1
         self.reported_s = time.monotonic()
         with contextlib.suppress(OSError):
             part = self.out / "state.part"
-            write_new(part, json.dumps(document) + "\n")
+            write_new(part, json.dumps({**document, **listed}) + "\n")
             os.replace(part, self.out / "state.json")
         with contextlib.suppress(OSError):
-            print(f"=== fogspec state {json.dumps({**document, 'latest': latest(self.timings)})} ===", flush=True)
+            print(
+                f"=== fogspec state {json.dumps({**document, **in_log, 'latest': latest(self.timings)})} ===",
+                flush=True,
+            )
 
 
 def latest(timings: Path) -> list[list[Any]]:

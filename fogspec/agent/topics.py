@@ -10,6 +10,7 @@ std_msgs/Header. Goals are identified by their UUIDs on the action's status topi
 """
 
 import argparse
+import difflib
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -18,6 +19,7 @@ from typing import Any
 from .matching import HEADER, Matcher, stamp_of
 from .records import Condition, Done, Stamp, Writer, field_of
 from .ros import listening_qos, message_of, need_rclpy
+from .stopping import mistyped
 
 DISCOVERY_S = 0.2
 # DDS discovery may take this long: a message missed before it is complete would shift the order of the rest.
@@ -69,9 +71,20 @@ class Listener:
             self.node.create_subscription(message_type, topic, received, listening_qos(), raw=True)
         if not self.missing:
             self.complete_s = time.monotonic()
+            if self.reported:
+                self.writer.line({"note": "its topics are published"})
         elif [*self.missing] != self.reported and time.monotonic() - self.started_s > PATIENCE_S:
             self.reported = [*self.missing]
-            self.writer.line({"note": f"no node publishes {', '.join(self.reported)}"})
+            self.unpublished(self.reported)
+
+    def unpublished(self, topics: list[str]) -> None:
+        """Write that no node publishes these topics, with the nearest of those that one publishes."""
+        names = (name for name, _ in self.node.get_topic_names_and_types())
+        known = [name for name in names if self.node.count_publishers(name)]
+        near = {one: difflib.get_close_matches(one, known, 1, 0.8) for one in topics}
+        named = ", ".join(f"{one} (there is {found[0]})" if found else one for one, found in near.items())
+        slip = any(mistyped(one, other) for one, found in near.items() for other in found)
+        self.writer.line({"note": f"no node publishes {named}", "misnamed": slip})
 
 
 class Latencies:
@@ -119,6 +132,11 @@ class Latencies:
             self.writer.warning(matcher.warning())
         elif not matcher.answered and now_s - self.listener.complete_s > self.patience_s:
             self.patience_s *= 2
+            # A topic is known as soon as a node subscribes to it.
+            both_ends = [options.request, options.response]
+            if silent := [one for one in both_ends if not self.listener.node.count_publishers(one)]:
+                self.listener.unpublished(silent)
+                return
             heard = f"{matcher.count} requests" if matcher.count else "no request"
             self.writer.line({"note": f"{heard} on {options.request}, no response to them on {options.response}"})
 

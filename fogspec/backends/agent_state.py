@@ -11,15 +11,15 @@ from typing import Any, Literal, TypeGuard, get_args
 
 from pydantic import ValidationError
 
-from fogspec.backends.protocol import DeploymentStatus, Job, SampleStatus
+from fogspec.agent.processes import exit_text
+from fogspec.backends.protocol import DeploymentStatus
 from fogspec.backends.skypilot.errors import plain
 from fogspec.base.files import open_untrusted
-from fogspec.base.project_files import LinkedPath
 from fogspec.base.quantities import BASE_UNITS
 from fogspec.base.units import UnitError
-from fogspec.plan.schema import PartName
+from fogspec.results.packages import unpacked
 from fogspec.results.ranges import TIME_S
-from fogspec.results.schema import Confined, Reason, ResourceUse, ServerFacts
+from fogspec.results.schema import Reason, ResourceUse, ServerFacts
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {
     "starting": "starting",
@@ -36,6 +36,10 @@ PREFIX = re.compile(r"^\([^()]*pid=\d+[^()]*\) ")
 PLATFORM = re.compile(
     r"ERROR: Job |✓ Job finished|⚙︎ |├── |└── |srun: |slurmstepd\S*: error: .* CANCELLED AT \S+ \*\*\*$"
 )
+LAUNCH = "ros2 launch"
+NODE_ENDED = re.compile(
+    r"\[(?P<process>[^\]\[]+-\d+)\]: process has (?:died \[pid \d+, exit code (?P<code>-?\d{1,4}),|finished cleanly)"
+)
 STATE_LINE = re.compile(rb"=== fogspec state (\{.*\}) ===")
 
 
@@ -51,7 +55,6 @@ class Outcome:
     duration_s: float | None = None
     server: ServerFacts | None = None
     resources: ResourceUse | None = None
-    confined: Confined | None = None
 
     @property
     def measured_s(self) -> float | None:
@@ -85,48 +88,7 @@ def read_outcome(path: Path) -> Outcome | None:
         **times_s,
         server=server_facts(values.get("server")),
         resources=resource_use(values.get("resources")),
-        confined=_confined(values.get("confined")),
     )
-
-
-def part_statuses(job: Job) -> dict[PartName, SampleStatus]:
-    """Return the statuses of the parts of a job's machine that have an outcome."""
-    found: dict[PartName, SampleStatus] = {}
-    for one in job.parts:
-        folder = job.directory / "out" / one.part
-        outcome, timings = read_outcome(folder / "outcome.json"), folder / "timings.jsonl"
-        if outcome is not None:
-            found[one.part] = SampleStatus(
-                running=False,
-                timings=timings if _is_own(job, timings) else None,
-                measured_on=f"{job.machine_name}, confined to {one.machine.cpus:g} vCPUs and {one.machine.memory:g} GiB",
-                reason=outcome.reason,
-                detail=outcome.detail,
-                setup_s=outcome.setup_s,
-                measured_s=outcome.measured_s,
-                stopped_by=outcome.stopped_by,
-                waited_s=outcome.waited_s,
-                billed_s=outcome.duration_s,
-                server=outcome.server,
-                resources=outcome.resources,
-                confined=outcome.confined,
-            )
-    return found
-
-
-def _is_own(job: Job, timings: Path) -> bool:
-    """Return whether the timings of a part are a plain file, and not beyond a link that the workload made."""
-    try:
-        return job.files.is_file(timings)
-    except LinkedPath:
-        return False
-
-
-def _confined(value: object) -> Confined | None:
-    try:
-        return Confined.model_validate(value, strict=True) if isinstance(value, dict) else None
-    except ValidationError:
-        return None
 
 
 def deployment_status(state: bytes, timings: bytes, address: str | None) -> DeploymentStatus:
@@ -142,6 +104,7 @@ def deployment_status(state: bytes, timings: bytes, address: str | None) -> Depl
         observed=values.get("observed") is not False,
         link=_public_key(values.get("link")),
         server=server_facts(values.get("server")),
+        packages=unpacked(values.get("packages")),
         restarts=_restarts(values.get("restarts")),
     )
 
@@ -154,17 +117,33 @@ def status_in_log(log: bytes, address: str | None) -> DeploymentStatus | None:
     rows = _mapping(lines[-1]).get("latest")
     records = [_record(row) for row in rows if _is_record(row)] if isinstance(rows, list) else []
     timings = "".join(f"{json.dumps(one)}\n" for one in records).encode()
-    return with_last_line(deployment_status(lines[-1], timings, address), log)
+    status = deployment_status(lines[-1], timings, address)
+    listed = next((line for line in reversed(lines) if b'"packages"' in line), b"")
+    return with_last_line(replace(status, packages=unpacked(_mapping(listed).get("packages"))), log)
 
 
 def with_last_line(status: DeploymentStatus, log: bytes) -> DeploymentStatus:
     """Return the status with the nodes' last line, which tells why they ended."""
     if status.state != "ended" or not status.detail or (line := last_line(log)) is None:
         return status
+    if status.detail.startswith(f"{LAUNCH} ") and (first := _ended_first(log)) is not None:
+        return replace(status, detail=first[:300])
     # The detail begins with the name of the node that ended, which stands in front of its lines, too.
     name, _, text = line.removeprefix("[").partition("] ")
     line = text if line[:1] == "[" and status.detail.startswith(f"{name} ") and text else line
     return replace(status, detail=f"{status.detail}: {line}"[:300])
+
+
+def _ended_first(log: bytes) -> str | None:
+    """Return which of the nodes that launch had started ended first, how, and its last line; None if launch does not say."""
+    lines = printed(log[-LOG_BYTES:])
+    for number, text in enumerate(lines):
+        if (found := NODE_ENDED.search(text)) is not None:
+            mark = f"[{found['process']}] "
+            last = next((line.partition(mark)[2] for line in reversed(lines[:number]) if line.startswith(mark)), "")
+            how = f"{found['process'].rpartition('-')[0]} {exit_text(int(found['code'] or 0))}"
+            return f"{how}: {last}" if last else how
+    return None
 
 
 def last_line(log: bytes) -> str | None:

@@ -86,7 +86,7 @@ class ForeignMachine(Refused):
     def __init__(self, names: Iterable[str], owner: Owner, where: str) -> None:
         super().__init__(
             f"{where} names {', '.join(names)}, which is not a machine of {owner}: nothing of it was touched",
-            "another application, repository or folder started it, or this one under another origin, or an older fogspec",
+            "another application, repository or folder started it, or this one under another origin",
             f"find out whose it is; then move {where} away, or end it if it is yours: "
             f"fogspec down {owner.application} --repository URL",
         )

@@ -1,6 +1,6 @@
 """The interface of execution backends, which run jobs: start, poll, stop, list.
 
-A job measures a sample or is a deployment. Both are a compiled task on one machine, started, polled and stopped in the same
+A job measures a sample or is a deployment. Both are reviewed work on one machine, started, polled and stopped in the same
 way; they differ in the status that a poll returns.
 """
 
@@ -13,41 +13,71 @@ from typing import Literal, Protocol, TypeVar
 from fogspec.backends.naming import ForeignMachine, Owner
 from fogspec.base.errors import CloudError
 from fogspec.base.project_files import ProjectFiles
+from fogspec.base.redaction import without_secrets
 from fogspec.base.text import shell_command
 from fogspec.base.units import dollars
 from fogspec.catalog.machine import Machine
-from fogspec.plan.schema import Part, PartName
-from fogspec.results.schema import Confined, Measured, Reason, ResourceUse, ServerFacts
+from fogspec.results.schema import Measured, Reason, ResourceUse, ServerFacts
+
+# What a task may mount, by its path on the machine.
+AGENT_FILE = "~/.fogspec/agent.pyz"
+SETUP_FILE = "~/.fogspec/setup.sh"
+MEASURE_FILE = "~/.fogspec/measure.sh"
+DEPLOY_FILE = "~/.fogspec/deploy.sh"
+LAUNCH_FILE = "~/.fogspec/launch/cloud.launch.py"
+LINK_FOLDER = "~/.fogspec/link"
+TARGETS = frozenset({AGENT_FILE, SETUP_FILE, MEASURE_FILE, DEPLOY_FILE, LAUNCH_FILE, LINK_FOLDER})
+DEPLOYMENT_IDLE_MINUTES = 30  # of an unused deployment
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Work:
+    """What a machine is sent and runs, the same for every backend; paths are relative to the root of the project.
+
+    `mounts` are files and directories by their paths on the machine; `script` is the one of them that runs, with
+    `arguments`, and `setup` the command that precedes it on a machine that is not this host. `workdir` is the directory that
+    the script runs in, None if it needs none. `secrets` are names of variables; `envs` are variables, None for a value that
+    is set at launch. `digests` are those of the reviewed files among the mounts.
+    """
+
+    script: str
+    arguments: tuple[str, ...] = ()
+    setup: tuple[str, ...] = ()
+    mounts: Mapping[str, str]
+    workdir: str | None = None
+    secrets: tuple[str, ...] = ()
+    envs: Mapping[str, str | None] = field(default_factory=dict)
+    digests: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """A compiled task to run as it was reviewed, on one machine.
+    """Reviewed work to run on one machine.
 
     `name` is unique among all jobs ever started and is on disk before `Backend.start`: it alone suffices to find and stop
     the job. It is bound to the `owner`: no job with another's name can be made, so that no backend can touch its machine.
 
-    `task` is the parsed task, `root` the directory that its relative paths are relative to, `directory` this job's own
-    directory for logs and fetched files. `tree` is the snapshot of the files that the machine is sent in place of the task's
-    `workdir`; None sends that as it is. `machine` may be None and `task` empty where the job is only polled or stopped.
+    `task` is the parsed SkyPilot task of the `work`, empty on this host, `root` the directory that relative paths are relative
+    to, `directory` this job's own directory for logs and fetched files. `tree` is the snapshot of the files that the machine
+    is sent in place of the `workdir`; None sends that as it is. `machine`, `work` and `task` may be absent where the job is
+    only polled or stopped.
 
     A sample's machine shuts itself down after `lifetime_s` seconds, even if its controller has died, and so does that of a
     deployment with an end; without one it has no lifetime. The machine may cost at most `cap_usd_per_hour`, without it its
-    own price. `replicate` counts the samples on the same type of machine; `parts` of the machine are measured after it.
-    `labels` are put on its machine beside the owner's.
+    own price. `replicate` counts the samples on the same type of machine. `labels` are put on its machine beside the owner's.
     """
 
     name: str
     owner: Owner
-    task: Mapping[str, object]
     root: Path
     directory: Path
+    work: Work | None = None
+    task: Mapping[str, object] = field(default_factory=dict)
     tree: Path | None = None
     machine: Machine | None = None
     lifetime_s: float | None = None
     cap_usd_per_hour: float | None = None
     replicate: int = 1
-    parts: tuple[Part, ...] = ()
     labels: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -89,8 +119,7 @@ class SampleStatus:
     that file is not here yet. Once `running` is False, everything worth keeping is in the job's directory, and every later
     poll, from any process, returns the same. `again` tells whether a retry can help. `lost` means that the outcome is unknown:
     the job was never started, or its results are out of reach; the sample is measured again. `recorded` is a record made
-    elsewhere that replaces `timings`, and `billed_s` the billed time if that is not the elapsed time. `parts` are the statuses
-    of the parts of the machine that were measured after it, by their names; `confined` of a part is how it was held to it.
+    elsewhere that replaces `timings`, and `billed_s` the billed time if that is not the elapsed time.
     """
 
     running: bool
@@ -110,8 +139,10 @@ class SampleStatus:
     so_far: Partial | None = None
     server: ServerFacts | None = None
     resources: ResourceUse | None = None
-    confined: Confined | None = None
-    parts: Mapping[PartName, "SampleStatus"] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Take secrets out of the machine's words."""
+        _without_secrets(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,6 +153,7 @@ class DeploymentStatus:
     still be up; `gone` when there is no machine. `timings` are the latest probe records, whole lines, at most a MiB.
     `observed` is False when nothing records them any more, and `detail` gives the reason. `address` is where the robot finds
     the machine, `link` the public half of the cloud's end of their link, `server` the machine's facts about itself.
+    `packages` is the list of its packages, None where it was not reported.
     `restarts` is how often the machine started a node again, for each node that has `respawn`.
     """
 
@@ -133,21 +165,38 @@ class DeploymentStatus:
     observed: bool = True
     link: str | None = None
     server: ServerFacts | None = None
+    packages: str | None = None
     restarts: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Take secrets out of the machine's words."""
+        _without_secrets(self)
+
+
+def _without_secrets(status: SampleStatus | DeploymentStatus) -> None:
+    if status.detail is not None:
+        object.__setattr__(status, "detail", without_secrets(status.detail))
 
 
 class LaunchRefused(Exception):
     """A machine is unavailable; `again` tells whether a retry can help soon."""
 
     def __init__(self, reason: Reason, detail: str, *, again: bool = False) -> None:
-        super().__init__(detail)
+        self.detail = without_secrets(detail)
+        super().__init__(self.detail)
         self.reason = reason
-        self.detail = detail
         self.again = again
 
 
 class Unreachable(Exception):
     """A backend cannot find out the state of a job just now; a later attempt may succeed."""
+
+    def __init__(self, detail: object = "") -> None:
+        super().__init__(without_secrets(str(detail)))
+
+
+class NoAnswer(CloudError):
+    """It cannot be found out just now whether a backend has access to a cloud."""
 
 
 StatusT = TypeVar("StatusT", covariant=True)
@@ -200,7 +249,10 @@ class Backend(Protocol[StatusT]):
         ...
 
     def check_access(self, places: Collection[str]) -> None:
-        """Raise CloudError if no machine is available in one of these places, before any is requested: each is an `infra`."""
+        """Raise CloudError if no machine is available in one of these places, before any is requested: each is an `infra`.
+
+        It is a NoAnswer if that cannot be found out.
+        """
         ...
 
     def list(self, owner: Owner, directory: Path) -> Sequence[str]:
@@ -239,6 +291,14 @@ class SampleBackend(Backend[SampleStatus], Protocol):
 
 class DeploymentBackend(Backend[DeploymentStatus], Protocol):
     """Keeps deployments running."""
+
+    def check_access(self, places: Collection[str], briefly: bool = False) -> None:
+        """Do as for any backend; if `briefly`, end a server on this computer that it starts for that."""
+        ...
+
+    def close(self) -> None:
+        """End the process on this computer that reaches machines, if there is one; the next call starts it again."""
+        ...
 
     def labels(self, job: Job) -> Mapping[str, str]:
         """Return the labels that the job's machine was started with, by whatever process; raise Unreachable."""

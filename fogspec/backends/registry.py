@@ -11,7 +11,6 @@ from fogspec.base.repository import repository_of
 
 SAMPLES = {
     "local": "fogspec.backends.local.backend:LocalSamples",
-    "replay": "fogspec.backends.replay:ReplaySamples",
     "skypilot": "fogspec.backends.skypilot.backend:SkyPilotSamples",
 }
 DEPLOYMENTS = {

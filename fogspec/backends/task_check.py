@@ -10,8 +10,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from fogspec.backends.protocol import Job, LaunchRefused
+from fogspec.backends.protocol import DEPLOYMENT_IDLE_MINUTES, TARGETS, Job, LaunchRefused
+from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
+from fogspec.base.layout import MOST_BYTES
+from fogspec.base.project_files import LinkedPath
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import engine_settings
 
@@ -28,8 +31,6 @@ TASK = {
     "config",
 }
 UNPRICED = {"image_id", "labels", "ports"}  # of resources: they change neither the machine nor its price
-TARGETS = {"~/.fogspec/agent.pyz", "~/.fogspec/launch/cloud.launch.py", "~/.fogspec/link"}
-DEPLOYMENT_IDLE_MINUTES = 30  # of an unused deployment
 
 
 def check_task(job: Job) -> None:
@@ -39,9 +40,11 @@ def check_task(job: Job) -> None:
 
 
 def check_sources(job: Job) -> None:
-    """Raise LaunchRefused for a file or folder that would be sent to the machine and is not the project's."""
+    """Raise LaunchRefused for a file or folder that would be sent to the machine and is not the project's, or was edited."""
     if (wrong := next(_foreign_sources(job), None)) is not None:
         raise LaunchRefused("setup", f"its task would send what is not the project's, so nothing was started: {wrong}")
+    if (path := next(_edited_sources(job), None)) is not None:
+        raise LaunchRefused("setup", f"{path} is not what was reviewed, so nothing was started")
 
 
 def _differences(job: Job) -> Iterator[str]:
@@ -108,13 +111,20 @@ def _end(end: object, job: Job) -> Iterator[str]:
 
 
 def _foreign_sources(job: Job) -> Iterator[str]:
-    mounts = job.task.get("file_mounts") or {}
+    yield from _foreign(job.root, job.task)
+    if job.work is not None:
+        workdir = {} if job.work.workdir is None else {"workdir": job.work.workdir}
+        yield from _foreign(job.root, {"file_mounts": job.work.mounts, **workdir})
+
+
+def _foreign(root: Path, task: Mapping[str, object]) -> Iterator[str]:
+    mounts = task.get("file_mounts") or {}
     if not isinstance(mounts, Mapping):
         yield "file_mounts is not a map"
         return
     sources = {f"file_mounts.{target}": source for target, source in mounts.items()}
-    if "workdir" in job.task:
-        sources["workdir"] = job.task["workdir"]
+    if "workdir" in task:
+        sources["workdir"] = task["workdir"]
     yield from (f"file_mounts.{target} is not a target of compiled tasks" for target in mounts if target not in TARGETS)
     for key, source in sources.items():
         parts = Path(source).parts if isinstance(source, str) else ()
@@ -122,8 +132,18 @@ def _foreign_sources(job: Job) -> Iterator[str]:
             yield f"{key} is {_shown(source)}, not a path inside the project"
         elif source.startswith("~"):
             yield f"{key} is {_shown(source)}, which is in a home directory"
-        elif (link := _leaving(job.root, source, whole=key != "workdir")) is not None:
+        elif (link := _leaving(root, source, whole=key != "workdir")) is not None:
             yield f"{key}: {link} leads out of the project"
+
+
+def _edited_sources(job: Job) -> Iterator[str]:
+    for path, reviewed in ({} if job.work is None else job.work.digests).items():
+        try:
+            unchanged = digest.of_bytes(job.files.read(job.root / path, MOST_BYTES)) == reviewed
+        except (OSError, LinkedPath):
+            unchanged = False
+        if not unchanged:
+            yield path
 
 
 def _leaving(root: Path, source: str, whole: bool) -> str | None:

@@ -13,6 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 import click
 
 from fogspec.base.clock import SystemClock
+from fogspec.base.redaction import known, without_secrets
 from fogspec.base.text import json_text, line, visible
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ GONE = (errno.EIO, errno.EPIPE)  # what a write to a closed terminal or pipe fai
 MARK = f"\0{os.urandom(8).hex()}"
 STYLE = re.compile(f"{MARK}([0-9;]*)m")
 LEAST_COLUMNS, USUAL_COLUMNS = 40, 80
-DRAWN = re.compile(r" *[\d.$µms ]*[|+]|[<>=]{7}")  # a line of a chart, or of a source file with its number
+SOURCE = re.compile(r" *\d* *\||[<>=]{7}")  # a line of a source file with its number, or of a conflict in it
 COPIED = re.compile(r" *(next: |\$ )?fogspec \S")  # a command: a break would be copied too
 HANGING = re.compile(r" *\S+(?: \S+)? {2,}| +")
 
@@ -101,6 +102,10 @@ def say_text(text: str, *, err: bool = False, end: str = "\n", color: bool | Non
 
     Values in it that come from files have passed `fogspec.base.text.line`, or they could look like lines of fogspec's.
     """
+    _print(without_secrets(text), err=err, end=end, color=color)
+
+
+def _print(text: str, *, err: bool, end: str = "\n", color: bool | None = None) -> None:
     color = has_color(err) if color is None else color
     if (sys.stderr if err else sys.stdout).isatty():
         text = wrapped(text, columns(err))
@@ -113,20 +118,22 @@ def say_text(text: str, *, err: bool = False, end: str = "\n", color: bool | Non
 def wrapped(text: str, width: int) -> str:
     """Return text whose lines are at most `width` cells wide, broken at blanks; rows keep their column.
 
-    A line of a chart, of a file that is shown, or with a command stays as it is. `styled` parts take no cells.
+    A line of a file that is shown, or with a command stays as it is. `styled` parts take no cells.
     """
     return "\n".join(_wrapped_line(one, max(width, LEAST_COLUMNS)) for one in text.split("\n"))
 
 
 def _wrapped_line(text: str, width: int) -> str:
     plain = STYLE.sub("", text)
-    if len(plain) <= width or DRAWN.match(plain) or COPIED.match(plain):
+    if len(plain) <= width or SOURCE.match(plain) or COPIED.match(plain):
         return text
     lead = HANGING.match(plain)
-    indent = " " * (len(lead[0]) if lead and len(lead[0]) <= width // 3 else 2)
-    lines, now = [], ""
-    for word in re.split(r"(?<=\S) (?=\S)", text):
-        longer = f"{now} {word}" if now else word
+    starts = (len(lead[0]) if lead else 0, len(plain) - len(plain.lstrip(" ")))
+    indent = " " * next((one for one in starts if 0 < one <= width // 3), 2)
+    first, *rest = re.split(r"(?<=\S)( +)(?=\S)", text)
+    lines, now = [], first
+    for gap, word in zip(rest[::2], rest[1::2], strict=True):
+        longer = f"{now}{gap}{word}"
         if now.strip() and len(STYLE.sub("", longer)) > width:
             lines.append(now)
             now = f"{indent}{word}"
@@ -144,9 +151,10 @@ def say_on(*lines: str) -> None:
             raise
 
 
-def say_json(data: Any, *, indent: int | None = 2, err: bool = False) -> None:
+def say_json(data: Any, *, indent: int | None = 2) -> None:
     """Print a value as JSON."""
-    say_text(json_text(json.dumps(data, ensure_ascii=False, indent=indent)), err=err, color=False)
+    clean = known().redact_value(data)
+    _print(json_text(json.dumps(clean, ensure_ascii=False, indent=indent)), err=False, color=False)
 
 
 def styled(text: str, **style: Any) -> str:
@@ -162,7 +170,7 @@ def has_color(err: bool = False) -> bool:
 
 def ask(question: str) -> bool:
     """Ask the user a question, and return whether the answer is yes."""
-    return click.confirm(line(question), err=True)
+    return click.confirm(line(without_secrets(question)), err=True)
 
 
 def live_console() -> "Console":

@@ -66,7 +66,7 @@ class CloudError(FogspecError):
 
 
 class NotMeasured(FogspecError):
-    """Nothing that was measured counts, or not all that is planned was measured: there is no new manifest."""
+    """Too little was measured for a manifest: nothing that counts, not all of the plan, or one more sample may decide."""
 
     exit_code = 7
 

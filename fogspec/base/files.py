@@ -29,7 +29,7 @@ def check_file(path: str | os.PathLike[str]) -> None:
         raise OSError(errno.EINVAL, what, os.fspath(path))
 
 
-def read_file(path: str | os.PathLike[str], most_bytes: int = -1) -> bytes:
+def read_file(path: str | os.PathLike[str], most_bytes: int) -> bytes:
     """Return the file's bytes, at most `most_bytes` of them; raise OSError as `check_file` does or if it is unreadable."""
     check_file(path)
     with open(path, "rb") as file:

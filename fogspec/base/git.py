@@ -58,9 +58,6 @@ REACHED = {
 }
 LOG_IN = ("GIT_CONFIG", "GIT_SSH", "GIT_ASKPASS", "GIT_PROXY", "GIT_SSL", "GIT_HTTP")
 
-# Commands that pass files through the filters of their attributes: programs, too.
-FILTERING = frozenset({"diff", "merge-tree", "archive"})
-
 GIT_S = 60.0
 LONGEST_OUTPUT = 64 << 20  # bytes; what a checkout holds is not ours to bound
 LONGEST_REPORT = 1 << 16
@@ -70,7 +67,7 @@ def git(*words: str, folder: str | os.PathLike[str] = ".") -> bytes:
     """Return the output of a git command that reads; raise UsageError with git's own first line if it fails."""
     kept = {k: v for k, v in child.environment().items() if not k.startswith("GIT_") or k.startswith("GIT_CONFIG")}
     kept = kept | QUIET
-    if not FILTERING.isdisjoint(words):
+    if "diff" in words:  # it passes files through the filters of their attributes: programs, too
         kept = _configured(kept, _no_filters(folder, kept))
     ended = _run(words, folder, OVERRIDES, kept)
     if ended.code:
@@ -205,19 +202,12 @@ def _tracked(root: str, state: str) -> str | None:
     return next(inside, None)
 
 
-def check_untracked(layout: Layout) -> None:
+def check_untracked(layout: Layout, *hints: str) -> None:
     """Raise Refused for live state that git tracks: what others commit must not name machines to end or to pay."""
     if (name := tracked_state(layout)) is not None:
         folder = Path(layout.relative(layout.state)).parts[0]
         raise Refused(
-            f"{layout.root / name}: git tracks it: what runs is a record of this computer, and this one came with the checkout",
-            f"look at what it names, then: git rm -r --cached {folder}, and add {folder}/ to .gitignore",
+            f"{layout.root / name}: git tracks it: what runs is a record of this computer, and a checkout may bring others",
+            *hints,
+            f"look at what it names, then: git rm -r -f --cached {folder}, and add {folder}/ to .gitignore",
         )
-
-
-def tracked_note(layout: Layout) -> str | None:
-    """Return the sentence of a verb that only reads and ignores state that git tracks."""
-    name = tracked_state(layout)
-    return (
-        None if name is None else f"{layout.root / name}: ignored: git tracks it, so it says nothing of what runs here"
-    )

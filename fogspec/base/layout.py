@@ -7,7 +7,11 @@ from pathlib import Path
 from fogspec.base.project_files import ProjectFiles
 
 DEFAULT_ENVIRONMENT = "default"
+MOST_BYTES = 64 << 20  # of one of its files
+PROJECT = "fogspec.yaml"  # the settings of all applications
 ENVIRONMENTS = "environments"  # the folder of their overlays
+LOCK = ".lock"  # how the name of a lock ends
+SCRIPTS = "scripts"  # the folder of what machines run
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,14 +19,12 @@ class Layout:
     """Paths of one application; `root` is the folder that compiled tasks' relative paths are relative to.
 
     `name` is the application's, in an environment with `@` and the environment's behind it. What is measured serves all
-    environments of an application: plan, tasks and results are the same paths in each, and so are the models unless an
-    environment has `own_models`.
+    environments of an application: plan, tasks and results are the same paths in each.
     """
 
     root: Path
     spec: Path
     name: str
-    own_models: bool = False
 
     @classmethod
     def of(cls, spec_path: str | os.PathLike[str], name: str) -> "Layout":
@@ -44,7 +46,9 @@ class Layout:
     @classmethod
     def named(cls, root: Path, name: str) -> "Layout":
         """Return the layout of an application by its name, where its spec would be by that name: it may be gone."""
-        return cls(root, root / "specs" / f"{name.partition('@')[0]}.yaml", name)
+        application = name.partition("@")[0]
+        places = [root / "specs" / application / f"{application}.yaml", root / "specs" / f"{application}.yaml"]
+        return cls(root, next((place for place in places if os.path.lexists(place)), places[-1]), name)
 
     @property
     def application(self) -> str:
@@ -84,13 +88,18 @@ class Layout:
 
     @property
     def lock(self) -> Path:
-        """The lock of all applications with this root."""
-        return self.root / "fogspec.lock"
+        """The lock, beside the spec: one of the application, for all of its environments."""
+        return self.spec.parent / f"{self.application}{LOCK}"
+
+    @property
+    def beside_spec(self) -> ProjectFiles:
+        """Opens and writes the lock: where the spec is, the user chose, also a link."""
+        return ProjectFiles(self.spec.parent)
 
     @property
     def project(self) -> Path:
         """The settings of all applications with this root."""
-        return self.root / "fogspec.yaml"
+        return self.root / PROJECT
 
     @property
     def planned(self) -> Path:
@@ -112,19 +121,29 @@ class Layout:
         return self.tasks / f"{sample}.sky.yaml"
 
     @property
+    def setup_script(self) -> Path:
+        """The script that sets up ROS 2 and the workspace on every machine."""
+        return self.planned / SCRIPTS / "setup.sh"
+
+    @property
+    def measure_script(self) -> Path:
+        """The script that measures a sample."""
+        return self.planned / SCRIPTS / "measure.sh"
+
+    @property
+    def deploy_script(self) -> Path:
+        """The script that runs the cloud nodes."""
+        return self.compiled / SCRIPTS / "deploy.sh"
+
+    @property
     def agent(self) -> Path:
         """The agent, which is sent to every machine; no application can have this name."""
         return self.root / "compiled" / "agent.pyz"
 
     @property
-    def former_agent(self) -> Path:
-        """The directory that the agent's files were copied to before it was one file."""
-        return self.root / "compiled" / "_agent"
-
-    @property
     def models(self) -> Path:
-        """The fitted models."""
-        return (self.compiled if self.own_models else self.planned) / "models.yaml"
+        """What the results predict: samples, curves, and distributions."""
+        return self.compiled / "models.yaml"
 
     @property
     def menu(self) -> Path:
@@ -182,18 +201,27 @@ class Layout:
 
     @property
     def results(self) -> Path:
-        """What was measured."""
-        return self.root / "results" / f"{self.application}.yaml"
+        """Folder of what was measured: a file for each sample."""
+        return self.root / "results" / self.application
 
     @property
     def timings(self) -> Path:
         """Folder of raw timings."""
-        return self.root / "results" / self.application / "timings"
+        return self.results / "timings"
+
+    def packages(self, digest: str) -> Path:
+        """Return the list of packages with this digest."""
+        return self.timings.parent / f"packages-{digest.removeprefix('sha256:')[:12]}.txt"
 
     @property
     def state(self) -> Path:
         """Live state, journals and locks; not in git."""
         return self.root / ".fogspec" / self.name
+
+    @property
+    def metrics(self) -> Path:
+        """What the last round of `fogspec watch` saw of all applications, for node_exporter's textfile collector."""
+        return self.root / ".fogspec" / "metrics.prom"
 
     @property
     def application_lock(self) -> Path:
@@ -238,12 +266,6 @@ class Layout:
     def beside_manifest(self, path: Path) -> str:
         """Return a path as the manifest writes it: relative to its folder."""
         return Path(os.path.relpath(path, self.compiled)).as_posix()
-
-    @property
-    def source(self) -> str:
-        """What the files of an environment are made from, as their first lines say: the spec, and the overlay."""
-        overlay = "" if self.overlay is None else f" and {self.relative(self.overlay)}"
-        return f"{self.relative(self.spec)}{overlay}"
 
     def relative(self, path: Path) -> str:
         """Return a path as written into files: relative to the root, with forward slashes."""

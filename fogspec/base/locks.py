@@ -1,7 +1,6 @@
 """One bench, apply or down of an application at a time: a lock that the kernel drops with the process that held it."""
 
 import contextlib
-import fcntl
 import json
 import os
 from collections.abc import Iterator
@@ -28,15 +27,18 @@ def start_ticks(pid: int) -> int | None:
 
 
 @contextlib.contextmanager
-def application_lock(layout: Layout, what: str, remove: bool = False) -> Iterator[None]:
+def application_lock(layout: Layout, what: str, remove: bool = False, tracked: bool = False) -> Iterator[None]:
     """Hold an application's lock for `what`; raise Busy, naming the holder, if another process has it.
 
-    Raises InvalidInput for what is not a file, and Refused for state that came with the checkout.
+    Raises InvalidInput for what is not a file, and Refused for state that git tracks unless it may be `tracked`.
 
     What stands in the file is for people; the kernel's lock decides, so that a holder that was killed leaves nothing
     to clean up. With `remove` the file goes when it is over; if it was removed meanwhile, a new one is locked.
     """
-    check_untracked(layout)
+    import fcntl  # of POSIX only; commands that only read the state import this module too
+
+    if not tracked:
+        check_untracked(layout)
     path, files = layout.application_lock, layout.files
     if (found := files.stat(path)) is not None and (kind := not_a_file(found.st_mode)) is not None:
         raise InvalidInput(f"{path}: {kind}", "remove it")

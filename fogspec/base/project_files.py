@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from fogspec.base.errors import InvalidInput
-from fogspec.base.files import not_a_file
+from fogspec.base.files import not_a_file, too_large
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+STATE, IGNORED = ".fogspec", ".gitignore"  # the folder of live state, and what keeps it out of git
 DEEPEST = 64  # folders in folders, as far as files are looked for
 PLAIN = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
@@ -42,8 +43,15 @@ class ProjectFiles:
 
     root: Path
 
-    def read(self, path: Path, most_bytes: int = -1) -> bytes:
-        """Return a file's bytes, at most `most_bytes` of them."""
+    def read(self, path: Path, most_bytes: int) -> bytes:
+        """Return a file's bytes; raise OSError if there are more than `most_bytes`."""
+        content = self.head(path, most_bytes + 1)
+        if len(content) > most_bytes:
+            raise too_large(path, most_bytes)
+        return content
+
+    def head(self, path: Path, most_bytes: int) -> bytes:
+        """Return the first `most_bytes` bytes of a file."""
         with self.open(path) as file:
             return file.read(most_bytes)
 
@@ -77,16 +85,11 @@ class ProjectFiles:
         except OSError as problem:
             raise InvalidInput(f"{path}: cannot be written: {problem.strerror}") from None
 
-    def create_whole(self, path: Path, content: bytes) -> None:
-        """Write a new file, which is there with all of its content or not at all; raise FileExistsError if there is one."""
-        with self._at(path, make=True) as (folder, name):
-            _put(folder, name, content, exclusive=True)
-
-    def write_yaml(self, path: Path, data: Mapping[str, Any], made: str, source: str | None = None) -> None:
+    def write_yaml(self, path: Path, data: Mapping[str, Any], made: str) -> None:
         """Write the text of `yaml_text` to a file; see `write`."""
         from fogspec.base.yaml.writer import yaml_text  # most commands only read
 
-        self.write(path, yaml_text(data, made, source).encode())
+        self.write(path, yaml_text(data, made).encode())
 
     def make_folder(self, path: Path) -> None:
         """Make a folder, and those above it; raise FileExistsError if it is there."""
@@ -102,6 +105,18 @@ class ProjectFiles:
             os.rename(name, new, src_dir_fd=folder, dst_dir_fd=below)
             os.fsync(below)
 
+    def set_aside(self, source: Path, target: Path) -> None:
+        """Give a file a second name, so that the first can be written over; move what can have only one."""
+        try:
+            with self._at(source) as (folder, name), self._at(target, make=True) as (below, new):
+                _kind(below, new, target)
+                if not stat.S_ISREG(_kind(folder, name, source) or 0):
+                    raise OSError(errno.EINVAL, "it is not a file", os.fspath(source))
+                os.link(name, new, src_dir_fd=folder, dst_dir_fd=below, follow_symlinks=False)
+                os.fsync(below)
+        except OSError:
+            self.move(source, target)
+
     def remove(self, path: Path) -> bool:
         """Remove a file; return whether there was one."""
         try:
@@ -116,6 +131,8 @@ class ProjectFiles:
         """Remove a folder if it is empty; return whether it is gone."""
         try:
             with self._at(path) as (folder, name):
+                if name == STATE and self.names(path) == [IGNORED]:
+                    self.remove(path / IGNORED)
                 os.rmdir(name, dir_fd=folder)
         except FileNotFoundError:
             return True
@@ -205,6 +222,8 @@ class ProjectFiles:
                 below = _stepped(here, step, at, make)
                 os.close(here)
                 here = below
+                if make and step == STATE:
+                    _ignore(here)
             yield here
         finally:
             os.close(here)
@@ -223,6 +242,13 @@ def write_output(path: Path, content: bytes) -> None:
     The folders on the way are the user's own word, links included; a link at the file itself is refused.
     """
     ProjectFiles(path.parent).write(path, content)
+
+
+def _ignore(folder: int) -> None:
+    """Have git ignore a folder, as far as the disk allows: what is to be written there is worth more."""
+    with contextlib.suppress(OSError):
+        if IGNORED not in os.listdir(folder):
+            _replace(folder, IGNORED, b"*\n")
 
 
 def _stepped(here: int, step: str, at: Path, make: bool) -> int:
@@ -264,10 +290,6 @@ def _opened(folder: int, name: str, path: Path, flags: int) -> int:
 
 
 def _replace(folder: int, name: str, content: bytes) -> None:
-    _put(folder, name, content)
-
-
-def _put(folder: int, name: str, content: bytes, exclusive: bool = False) -> None:
     temporary = f".{name}.{os.urandom(6).hex()}"
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | PLAIN, 0o666, dir_fd=folder)
     try:
@@ -275,11 +297,7 @@ def _put(folder: int, name: str, content: bytes, exclusive: bool = False) -> Non
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        if exclusive:
-            os.link(temporary, name, src_dir_fd=folder, dst_dir_fd=folder, follow_symlinks=False)
-            os.unlink(temporary, dir_fd=folder)
-        else:
-            os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
+        os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
         os.fsync(folder)
     except BaseException:
         with contextlib.suppress(OSError):

@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -46,14 +46,23 @@ class Strict(BaseModel):
 
 
 class Lean(Strict):
-    """A model that leaves out what a later version added while it is not set: digests of older files stay valid."""
+    """A model that is written without the fields that have their default."""
 
-    ADDED: ClassVar[frozenset[str]] = frozenset()
+    @property
+    def unset(self) -> frozenset[str]:
+        """The names of these fields."""
+        fields = type(self).model_fields.items()
+        return frozenset(
+            name
+            for name, one in fields
+            if not one.is_required() and getattr(self, name) == one.get_default(call_default_factory=True)
+        )
 
     @model_serializer(mode="wrap")
     def _without_unset(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         found: dict[str, Any] = dump(self)
-        return {name: value for name, value in found.items() if value or name not in self.ADDED}
+        unset = self.unset
+        return {name: value for name, value in found.items() if name not in unset}
 
 
 BASE_UNITS = {"base_units": True}
@@ -146,13 +155,49 @@ Cost = Annotated[float, *_quantity(units.parse_cost_usd_per_request, units.forma
 Price = Annotated[
     float, *_quantity(units.parse_price_usd_per_hour, units.format_price, rf"{_USD}\s*/\s*(h|hour)", "$0.526/h")
 ]
-Transfer = Annotated[
-    float,
-    *_quantity(
-        units.parse_transfer_usd_per_gib, units.format_transfer, rf"{_USD}\s*/\s*(MiB|GiB|TiB|MB|GB|TB)", "$0.09/GiB"
+Rate = Annotated[float, *_quantity(units.parse_rate_per_s, units.format_rate, _RATE, "10/s")]
+
+
+def _spot(value: Any, info: ValidationInfo) -> bool | float:
+    known = isinstance(value, bool) or (isinstance(value, float) and info.context is not None)
+    return value if known else units.parse_rate_per_s(value)
+
+
+Spot = Annotated[
+    bool | float,
+    BeforeValidator(_spot),
+    PlainSerializer(
+        lambda value: value if isinstance(value, bool) else units.format_rate(value), return_type=bool | str
+    ),
+    WithJsonSchema({"type": ["boolean", "string"], "pattern": rf"^\s*{_RATE}\s*$", "examples": [True, "0.1/h"]}),
+]
+
+
+def _confidence(value: Any, info: ValidationInfo) -> float | None:
+    if value == NO_CONFIDENCE or (value is None and info.context is not None and info.context.get("base_units")):
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise units.UnitError("must be a number, or none", code="FS303")
+    if not 0 < value < 1:
+        raise units.UnitError("must be more than 0 and less than 1, or none", code="FS206")
+    return float(value)
+
+
+NO_CONFIDENCE = "none"
+Confidence = Annotated[
+    float | None,
+    BeforeValidator(_confidence),
+    PlainSerializer(lambda value: NO_CONFIDENCE if value is None else value, return_type=float | str),
+    WithJsonSchema(
+        {
+            "type": ["number", "string"],
+            "exclusiveMinimum": 0,
+            "exclusiveMaximum": 1,
+            "pattern": "^none$",
+            "examples": [0.95],
+        }
     ),
 ]
-Rate = Annotated[float, *_quantity(units.parse_rate_per_s, units.format_rate, _RATE, "10/s")]
 Percent = Annotated[float, *_quantity(units.parse_percent, units.format_percent, rf"{_N}\s*%", "5%")]
 CountRange = Annotated[Range, *_range(units.parse_count, units.format_number, _N, "2..64", number=True)]
 MemoryRange = Annotated[Range, *_range(units.parse_memory_gib, units.format_memory, _M, "4GiB..512GiB")]
@@ -164,7 +209,6 @@ SUFFIXES: dict[Callable[..., str], str] = {
     units.format_money: "_usd",
     units.format_cost: "_usd_per_request",
     units.format_price: "_usd_per_hour",
-    units.format_transfer: "_usd_per_gib",
     units.format_rate: "_per_s",
     units.format_percent: "_fraction",
 }
@@ -176,12 +220,12 @@ def as_numbers(value: Any) -> Any:
     A machine has `memory_gib` and `price_usd_per_hour`, where a file has `memory: 16GiB` and `price: $0.526/h`.
     """
     if isinstance(value, BaseModel):
-        added = value.ADDED if isinstance(value, Lean) else frozenset[str]()
+        unset = value.unset if isinstance(value, Lean) else frozenset[str]()
         fields = {name: (field, getattr(value, name)) for name, field in type(value).model_fields.items()}
         return {
             f"{name}{_suffix(field.annotation, field.metadata)}": as_numbers(one)
             for name, (field, one) in fields.items()
-            if one or name not in added
+            if name not in unset
         }
     if isinstance(value, Mapping):
         return {str(name): as_numbers(one) for name, one in value.items()}

@@ -6,13 +6,14 @@ files is asked of git.
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from fogspec.base.errors import UsageError
 from fogspec.base.files import read_file
 from fogspec.base.git import git
 
+ACTORS = ("GITHUB_TRIGGERING_ACTOR", "GITHUB_ACTOR", "GITLAB_USER_LOGIN")
 LONGEST = 1 << 20  # bytes of a configuration
 URL = re.compile(
     r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?:[^@/]*@)?(?P<host>\[[^\]/]*\]|[^:/]*)(?::(?P<port>[^/]*))?(?P<path>.*)", re.I
@@ -36,7 +37,7 @@ def repository_of(root: Path) -> str:
 def repository_at(url: str, root: Path) -> str | None:
     """Return what `repository_of` returns in a clone of the repository at this URL; None for an empty one."""
     real = Path(os.path.realpath(root))
-    top = next((top for top in (real, *real.parents) if os.path.lexists(top / ".git")), real)
+    top = top_of(root) or real
     if (origin := normalized(url, top)) is None:
         return None
     inside = real.relative_to(top).as_posix()
@@ -45,12 +46,36 @@ def repository_at(url: str, root: Path) -> str | None:
 
 def origin_of(root: Path) -> tuple[str, Path] | None:
     """Return the URL of the remote `origin` as it is configured, and the top of the clone; None without one."""
+    top = top_of(root)
+    url = None if top is None else _origin(top / ".git")
+    return None if url is None or top is None else (url, top)
+
+
+def top_of(root: Path) -> Path | None:
+    """Return the top of the git checkout that a directory is in; None if it is in none."""
     real = Path(os.path.realpath(root))
-    for top in (real, *real.parents):
-        if os.path.lexists(top / ".git"):
-            url = _origin(top / ".git")
-            return None if url is None else (url, top)
-    return None
+    return next((top for top in (real, *real.parents) if os.path.lexists(top / ".git")), None)
+
+
+def head_of(root: Path) -> str | None:
+    """Return the commit that is checked out; None without git."""
+    return _asked(root, "rev-parse", "--verify", "HEAD^{commit}")
+
+
+def actor_of(root: Path) -> str | None:
+    """Return the user of CI, or git's `user.name`; None without git."""
+    if top_of(root) is None:
+        return None
+    return next(filter(None, map(os.environ.get, ACTORS)), None) or _asked(root, "config", "user.name")
+
+
+def _asked(root: Path, *words: str) -> str | None:
+    if top_of(root) is None:
+        return None
+    try:
+        return git(*words, folder=os.path.realpath(root)).decode("utf-8", "replace").strip() or None
+    except (UsageError, OSError):
+        return None
 
 
 def committed(root: Path, path: Path) -> bytes | None:
@@ -60,6 +85,20 @@ def committed(root: Path, path: Path) -> bytes | None:
         return git("cat-file", "blob", f"HEAD:./{inside}", folder=os.path.realpath(root))
     except UsageError:
         return None
+
+
+def committed_below(root: Path, folder: Path, wanted: Callable[[str], bool]) -> dict[str, bytes]:
+    """Return the files that are `wanted` of a folder below `root`, at any depth, as they were last committed.
+
+    By their paths in the folder; none if git cannot tell.
+    """
+    inside, real = Path(os.path.relpath(folder, root)).as_posix(), os.path.realpath(root)
+    try:
+        listed = git("ls-tree", "-r", "-z", "--name-only", f"HEAD:./{inside}", folder=real)
+        names = [name for name in listed.decode("utf-8", "surrogateescape").split("\0") if name and wanted(name)]
+        return {name: git("cat-file", "blob", f"HEAD:./{inside}/{name}", folder=real) for name in names}
+    except UsageError:
+        return {}
 
 
 def normalized(url: str, top: Path) -> str | None:

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from time import process_time
 from typing import Any
 
 ENDS = (signal.SIGTERM, signal.SIGHUP)
@@ -37,14 +38,22 @@ class TookTooLong(Exception):
     """Work used all the processor time that it may have."""
 
 
+@dataclass(slots=True)
+class Used:
+    """The processor time that a block used, once it has ended."""
+
+    seconds: float = 0.0
+
+
 @contextmanager
-def processor_time(seconds: float) -> Iterator[None]:
+def processor_time(seconds: float) -> Iterator[Used]:
     """Raise TookTooLong inside of the block once it has used so much processor time, even within a regular expression.
 
     Only in the main thread, where signals arrive; in another one nothing is limited.
     """
+    used, begun = Used(), process_time()
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield used
         return
 
     def stop(_number: int, _frame: Any) -> None:
@@ -53,8 +62,9 @@ def processor_time(seconds: float) -> Iterator[None]:
     before = signal.signal(signal.SIGVTALRM, stop)
     signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
     try:
-        yield
+        yield used
     finally:
+        used.seconds = process_time() - begun
         signal.setitimer(signal.ITIMER_VIRTUAL, 0)
         signal.signal(signal.SIGVTALRM, before)
 
@@ -84,3 +94,6 @@ def _handling(numbers: Iterable[signal.Signals]) -> Iterator[Interrupt]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+            # What came in the last moment of the inner block is not lost for the outer one.
+            if interrupt.asked and isinstance(handler, Interrupt):
+                handler.asked = True

@@ -29,7 +29,6 @@ def _environment() -> jinja2.Environment:
     )
     environment.filters["sh"] = text.shell
     environment.filters["py"] = python
-    environment.filters["comment"] = text.line
     environment.filters["json"] = lambda value: json.dumps(value, sort_keys=True, ensure_ascii=False)
     environment.filters["xml"] = text.xml
     return environment

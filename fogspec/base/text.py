@@ -120,7 +120,7 @@ def table(rows: Sequence[Sequence[str]], width: int, indent: int = 2) -> list[st
     """Return the lines of a table whose first row has the headings, at most `width` wide.
 
     Where it would be wider, headings are broken at blanks first, then cells, then words above `SHORTEST` characters are
-    shortened in their middle; no-break spaces become blanks.
+    shortened in their middle, no further than to where two of them would read the same; no-break spaces become blanks.
     """
     columns = list(zip(*rows, strict=True))
     wide = [max(map(len, column)) for column in columns]
@@ -137,6 +137,9 @@ def table(rows: Sequence[Sequence[str]], width: int, indent: int = 2) -> list[st
         while sum(wide) > room and any(map(int.__gt__, wide, least)):
             at = max((n for n in range(len(wide)) if wide[n] > least[n]), key=lambda n: wide[n])
             wide[at] -= 1
+    for n, column in enumerate(columns):
+        while len({_with_short_words(cell, wide[n]) for cell in column}) < len(set(column)):
+            wide[n] += 1
     lines = []
     for row in rows:
         cells = [

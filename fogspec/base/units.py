@@ -8,7 +8,9 @@ writes the shortest text that its parser reads back to the same float.
 import difflib
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import datetime
 from decimal import Decimal
@@ -38,15 +40,13 @@ class Range:
 
 
 HOURS_PER_MONTH = 730
+_CORE_HOURS: ContextVar[bool] = ContextVar("core-hours", default=False)
 REQUESTS_SHOWN, REQUESTS_TEXT = 1000, "1,000 requests"  # whose cost people are shown
-SECONDS_PER_MONTH = 3600 * HOURS_PER_MONTH
 
 NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+LONG_S = 60.0
 DURATION_S = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
-MEMORY_GIB = {
-    "MiB": 2.0**-10, "GiB": 1.0, "TiB": 1024.0,
-    "MB": 1e6 / 2**30, "GB": 1e9 / 2**30, "TB": 1e12 / 2**30,
-}  # fmt: skip
+MEMORY_GIB = {"MiB": 2.0**-10, "GiB": 1.0, "TiB": 1024.0}  # no GB: 16GB is written for a machine of 16 GiB
 
 RATE_S = {
     **{unit: DURATION_S[unit] for unit in ("s", "min", "h")},
@@ -62,8 +62,8 @@ SPELLINGS = {
     "day": "d", "days": "d", "µs": "us",
 }  # fmt: skip
 MEMORY_SPELLINGS = {
-    "g": "GiB", "gi": "GiB", "gig": "GiB", "gigabytes": "GB", "m": "MiB", "mi": "MiB", "megabytes": "MB", "t": "TiB",
-    "ti": "TiB", "terabytes": "TB",
+    "g": "GiB", "gi": "GiB", "gig": "GiB", "gb": "GiB", "gigabytes": "GiB", "m": "MiB", "mi": "MiB", "mb": "MiB",
+    "megabytes": "MiB", "t": "TiB", "ti": "TiB", "tb": "TiB", "terabytes": "TiB",
 }  # fmt: skip
 
 
@@ -95,7 +95,7 @@ def check_until(text: str) -> str:
 
 
 def parse_memory_gib(text: Any) -> float:
-    """Return GiB from `64GiB`, `512MiB`, `16GB`."""
+    """Return GiB from `64GiB`, `512MiB`."""
     return _parse_scaled(text, MEMORY_GIB, MEMORY_SPELLINGS, "a memory size", "GiB")
 
 
@@ -150,20 +150,6 @@ def parse_price_usd_per_hour(text: Any) -> float:
         return parse_money_usd(amount)
     except UnitError as wrong:
         raise UnitError(wrong.message, f"{wrong.fix}/h" if wrong.fix else None, wrong.code) from None
-
-
-def parse_transfer_usd_per_gib(text: Any) -> float:
-    """Return USD per GiB from `$0.09/GiB`, `$0.09/GB`."""
-    amount, slash, per = _body(text).partition("/")
-    scale = MEMORY_GIB.get(per.strip())
-    if not slash or scale is None:
-        number, unit = re.search(NUMBER, amount), _close(per.strip().lower() or "gib", MEMORY_GIB, MEMORY_SPELLINGS)
-        fix = f"${number[0]}/{unit}" if number and unit else None
-        raise _unsaid("must say per what amount of data", fix, "$0.09/GiB")
-    try:
-        return parse_money_usd(amount) / scale
-    except UnitError as wrong:
-        raise UnitError(wrong.message, f"{wrong.fix}/{per.strip()}" if wrong.fix else None, wrong.code) from None
 
 
 def parse_rate_per_s(text: Any) -> float:
@@ -274,12 +260,13 @@ def format_number(value: float) -> str:
 
 
 def format_duration(seconds: float) -> str:
-    """Return `1.5s`, `50ms`, `5min`: in smaller units below one second, in larger ones if that is shorter."""
+    """Return `1.5s`, `50ms`, `5min`: in smaller units below one second, in larger ones if that is shorter; never `0.5h`."""
     if 0 < seconds < 1:
         unit, places = ("ms", 3) if seconds >= 1e-3 else ("us", 6)
         text = format(Decimal(repr(float(seconds))).scaleb(places), "f")
         return f"{text.rstrip('0').rstrip('.') if '.' in text else text}{unit}"
-    return _format_scaled(seconds, {"d": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0}, "s")
+    scales = {"d": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0}
+    return _format_scaled(seconds, {unit: scale for unit, scale in scales.items() if scale <= seconds}, "s")
 
 
 def format_memory(gib: float) -> str:
@@ -293,24 +280,41 @@ def format_money(usd: float) -> str:
 
 
 def dollars(usd: float) -> str:
-    """Return `$12.34`, `$0.77`, for people; below one dollar to a hundredth of a cent where there is one: `$0.0123`."""
+    """Return `$12.34`, `$0.77`, for people; below one dollar to a hundredth of a cent where there is one: `$0.0123`.
+
+    Within `core_hours`, here as in what follows: `0.77 core-h`.
+    """
     if usd >= 1:
-        return f"${usd:,.2f}"
+        return _amount(f"{usd:,.2f}")
     whole, _, rest = f"{usd:.4f}".partition(".")
-    return f"${whole}.{rest.rstrip('0').ljust(2, '0')}"
+    return _amount(f"{whole}.{rest.rstrip('0').ljust(2, '0')}")
 
 
 def money(usd: float, digits: int = 3) -> str:
     """Return `$0.526`, `$2.40`, `$385`, for people: with so many significant digits, and cents below $100."""
     if usd == 0:
-        return "$0"
+        return _amount("0")
     usd = _as_written(usd, digits)
     to_show = abs(rounded(usd, digits))  # $99.96 is $100
     cents = 2 if to_show < 100 else 0
     text = f"{usd:,.{max(cents, digits - 1 - math.floor(math.log10(to_show)))}f}"
     whole, _, rest = text.partition(".")
     rest = rest.rstrip("0").ljust(cents, "0")
-    return f"${whole}.{rest}" if rest else f"${whole}"
+    return _amount(f"{whole}.{rest}" if rest else whole)
+
+
+@contextmanager
+def core_hours(counted: bool) -> Iterator[None]:
+    """Show people costs in core-hours within, if these are what is `counted`: those of a catalog without prices."""
+    before = _CORE_HOURS.set(counted)
+    try:
+        yield
+    finally:
+        _CORE_HOURS.reset(before)
+
+
+def _amount(number: str) -> str:
+    return f"{number} core-h" if _CORE_HOURS.get() else f"${number}"
 
 
 def _as_written(value: float, digits: int) -> float:
@@ -326,6 +330,11 @@ def shown(value: float, digits: int = 3) -> str:
     decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
     text = f"{value:,.{decimals}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def shown_memory(gib: float) -> str:
+    """Return `1.25 GiB`, or `512 MiB`, for people."""
+    return f"{shown(gib)} GiB" if gib >= 1 else f"{shown(gib * 1024)} MiB"
 
 
 def shown_duration(seconds: float, digits: int = 3) -> str:
@@ -386,6 +395,19 @@ def headroom_text(value: float, bound: float) -> str:
     return f"{shown_percent(1 - value / bound) if bound > 0 else '0%'} headroom"
 
 
+def against(latency_s: float, cost_usd: float, other: str, other_latency_s: float, other_cost_usd: float) -> str:
+    """Return `6.3 times cheaper and 17% faster than c6i.16xlarge`, of a machine and another one; costs are of a request."""
+    parts = [_apart(cost_usd, other_cost_usd, "cheaper", "more expensive")] if other_cost_usd else []
+    return f"{' and '.join([*parts, _apart(latency_s, other_latency_s, 'faster', 'slower')])} than {other}"
+
+
+def _apart(own: float, other: float, less: str, more: str) -> str:
+    ratio, word = (other / own if own else math.inf, less) if own < other else (own / other, more)
+    if ratio < 2:
+        return f"{abs(1 - own / other):.0%} {word}"
+    return f"{f'{ratio:.2g}' if ratio < 100 else f'{ratio:,.0f}'} times {word}"
+
+
 def format_cost(usd_per_request: float) -> str:
     """Return `$0.001/request`."""
     return f"${format_number(usd_per_request)}/request"
@@ -400,11 +422,6 @@ def format_rate(per_s: float) -> str:
     """Return `10/s`, or per a longer time if that is shorter: `0.05/h`, `1/week`."""
     texts = [f"{format_number(per_s * scale)}/{unit}" for unit, scale in RATE_S.items() if unit != "min"]
     return min((text for text in texts if parse_rate_per_s(text) == per_s), key=len, default=texts[0])
-
-
-def format_transfer(usd_per_gib: float) -> str:
-    """Return `$0.09/GiB`."""
-    return f"${format_number(usd_per_gib)}/GiB"
 
 
 def format_percent(share: float) -> str:
@@ -424,6 +441,8 @@ def format_range(value: Range, fmt: Callable[[float], str]) -> str:
 def _parse_scaled(text: Any, units: Mapping[str, float], spellings: Mapping[str, str], what: str, usual: str) -> float:
     body = _body(text)
     if re.fullmatch(NUMBER, body):
+        if usual == "s" and float(body) >= LONG_S:  # 2000 are rather milliseconds, and no one but its author knows
+            raise UnitError(f"must have its unit: {body}ms, or {body}s", code="FS202")
         raise UnitError("must have its unit", f"{body}{usual}", "FS202")
     match = re.fullmatch(rf"({NUMBER})\s*([A-Za-zµ]+)", body)
     if not match:
@@ -452,9 +471,31 @@ def _format_scaled(value: float, units: Mapping[str, float], usual: str) -> str:
         for unit, scale in units.items()
         if value and _exactly(format_number(value / scale), scale) == value
     ]
-    return min(texts, key=len, default=f"{format_number(value)}{usual}")
+    # "min" counts as two letters: 10min rather than 600s, and 1.5h rather than 90min.
+    return min(texts, key=lambda text: len(text.replace("min", "mn")), default=f"{format_number(value)}{usual}")
 
 
 def _exactly(number: str, scale: float) -> float:
     """Return number x scale without binary rounding in between, so that 41.3ms is the same float as 0.0413s."""
     return float(Decimal(number) * Decimal(repr(float(scale))))
+
+
+LIMIT_UNITS = {"latency": "s", "rate": "s", "cost": "usd_per_request", "price": "usd_per_hour"}
+
+
+def shown_limit(name: str, value: float, unit: str = "", digits: int = 3) -> str:
+    """Return a bound or a value of a limit for people, with so many significant digits."""
+    match LIMIT_UNITS.get(name):
+        case "s":
+            return shown_duration(value, digits)
+        case "usd_per_request":
+            return shown_cost(value, digits)
+        case "usd_per_hour":
+            return shown_price(value, digits)
+        case _:
+            return f"{shown(value, digits)} {unit}".strip()
+
+
+def shown_beside(name: str, value: float, bound: float, unit: str = "") -> tuple[str, str]:
+    """Return a value and the bound that it violates for people, with the digits that tell them apart."""
+    return shown_apart(value, bound, lambda number, digits: shown_limit(name, number, unit, digits))

@@ -3,76 +3,50 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
 
-import numpy as np
-
-from fogspec.base import digest
 from fogspec.base.layout import Layout
-from fogspec.base.units import shown_duration
-from fogspec.bench.prepare import against_spec, read_task
+from fogspec.bench.prepare import sample_task
 from fogspec.bench.results_file import ResultsFile
+from fogspec.bench.types import SampleTask
 from fogspec.catalog.filters import Filtered, filter_offers
 from fogspec.catalog.table import Catalog
 from fogspec.choice.next_samples import next_samples
-from fogspec.compile.plan_files import plan_file, task_file, with_substitutes, with_tasks
+from fogspec.compile.agent_archive import agent_archive
+from fogspec.compile.plan_files import plan_file, with_tasks
+from fogspec.language.fingerprints import measured_record
+from fogspec.language.lock_io import files_sent, read_pins
+from fogspec.language.lockfile import pinned
+from fogspec.language.schema import Application
 from fogspec.numerics.priors import PriorData
-from fogspec.plan.initial_batch import NextBatch, batch_size
-from fogspec.plan.parts import with_parts
+from fogspec.plan.initial_batch import NextBatch
 from fogspec.plan.reuse import limits_of, plan_from_campaign, should_resume
-from fogspec.plan.schema import Batch, Plan, Sample, Sampling, next_on, sample_on
-from fogspec.results.schema import Measured, own_records
-from fogspec.spec.lock_io import read_pins
-from fogspec.spec.lockfile import pinned, pins_of_measurement
-from fogspec.spec.schema import Application
+from fogspec.plan.schema import Batch, Plan, Sample, Sampling, next_on
 
 MAX_FAILED_BATCHES = 2  # without one valid sample, after which sampling ends
-FIRST = "what says most about all machines for its price"
+FIRST = "the cheapest machines"
 
 
 @dataclass(slots=True)
 class Tasks:
-    """The tasks of the plan's samples and of their substitutes, which are compiled when they are needed.
+    """The tasks of the plan's samples; `known` are tasks on disk, by the id of their sample."""
 
-    `application` is the spec with its pins, `known` are tasks on disk, by the id of their sample.
-    """
-
-    application: Application
     layout: Layout
     plan: Plan
-    known: dict[str, Mapping[str, Any]]
+    known: dict[str, SampleTask]
 
-    def task(self, sample: Sample) -> Mapping[str, Any] | None:
+    def task(self, sample: Sample) -> SampleTask | None:
         """Return the task of a sample; None if the plan does not have it."""
-        if sample.id not in self.known and any(one.id == sample.id for one in self._substitutes()):
-            self._write(sample)
         return self.known.get(sample.id)
 
-    def substitutes(self, sample_id: str) -> list[Sample]:
-        """Return the substitutes of a sample."""
-        return self._substitutes(sample_id)
-
-    def adopt(self, plan: Plan, files: Mapping[Any, bytes]) -> None:
-        """Continue with another plan, and write its files."""
+    def adopt(self, application: Application, plan: Plan, files: Mapping[Path, bytes]) -> None:
+        """Continue with another plan of the application, whose image is pinned, and write its files."""
         for path, content in files.items():
-            if not self.layout.files.is_file(path) or self.layout.files.read(path) != content:
+            if not self.layout.files.is_file(path) or self.layout.files.head(path, len(content) + 1) != content:
                 self.layout.files.write(path, content)
-        self.plan = plan
+        self.plan, sent = plan, {**files, self.layout.agent: agent_archive()}
         for sample in plan.spec.samples:
-            self.known[sample.id] = read_task(files[self.layout.task(sample.id)])
-
-    def _substitutes(self, sample_id: str | None = None) -> list[Sample]:
-        named = [
-            one
-            for one in self.plan.spec.substitutes
-            if sample_id in (None, one.substitute_for) and against_spec(self.application, one.machine) is None
-        ]
-        return [sample_on(one.machine, f"instead of {one.substitute_for}: {one.reason}") for one in named]
-
-    def _write(self, sample: Sample) -> None:
-        content = task_file(self.application, self.plan, sample, self.layout)
-        self.layout.files.write(self.layout.task(sample.id), content)
-        self.known[sample.id] = read_task(content)
+            self.known[sample.id] = sample_task(application, plan, sample, self.layout, sent)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -112,9 +86,7 @@ class AdaptiveSampling:
         offers = self.filtered.offers
         taken = {*self.sink.samples, *(sample.id for batch in self._batches() for sample in batch.samples)}
         samples = [
-            with_parts(next_on(offers.machine(row), why, taken), offers, found.part_types(offers, number)).model_copy(
-                update={"decided_above": found.decided_above(number)}
-            )
+            next_on(offers.machine(row), why, taken).model_copy(update={"decided_above": found.decided_above(number)})
             for number, (row, why) in enumerate(zip(found.rows, found.reasons, strict=True))
         ]
         batches = [*self._batches(), *([Batch(reason=found.reason, samples=samples)] if samples else [])]
@@ -125,31 +97,15 @@ class AdaptiveSampling:
 
     def _next_samples(self, left_usd: float) -> NextBatch:
         offers, benchmark = self.filtered.offers, self.application.spec.benchmark
-        records = list(self.sink.samples.values())
-        types = len(np.unique(offers.instance))
-        batch = batch_size(benchmark, types, batches=len(self._batches()), samples=len(own_records(records)))
-        if not batch:
-            return NextBatch((), (), f"the wall time of {shown_duration(benchmark.wall_time or 0.0)} is used up")
         return next_samples(
             self.application,
             offers,
-            records,
-            usd_per_sample=offers.price_usd_per_hour * self._paid_s / 3600,
+            list(self.sink.samples.values()),
+            usd_per_sample=offers.price_usd_per_hour * self.tasks.plan.spec.commitment.paid_s / 3600,
             left_usd=left_usd,
             library=self.library,
-            batch=batch,
-            paid_share=self._paid_share(records),
+            batch=benchmark.batch_size,
         )
-
-    @property
-    def _paid_s(self) -> float:
-        """The longest time that a sample is paid for."""
-        return self.tasks.plan.spec.commitment.paid_s
-
-    def _paid_share(self, records: Sequence[Measured]) -> float:
-        """Return the share of its longest time that a sample is expected to be paid for: as those measured so far."""
-        paid_s = [one.duration for one in own_records(records) if one.state == "ok" and one.duration > 0]
-        return min(math.fsum(paid_s) / len(paid_s) / self._paid_s, 1.0) if paid_s else 1.0
 
     def _batches(self) -> Sequence[Batch]:
         return self.sink.sampling.batches if self.sink.sampling is not None else ()
@@ -157,7 +113,7 @@ class AdaptiveSampling:
     def _record(self, batches: Sequence[Batch], ended: str | None = None, out_of_budget: bool = False) -> None:
         spec = self.application.spec
         sampling = Sampling(
-            hardware=spec.hardware,
+            hardware=spec.hardware.search_space,
             infra=spec.infra,
             limits_digest=limits_of(self.application),
             batches=list(batches),
@@ -171,13 +127,10 @@ class AdaptiveSampling:
         sampling = self.sink.sampling
         if sampling is None:
             return
-        layout, source = self.layout, self.layout.relative(self.layout.spec)
-        pins = pins_of_measurement(self.application, read_pins(layout))
-        bare = plan_from_campaign(self.application, source, self.catalog, sampling, pins)
+        layout = self.layout
+        record = measured_record(self.application, read_pins(layout), files_sent(self.application, layout))
+        bare = plan_from_campaign(self.application, self.catalog, sampling, record)
         exact = pinned(self.application, read_pins(layout))
-        plan, files = with_tasks(exact, with_substitutes(exact, bare, self.filtered), layout)
+        plan, files = with_tasks(exact, bare, layout)
         files[layout.plan] = plan_file(plan, layout)
-        self.tasks.adopt(plan, files)
-        self.sink.sample_ids[:] = [sample.id for sample in plan.spec.samples]
-        self.sink.plan = digest.of_bytes(files[layout.plan])
-        self.sink.write()
+        self.tasks.adopt(exact, plan, files)

@@ -6,7 +6,7 @@ between any two steps, and the next one resumes from the journal.
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleBackend, SampleStatus, Unreachable
@@ -17,9 +17,9 @@ from fogspec.bench.attempt import STOP_PATIENCE_S, Attempt, outlived
 from fogspec.bench.journal import Journal, LaunchRecord
 from fogspec.bench.record import make_record, within_attempt
 from fogspec.bench.retry import RetryPolicy, overdrawn
-from fogspec.bench.types import CampaignConfig, Event, EventKind, Queued, ResultsSink
+from fogspec.bench.types import CampaignConfig, Event, EventKind, Queued, ResultsSink, SampleTask, measuring
 from fogspec.plan.schema import Sample, replicate
-from fogspec.results.schema import Measured, NestedIn
+from fogspec.results.schema import Measured
 
 IDLE_S = 0.5
 ABSENCE_S = 60.0  # without a look at any machine: this host was asleep
@@ -30,8 +30,9 @@ SLOW_STOPS = 4
 class Campaign:
     """One run of the loop over one results file.
 
-    `left` has the names of machines that could not be verified gone; `denied` is why no machine is available at all,
-    `denied_usd` what machines cost that were up when that was found out.
+    Once it is `halted` it starts nothing more, and waits for what runs. `left` has the names of machines that could not be
+    verified gone; `denied` is why no machine is available at all, `denied_usd` what machines cost that were up when that was
+    found out.
     """
 
     config: CampaignConfig
@@ -41,6 +42,7 @@ class Campaign:
     clock: Clock
     report: Callable[[Event], None] = lambda _event: None
     stopping: Callable[[], bool] = lambda: False
+    halted: Callable[[], bool] = lambda: False
     running: dict[str, Attempt] = field(default_factory=dict)
     queue: list[Queued] = field(default_factory=list)
     retry: RetryPolicy = field(default_factory=RetryPolicy)
@@ -53,21 +55,19 @@ class Campaign:
     def recover(self) -> set[str]:
         """Finish the work of an earlier controller: unwritten records, and machines that may still run.
 
-        Return the ids of samples that are still running, including those replaced by a running substitute. Raise Refused if
-        another backend started them.
+        Return the ids of samples that are still running. Raise Refused if another backend started them.
         """
         for started, record in list(self.journal.state.unwritten.values()):
             if started.application == self.config.measured:
-                self._write(started, record, self.journal.state.unwritten_parts.get(started.name, ()))
+                self._write(started, record)
             else:
                 self.journal.written(started.name)
         for started in list(self.journal.state.open.values()):
             if started.runner != self.backend.name:
-                again = f"fogspec bench --runner {started.runner}"
-                raise Refused(f"a bench with --runner {started.runner} was interrupted", f"let it finish: {again}")
+                again = measuring(started.runner)
+                raise Refused(f"a bench with the runner {started.runner} was interrupted", f"let it finish: {again}")
             self.running[started.name] = self._adopted(started)
-        continuing = [one.started for one in self._continuing()]
-        return {name for one in continuing for name in (one.sample.id, one.substitute_for) if name is not None}
+        return {one.started.sample.id for one in self._continuing()}
 
     def run(self, samples: Sequence[Sample]) -> None:
         """Measure the samples, besides those that are still running from before, until nothing is left to do."""
@@ -75,7 +75,7 @@ class Campaign:
         try:
             while self.queue or self.running:
                 self._notice_absence()
-                if self.stopping():
+                if self.stopping() or self.halted():
                     self.queue.clear()
                 for attempt in self.running.values():
                     self._look_for(attempt)
@@ -84,7 +84,7 @@ class Campaign:
                 for attempt in list(self.running.values()):
                     self._advance(attempt)
                 if self.queue or self.running:
-                    self.clock.sleep(self._pause_s())
+                    self._sleep(self._pause_s())
         except KeyboardInterrupt:  # at once: the journal has what may still run
             raise
         except BaseException:
@@ -98,6 +98,19 @@ class Campaign:
         if before is not None and now - before > ABSENCE_S:
             for attempt in self.running.values():
                 attempt.found_s = now
+
+    def _sleep(self, seconds: float) -> float:
+        """Sleep; return for how much longer than that, as when this host was asleep: no patience is lost in that time.
+
+        A cloud that takes long to answer is no reason for more patience.
+        """
+        before = self.clock.now_s()
+        self.clock.sleep(seconds)
+        longer_s = max(self.clock.now_s() - before - seconds, 0.0)
+        for attempt in self.running.values():
+            if attempt.give_up_s is not None:
+                attempt.give_up_s += longer_s
+        return longer_s
 
     def _pause_s(self) -> float:
         """Return the seconds until something may have changed; a wait for a retry is not spent polling."""
@@ -118,7 +131,7 @@ class Campaign:
         task = self.config.task(started.sample) if started.application == self.config.measured else None
         attempt = Attempt(
             started=started,
-            job=self._job(started, task or {}),
+            job=self._job(started, task),
             since_s=now - started.age_s(self.clock),
             found_s=now,
         )
@@ -128,18 +141,18 @@ class Campaign:
             attempt.end = SampleStatus(running=False, lost=True)
         return attempt
 
-    def _job(self, started: LaunchRecord, task: Mapping[str, object]) -> Job:
+    def _job(self, started: LaunchRecord, task: SampleTask | None) -> Job:
         return Job(
             name=started.name,
             owner=self.config.owner,
-            task=task,
+            work=None if task is None else task.work,
+            task={} if task is None else task.task,
             root=self.config.root,
             directory=self.config.attempts / started.name,
             tree=self.config.tree,
             machine=started.sample.machine,
             lifetime_s=started.lifetime_s,
             replicate=replicate(started.sample.id),
-            parts=tuple(started.sample.parts),
         )
 
     def _start_what_fits(self) -> None:
@@ -170,7 +183,6 @@ class Campaign:
             at_s=now,
             at_unix_s=self.clock.unix_s(),
             boot=self.clock.boot(),
-            substitute_for=entry.substitute_for,
         )
         task = config.task(sample)
         if task is None:
@@ -266,7 +278,7 @@ class Campaign:
         return True
 
     def _finish(self, attempt: Attempt, end: SampleStatus) -> None:
-        """Pay a machine that is gone, then record its sample, retry it, or measure it on another machine."""
+        """Pay a machine that is gone, then record its sample, or retry it."""
         started, sample = attempt.started, attempt.started.sample
         billed_s = attempt.billed_s(end, self.clock)
         if (outlived_s := attempt.outlived_s(self.clock)) > 0 and end.recorded is None:
@@ -279,23 +291,22 @@ class Campaign:
             # No machine can be had until its user has logged in, which says nothing about the sample: it gets no record.
             self.denied_usd += spent_usd
             if wanted and attempt.is_resumed and not self.stopping():  # the user may have logged in since
-                self.queue.append(Queued(sample, substitute_for=started.substitute_for))
+                self.queue.append(Queued(sample))
             else:
                 self._deny(end)
             wanted = False
         pause_s = None if self.stopping() or not wanted else self.retry.pause_s(sample.id, end)
         if not wanted or pause_s is not None:
             self.journal.end(started.name, spent_usd, None, self.clock)
-            self.sink.paid(self.journal.state.spent_usd)
+            self.sink.paid(sample, self.journal.state.spent_usd)
             if self.denied is None:
                 if pause_s is not None:
-                    self.queue.append(Queued(sample, self.clock.now_s() + pause_s, started.substitute_for))
+                    self.queue.append(Queued(sample, self.clock.now_s() + pause_s))
                 self._report(sample, EventKind.RETRIED if wanted else EventKind.UNWANTED, attempt, detail=end.detail)
         else:
             if end.lost:
                 end = replace(end, reason="interrupted", detail=end.detail or "its results are beyond reach")
             record = make_record(sample, end, self.config.rules, billed_s, spent_usd)
-            record = record.model_copy(update={"substitute_for": started.substitute_for})
             self._record(started, record, end)
         del self.running[started.name]
 
@@ -304,35 +315,13 @@ class Campaign:
         self.queue.clear()
 
     def _record(self, started: LaunchRecord, record: Measured, end: SampleStatus) -> None:
-        """Write the record to the journal and the results; queue a substitute for an unavailable machine."""
-        root = started.substitute_for or started.sample.id
-        queued = {entry.sample.id for entry in self.queue}
-        over = self.stopping() or self.denied is not None
-        others = [] if over else [one for one in self.config.substitutes(root) if one.id not in queued]
-        substitute = self.retry.substitute(started.sample, record.reason, others)
-        if substitute is not None:
-            detail = filter(None, (record.detail, f"{substitute.id} takes its place"))
-            record = record.model_copy(update={"detail": "; ".join(detail)})
-        parts = list(self._parts(started.sample, end, record)) if record.state == "ok" else []
+        """Write the record to the journal and the results."""
         record = self.sink.keep(record, end.timings)
-        self.journal.end(started.name, record.spent, record, self.clock, parts)
-        self._write(started, record, parts)
-        if substitute is not None:
-            self.queue.append(Queued(substitute, substitute_for=root))
+        self.journal.end(started.name, record.spent, record, self.clock)
+        self._write(started, record)
 
-    def _parts(self, sample: Sample, end: SampleStatus, record: Measured) -> Iterator[Measured]:
-        """Yield the records of the parts of its machine, with their raw timings kept."""
-        for part in sample.parts:
-            if (status := end.parts.get(part.part)) is None:
-                continue
-            found = make_record(sample.nested(part), status, self.config.rules, status.billed_s or 0.0, 0.0)
-            where = NestedIn(sample=sample.id, machine=sample.machine, part=part.part, confined=status.confined)
-            yield self.sink.keep(found.model_copy(update={"nested_in": where}), status.timings)
-
-    def _write(self, started: LaunchRecord, record: Measured, parts: Sequence[Measured] = ()) -> None:
+    def _write(self, started: LaunchRecord, record: Measured) -> None:
         self.sink.put(record, self.journal.state.spent_usd)
-        for part in parts:
-            self.sink.put(part, self.journal.state.spent_usd)
         self.journal.written(started.name)
         self._report(started.sample, EventKind.DONE, self.running.get(started.name), record=record)
 
@@ -341,7 +330,6 @@ class Campaign:
         detail = f"would commit {units.dollars(commitment)}, and {units.dollars(max(left, 0.0))} of the budget is left"
         status = SampleStatus(running=False, reason="budget", detail=detail)
         record = make_record(entry.sample, status, self.config.rules, 0.0, 0.0)
-        record = record.model_copy(update={"substitute_for": entry.substitute_for})
         self.sink.put(record, self.journal.state.spent_usd)
         self._report(entry.sample, EventKind.DONE, record=record)
 
@@ -363,7 +351,7 @@ class Campaign:
             if late:
                 return
             if waiting:
-                self.clock.sleep(max(self.backend.poll_s, IDLE_S))
+                until_s += self._sleep(max(self.backend.poll_s, IDLE_S))
 
     def _report(
         self,

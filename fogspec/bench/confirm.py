@@ -10,25 +10,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from fogspec.base.errors import Refused, UsageError
-from fogspec.base.text import shell_command
+from fogspec.base import digest
+from fogspec.base.layout import MOST_BYTES
 from fogspec.base.units import rounded, shown_duration
-from fogspec.bench.prepare import Prepared, read_task
-from fogspec.bench.record import timings_reference
+from fogspec.bench.prepare import Prepared, against_spec
 from fogspec.bench.results_file import ResultsFile, set_aside
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.machine import Machine
 from fogspec.choice.menu import LEVEL
 from fogspec.compile.decision import Selection, select
 from fogspec.compile.inputs import Inputs
-from fogspec.compile.plan_files import task_file
+from fogspec.language.fingerprints import change_text
+from fogspec.language.lockfile import pinned
+from fogspec.language.schema import Statistic
 from fogspec.numerics.observations import DEFAULT_NOISE
-from fogspec.plan.schema import next_on, sample_on
-from fogspec.results.schema import Carried, Confirmation, LatencySummary, Measured, Results, own_records, with_checksum
-from fogspec.results.standing import Standing
-from fogspec.spec.fingerprints import waivable
-from fogspec.spec.lockfile import pinned
-from fogspec.spec.schema import Statistic
+from fogspec.plan.schema import Sample, next_on, sample_on
+from fogspec.results.io import timings_path
+from fogspec.results.schema import Carried, Confirmation, LatencySummary, Measured, Results, results_of
+from fogspec.results.standing import input_changes
 
 Interval = tuple[float, float]
 QUANTILE = 1.645  # of a normal variable: 90% lie within it on both sides
@@ -81,52 +80,33 @@ class Expected:
         )
 
 
-def confirming(prepared: Prepared, inputs: Inputs) -> tuple[Prepared, Expected]:
+def confirming(prepared: Prepared, inputs: Inputs, runner: str) -> tuple[Prepared, Expected | None]:
     """Return what measures the chosen machine alone, and what the older results on disk expect of it.
 
-    Raise UsageError if there is nothing to confirm, Refused if the older results choose no machine, or give no interval for
-    it.
+    The same samples as before and None if there is nothing to confirm, if the older figures mean something else or are of
+    another runner, or if they choose no machine, or give no interval for it.
     """
-    name, older = prepared.layout.name, prepared.read
-    if older is None or not prepared.outdated:
-        raise UsageError(
-            f"{name}: there is nothing to confirm: {'nothing is measured' if older is None else 'the results count'}",
-            shell_command("fogspec", "status", prepared.layout.spec),
-        )
-    if not _comparable(prepared.standing):
-        raise Refused(
-            f"{name}: {', '.join(prepared.standing.fields)} changed: older figures mean something else",
-            f"measure again: {shell_command('fogspec', 'bench', prepared.layout.spec)}",
-        )
+    older = prepared.read
+    if older is None or not prepared.outdated or not prepared.standing.comparable or older.spec.runner != runner:
+        return prepared, None
     application = pinned(prepared.application, inputs.pins)
     admissible = filter_offers(inputs.catalog, application.spec.hardware, application.spec.infra)
     found = select(inputs, application, admissible, older)
     expected = _expected(prepared, older, found)
     if expected is None:
-        raise Refused(
-            f"{name}: the older results choose no machine that could be compared",
-            f"measure again: {shell_command('fogspec', 'bench', prepared.layout.spec)}",
-        )
+        return prepared, None
     sample = sample_on(expected.machine, "to confirm the results from before a change")
     sample = next((one for one in prepared.plan.spec.samples if one.id == sample.id), sample)
-    sample = sample.model_copy(update={"parts": []})
-    tasks = dict(prepared.tasks)
-    if sample.id not in tasks:
-        tasks[sample.id] = read_task(task_file(application, prepared.plan, sample, prepared.layout))
-    return replace(prepared, todo=(sample,), tasks=tasks, results=None, outdated=False, only=True), expected
-
-
-def _comparable(found: Standing) -> bool:
-    """Return whether no field changed that defines the figures."""
-    return all(waivable(name) for name in found.fields if name != "spec")
+    return replace(prepared.measuring(sample, inputs), results=None, outdated=False), expected
 
 
 def _expected(prepared: Prepared, older: Results, found: Selection) -> Expected | None:
     statistic = prepared.application.spec.constraints.statistic
-    changes = tuple(prepared.standing.reasons)
+    changes = tuple(map(change_text, input_changes(older.spec.inputs, prepared.plan.spec.inputs)))
     choice = found.choice
-    if found.models.spec.measured_on_local:
-        measured = [one for one in own_records(older.spec.samples) if one.state == "ok" and one.latency is not None]
+    if found.models.measured_on_local:
+        measured = [one for one in older.spec.samples if one.state == "ok" and one.latency is not None]
+        measured = [one for one in measured if against_spec(prepared.application, one.machine) is None]
         known = [(one.machine, at_s) for one in measured if (at_s := _statistic(one.latency, statistic)) is not None]
         if not known:
             return None
@@ -152,16 +132,17 @@ def _statistic(latency: LatencySummary | None, statistic: Statistic) -> float | 
 
 @dataclass(slots=True, kw_only=True)
 class ConfirmingFile(ResultsFile):
-    """The results file while older results are confirmed: it stays as it is until the new measurement is there.
+    """The results while older ones are confirmed: these stay as they are until the new measurement is there.
 
     Then the older samples and the new one count; or the older results are moved to another folder, and the new one counts.
+    A sample that `failed` is in no file.
     """
 
     older: Results
     expected: Expected
     confirmed: Confirmation | None = None
     decided: bool = False
-    aside: Path | None = None
+    failed: Measured | None = None
 
     def keep(self, record: Measured, timings: Path | None) -> Measured:
         """Write the raw timings beside those of the older samples, none of which they replace."""
@@ -170,35 +151,42 @@ class ConfirmingFile(ResultsFile):
 
     def put(self, record: Measured, spent_usd: float) -> None:
         """Write the older results with this record, or this record alone; a failure says nothing of the older results."""
-        self.spent_usd = spent_usd
-        if record.state != "ok":
-            self.paid(spent_usd)
+        self.failed = None if record.state == "ok" else record
+        if self.failed is not None:
+            self._pay(record.id, spent_usd, record.spent)
+            self._write_older()
             return
         own = self._renamed(record)
         self.confirmed, self.decided = self.expected.confirmation(own), True
         if self.confirmed is not None:
             body = self.older.spec
             names = [one.id for one in body.samples]
-            before = Carried(application=body.application, pins=body.pins, samples=names, confirmed=self.confirmed)
+            before = Carried(inputs=digest.of_value(body.inputs), samples=names, confirmed=self.confirmed)
             self.samples = {one.id: one for one in body.samples} | {own.id: own}
             self.sampling, self.renewed = body.sampling, {own.id}
             self.carried = [*(body.carried or ()), before]
+            self._pay(own.id, spent_usd, own.spent)
         else:
             alone = self._moved(own, record.id)
             self.samples, self.renewed = {record.id: alone}, {record.id}
+            self.before_usd, self.paid_usd, self._written = sum((self.before_usd, *self.paid_usd.values())), {}, {}
+            self._pay(record.id, spent_usd, record.spent)
         self.write()
 
-    def paid(self, spent_usd: float) -> None:
+    def paid(self, sample: Sample, spent_usd: float) -> None:
         """Write the cost into the older results; they stay as they are."""
-        self.spent_usd = spent_usd
+        if self._pay(sample.id, spent_usd):
+            self._write_older()
+
+    def _write_older(self) -> None:
         if not self.decided:
             self.write()
 
     def results(self) -> Results:
-        """Return the file's content: the older results with what was paid, until the measurement decides."""
+        """Return what the files say: the older results with what was paid, until the measurement decides."""
         if self.decided:
             return ResultsFile.results(self)
-        return with_checksum(self.older.metadata, self.older.spec.model_copy(update={"spent": self.spent_usd}))
+        return results_of(self.older.spec.model_copy(update={"paid": self.paid_usd}))
 
     def _renamed(self, record: Measured) -> Measured:
         """Return the record as a further sample of its machine, beside the older ones."""
@@ -209,16 +197,11 @@ class ConfirmingFile(ResultsFile):
 
     def _moved(self, record: Measured, name: str) -> Measured:
         """Set the older results aside; return the record under its own name again, with its raw timings."""
-        timings, files = record.timings, self.layout.files
-        written = None if timings is None else self.layout.results.parent / timings.path
-        content = None if written is None else files.read(written)
-        if written is not None:
+        written, files = timings_path(self.layout.results, record.id), self.layout.files
+        content = None if record.timings is None else files.read(written, MOST_BYTES)
+        if content is not None:
             files.remove(written)
-        self.aside = set_aside(self.layout)
-        record = record.model_copy(update={"id": name})
-        if content is None:
-            return record
-        path = self.layout.timings / f"{name}.jsonl.gz"
-        files.write(path, content)
-        relative = path.relative_to(self.layout.results.parent).as_posix()
-        return record.model_copy(update={"timings": timings_reference(relative, content)})
+        set_aside(self.layout)
+        if content is not None:
+            files.write(timings_path(self.layout.results, name), content)
+        return record.model_copy(update={"id": name})

@@ -6,14 +6,14 @@ last line, which describes nothing that had happened yet and is cut off. Entries
     campaign  a bench begins: runner, and what had been spent on the results file until then
     start     about to start a machine: its name, its sample, price, lifetime and the clock's reading
     outlived  that machine is still there though its longest time is over
-    end       that machine is verified gone: what it cost and, unless it is tried again, its record and those of its parts
+    end       that machine is verified gone: what it cost and, unless it is tried again, its record
     written   that record is in the results file
 """
 
 import contextlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,14 @@ from typing import Any
 from fogspec.backends.naming import ForeignMachine, Owner
 from fogspec.base.clock import Clock
 from fogspec.base.errors import OutOfDate
+from fogspec.base.layout import MOST_BYTES
 from fogspec.base.project_files import ProjectFiles
 from fogspec.plan.schema import Sample
 from fogspec.results.schema import Measured
 
 UNREADABLE = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
 ORPHAN = "unknown"  # the application of a machine that is only taken down
+LOOK = "it says which machines were started; look for machines left running, then delete the file"
 MOST = 1e12  # of seconds, of USD: more is garbage
 
 
@@ -35,7 +37,7 @@ class LaunchRecord:
     """A machine that was started, or was about to be: enough to find it, stop it and bound its cost.
 
     Its own end comes `lifetime_s` after it was armed, and it is paid for `paid_s` at most; see `fogspec.plan.commitment`.
-    `at_s` is the reading of the clock of this `boot`, `at_unix_s` that of the wall clock, None in an old journal.
+    `at_s` is the reading of the clock of this `boot`, `at_unix_s` that of the wall clock.
     One that has `outlived` its longest time does not end by itself.
     """
 
@@ -47,9 +49,8 @@ class LaunchRecord:
     lifetime_s: float
     paid_s: float
     at_s: float
-    at_unix_s: float | None
+    at_unix_s: float
     boot: str
-    substitute_for: str | None = None
     outlived: bool = False
 
     @property
@@ -69,7 +70,7 @@ class LaunchRecord:
         """Return the seconds since it was started, as far as the clocks tell."""
         if self.boot == clock.boot():
             return clock.now_s() - self.at_s
-        return 0.0 if self.at_unix_s is None else max(clock.unix_s() - self.at_unix_s, 0.0)
+        return max(clock.unix_s() - self.at_unix_s, 0.0)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -83,7 +84,6 @@ class JournalState:
     open: dict[str, LaunchRecord] = field(default_factory=dict)
     ended: dict[str, LaunchRecord] = field(default_factory=dict)
     unwritten: dict[str, tuple[LaunchRecord, Measured]] = field(default_factory=dict)
-    unwritten_parts: dict[str, list[Measured]] = field(default_factory=dict)
     totals: dict[str, float] = field(default_factory=dict)
     runner: str = ""
     campaign: dict[str, Any] | None = None
@@ -130,17 +130,13 @@ class JournalState:
             self.totals[self.runner] = round(self.spent_usd + _amount(entry["spent_usd"]), 9)
             if entry["record"] is not None:
                 self.unwritten[started.name] = started, Measured.model_validate(entry["record"])
-                if parts := entry.get("parts"):
-                    self.unwritten_parts[started.name] = [Measured.model_validate(one) for one in parts]
         elif kind == "written":
             del self.unwritten[entry["name"]]
-            self.unwritten_parts.pop(entry["name"], None)
         else:
             raise ValueError(kind)
 
 
 def _started(entry: Mapping[str, Any]) -> LaunchRecord:
-    substitute_for = entry.get("substitute_for")
     return LaunchRecord(
         name=_name(entry["name"]),
         runner=_name(entry["runner"]),
@@ -148,19 +144,17 @@ def _started(entry: Mapping[str, Any]) -> LaunchRecord:
         sample=Sample.model_validate(entry["sample"]),
         price_usd_per_hour=_amount(entry["price_usd_per_hour"]),
         lifetime_s=_amount(entry["lifetime_s"]),
-        paid_s=_amount(entry["paid_s"] if "paid_s" in entry else entry["lifetime_s"]),
+        paid_s=_amount(entry["paid_s"]),
         **_moment(entry),
-        substitute_for=None if substitute_for is None else _name(substitute_for),
         outlived=entry.get("outlived") is True,
     )
 
 
 def _moment(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return the readings of the clocks in an entry."""
-    unix_s = entry.get("at_unix_s")
     return {
         "at_s": _amount(entry["at_s"]),
-        "at_unix_s": None if unix_s is None else _amount(unix_s),
+        "at_unix_s": _amount(entry["at_unix_s"]),
         "boot": _name(entry["boot"]),
     }
 
@@ -190,6 +184,8 @@ class Journal:
         self.path, self._sync = path, sync
         self.state = JournalState()
         self._file = (files or ProjectFiles(path.parent)).append(path)
+        if os.fstat(self._file.fileno()).st_size > MOST_BYTES:
+            raise OutOfDate(f"{path}: it has more than {MOST_BYTES >> 20} MiB, as no journal has", LOOK)
         self._file.seek(0)
         content = self._file.read()
         whole = content.rfind(b"\n") + 1
@@ -203,7 +199,7 @@ class Journal:
         except UNREADABLE as wrong:
             raise OutOfDate(
                 f"{self.path}:{number}: this line of the journal cannot be read",
-                "it says which machines were started; look for machines left running, then delete the file",
+                LOOK,
             ) from wrong
 
     def check_owned(self, owner: Owner) -> None:
@@ -252,16 +248,11 @@ class Journal:
         spent_usd: float,
         record: Measured | None,
         clock: Clock | None = None,
-        parts: Sequence[Measured] = (),
     ) -> None:
-        """Record that a machine is verified gone, now; without a record its sample is measured again.
-
-        It is paid once: `parts` of it, whose records are kept with its own, cost nothing more.
-        """
+        """Record that a machine is verified gone, now; without a record its sample is measured again."""
         dumped = None if record is None else record.model_dump(mode="json")
         now = {} if clock is None else {"at_s": clock.now_s(), "at_unix_s": clock.unix_s(), "boot": clock.boot()}
-        beside = {"parts": [one.model_dump(mode="json") for one in parts]} if parts else {}
-        self.append(do="end", name=name, spent_usd=spent_usd, record=dumped, **now, **beside)
+        self.append(do="end", name=name, spent_usd=spent_usd, record=dumped, **now)
 
     def written(self, name: str) -> None:
         """Record that the sample is in the results file."""

@@ -1,7 +1,8 @@
 """The inputs of a campaign, all checked: the plan, its tasks, and existing results."""
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +13,23 @@ from fogspec.base.errors import OutOfDate, UsageError
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
 from fogspec.bench.spending import spending
+from fogspec.bench.types import SampleTask
 from fogspec.catalog.filters import field_against
 from fogspec.catalog.machine import Machine
+from fogspec.check.audit import sample_changes
 from fogspec.compile.agent_archive import agent_archive
-from fogspec.compile.plan_files import task_file
+from fogspec.compile.inputs import Inputs
+from fogspec.compile.plan_files import references, scripts, task_file
+from fogspec.compile.tasks import sample_work
+from fogspec.language.fingerprints import differing_rows, measured_record
+from fogspec.language.loader import SourceFile
+from fogspec.language.lockfile import pinned, some
+from fogspec.language.schema import Application
+from fogspec.plan.reuse import settings_changed
 from fogspec.plan.schema import Plan, Sample, replicate, sample_id
 from fogspec.results.io import read_results
-from fogspec.results.schema import Results, completed
+from fogspec.results.schema import Results, completed, free_failures
 from fogspec.results.standing import Standing, standing
-from fogspec.spec import fingerprints
-from fogspec.spec.loader import SourceFile
-from fogspec.spec.lock_io import files_sent, lock_drift, read_pins
-from fogspec.spec.lockfile import pinned, pins_of_measurement, some
-from fogspec.spec.schema import Application
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +47,7 @@ class Prepared:
     layout: Layout
     plan: Plan
     plan_digest: str
-    tasks: Mapping[str, Mapping[str, Any]]
+    tasks: Mapping[str, SampleTask]
     results: Results | None
     outdated: bool
     only: bool
@@ -52,45 +57,51 @@ class Prepared:
     spent_usd: Mapping[str, float] = field(default_factory=dict)
     standing: Standing = field(default_factory=Standing)
 
+    def measuring(self, sample: Sample, inputs: Inputs) -> "Prepared":
+        """Return what measures this sample alone, which may be one that the plan does not have."""
+        tasks, exact = dict(self.tasks), pinned(self.application, inputs.pins)
+        if sample.id not in tasks:
+            sent = {**inputs.agent, **scripts(exact, self.plan, self.layout)}
+            tasks[sample.id] = sample_task(exact, self.plan, sample, self.layout, sent)
+        return replace(self, todo=(sample,), tasks=tasks, only=True)
+
     def check_current(self) -> None:
         """Raise OutOfDate if another bench has measured since this was prepared: its samples must not be lost."""
         if read_results(self.layout) != self.read:
             raise OutOfDate(f"{self.layout.results} has changed since this bench began", "run the bench again")
 
 
-def prepare(
-    application: Application,
-    spec_path: str | Path,
-    only: Sequence[str],
-    known: dict[Path, SourceFile] | None = None,
-) -> Prepared:
+def prepare(inputs: Inputs, only: Sequence[str]) -> Prepared:
     """Check everything that a benchmark of this application relies on.
 
-    `only` names samples to measure, even if they are measured; without it, all that are not measured yet. `known` holds
-    files that applications share, so that each is read once; what is read is added to it. Raise OutOfDate for
+    `only` names samples to measure, even if they are measured; without it, all that are not measured yet. Raise OutOfDate for
     a missing or stale plan or an edited task, DiagnosticError for a file that cannot be read, UsageError for a sample
     that the plan does not have.
     """
-    layout = Layout.of(spec_path, application.metadata.name)
+    application, layout, pins = inputs.application, inputs.layout, inputs.pins
     again = shell_command("fogspec", "compile", layout.spec)
-    if not layout.files.exists(layout.plan):
-        raise OutOfDate(f"{layout.name} has no plan yet", again)
-    plan_file = SourceFile.read(layout.plan, layout.files)
+    if inputs.damaged is not None:
+        raise inputs.damaged
+    plan_file = inputs.on_disk.get(layout.plan)
+    if plan_file is None:
+        raise OutOfDate(f"{layout.name} has no plan yet: {layout.plan} is missing", again)
     plan = plan_file.document(Plan)
-    if plan.spec.application.digest != fingerprints.planned_digest(application):
-        raise OutOfDate(f"{layout.plan} is stale: {_changed(application, plan)} changed since it was compiled", again)
-    pins = read_pins(layout)
-    if drifted := lock_drift(pins, files_sent(application, layout) if pins else {}):
-        lock = shell_command("fogspec", "lock", layout.spec)
-        raise OutOfDate(f"{some(drifted)}: not what {layout.lock} pins", lock, again)
-    if plan.spec.pins != pins_of_measurement(application, pins):
-        raise OutOfDate(f"{layout.plan} is stale: {layout.lock} changed since it was compiled", again)
-    _check_agent(layout, again, {} if known is None else known)
+    record = measured_record(application, pins, inputs.sent)
+    if changed := differing_rows(plan.spec.inputs, record):
+        raise OutOfDate(f"{layout.plan} is stale: {some(changed)} changed since it was compiled", again)
+    agent = inputs.content(layout.agent)
+    if agent is None:
+        raise OutOfDate(f"{layout.agent}: is missing, or cannot be read", again)
+    if agent != agent_archive():
+        raise OutOfDate(f"{layout.agent} is not the agent of this version of fogspec", again)
     _check_plan(application, plan, layout, again)
+    if samples := sample_changes(inputs, plan):
+        raise OutOfDate(f"{layout.plan} is stale: {'; '.join(samples)}", again)
     exact = pinned(application, pins)
-    tasks = {sample.id: _task(exact, plan, layout, sample, again) for sample in plan.spec.samples}
-    results = read_results(layout)
-    found = None if results is None else standing(results, application, plan.spec.pins)
+    sent = {**inputs.agent, **_scripts(exact, plan, inputs, again)}
+    tasks = {sample.id: _task(exact, plan, inputs, sample, sent, again) for sample in plan.spec.samples}
+    results = inputs.results
+    found = None if results is None else standing(results, record, application.spec.benchmark.waivers)
     outdated = found is not None and not found.counts
     counting = None if outdated else results
     wanted = _todo(plan, counting, only)
@@ -114,58 +125,65 @@ def prepare(
     )
 
 
-def _changed(application: Application, plan: Plan) -> str:
-    now = fingerprints.measured_fields(application)
-    fields = [name for name, value in now.items() if plan.spec.application.field_digests.get(name) != value]
-    return f"spec's {', '.join(fields)}" if fields else "hardware, infra or how machines are sampled"
-
-
-def _check_agent(layout: Layout, again: str, known: dict[Path, SourceFile]) -> None:
-    """Raise OutOfDate unless the agent on disk is this version's: a diff does not show its content."""
-    if layout.agent not in known:
-        known[layout.agent] = SourceFile.read(layout.agent, layout.files)
-    file = known[layout.agent]
-    if file.problem is not None:
-        raise OutOfDate(f"{layout.agent}: cannot be read: {file.problem.strerror}", again)
-    if file.content != agent_archive():
-        raise OutOfDate(f"{layout.agent} is not the agent of this version of fogspec", again)
-
-
 def _check_plan(application: Application, plan: Plan, layout: Layout, again: str) -> None:
     """Raise OutOfDate if the plan measures otherwise than the spec says, or calls a sample by another machine's name."""
-    body, benchmark = plan.spec, application.spec.benchmark
-    wanted = {
-        "requests": benchmark.stop.requests,
-        "duration": benchmark.stop.duration,
-        "warmup": benchmark.warmup,
-        "setup_timeout": benchmark.setup_timeout,
-        "sampler": "list" if benchmark.machines else benchmark.sampler,
-    }
-    edited = [name for name, value in wanted.items() if getattr(body, name) != value]
-    edited += [f"samples: {one.id}" for one in body.samples if one.id != sample_id(one.machine, replicate(one.id))]
+    edited = settings_changed(application, plan)
+    edited += [f"samples: {one.id}" for one in plan.spec.samples if one.id != sample_id(one.machine, replicate(one.id))]
     if plan.metadata.name != layout.name or edited:
         raise OutOfDate(
             f"{layout.plan} is not what the spec compiles to: {', '.join(edited) or 'metadata.name'}", again
         )
 
 
-def _task(application: Application, plan: Plan, layout: Layout, sample: Sample, again: str) -> Mapping[str, Any]:
-    """Return the task that the sample compiles to; raise OutOfDate, naming the key, if the one on disk is another."""
+def _scripts(application: Application, plan: Plan, inputs: Inputs, again: str) -> dict[Path, bytes]:
+    """Return the scripts that the plan compiles to; raise OutOfDate if those on disk or their digests are others."""
+    layout, found = inputs.layout, scripts(application, plan, inputs.layout)
+    for path, compiled in found.items():
+        content = inputs.content(path)
+        if content is None:
+            raise OutOfDate(f"{path}: is missing, or cannot be read", again)
+        if content != compiled:
+            changed = _first_line(content, compiled)
+            raise OutOfDate(
+                f"{path} is not what {layout.spec} compiles to: line {changed}", "what is reviewed is what runs", again
+            )
+    if plan.spec.scripts != references(layout, found):
+        raise OutOfDate(f"{layout.plan}: spec.scripts are not the scripts as they are compiled", again)
+    return found
+
+
+def _first_line(content: bytes, compiled: bytes) -> int:
+    """Return the number of the first line that differs."""
+    pairs = itertools.zip_longest(content.split(b"\n"), compiled.split(b"\n"))
+    return next(number for number, (one, other) in enumerate(pairs, 1) if one != other)
+
+
+def _task(
+    application: Application, plan: Plan, inputs: Inputs, sample: Sample, sent: Mapping[Path, bytes], again: str
+) -> SampleTask:
+    """Return what the sample compiles to; raise OutOfDate, naming the key, if the task on disk is another."""
+    layout = inputs.layout
+    if sample.machine.is_local:
+        return sample_task(application, plan, sample, layout, sent)
     path, compiled = layout.task(sample.id), task_file(application, plan, sample, layout)
-    try:
-        content = layout.files.read(path)
-    except OSError as problem:
-        raise OutOfDate(f"{path}: cannot be read: {problem.strerror}", again) from None
-    task = read_task(compiled)
+    content, task = inputs.content(path), read_task(compiled)
+    if content is None:
+        raise OutOfDate(f"{path}: is missing, or cannot be read", again)
     if content != compiled:
         key = _first_difference(SourceFile(path, content), task)
         raise OutOfDate(f"{path} is not what {layout.spec} compiles to: {key}", "what is reviewed is what runs", again)
-    if sample.task is None or (layout.compiled / sample.task.path, sample.task.digest) != (
-        path,
-        digest.of_bytes(compiled),
-    ):
+    if sample.task != digest.of_bytes(compiled):
         raise OutOfDate(f"{layout.plan}: samples: {sample.id}: task is not {path} as it is compiled", again)
-    return task
+    return SampleTask(sample_work(application, sample, layout, sent), task)
+
+
+def sample_task(
+    application: Application, plan: Plan, sample: Sample, layout: Layout, sent: Mapping[Path, bytes]
+) -> SampleTask:
+    """Return what a sample compiles to, on this host without a task; `sent` are the files that it is sent, by path."""
+    local = sample.machine.is_local
+    task = {} if local else read_task(task_file(application, plan, sample, layout))
+    return SampleTask(sample_work(application, sample, layout, sent), task)
 
 
 def _first_difference(file: SourceFile, compiled: Mapping[str, Any]) -> str:
@@ -212,5 +230,5 @@ def _todo(plan: Plan, results: Results | None, only: Sequence[str]) -> list[Samp
         raise UsageError(f"the plan has no sample {', '.join(unknown)}", f"samples: {', '.join(known)}")
     if only:
         return [known[name] for name in dict.fromkeys(only)]
-    measured = completed(results)
+    measured = completed(results) - free_failures(results)
     return [sample for sample in plan.spec.samples if sample.id not in measured]

@@ -3,20 +3,19 @@
 import json
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, Self
 
-from fogspec.agent.redaction import Secrets
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base import units
 from fogspec.base.files import open_untrusted
 from fogspec.base.quantities import as_numbers
-from fogspec.base.redaction import redact_files
 from fogspec.base.text import count
 from fogspec.base.units import dollars
 from fogspec.bench.types import Event, EventKind
 from fogspec.plan.schema import Sample
+from fogspec.results.resources import contended
 from fogspec.results.schema import Measured
 
 FINAL = (EventKind.DONE, EventKind.RETRIED, EventKind.UNWANTED)
@@ -171,9 +170,9 @@ class Lines:
 
 
 class Events:
-    """One JSON object per change, with the totals."""
+    """One object per change, with the totals, to be written as JSON."""
 
-    def __init__(self, write: Callable[[str], None], totals: Totals | None = None) -> None:
+    def __init__(self, write: Callable[[dict[str, Any]], None], totals: Totals | None = None) -> None:
         self._write, self._totals = write, totals
         self._last: dict[str, str] = {}
 
@@ -201,25 +200,7 @@ class Events:
             facts |= {"samples_done": done, "samples_planned": planned, "left_s": self._totals.left_s}
         if self._last.get(event.sample.id) != text:
             self._last[event.sample.id] = text
-            self._write(json.dumps(facts))
-
-
-@dataclass(slots=True)
-class RedactingProgress:
-    """Reports events without secrets, which a workload can print anywhere; `folders` has the logs of each sample."""
-
-    reporter: ProgressReporter
-    secrets: Secrets
-    folders: dict[str, Path] = field(default_factory=dict)
-
-    def __call__(self, event: Event) -> None:
-        """Redact the event and the files of an attempt that has ended, and report the event."""
-        if event.folder is not None:
-            self.folders[event.sample.id] = event.folder
-            if event.kind in FINAL:
-                redact_files(self.secrets, event.folder)
-        detail = None if event.detail is None else self.secrets.redact(event.detail)
-        self.reporter(replace(event, detail=detail))
+            self._write(facts)
 
 
 def machine(sample: Sample) -> str:
@@ -229,7 +210,8 @@ def machine(sample: Sample) -> str:
 
 def verdict(record: Measured) -> str:
     """Return the state, with the reason if it has one."""
-    return record.state if record.reason is None else f"{record.state}, {record.reason.replace('_', ' ')}"
+    more = record.reason or ("contended" if record.state == "ok" and contended(record) else None)
+    return record.state if more is None else f"{record.state}, {more.replace('_', ' ')}"
 
 
 def outcome(record: Measured) -> str:

@@ -1,5 +1,6 @@
 """The cost of a bench before it begins, and the check that the plan's prices still hold."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -29,6 +30,7 @@ class Quote:
     runner: str
     costs: Costs
     once_more: bool = False
+    beyond_plan: bool = False
 
     @classmethod
     def of(cls, prepared: Prepared, backend: SampleBackend, max_usd: float | None, once_more: bool = False) -> "Quote":
@@ -49,6 +51,7 @@ class Quote:
             runner=backend.name,
             costs=backend.costs,
             once_more=once_more,
+            beyond_plan=not {one.id for one in prepared.todo} <= {one.id for one in body.samples},
         )
 
     @property
@@ -80,6 +83,8 @@ class Quote:
     def line(self) -> str:
         """Return one line: the samples to measure, and the most that they can cost."""
         count = f"{self.name}: {len(self.todo)} of {self.planned} samples to measure"
+        if self.beyond_plan:
+            count = f"{self.name}: a sample of {', '.join(one.machine.instance for one in self.todo)} besides the plan"
         if self.once_more:
             count = f"{self.name}: {', '.join(one.machine.instance for one in self.todo)} to measure once more"
         if self.adaptive:
@@ -94,10 +99,14 @@ class Quote:
         return f"{count}: at most {dollars(most)}{when}"
 
     def together(self, at_once: int) -> Iterator[str]:
-        """Yield the highest price of the machines that run at the same time, of more than one that costs money."""
+        """Yield the highest price of the machines that run at the same time, if they cost money, and the longest time."""
         prices = sorted((sample.machine.price for sample in self.todo), reverse=True)[:at_once]
-        if self.costs is Costs.REAL and len(prices) > 1:
-            yield f"{len(prices)} machines at once: at most {units.shown_price(sum(prices))} together"
+        if self.costs is Costs.REAL and prices:
+            most_s = math.ceil(len(self.todo) / len(prices)) * self.commitment.paid_s
+            price, time = units.shown_price(sum(prices)), units.shown_duration(most_s)
+            together = (f"{len(prices)} machines at once", f"{price} together")
+            machines, most = together if len(prices) > 1 else ("1 machine at a time", price)
+            yield f"{machines}: at most {most}, for {time} at most"
 
     def unattended(self) -> Iterator[str]:
         """Yield what becomes of machines that cost money if this computer goes off while they start."""

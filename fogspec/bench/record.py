@@ -2,23 +2,24 @@
 
 import gzip
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import ValidationError
 
+from fogspec.agent.intervals import independent
 from fogspec.backends.protocol import SampleStatus
-from fogspec.base import digest
 from fogspec.base.files import open_untrusted
+from fogspec.base.redaction import known
 from fogspec.base.units import shown_duration
 from fogspec.plan.schema import Sample
 from fogspec.results import ranges
 from fogspec.results.hangs import detect_hang
 from fogspec.results.ranges import SIZE_LIMIT
 from fogspec.results.requests import RecordRules, Requests, read_requests
-from fogspec.results.schema import LatencySummary, Measured, Reason, State, StoppedBy, Timings
+from fogspec.results.schema import LatencySummary, Measured, Reason, State, StoppedBy
 from fogspec.results.statistics import NEEDED, summary, weights
 
 DETAIL_LIMIT = 1000
@@ -70,6 +71,7 @@ def _figures(requests: Requests, status: SampleStatus, rules: RecordRules) -> di
         "stopped_by": status.stopped_by if status.stopped_by in get_args(StoppedBy) else None,
         "setup": status.setup_s,
         "measuring": status.measured_s,
+        "independent": independent(requests.latencies_s) if requests.latencies_s else None,
         "latency": summary(requests.latencies_s, weights(requests.scenarios, rules.scenarios)),
         "service": _service(requests, rules),
         "lost": requests.lost or None,
@@ -91,7 +93,7 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
     if not requests.seen and requests.other_names and status.reason in (None, "no_response"):
         timed = ", ".join(map(repr, requests.other_names))
         named = f"no request named {rules.callback!r} was timed, only {timed}"
-        return "failed", "no_response", f"{named}: compare spec.probe with what the workload times"
+        return "failed", "not_reported", f"{named}: compare spec.probe with what the workload times"
     if status.reason is not None:
         return "failed", status.reason, status.detail
     if requests.out_of_range is not None:
@@ -152,17 +154,13 @@ def within_attempt(status: SampleStatus, directory: Path) -> SampleStatus:
     return replace(status, timings=None, detail="its timings are not where they belong, and were not read")
 
 
-def compress(path: Path, redact: Callable[[str], str] = lambda text: text) -> bytes:
+def compress(path: Path) -> bytes:
     """Return the raw timings compressed, the same bytes for the same content, without the values of secrets."""
     with open_untrusted(path) as file:
         content = file.read(SIZE_LIMIT)
-    text = content.decode("utf-8", "surrogateescape")
-    return gzip.compress(redact(text).encode("utf-8", "surrogateescape"), compresslevel=6, mtime=0)
-
-
-def timings_reference(relative: str, content: bytes) -> Timings:
-    """Return a record's reference to its raw timings."""
-    return Timings(path=relative, digest=digest.of_bytes(content))
+    if secrets := known():
+        content = b"".join(map(secrets.redact_record, content.splitlines(keepends=True)))
+    return gzip.compress(content, compresslevel=6, mtime=0)
 
 
 def _service(requests: Requests, rules: RecordRules) -> LatencySummary | None:

@@ -1,75 +1,115 @@
-"""The results file while a benchmark runs: rewritten with its checksum after every sample."""
+"""The files of results while a benchmark runs: that of a sample is written with its checksum when it has ended."""
 
-from collections.abc import Callable, Mapping
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from fogspec.agent.packages import MOST_BYTES
+from fogspec.base import digest
+from fogspec.base.files import open_untrusted
 from fogspec.base.layout import Layout
-from fogspec.base.text import shell_command
-from fogspec.bench.record import compress, timings_reference
-from fogspec.plan.schema import PlanMetadata, Sampling
-from fogspec.results.schema import Carried, Measured, Results, ResultsBody, is_final, with_checksum
+from fogspec.bench.record import compress
+from fogspec.bench.types import measuring
+from fogspec.plan.schema import Sample, Sampling
+from fogspec.results.folded import folded, split
+from fogspec.results.io import ASIDE, timings_path, write_results
+from fogspec.results.packages import checked
+from fogspec.results.schema import (
+    Carried,
+    Measured,
+    ResultBody,
+    Results,
+    ResultsBody,
+    is_final,
+    results_of,
+)
+
+ROUNDED_USD = 1e-6
 
 
 @dataclass(slots=True, kw_only=True)
 class ResultsFile:
     """A `fogspec.bench.types.ResultsSink` on disk.
 
-    `sample_ids` are those of the plan, in its order; `redact` removes the values of secrets from a machine's text. `carried`
-    are the changes after which older samples count on, `renewed` the ids of samples that were measured after the last one.
+    `carried` are the changes after which older samples count on, `renewed` the ids of samples that were measured after the
+    last one. `paid_usd` is what each sample has cost, and `before_usd` what results cost that were set aside: together they
+    are never less than what the campaign has spent.
     """
 
     layout: Layout
-    application: str
-    plan: str
+    inputs: dict[str, Any]
     runner: str
     source: str | None
-    budget_usd: float | None
-    sample_ids: list[str]
-    redact: Callable[[str], str] = lambda text: text
-    pins: dict[str, str] | None = None
-    field_digests: dict[str, str] | None = None
-    measured: dict[str, Any] | None = None
     carried: list[Carried] = field(default_factory=list)
     sampling: Sampling | None = None
     samples: dict[str, Measured] = field(default_factory=dict)
-    spent_usd: float = 0.0
+    paid_usd: dict[str, float] = field(default_factory=dict)
+    before_usd: float = 0.0
     renewed: set[str] = field(default_factory=set)
+    _written: dict[str, ResultBody] = field(default_factory=dict)
 
     def resume(self, results: Results) -> None:
         """Continue existing results."""
         self.samples = {record.id: record for record in results.spec.samples}
-        self.spent_usd = results.spec.spent
         self.sampling = results.spec.sampling
+        self.begin(results)
+
+    def begin(self, results: Results) -> None:
+        """Begin with what is on disk, and what it cost."""
+        self.paid_usd, self.before_usd = results.spec.costs, results.spec.before
+        self._written = {one.id: one for one in split(results.spec)}
 
     def keep(self, record: Measured, timings: Path | None) -> Measured:
-        """Write the raw timings next to the results, compressed, and return the record with a reference to them."""
-        if record.detail is not None:
-            record = record.model_copy(update={"detail": self.redact(record.detail)})
+        """Write raw timings, compressed, and packages next to the results; return the record with their digests."""
         if timings is None or timings.is_symlink() or not timings.is_file() or not timings.stat().st_size:
             return record
         if self._preferred(record) is not record:
             return record
-        content = compress(timings, self.redact)
-        path = self.layout.timings / f"{record.id}.jsonl.gz"
-        self.layout.files.write(path, content)
-        relative = path.relative_to(self.layout.results.parent).as_posix()
-        return record.model_copy(update={"timings": timings_reference(relative, content)})
+        record = self._keep_packages(record, timings.parent / "packages.txt")
+        content = compress(timings)
+        self.layout.files.write(timings_path(self.layout.results, record.id), content)
+        return record.model_copy(update={"timings": digest.of_bytes(content)})
+
+    def _keep_packages(self, record: Measured, path: Path) -> Measured:
+        """Write the machine's list of packages, once per distinct list, and return the record with its digest."""
+        if record.server is None or path.is_symlink() or not path.is_file():
+            return record
+        with open_untrusted(path) as file:
+            text = checked(file.read(MOST_BYTES + 1))
+        if text is None:
+            return record
+        named = digest.of_bytes(text.encode())
+        self.layout.files.write(self.layout.packages(named), text.encode())
+        return record.model_copy(update={"server": record.server.model_copy(update={"packages": named})})
 
     def put(self, record: Measured, spent_usd: float) -> None:
-        """Write the file with this record, unless an older one says more: a measurement, or a final failure."""
+        """Write the file of this record, unless an older one says more: a measurement, or a final failure."""
         if self._preferred(record) is record:
             self.samples[record.id] = record
             self.renewed.add(record.id)
-        self.spent_usd = spent_usd
+        self._pay(record.id, spent_usd, record.spent)
         self.write()
 
-    def paid(self, spent_usd: float) -> None:
-        """Write the cost of all samples after a machine was paid for that left no record."""
-        if spent_usd != self.spent_usd:
-            self.spent_usd = spent_usd
+    def unheard(self, only: bool) -> bool:
+        """Return whether samples, with `only` those of this bench, lack what the spec expects, and none was measured."""
+        found = [one for one in self.samples.values() if not only or one.id in self.renewed]
+        certain = any(one.reason == "not_reported" and (one.spent or one.id in self.renewed) for one in found)
+        return certain and not any(one.state == "ok" for one in found)
+
+    def paid(self, sample: Sample, spent_usd: float) -> None:
+        """Write the cost of a machine that left no record into the file of its sample."""
+        if self._pay(sample.id, spent_usd):
             self.write()
+
+    def _pay(self, sample: str, spent_usd: float, expected_usd: float = 0.0) -> bool:
+        """Add to what a sample cost what the campaign has spent and no file has yet; return whether that is anything."""
+        missing_usd = spent_usd - self.before_usd - math.fsum(self.paid_usd.values())
+        # The sum is rounded, the cost of a record is not.
+        added_usd = expected_usd if abs(missing_usd - expected_usd) < ROUNDED_USD else max(missing_usd, 0.0)
+        before_usd = self.paid_usd.setdefault(sample, 0.0)
+        self.paid_usd[sample] = before_usd + added_usd if before_usd else added_usd
+        return added_usd > 0
 
     def decide(self, sampling: Sampling) -> None:
         """Write the decisions of an adaptive campaign."""
@@ -85,27 +125,21 @@ class ResultsFile:
         return older if keeps else record
 
     def results(self) -> Results:
-        """Return the file's content with its checksum: the plan's samples in the plan's order, then others."""
-        place = {name: number for number, name in enumerate(self.sample_ids)}
-        ordered = sorted(
-            self.samples.values(),
-            key=lambda r: (*_place(r, place, self.samples), r.id),
-        )
-        body = ResultsBody(
-            application=self.application,
-            plan=self.plan,
-            pins=self.pins,
-            field_digests=self.field_digests,
-            measured=self.measured,
+        """Return what the files say together."""
+        found = folded(list(split(self._body())), self.before_usd)
+        return results_of(self._body()) if found is None else found
+
+    def _body(self) -> ResultsBody:
+        return ResultsBody(
+            inputs=self.inputs,
             carried=self._carried() or None,
             runner=self.runner,
             source=self.source,
-            budget=self.budget_usd,
-            spent=self.spent_usd,
             sampling=self.sampling,
-            samples=ordered,
+            samples=list(self.samples.values()),
+            paid=self.paid_usd,
+            before=self.before_usd,
         )
-        return with_checksum(PlanMetadata(name=self.layout.name), body)
 
     def _carried(self) -> list[Carried]:
         """Return what samples of older inputs count on for, without those that were measured again."""
@@ -116,31 +150,16 @@ class ResultsFile:
         return [one for one in steps if one.samples]
 
     def write(self) -> None:
-        """Write the file whole, or leave the old one."""
-        recorded = " --from RESULTS.yaml" if self.runner == "replay" else ""
-        made = (
-            shell_command("fogspec", "bench", self.layout.relative(self.layout.spec), "--runner", self.runner)
-            + recorded
+        """Write the files that changed, each whole, or leave the old one."""
+        write_results(
+            self.layout.results, self.results().spec, measuring(self.runner), self.layout.files, self._written
         )
-        self.layout.files.write_yaml(
-            self.layout.results, self.results().model_dump(mode="json", exclude_none=True), made
-        )
-
-
-def _place(record: Measured, place: Mapping[str, int], known: Mapping[str, Measured]) -> tuple[int, bool, bool, float]:
-    """Return the place of a record: a substitute's is after what it replaces, a part's after its machine, largest first."""
-    nested = record.nested_in
-    own = record if nested is None else known.get(nested.sample, record)
-    at = place.get(own.substitute_for or own.id, len(place))
-    return at, own.substitute_for is not None, nested is not None, -record.machine.cpus if nested is not None else 0.0
 
 
 def set_aside(layout: Layout) -> Path:
     """Move results that measured something else, with their raw timings, to another folder: they were paid for."""
     number, beside, files = 1, layout.results.parent, layout.files
-    while files.exists(folder := beside / f"{layout.name}.old-{number}"):
+    while files.exists(folder := beside / f"{layout.name}{ASIDE}{number}"):
         number += 1
-    if files.is_folder(layout.timings):
-        files.move(layout.timings, folder / layout.timings.relative_to(beside))
-    files.move(layout.results, folder / layout.results.name)
-    return folder / layout.results.name
+    files.move(layout.results, folder)
+    return folder

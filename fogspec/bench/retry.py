@@ -1,12 +1,8 @@
-"""The policy for unavailable machines: a retry, a substitute, or neither."""
+"""The policy for unavailable machines: whether a start is tried again, and after which pause."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from fogspec.backends.protocol import SampleStatus
-from fogspec.plan.schema import Sample
-from fogspec.plan.substitutes import other_region
-from fogspec.results.schema import UNAVAILABLE
 
 ATTEMPTS = 3
 BACKOFF_S = (5.0, 30.0)
@@ -34,12 +30,3 @@ class RetryPolicy:
         if not (end.again or end.lost) or attempts >= ATTEMPTS:
             return None
         return BACKOFF_S[min(attempts, len(BACKOFF_S)) - 1]
-
-    def substitute(self, sample: Sample, reason: str | None, others: Sequence[Sample]) -> Sample | None:
-        """Return the first substitute that was not tried yet; a quota holds for all machines of a region."""
-        if reason not in UNAVAILABLE:
-            return None
-        for one in others:
-            if one.id not in self.count and (reason == "capacity" or other_region(one.machine, sample.machine)):
-                return one
-        return None

@@ -4,20 +4,22 @@ import contextlib
 import math
 import secrets
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from fogspec.agent.redaction import Secrets
 from fogspec.backends.protocol import Costs, SampleBackend, no_access
 from fogspec.backends.registry import owner_of
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
 from fogspec.base.clouds import LOCAL
 from fogspec.base.console import GONE, say_on
-from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, Refused
+from fogspec.base.errors import Busy, CloudError, FogspecError, Interrupted, InvalidInput, Refused
+from fogspec.base.layout import Layout
 from fogspec.base.locks import application_lock
+from fogspec.base.redaction import redact_files
 from fogspec.base.signals import Interrupt, interruptible
 from fogspec.base.text import shell_command
 from fogspec.base.units import dollars, format_money
@@ -28,24 +30,37 @@ from fogspec.bench.confirm import ConfirmingFile, Expected
 from fogspec.bench.journal import Journal
 from fogspec.bench.orphans import adopt_orphans, adopt_returned
 from fogspec.bench.prepare import Prepared
-from fogspec.bench.progress import ProgressReporter, RedactingProgress
+from fogspec.bench.progress import FINAL, ProgressReporter
 from fogspec.bench.quote import check_prices
 from fogspec.bench.results_file import ResultsFile, set_aside
 from fogspec.bench.retry import overdrawn
 from fogspec.bench.types import CampaignConfig, Event
 from fogspec.catalog.table import Catalog
+from fogspec.language.fingerprints import files_of_record
+from fogspec.language.lock_io import snapshot
+from fogspec.language.lockfile import image_named
+from fogspec.language.schema import Application
 from fogspec.numerics.priors import PriorData
 from fogspec.plan.budget import ceil_cents
-from fogspec.plan.reuse import price_rises
 from fogspec.plan.schema import Sample
+from fogspec.results.folded import cost_usd
+from fogspec.results.io import aside
 from fogspec.results.requests import RecordRules
-from fogspec.results.schema import Confirmation, Results, completed
-from fogspec.results.standing import carried_on, measured_values
-from fogspec.spec import fingerprints
-from fogspec.spec.lock_io import read_pins, snapshot
-from fogspec.spec.lockfile import image_named, pinned
-from fogspec.spec.schema import Application
+from fogspec.results.schema import Results, completed
+from fogspec.results.standing import carried_on
 
+
+class Held(Protocol):
+    """A lease that other computers see: another command may take it over while this one has no contact."""
+
+    overtaken: bool
+
+    def lost(self) -> Busy:
+        """Return the error that ends this command then."""
+        ...
+
+
+Lease = Callable[[Layout, str], AbstractContextManager[Held | None]]
 Watch = Callable[[Campaign], ProgressReporter]
 
 
@@ -69,15 +84,11 @@ class BenchOptions:
 
 @dataclass(frozen=True, slots=True)
 class BenchResult:
-    """The results on disk, and the directories with the logs of the samples that were measured now.
-
-    Older results were `compared` with a new sample, and `confirmed` by it, or not.
-    """
+    """The results on disk, the directories with the logs of the samples that were measured now, and what was `compared`."""
 
     results: Results
     folders: dict[str, Path]
-    confirmed: Confirmation | None = None
-    compared: bool = False
+    compared: ConfirmingFile | None = None
 
 
 @dataclass(slots=True)
@@ -88,11 +99,24 @@ class _Bench:
     backend: SampleBackend
     options: BenchOptions
     interrupt: Interrupt
+    lease: Held | None
     left: list[str] = field(default_factory=list)
 
+    @property
+    def stopping(self) -> bool:
+        """Whether to end cleanly: the user requested it, or another command took over the lease."""
+        self.interrupt.asked |= self.lease is not None and self.lease.overtaken
+        return self.interrupt.asked
 
-def bench(prepared: Prepared, backend: SampleBackend, watch: Watch, options: BenchOptions | None = None) -> BenchResult:
-    """Measure the samples of the plan that are still to do.
+
+def bench(
+    prepared: Prepared,
+    backend: SampleBackend,
+    watch: Watch,
+    options: BenchOptions | None = None,
+    lease: Lease = application_lock,
+) -> BenchResult:
+    """Measure the samples of the plan that are still to do, while the `lease` of the application is held.
 
     Raise Busy while another bench, apply or down of this application runs, Refused if its journal names machines of another
     application, OutOfDate if results changed meanwhile,
@@ -102,9 +126,9 @@ def bench(prepared: Prepared, backend: SampleBackend, watch: Watch, options: Ben
     layout, left = prepared.layout, list[str]()
     again = f"the same command resumes where this one stopped; fogspec down {layout.name} tears everything down"
     try:
-        with application_lock(layout, f"bench of {layout.name}"), interruptible() as interrupt:
+        with lease(layout, f"bench of {layout.name}") as held, interruptible() as interrupt:
             prepared.check_current()
-            result = _measure(_Bench(prepared, backend, options or BenchOptions(), interrupt, left), watch)
+            result = _measure(_Bench(prepared, backend, options or BenchOptions(), interrupt, held, left), watch)
     except KeyboardInterrupt:
         now = "interrupted at once" if left else "interrupted at once: nothing runs any more"
         raise Interrupted(now, *_may_run(left, backend), again) from None
@@ -122,6 +146,8 @@ def bench(prepared: Prepared, backend: SampleBackend, watch: Watch, options: Ben
         raise
     if left:
         raise CloudError("these machines could not be verified gone", *_may_run(left, backend), again)
+    if held is not None and held.overtaken:
+        raise held.lost()
     if interrupt.asked:
         kept = f"{len(completed(result.results))} samples are done and kept in {layout.results}"
         raise Interrupted("interrupted: nothing runs any more", kept, again)
@@ -138,12 +164,11 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
     """Run the campaign; `left` is kept up to date also when this raises."""
     layout = one.prepared.layout
     journal = Journal(layout.journal, files=layout.files)
-    redacting = Secrets.of(one.prepared.application.spec.secrets)
+    folders = dict[str, Path]()
     try:
-        campaign, sink, tasks = _campaign(one, journal, redacting)
+        campaign, sink, tasks = _campaign(one, journal)
         with watch(campaign) as reporter:
-            redacted = RedactingProgress(reporter, redacting)
-            campaign.report = _heard(redacted, one.interrupt)
+            campaign.report = _heard(reporter, one.interrupt, folders)
             starts = bool(one.prepared.todo) or one.prepared.plan.spec.sampler == "adaptive"
             adopt_orphans(campaign, one.prepared.plan.spec.samples, one.options.resume, starts)
             running = campaign.recover()
@@ -156,13 +181,7 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
                 (adopt if one.options.resume else adopt_returned)(campaign)
                 campaign.recover()
                 campaign.run([])
-        compared = isinstance(sink, ConfirmingFile) and sink.decided
-        return BenchResult(
-            sink.results(),
-            redacted.folders,
-            sink.confirmed if isinstance(sink, ConfirmingFile) else None,
-            compared,
-        )
+        return BenchResult(sink.results(), folders, sink if isinstance(sink, ConfirmingFile) else None)
     except KeyboardInterrupt:
         one.left[:] = journal.state.open
         raise
@@ -173,10 +192,17 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
                 layout.files.remove_tree(layout.sent)
 
 
-def _heard(report: Callable[[Event], None], interrupt: Interrupt) -> Callable[[Event], None]:
-    """Return the report, which asks for a clean stop once it cannot be read: its terminal or pipe was closed."""
+def _heard(report: Callable[[Event], None], interrupt: Interrupt, folders: dict[str, Path]) -> Callable[[Event], None]:
+    """Return the report, which asks for a clean stop once it cannot be read: its terminal or pipe was closed.
+
+    `folders` gets each sample's folder, out of whose files secrets are taken once the attempt has ended.
+    """
 
     def tell(event: Event) -> None:
+        if event.folder is not None:
+            folders[event.sample.id] = event.folder
+            if event.kind in FINAL:
+                redact_files(event.folder)
         try:
             report(event)
         except OSError as lost:
@@ -222,7 +248,7 @@ def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, runni
     campaign.run([sample for sample in todo if sample.id not in running])
     if campaign.denied is not None:
         raise no_access(campaign.denied, booked_usd=campaign.denied_usd, verified=not campaign.left)
-    while sampling is not None and not one.interrupt.asked and not campaign.left:
+    while sampling is not None and not one.interrupt.asked and not campaign.left and not campaign.halted():
         batch = sampling.next(_left_usd(campaign))
         if not batch:
             return
@@ -238,58 +264,42 @@ def _unmeasured(samples: list[Sample], sink: ResultsFile) -> list[Sample]:
     return [sample for sample in samples if sample.id not in measured]
 
 
-def _substitutes(samples: list[Sample], sink: ResultsFile, prices: Catalog | None) -> list[Sample]:
-    """Return those that are not measured yet and whose price has not risen."""
-    left = _unmeasured(samples, sink)
-    return left if prices is None else [one for one in left if not price_rises([one], prices)]
-
-
 def _left_usd(campaign: Campaign) -> float:
     """Return what is left of the budget; infinity without one."""
     state, budget = campaign.journal.state, campaign.config.budget_usd
     return math.inf if budget is None else budget - state.spent_usd - state.committed_usd
 
 
-def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campaign, ResultsFile, Tasks]:
+def _campaign(one: _Bench, journal: Journal) -> tuple[Campaign, ResultsFile, Tasks]:
     prepared, backend = one.prepared, one.backend
     layout, body, spec = prepared.layout, prepared.plan.spec, prepared.application.spec
     owner = owner_of(layout)
     journal.check_owned(owner)
     layout.files.names(layout.attempts)  # a link there is refused before anything is started
-    application = fingerprints.measured_digest(prepared.application)
-    token, pins = secrets.token_hex(4), read_pins(layout)
+    token = secrets.token_hex(4)
     tree = None
     if backend.costs != Costs.RECORDED:
-        tree = snapshot(prepared.application, layout, layout.sent / token, pins.files if pins else None)
+        tree = snapshot(prepared.application, layout, layout.sent / token, files_of_record(body.inputs))
     made: dict[str, Any] = {
         "layout": layout,
-        "application": application,
-        "plan": prepared.plan_digest,
+        "inputs": body.inputs,
         "runner": backend.name,
         "source": "; ".join(filter(None, [backend.source, *without_image(prepared.application, backend)])) or None,
-        "budget_usd": spec.benchmark.budget,
-        "sample_ids": [sample.id for sample in body.samples],
-        "redact": redacting.redact,
-        "pins": body.pins or None,
-        "field_digests": body.application.field_digests,
-        "measured": measured_values(prepared.application),
     }
     sink = ResultsFile(**made)
     if one.options.expected is not None and prepared.read is not None:
-        check_same_runner(prepared.read, backend)
         sink = ConfirmingFile(**made, older=prepared.read, expected=one.options.expected)
+        sink.begin(prepared.read)
     if prepared.outdated:
         set_aside(layout)
+    sink.before_usd = sink.before_usd or cost_usd(aside(layout), backend.name)
     if prepared.results is not None:
         check_same_runner(prepared.results, backend)
         sink.resume(prepared.results)
         sink.carried = carried_on(prepared.results, prepared.standing.waived)
-    tasks = Tasks(pinned(prepared.application, pins), layout, prepared.plan, dict(prepared.tasks))
-    # A sample that is still running from before must have been started by a task with the same pins.
-    measured = digest.of_value([application, body.pins])
-    known_usd = max(sink.spent_usd, prepared.spent_usd.get(backend.name, 0.0))
-    journal.begin(backend.name, measured, prepared.plan_digest, known_usd)
-    sink.spent_usd = journal.state.spent_usd
+    tasks = Tasks(layout, prepared.plan, dict(prepared.tasks))
+    measured = digest.of_value(body.inputs)  # a sample that still runs from before must have been started for the same
+    journal.begin(backend.name, measured, prepared.plan_digest, prepared.spent_usd.get(backend.name, 0.0))
     if prepared.standing.waived and prepared.results is not None:
         sink.write()  # so that what is measured now is not taken for the same as what was
     allowed = None if one.options.max_usd is None else journal.state.spent_usd + one.options.max_usd
@@ -303,7 +313,6 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
         root=layout.root,
         attempts=layout.attempts,
         token=token,
-        substitutes=lambda name: _substitutes(tasks.substitutes(name), sink, one.options.prices),
         tree=tree,
     )
     clock = SystemClock()
@@ -320,7 +329,8 @@ def _campaign(one: _Bench, journal: Journal, redacting: Secrets) -> tuple[Campai
         journal=journal,
         sink=sink,
         clock=clock,
-        stopping=lambda: one.interrupt.asked,
+        stopping=lambda: one.stopping,
+        halted=lambda: sink.unheard(prepared.only),
         left=one.left,
     )
     return campaign, sink, tasks
@@ -339,5 +349,5 @@ def check_same_runner(results: Results, backend: SampleBackend) -> None:
     if results.spec.samples and results.spec.runner != backend.name:
         raise Refused(
             f"the results there were measured with the runner {results.spec.runner}, not {backend.name}: they are not mixed",
-            "move the results file away to measure everything again",
+            "move the folder of results away to measure everything again",
         )

@@ -1,20 +1,21 @@
 """What measuring an application has cost so far, by every record of it that can be read: the budget is the application's.
 
-A change of the spec sets results aside or starts new ones; the money stays spent. Each record has the sum up to its time, so
-that the largest counts. What another clone spent and did not commit is known to that clone only.
+A change of the spec sets results aside or starts new ones; the money stays spent. The files here, those of the last commit and
+the journal each have a sum up to their time, so that the largest counts. What another clone spent and did not commit is known
+to that clone only.
 """
 
 import contextlib
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
-from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
-from fogspec.base.layout import Layout
-from fogspec.base.repository import committed
+from fogspec.base.layout import MOST_BYTES, Layout
+from fogspec.base.repository import committed_below
 from fogspec.bench.journal import JournalState
-from fogspec.results.schema import Results
-from fogspec.spec.loader import SourceFile
+from fogspec.language.loader import SourceFile
+from fogspec.results.folded import cost_usd
+from fogspec.results.io import ASIDE, aside, readable, result_files
+from fogspec.results.schema import ResultBody, Results
 
 
 def spending(layout: Layout, results: Results | None) -> dict[str, float]:
@@ -23,29 +24,37 @@ def spending(layout: Layout, results: Results | None) -> dict[str, float]:
     Recorded costs of a replay are no money, so that each runner has a sum of its own.
     """
     found = dict[str, float]()
-    for one in (results, *_others(layout)):
-        if one is not None:
-            found[one.spec.runner] = max(found.get(one.spec.runner, 0.0), one.spec.spent)
+    if results is not None:
+        found[results.spec.runner] = results.spec.spent
     with contextlib.suppress(OSError, FogspecError):
-        for runner, usd in JournalState.read(layout.files.read(layout.journal)).totals.items():
-            found[runner] = max(found.get(runner, 0.0), usd)
+        # Results that could be read count all that is beside them of their own runner.
+        _raise(found, _sums([*(_on_disk(layout) if results is None else ()), *aside(layout)]))
+    _raise(found, _sums(_committed(layout)))
+    with contextlib.suppress(OSError, FogspecError):
+        _raise(found, JournalState.read(layout.files.head(layout.journal, MOST_BYTES)).totals)
     return found
 
 
-def _others(layout: Layout) -> Iterator[Results | None]:
-    """Yield the results that were set aside, and those of the last commit, which may be deleted here."""
-    folder = layout.results.parent
-    for name in layout.files.names(folder):
-        if name.startswith(f"{layout.name}.old-"):
-            path = folder / name / layout.results.name
-            with contextlib.suppress(OSError, FogspecError):
-                yield _parsed(path, layout.files.read(path))
-    if (content := committed(layout.root, layout.results)) is not None:
-        yield _parsed(Path(f"HEAD:{layout.results}"), content)
+def _raise(found: dict[str, float], others: Mapping[str, float]) -> None:
+    for runner, usd in others.items():
+        found[runner] = max(found.get(runner, 0.0), usd)
 
 
-def _parsed(path: Path, content: bytes) -> Results | None:
-    try:
-        return SourceFile(path, content).document(Results)
-    except (DiagnosticError, FogspecError):
-        return None
+def _sums(files: Sequence[ResultBody]) -> dict[str, float]:
+    return {one.runner: cost_usd(files, one.runner) for one in files}
+
+
+def _on_disk(layout: Layout) -> list[ResultBody]:
+    return readable(result_files(layout.results, layout.files))
+
+
+def _committed(layout: Layout) -> list[ResultBody]:
+    """Return the results of the last commit, which may be deleted here, with those that were set aside then."""
+    beside = layout.results.parent
+    content = committed_below(layout.root, beside, lambda name: _is_result(name, layout.application))
+    return readable([SourceFile(beside / name, content) for name, content in content.items()])
+
+
+def _is_result(name: str, application: str) -> bool:
+    folder, _, file = name.rpartition("/")
+    return file.endswith(".yaml") and (folder == application or folder.startswith(f"{application}{ASIDE}"))

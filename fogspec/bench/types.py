@@ -1,13 +1,14 @@
 """The configuration of a campaign, its events, and the interface of its results."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from fogspec.backends.naming import Owner
-from fogspec.backends.protocol import SampleStatus
+from fogspec.backends.protocol import SampleStatus, Work
+from fogspec.base.text import shell_command
 from fogspec.plan.commitment import Commitment
 from fogspec.plan.schema import Sample
 from fogspec.results.requests import RecordRules
@@ -16,14 +17,29 @@ from fogspec.results.schema import Measured
 SAMPLE_IN_NAME = 30
 
 
+def measuring(runner: str) -> str:
+    """Return the command that measures with a runner; one that replays is the lab's."""
+    if runner == "replay":
+        return shell_command("fogspec-lab", "replay", "APP", "--from", "FILE")
+    return shell_command("fogspec", "bench", "APP", "--runner", runner)
+
+
+@dataclass(frozen=True, slots=True)
+class SampleTask:
+    """What measures one sample, and the parsed SkyPilot task that has a machine do it; empty on this host."""
+
+    work: Work
+    task: Mapping[str, Any]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignConfig:
     """The configuration of a campaign. `owner` is whose machines it starts, `measured` a digest of what is measured.
 
     `tree` is the snapshot of the files that each machine is sent, None for none.
-    `task` returns a sample's reviewed task, parsed, or None if the sample is no longer wanted; `substitutes` returns samples to
-    measure if the one with this id is unavailable, best first. `commitment` has the times of each sample's machine. `token`
-    makes the names of this campaign's jobs differ from all others, also when the journal is lost.
+    `task` returns what measures a sample, as it was reviewed, or None if the sample is no longer wanted. `commitment` has
+    the times of each sample's machine. `token` makes the names of this campaign's jobs differ from all others, also when
+    the journal is lost.
     """
 
     owner: Owner
@@ -31,11 +47,10 @@ class CampaignConfig:
     rules: RecordRules
     budget_usd: float | None
     commitment: Commitment
-    task: Callable[[Sample], Mapping[str, object] | None]
+    task: Callable[[Sample], SampleTask | None]
     root: Path
     attempts: Path
     token: str
-    substitutes: Callable[[str], Sequence[Sample]] = lambda _sample: ()
     tree: Path | None = None
 
     def job_name(self, sample: Sample, number: int) -> str:
@@ -45,11 +60,10 @@ class CampaignConfig:
 
 @dataclass(frozen=True, slots=True)
 class Queued:
-    """A sample to start, not before `not_before_s` of the campaign's clock; `substitute_for` is the sample that it replaces."""
+    """A sample to start, not before `not_before_s` of the campaign's clock."""
 
     sample: Sample
     not_before_s: float = 0.0
-    substitute_for: str | None = None
 
 
 class EventKind(StrEnum):
@@ -95,6 +109,6 @@ class ResultsSink(Protocol):
         """Write the results with this record; `spent_usd` is the cost of all of them."""
         ...
 
-    def paid(self, spent_usd: float) -> None:
-        """Write the cost of all of them after a machine was paid for that left no record."""
+    def paid(self, sample: Sample, spent_usd: float) -> None:
+        """Write the cost of all of them after a machine was paid for that left no record of its sample."""
         ...

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fogspec.base.clouds import Cloud, cloud_of
 from fogspec.catalog.table import Catalog, Strings
-from fogspec.spec.schema import MachineClass
+from fogspec.language.schema import MachineClass
 
 Mask = NDArray[np.bool_]
 CURRENT = 3  # generations of a series

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.units import HOURS_PER_MONTH
-from fogspec.spec.schema import Spec
+from fogspec.language.schema import Spec
 
 Floats = NDArray[np.float64]
 
@@ -40,17 +40,16 @@ class Costs:
     @classmethod
     def of(cls, spec: Spec, price_usd_per_hour: Floats, spot: NDArray[np.bool_]) -> "Costs":
         """Return the cost model of a spec for machines with these prices."""
-        objective, data = spec.objective, spec.objective.transfer
-        usage = objective.usage if objective.billing == "provisioned" else None
+        load = spec.objective.load
         return cls(
             price_usd_per_hour=price_usd_per_hour,
             spot=spot,
-            interruptions_per_s=objective.interruption.rate,
-            restart_s=objective.interruption.recovery_time,
-            transfer_usd=data.per_request * data.price,
-            requests_per_s=objective.rate if objective.billing == "provisioned" else None,
-            up=usage.up if usage else 1.0,
-            used=usage.used if usage else 1.0,
+            interruptions_per_s=spec.hardware.interruptions_per_s,
+            restart_s=spec.hardware.startup,
+            transfer_usd=spec.objective.transfer,
+            requests_per_s=load.rate if load else None,
+            up=spec.up,
+            used=load.used if load else 1.0,
         )
 
     @classmethod
@@ -74,7 +73,7 @@ class Costs:
 
     @property
     def usd_per_month(self) -> Floats:
-        """Return the cost of a month of 730 hours (n,), in which the machine is up as the usage says, else always."""
+        """Return the cost of a month of 730 hours (n,), in which the machine is up as the load says, else always."""
         return np.asarray(self.price_usd_per_hour * HOURS_PER_MONTH * self.up)
 
     def per_request(self, latency_s: Floats) -> Floats:
@@ -88,7 +87,8 @@ class Costs:
         left = usd_per_request - self.transfer_usd
         if self.requests_per_s:
             return np.where(self.usd_per_s / self.requests_per_s <= left, np.inf, 0.0)
-        seconds = max(left, 0.0) / self.usd_per_s
+        free: Floats = np.full(len(self.usd_per_s), np.inf if left >= 0 else 0.0)
+        seconds: Floats = np.divide(max(left, 0.0), self.usd_per_s, out=free, where=self.usd_per_s > 0)
         rate = self.interruptions_per_s
         if not rate or not self.spot.any():
             return seconds

@@ -13,10 +13,10 @@ from fogspec.base.units import Range
 from fogspec.catalog import classes
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.catalog.table import Catalog, Floats, Strings, of_machine
-from fogspec.spec.schema import Hardware, MachineClass
+from fogspec.language.schema import CLASSES, STANDARD, Hardware, MachineClass
 
 Mask = NDArray[np.bool_]
-INCLUDE = "hardware.machines.include"
+ALLOW, DENY = "hardware.allow", "hardware.deny"
 PLACES_IN_ZONES = {cloud.name for cloud in CLOUDS.values() if cloud.places_in_zones}
 
 
@@ -53,14 +53,14 @@ class Filtered:
 
     offers: Catalog
     funnel: FilterCounts
-    left_out: Mapping[MachineClass, int]  # instance types that only `hardware.machines.include` keeps out, by class
+    left_out: Mapping[MachineClass, int]  # instance types that only their class keeps out
 
     def left_out_line(self) -> str | None:
-        """Return `left out: 214 previous-generation, 38 burstable`, and the field that includes them; None without any."""
+        """Return `left out: 214 previous-generation, 38 burstable`, and the field that admits them; None without any."""
         if not self.left_out:
             return None
         counts = ", ".join(f"{count:,} {name}" for name, count in self.left_out.items())
-        return f"left out: {counts}; include them: spec.hardware.machines.include: [{', '.join(self.left_out)}]"
+        return f"left out: {counts}; to admit them: spec.hardware.allow: [{', '.join((STANDARD, *self.left_out))}]"
 
 
 def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> Filtered:
@@ -75,9 +75,9 @@ def filter_offers(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) ->
         kept = mask(offers)
         removed = len(kept) - int(kept.sum())
         left_out = {kind: rows.take(mask(rows)) for kind, rows in left_out.items()}
-        if removed and name == INCLUDE:
-            left_out = {kind: offers.take(mask) for kind, mask in classes.left_out(offers).items() if mask.any()}
-            left_out = {kind: rows for kind, rows in left_out.items() if kind not in hardware.machines.include}
+        if removed and name == ALLOW and STANDARD in hardware.allow:
+            masks = {kind: of_class & ~kept for kind, of_class in classes.left_out(offers).items()}
+            left_out = {kind: offers.take(rest) for kind, rest in masks.items() if rest.any()}
         if removed:
             offers = offers.take(kept)
         filters.append(Filter(name, removed, len(offers)))
@@ -132,10 +132,11 @@ def matches_gpu(catalog: Catalog, text: str) -> Mask:
 def field_against(machine: Machine, hardware: Hardware, infra: Sequence[str]) -> str | None:
     """Return the first field of the spec that does not admit the machine, by what a plan says of it; None if all do.
 
-    A plan does not tell architecture and generation.
+    A plan does not tell architecture and class.
     """
     one = of_machine(machine)
-    told = (found for found in _filters(hardware, infra) if found[0] not in ("hardware.arch", INCLUDE))
+    by_class = [name for name, entries in ((ALLOW, hardware.allow), (DENY, hardware.deny)) if {*CLASSES} & {*entries}]
+    told = (found for found in _filters(hardware, infra) if found[0] not in ("hardware.arch", *by_class))
     return next((name for name, mask in told if not mask(one)[0]), None)
 
 
@@ -146,27 +147,27 @@ def matches_names(catalog: Catalog, patterns: Sequence[str]) -> Mask:
 
 
 def _filters(hardware: Hardware, infra: Sequence[str]) -> list[tuple[str, Callable[[Catalog], Mask]]]:
-    allow, deny = hardware.machines.allow, hardware.machines.deny
-    found: list[tuple[str, Callable[[Catalog], Mask]]] = [
+    return [
         ("infra", lambda c: _any(c, [matches_infra(c, entry) for entry in infra])),
         ("hardware.spot", lambda c: np.full(len(c), True) if hardware.spot else ~c.spot),
         ("hardware.arch", lambda c: _within(c.arch, set(hardware.arch))),
-        *([] if allow else [(INCLUDE, lambda c: _included(c, hardware.machines.include))]),
+        (ALLOW, lambda c: _listed(c, hardware.allow)),
         ("hardware.gpus", lambda c: _any(c, [matches_gpu(c, text) for text in hardware.gpus])),
         ("hardware.cpus", lambda c: _inside(c.vcpus, hardware.cpus)),
         ("hardware.memory", lambda c: _inside(c.memory_gib, hardware.memory)),
         ("hardware.memory_per_cpu", lambda c: _inside(c.memory_gib / c.vcpus, hardware.memory_per_cpu)),
+        (DENY, lambda c: ~_listed(c, hardware.deny)),
     ]
-    if allow:
-        found.append(("hardware.machines.allow", lambda c: matches_names(c, allow)))
-    if deny:
-        found.append(("hardware.machines.deny", lambda c: ~matches_names(c, deny)))
-    return found
 
 
-def _included(catalog: Catalog, include: Sequence[MachineClass]) -> Mask:
-    removed = [mask for kind, mask in classes.left_out(catalog).items() if kind not in include]
-    return ~_any(catalog, removed)
+def _listed(catalog: Catalog, entries: Sequence[str]) -> Mask:
+    """Return the mask of offers whose instance type or class is one of the entries."""
+    listed = matches_names(catalog, [one for one in entries if one not in CLASSES])
+    if not {*CLASSES} & {*entries}:
+        return listed
+    masks = classes.left_out(catalog)
+    standard = [~_any(catalog, list(masks.values()))] if STANDARD in entries else []
+    return _any(catalog, [listed, *standard, *(mask for kind, mask in masks.items() if kind in entries)])
 
 
 def before_empty(catalog: Catalog, hardware: Hardware, infra: Sequence[str]) -> str | None:

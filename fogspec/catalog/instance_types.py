@@ -54,7 +54,7 @@ class InstanceTypes:
 
     @property
     def names(self) -> list[str]:
-        """Return `cloud/instance` of each, as in performance priors."""
+        """Return `cloud/instance` of each, as in a machine library."""
         return [f"{cloud}/{instance}" for cloud, instance in zip(*self.columns[:2], strict=True)]
 
 
@@ -87,7 +87,7 @@ def machines_of(offers: Catalog, known_clouds: frozenset[str] | None = None) -> 
 
     Catalogs do not name the CPU. Machines of one cloud, architecture, clock rate and number of vCPUs per core mostly
     have the same one: on the development set that is nearly as good as its name, and much better than no CPU at all.
-    Of a cloud without any clock rate, as in SkyPilot's lists, the name of the family tells the CPU (ADR 0178);
+    Of a cloud without any clock rate, as in SkyPilot's lists, the name of the family tells the CPU (ADR 0020);
     `known_clouds` are those that have one, of the offers if it is None.
     """
     known_clouds = clocked(offers) if known_clouds is None else known_clouds

@@ -6,6 +6,7 @@ from pydantic import AfterValidator
 
 from fogspec.base.clouds import LOCAL, cloud_name
 from fogspec.base.quantities import Bounds, Count, Memory, Price, Strict
+from fogspec.language.schema import local_shape
 
 TypeKey = tuple[str, str, str, float]  # cloud, instance type, name and count of accelerators
 
@@ -21,7 +22,7 @@ class Gpu(Strict):
     """Accelerators of a machine: name and count."""
 
     name: str
-    count: Annotated[Count, SIZE] = 1
+    count: Annotated[Count, SIZE]
 
     @property
     def key(self) -> str:
@@ -74,11 +75,19 @@ class Machine(Strict):
         return self.cloud_name, self.instance, *self.accelerators
 
 
-class ListedMachine(Machine):
-    """A machine in a file that people review: accelerators and kind of price are always written."""
+def host_shape(name: str) -> Machine | None:
+    """Return the shape `local/<n>cpu-<m>gib` of this host; None for any other name.
 
-    gpu: Gpu | None
-    spot: bool
+    Its price is 0: a host costs its owner the same, whatever runs on it. A list that its owner wrote may give it one.
+    """
+    if (found := local_shape(name)) is None:
+        return None
+    cpus, memory_gib = found
+    return Machine(infra=LOCAL, instance=name.removeprefix(f"{LOCAL}/"), cpus=cpus, memory=memory_gib, price=0.0)
+
+
+class ListedMachine(Machine):
+    """A machine in a file that says more of it."""
 
     @property
     def machine(self) -> Machine:

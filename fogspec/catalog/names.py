@@ -17,8 +17,8 @@ from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import FogspecError
 from fogspec.base.yaml.positions import Path as FieldPath
 from fogspec.base.yaml.positions import dotted, span_of
-from fogspec.spec.loader import LoadedSpec
-from fogspec.spec.schema import Spec
+from fogspec.language.loader import LoadedSpec
+from fogspec.language.schema import CLASSES, Spec
 
 if TYPE_CHECKING:
     from fogspec.catalog.table import Catalog
@@ -100,7 +100,8 @@ def _unknown(spec: Spec, known: Names) -> Iterator[Unknown]:
     named: list[tuple[FieldPath, str]] = [
         (("spec", "benchmark", "machines", i), name) for i, name in listed if not name.startswith(LOCAL)
     ]
-    named += [(("spec", "hardware", "machines", "allow", i), one) for i, one in enumerate(spec.hardware.machines.allow)]
+    allowed = enumerate(spec.hardware.allow)
+    named += [(("spec", "hardware", "allow", i), one) for i, one in allowed if one not in CLASSES]
     for path, name in named:
         fits = re.compile(".*".join(map(re.escape, name.split("*"))))
         if name not in types and ("*" not in name or not any(map(fits.fullmatch, types))):

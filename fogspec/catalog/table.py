@@ -1,13 +1,15 @@
 """The catalog: every machine on offer, column by column, and the provenance of the table."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.clouds import split_infra
+from fogspec.base.units import core_hours
 from fogspec.catalog.machine import Gpu, Machine
 
 Floats = NDArray[np.float64]
@@ -20,7 +22,8 @@ COUNTED = 1_000_000  # keys of rows, counted rather than sorted
 class About:
     """Provenance of a catalog: `digest` covers the bytes that were read, `notes` report what was left out.
 
-    `checked` is how well its prices agree with newer ones, of a catalog for which that is known.
+    `checked` is how well its prices agree with newer ones, of a catalog for which that is known. `origin` is what `--catalog`
+    takes to read it again, a path relative to the project. Without prices costs are `core_hours`.
     """
 
     source: str
@@ -29,6 +32,8 @@ class About:
     digest: str
     notes: tuple[str, ...] = ()
     checked: str | None = None
+    origin: str = ""
+    core_hours: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,6 +171,37 @@ def concatenated(catalogs: Sequence[Catalog], about: About) -> Catalog:
     parts = [*(one.take(~one.spot) for one in catalogs), *(one.take(one.spot) for one in catalogs)]
     names = [f.name for f in fields(Catalog) if f.name != "about"]
     return Catalog(about=about, **{name: np.concatenate([getattr(one, name) for one in parts]) for name in names})
+
+
+class Priced(Protocol):
+    """What has a catalog."""
+
+    @property
+    def catalog(self) -> Catalog:
+        """The catalog of machines and prices."""
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+C = TypeVar("C", bound=Priced)
+
+
+def in_its_unit(function: Callable[Concatenate[C, P], R]) -> Callable[Concatenate[C, P], R]:
+    """Return a function that shows people costs in the unit of the catalog of its first argument: dollars or core-hours."""
+
+    @wraps(function)
+    def shown(one: C, /, *args: P.args, **options: P.kwargs) -> R:
+        with core_hours(one.catalog.about.core_hours):
+            return function(one, *args, **options)
+
+    return shown
+
+
+def each_in_its_unit(found: Iterable[C]) -> Iterator[C]:
+    """Yield each of these, while costs are shown in the unit of its catalog."""
+    for one in found:
+        with core_hours(one.catalog.about.core_hours):
+            yield one
 
 
 def ranks(column: NDArray[Any]) -> NDArray[np.int64]:

@@ -6,10 +6,12 @@ An infeasible problem is an answer too, with the limits that would have to be re
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from fogspec.catalog.table import Catalog
 from fogspec.choice.rule import Rule, Selection
+from fogspec.language.schema import Application
 from fogspec.model.predict import PredictionSet
-from fogspec.spec.schema import Application
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +19,7 @@ class Choice(Selection):
     """The rule applied to the offers of a catalog.
 
     With `by_relaxation` the relaxed method decides by its own model, and `relaxed_row` is the offer that it ends at, None if it
-    finds none: what `feasible` says of that offer may differ.
+    finds none: the limits must hold for it as for any other.
     """
 
     offers: Catalog
@@ -26,13 +28,23 @@ class Choice(Selection):
 
     @property
     def chosen(self) -> int | None:
-        """The row of the chosen offer; None if no offer meets the limits."""
-        return self.relaxed_row if self.by_relaxation else self.best
+        """The row of the chosen offer; None if none meets the limits with the required probability."""
+        row = self.relaxed_row if self.by_relaxation else self.best
+        return row if row is None or self.confidence is None or self.feasible[row] else None
 
     @cached_property
-    def meets_confidence(self) -> bool:
-        """True if the chosen offer meets the limits with the required confidence."""
-        return self.chosen is not None and bool(self.feasible[self.chosen]) and self.level == self.confidence
+    def baseline(self) -> int | None:
+        """The machine that people would take without a benchmark; None if none was measured, or it is of the chosen type.
+
+        It is the measured one without a GPU that has the most vCPUs, of these the one of the lowest price.
+        """
+        offers = self.offers
+        rows = np.flatnonzero(self.eligible & self.latency.measured & (offers.gpu == ""))
+        if not len(rows):
+            return None
+        row = int(rows[np.lexsort((rows, offers.price_usd_per_hour[rows], -offers.vcpus[rows]))[0]])
+        same = self.chosen is not None and offers.instance[row] == offers.instance[self.chosen]
+        return None if same else row
 
 
 def choose(application: Application, predicted: PredictionSet) -> Choice:

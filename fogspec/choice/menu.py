@@ -1,24 +1,29 @@
-"""The menu: the named choices and the Pareto fronts, as people and programs read them."""
+"""The menu: the named choices and the Pareto front, as people and programs read them."""
 
 import math
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from fogspec.base import units
-from fogspec.base.quantities import Cost, Duration, Lean, Strict, as_numbers
-from fogspec.base.units import rounded
+from fogspec.base.quantities import Cost, Duration, Lean, Memory, Money, Strict, as_numbers
+from fogspec.base.units import LIMIT_UNITS, rounded, shown_beside, shown_limit
 from fogspec.catalog.machine import ListedMachine
 from fogspec.choice.choose import Choice
+from fogspec.choice.outlook import Cause, Outlook
+from fogspec.choice.relaxed import Relaxed
 from fogspec.choice.rule import Violation
+from fogspec.language import warned as codes
+from fogspec.language.schema import Application, Billing, Spec, Statistic
+from fogspec.language.warned import Warned, as_data, warned
 from fogspec.numerics.kernels import distinct
 from fogspec.plan.schema import EnvironmentMetadata
-from fogspec.spec.schema import Application, Billing, Statistic, Usage
 
 LEVEL = 0.9
-LIMIT_UNITS = {"latency": "s", "rate": "s", "cost": "usd_per_request", "price": "usd_per_hour"}
 SHOWN = 40
+Role = Literal["balanced", "cheapest", "fastest", "least", "nearest", "baseline", "exhaustive"]
 NEAR = 1.1  # up to this many times a limit, people are shown the excess in percent
 
 
@@ -26,44 +31,57 @@ class MetricValue(Strict):
     """A metric of the application on one machine: predicted, with its interval at the menu's level, and its limit."""
 
     value: float
-    interval: tuple[float, float] | None
-    limit: float | None
-    unit: str | None
+    interval: tuple[float, float] | None = None
+    limit: float | None = None
+    unit: str | None = None
 
 
-class Entry(ListedMachine, Lean):
-    """A machine on the menu: what it is, what is expected of it, and whether it meets every limit.
+class Entry(ListedMachine):
+    """A machine on the menu: what it is, what is expected of it, whether it meets every limit, and what it is named for.
 
-    One that is `nested_in` a part of a larger machine was measured there, and not itself.
+    `month` is its price of a month in which it is not always up.
     """
 
     latency: Duration
-    interval: tuple[Duration, Duration] | None
-    metrics: dict[str, MetricValue]
+    interval: tuple[Duration, Duration] | None = None
+    metrics: dict[str, MetricValue] = Field({})
     cost: Cost
-    month: str
+    month: str | None = None
     objective: float
-    measured: bool
-    nested_in: str | None = None
-    extrapolated: bool
-    probability: float | None
-    meets: bool
-    why_not: str | None
+    measured: bool = False
+    extrapolated: bool = False
+    probability: float | None = None
+    meets: bool = True
+    why_not: list[Warned] = Field([])
+    roles: list[Role] = Field([])
 
-    ADDED = frozenset({"nested_in"})
+    @property
+    def name(self) -> str:
+        """Return `g4dn.xlarge spot`."""
+        return f"{self.instance}{' spot' if self.spot else ''}"
+
+    @property
+    def shape(self) -> str:
+        """Return `4 vCPU, 16 GiB, 1 T4`."""
+        gpu = f", {self.gpu.label}" if self.gpu else ""
+        return f"{units.shown(self.cpus)} vCPU, {units.shown(self.memory)} GiB{gpu}"
+
+    def against(self, other: "Entry") -> str:
+        """Return `6.3 times cheaper and 17% faster than c6i.16xlarge`."""
+        return units.against(self.latency, self.cost, other.name, other.latency, other.cost)
 
     @property
     def usd_per_month(self) -> float:
-        """The price of a month, in which the machine is up as `objective.usage` says, else always."""
+        """The price of a month, in which the machine is up as `objective.load` says, else always."""
+        if self.month is None:
+            return round(self.price * units.HOURS_PER_MONTH, 2)
         return float(self.month.removeprefix("$").removesuffix("/month"))
 
     @property
     def how(self) -> str:
-        """Return how its latency is known: `measured`, where it was measured instead, `extrapolated`, or nothing."""
+        """Return how its latency is known: `measured`, `extrapolated`, or nothing."""
         if self.measured:
             return "measured"
-        if self.nested_in is not None:
-            return f"measured on {self.nested_in}, not on {self.instance} itself"
         return "extrapolated" if self.extrapolated else ""
 
 
@@ -79,32 +97,73 @@ class Limit(Strict):
     alone: bool
 
 
-class MenuBody(Strict):
-    """The choices: `balanced` minimises the objective, `least` its metric if that is not the latency.
+class Open(Lean):
+    """Why no machine is chosen, and the one that is nearest to it: `fogspec.choice.outlook.Outlook`.
 
-    Entries of `front` and `hourly_front` rise in cost or price.
+    `probability` is that of meeting all limits now, `confidence` the required one, `needs` the limit on latency that it would
+    meet with that.
+    """
+
+    cause: Cause
+    infra: str
+    instance: str
+    measured: bool
+    confidence: float | None = None
+    probability: float | None = None
+    needs: Duration | None = None
+    usd: Money | None = None
+
+
+class PaperChoice(Strict):
+    """Where the paper's method ends: a continuous optimum, its nearest machine, and the one that meets the limits.
+
+    `latency` is what its own curve predicts. `objective` and `meets` say what the exhaustive choice's model predicts.
+    """
+
+    cpus: float
+    memory: Memory
+    rounded: str
+    instance: str | None = None
+    infra: str | None = None
+    latency: Duration | None = None
+    objective: float | None = None
+    meets: bool | None = None
+
+
+class MenuBody(Lean):
+    """The machines, each once: the `front`, which rises in cost, and `others` that are named for a role.
+
+    `balanced` minimises the objective, `least` its metric if that is not the latency. `baseline` is what people would take
+    without a benchmark: the measured machine with the most vCPUs and without a GPU. `relaxed` and the role `exhaustive` say
+    where these methods end if they end at another machine.
     """
 
     statistic: Statistic
     billing: Billing
-    usage: str | None
+    usage: str | None = None
     objective: str
-    metric: str | None
+    metric: str | None = None
     scale: dict[str, str]
     limits: dict[str, str]
     level: float
     admissible: int
     predicted: int
     meet: int
-    balanced: Entry | None
-    cheapest: Entry | None
-    fastest: Entry | None
-    least: Entry | None
-    nearest: Entry | None
-    missed: list[Limit]
-    front: list[Entry]
-    hourly_front: list[Entry]
-    warnings: list[str]
+    front: list[Entry] = Field([])
+    others: list[Entry] = Field([])
+    missed: list[Limit] = Field([])
+    open: Open | None = None
+    relaxed: PaperChoice | None = None
+    warnings: list[Warned] = Field([])
+
+    def of(self, role: Role) -> Entry | None:
+        """Return the machine of a role; None if there is none."""
+        return next((one for one in (*self.front, *self.others) if role in one.roles), None)
+
+    @property
+    def balanced(self) -> Entry | None:
+        """The choice; None if no machine meets the limits."""
+        return self.of("balanced")
 
 
 class Menu(Strict):
@@ -116,18 +175,23 @@ class Menu(Strict):
     spec: MenuBody
 
 
-def make_menu(application: Application, choice: Choice, warnings: list[str]) -> Menu:
-    """Return the menu of a choice."""
-    spec = application.spec
-    _solve_intervals(choice)
+def make_menu(
+    application: Application,
+    choice: Choice,
+    warnings: list[Warned],
+    relaxed: Relaxed | None = None,
+    outlook: Outlook | None = None,
+) -> Menu:
+    """Return the menu of a choice, with the optimum of the paper's method, `relaxed`, if it differs."""
+    spec, roles, front = application.spec, _roles(choice), thinned(choice.front)
 
-    def entry(row: int | None) -> Entry | None:
-        return None if row is None else entry_of(choice, row)
+    def entry(row: int) -> Entry:
+        return entry_of(choice, row).model_copy(update={"roles": [role for role, of in roles.items() if of == row]})
 
     body = MenuBody(
         statistic=spec.constraints.statistic,
         billing=spec.objective.billing,
-        usage=usage_text(spec.objective.usage),
+        usage=usage_text(spec),
         objective=weights(application),
         metric=spec.objective.metric,
         scale=scale_texts(application, choice),
@@ -136,35 +200,55 @@ def make_menu(application: Application, choice: Choice, warnings: list[str]) -> 
         admissible=len(choice.offers),
         predicted=int(choice.eligible.sum()),
         meet=int(choice.feasible.sum()),
-        balanced=entry(choice.chosen),
-        cheapest=entry(choice.cheapest),
-        fastest=entry(choice.fastest),
-        least=entry(choice.least),
-        nearest=entry(choice.least_infeasible),
+        front=[entry(row) for row in front],
+        others=[entry(row) for row in dict.fromkeys(roles.values()) if row not in front],
         missed=[_missed(choice, one) for one in choice.violations],
-        front=[entry_of(choice, row) for row in thinned(choice.front)],
-        hourly_front=[entry_of(choice, row) for row in thinned(choice.hourly_front)],
+        open=None if outlook is None else _open(choice, outlook, spec.constraints.network_allowance),
+        relaxed=None if relaxed is None or relaxed.row == choice.best else _paper_choice(choice, relaxed),
         warnings=warnings,
     )
     return Menu(metadata=EnvironmentMetadata(name=application.name), spec=body)
 
 
-def shown_limit(name: str, value: float, unit: str = "", digits: int = 3) -> str:
-    """Return a bound or a value of a limit for people, with so many significant digits."""
-    match LIMIT_UNITS.get(name):
-        case "s":
-            return units.shown_duration(value, digits)
-        case "usd_per_request":
-            return units.shown_cost(value, digits)
-        case "usd_per_hour":
-            return units.shown_price(value, digits)
-        case _:
-            return f"{units.shown(value, digits)} {unit}".strip()
+def why_open(menu: Menu) -> list[str]:
+    """Return why a menu has no machine to choose, then what is known and would change that; none if it does not say."""
+    one, missed = menu.spec.open, menu.spec.missed
+    if one is None:
+        return []
+    name = f"{one.instance} in {one.infra}{'' if one.measured else ' (not measured)'}"
+    required = "" if one.confidence is None else f", required {one.confidence:g}"
+    met = f"{name}: P(all limits) {shown_probability(one.probability or 0.0)}{required}"
+    costs = f"costs at most {units.dollars(one.usd)}" if one.usd else "is free"
+    match one.cause:
+        case "unknown":
+            said = "not settled: nothing was measured on machines on offer"
+            return [said, "no probability is known: measure there, or set spec.constraints.confidence: none"]
+        case "one sample":
+            return ["not settled: one more sample may decide", met, f"a sample of it {costs}"]
+        case "too little known" if one.usd is None:
+            why = "it failed when it was measured, or spec.benchmark.machines does not list it"
+            return ["too little known: no sample of the nearest machine can be taken", met, why]
+        case "too little known":
+            said = "too little known: the budget does not pay for one more sample"
+            return [said, met, f"a sample of it {costs}: raise spec.benchmark.budget"]
+        case "too little room":
+            ways = [f"confidence: {one.probability:g}"] if one.probability else []
+            if one.needs is not None:
+                ways.append(f"latency: {units.shown_duration(_above(one.needs))}")
+            said = "too little room: no machine meets the limits surely enough"
+            would = [f"it would meet {' or '.join(ways)} in spec.constraints"] if ways else []
+            return [said, f"{met}, on another server of its type", *would]
+    which = {"latency": "too slow", "rate": "too slow", "cost": "too expensive", "price": "too expensive"}
+    said = which.get(missed[0].limit, f"{missed[0].limit.removeprefix('metrics.')} too large") if missed else "too slow"
+    return [
+        f"{said}: no machine meets the limits{' as predicted' if one.confidence is None else ', and no sample changes this'}"
+    ]
 
 
-def shown_beside(name: str, value: float, bound: float, unit: str = "") -> tuple[str, str]:
-    """Return a value and the bound that it violates for people, with the digits that tell them apart."""
-    return units.shown_apart(value, bound, lambda number, digits: shown_limit(name, number, unit, digits))
+def _above(value: float) -> float:
+    """Return a value rounded up to three digits."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return float(f"{math.ceil(value / digit - 1e-9) * digit:.6g}")
 
 
 def shown_miss(miss: "Limit") -> tuple[str, str]:
@@ -199,11 +283,24 @@ def menu_data(menu: Menu) -> dict[str, Any]:
         }
         for one in body.missed
     ]
-    for name in ("balanced", "cheapest", "fastest", "least", "nearest"):
-        found[name] = entry_data(getattr(body, name))
-    for name in ("front", "hourly_front"):
-        found[name] = [entry_data(one) for one in getattr(body, name)]
+    found |= {role: entry_data(body.of(role)) for role in get_args(Role)}
+    found["warnings"] = as_data(body.warnings)
+    found |= {name: [entry_data(one) for one in getattr(body, name)] for name in ("front", "others")}
     return {"name": menu.metadata.name, **found}
+
+
+def _paper_choice(choice: Choice, relaxed: Relaxed) -> PaperChoice:
+    end = None if relaxed.row is None else entry_of(choice, relaxed.row)
+    return PaperChoice(
+        cpus=rounded(relaxed.vcpus),
+        memory=rounded(relaxed.memory_gib),
+        rounded=str(choice.offers.instance[relaxed.rounded]),
+        instance=end and end.instance,
+        infra=end and end.infra,
+        latency=None if relaxed.row is None else rounded(float(relaxed.selection.latency.value[relaxed.row])),
+        objective=end and end.objective,
+        meets=end and end.meets,
+    )
 
 
 def _limit_number(name: str, text: str) -> tuple[str, float]:
@@ -227,15 +324,26 @@ def entry_data(entry: Entry | None) -> dict[str, Any] | None:
         return None
     found: dict[str, Any] = as_numbers(entry)
     del found["month"]
-    return {**found, "usd_per_month": entry.usd_per_month}
+    return {**found, "why_not": as_data(entry.why_not), "usd_per_month": entry.usd_per_month}
 
 
-def _solve_intervals(choice: Choice) -> None:
-    """Solve the intervals of all entries together, from which each is then read."""
-    named = (choice.chosen, choice.cheapest, choice.fastest, choice.least, choice.least_infeasible)
-    rows = [row for row in named if row is not None] + thinned(choice.front) + thinned(choice.hourly_front)
-    for predictions in (choice.latency, *choice.metrics.values()):
-        predictions.intervals(rows, LEVEL)
+def rows_of(choice: Choice) -> list[int]:
+    """Return the rows of the offers that the menu shows, named ones first."""
+    return [*_roles(choice).values(), *thinned(choice.front)]
+
+
+def _roles(choice: Choice) -> dict[Role, int]:
+    """Return the rows of the offers that are named, by role."""
+    rows: dict[Role, int | None] = {
+        "balanced": choice.chosen,
+        "cheapest": choice.cheapest,
+        "fastest": choice.fastest,
+        "least": choice.least,
+        "nearest": choice.least_infeasible,
+        "baseline": None if choice.chosen is None else choice.baseline,
+        "exhaustive": None if choice.best == choice.chosen else choice.best,
+    }
+    return {role: row for role, row in rows.items() if row is not None}
 
 
 def thinned(rows: NDArray[np.intp]) -> list[int]:
@@ -247,7 +355,7 @@ def thinned(rows: NDArray[np.intp]) -> list[int]:
 
 def entry_of(choice: Choice, row: int) -> Entry:
     """Return the menu entry of one offer."""
-    machine = choice.offers.machine(row)
+    machine, costs = choice.offers.machine(row), choice.rule.costs
     interval = choice.latency.interval(row, LEVEL)
     return Entry(
         **dict(machine),
@@ -255,10 +363,9 @@ def entry_of(choice: Choice, row: int) -> Entry:
         interval=None if interval is None else (rounded(interval[0]), rounded(interval[1])),
         metrics=_metrics_of(choice, row),
         cost=rounded(float(choice.cost_usd_per_request[row])),
-        month=f"${choice.rule.costs.usd_per_month[row]:.2f}/month",
+        month=None if costs.up == 1 else month_text(float(costs.usd_per_month[row])),
         objective=rounded(float(choice.objective[row])),
         measured=bool(choice.latency.measured[row]),
-        nested_in=choice.latency.where_nested(row),
         extrapolated=bool(choice.latency.extrapolated[row]),
         probability=_probability(choice, row),
         meets=bool(choice.feasible[row]),
@@ -280,6 +387,11 @@ def _metrics_of(choice: Choice, row: int) -> dict[str, MetricValue]:
     return found
 
 
+def month_text(usd: float) -> str:
+    """Return `$383.98/month`."""
+    return f"${usd:.2f}/month"
+
+
 def metric_text(name: str, found: MetricValue) -> str:
     """Return `path_length 33.3 m [31, 36]`."""
     ends = ", ".join(units.shown(end) for end in found.interval) if found.interval else ""
@@ -287,31 +399,32 @@ def metric_text(name: str, found: MetricValue) -> str:
     return f"{name} {units.shown(found.value)}{unit}" + (f" [{ends}]" if ends else "")
 
 
-def why_not(choice: Choice, row: int) -> str | None:
-    """Return the limits that an offer violates as text; None if it is feasible."""
+def why_not(choice: Choice, row: int) -> list[Warned]:
+    """Return what an offer violates; nothing if it is feasible."""
     if choice.feasible[row]:
-        return None
+        return []
+    values = {name: float(choice.values[name][row]) for name in choice.bounds}
     broken = [
-        "{} {} is over the limit of {}".format(
-            name.removeprefix("metrics."), *shown_beside(name, float(value), bound, choice.rule.unit_of(name))
+        warned(
+            codes.over_limit,
+            limit=name,
+            bound=bound,
+            value=values[name] if math.isfinite(values[name]) else None,
+            unit=choice.rule.unit_of(name) or None,
         )
-        if math.isfinite(value := choice.values[name][row])
-        else f"{name.removeprefix('metrics.')} is not known: no sample has a value of it that can be modelled"
         for name, bound in choice.bounds.items()
-        if not choice.values[name][row] <= bound
+        if not values[name] <= bound
     ]
     if broken:
-        return "; ".join(broken)
+        return broken
     if choice.latency.unfit[row]:
-        return "it failed when it was measured, or has no more memory than a machine that ran out of it"
-    required = choice.confidence if choice.level is None else choice.level
-    probability = floored(choice.probability(row) or 0)
-    return f"meets the limits with {100 * probability:.3g}% probability, below the required {100 * required:.3g}%"
+        return [warned(codes.machine_failed)]
+    return [warned(codes.unlikely, probability=_probability(choice, row), required=choice.confidence or 0.0)]
 
 
 def shown_probability(probability: float) -> str:
-    """Return `0.32`, and `less than 0.01` where 0.00 would read as never."""
-    return f"{probability:.2f}" if probability >= 0.01 or probability == 0 else "less than 0.01"
+    """Return `0.32`, and `less than 0.01` where 0.00 would read as never: it may be 0 of a number of draws."""
+    return f"{probability:.2f}" if probability >= 0.01 else "less than 0.01"
 
 
 def floored(probability: float) -> float:
@@ -322,6 +435,22 @@ def floored(probability: float) -> float:
 def _probability(choice: Choice, row: int) -> float | None:
     found = choice.probability(row)
     return None if found is None else floored(found)
+
+
+def _open(choice: Choice, one: Outlook, network_s: float) -> Open:
+    machine, needed = choice.offers.machine(one.row), choice.confidence
+    latency = "latency" in choice.bounds and choice.latency.distribution is not None and needed is not None
+    needs = float(choice.required_latency_s(needed)[one.row]) if latency and needed is not None else math.inf
+    return Open(
+        cause=one.cause,
+        infra=machine.infra,
+        instance=machine.instance,
+        measured=bool(choice.latency.measured[one.row]),
+        confidence=needed,
+        probability=_probability(choice, one.row),
+        needs=rounded(needs + network_s) if math.isfinite(needs) else None,
+        usd=None if one.usd is None else rounded(one.usd),
+    )
 
 
 def _missed(choice: Choice, one: Violation) -> Limit:
@@ -337,13 +466,16 @@ def _missed(choice: Choice, one: Violation) -> Limit:
     )
 
 
-def usage_text(usage: Usage | None) -> str | None:
+def usage_text(spec: Spec) -> str | None:
     """Return when the machine is up, with the hours that a month has of it; None if always."""
-    if usage is None:
+    load, startup_s = spec.objective.load, spec.hardware.startup
+    if load is None or load.session is None or load.sessions is None:
         return None
-    startup = f" after {units.shown_duration(usage.startup)} of start-up" if usage.startup else ""
-    each = f"{units.shown_duration(usage.session)}{startup}, {units.format_rate(usage.sessions)}"
-    return f"up for {each}: {units.shown(usage.up * units.HOURS_PER_MONTH)} h per month"
+    if not spec.ends_sessions:
+        return f"up always: spec.deployment.until does not end it after {units.shown_duration(load.session)}"
+    startup = f" after {units.shown_duration(startup_s)} of start-up" if startup_s else ""
+    each = f"{units.shown_duration(load.session)}{startup}, {units.format_rate(load.sessions)}"
+    return f"up for {each}: {units.shown(spec.up * units.HOURS_PER_MONTH)} h per month"
 
 
 def weights(application: Application) -> str:

@@ -2,7 +2,7 @@
 
 The model of each GPU type is the curve with the largest R². It alone decides which machines meet the limits, which are
 checked again after rounding. The objective is the formula's: `alpha` weighs the latency. Its scales are those of the spec, else
-the limits, else the best values that the curves predict (ADR 0131).
+the limits, else the best values that the curves predict (ADR 0005).
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fogspec.catalog.table import Floats
 from fogspec.choice.choose import Choice
 from fogspec.choice.rule import Rule, Scale, Selection
-from fogspec.model.fit import Model, Models
+from fogspec.model.fit import Fitted, Model
 from fogspec.model.predict import Predictions
 from fogspec.numerics import families, relaxation
 
@@ -36,7 +36,7 @@ class Relaxed:
     selection: Selection
 
 
-def relaxed_optimum(models: Models, choice: Choice, *, refine: bool = True) -> Relaxed | None:
+def relaxed_optimum(models: Fitted, choice: Choice, *, refine: bool = True) -> Relaxed | None:
     """Return the paper's choice over the same offers; None if no continuous machine meets the limits.
 
     One problem for each GPU type, compared at the end by the objective of where they end. `refine` as in
@@ -55,15 +55,15 @@ def chosen_by_relaxing(choice: Choice, found: Relaxed | None) -> Choice:
     return replace(choice, by_relaxation=True, relaxed_row=None if found is None else found.row)
 
 
-def _by_curves(models: Models, choice: Choice) -> Selection:
+def _by_curves(models: Fitted, choice: Choice) -> Selection:
     """Return the choice's rule over the values that the curves of the largest R² predict; NaN where there is none.
 
-    A machine that failed when it was measured is not admissible.
+    Curves have no probabilities: values decide. A machine that failed when it was measured is not admissible.
     """
     offers = choice.offers
     gpus = _gpu_keys(choice)
     values = {name: np.full(len(offers), np.nan) for name in ("latency", *choice.metrics)}
-    for model in models.spec.models:
+    for model in models.curves:
         if model.target in values:
             rows = np.flatnonzero(gpus == (model.gpu or ""))
             values[model.target][rows] = _surface(model)(offers.vcpus[rows], offers.memory_gib[rows])
@@ -71,7 +71,7 @@ def _by_curves(models: Models, choice: Choice) -> Selection:
         name: replace(Predictions.of_values(np.where(value > 0, value, np.nan)), unfit=choice.latency.unfit)
         for name, value in values.items()
     }
-    return Selection(rule=choice.rule, latency=predicted.pop("latency"), metrics=predicted)
+    return Selection(rule=replace(choice.rule, confidence=None), latency=predicted.pop("latency"), metrics=predicted)
 
 
 def _gpu_keys(choice: Choice) -> NDArray[np.str_]:
@@ -87,9 +87,9 @@ def _groups(choice: Choice, own: Selection) -> dict[str | None, NDArray[np.intp]
 
 
 def _group(
-    models: Models, choice: Choice, own: Selection, gpu: str | None, rows: NDArray[np.intp], refine: bool
+    models: Fitted, choice: Choice, own: Selection, gpu: str | None, rows: NDArray[np.intp], refine: bool
 ) -> Relaxed | None:
-    fitted = {model.target: model for model in models.spec.models if model.gpu == gpu}
+    fitted = {model.target: model for model in models.curves if model.gpu == gpu}
     # A metric of which no sample sent a value has no curve.
     needed = {"latency", *choice.rule.max_metrics, *([choice.rule.metric] if choice.rule.metric else [])}
     if not needed <= fitted.keys():

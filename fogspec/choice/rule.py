@@ -1,7 +1,7 @@
 """The rule of the choice over arrays of machines: objective, limits, confidence, tie-breaks and the value of a sample.
 
 Every part of fogspec that chooses calls this module: compile, menu, explain, report, the adaptive sampler, the relaxed method
-and the evaluation. The report's page repeats `Selection` in JavaScript (ADR 0090).
+and the evaluation. The report's page repeats `Selection` in JavaScript (ADR 0170).
 
 The objective is alpha * metric / scale.metric + (1 - alpha) * cost / scale.cost (the paper, section 2.E); the metric is the
 latency or a metric of the application.
@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.table import Catalog
+from fogspec.language.schema import Application
 from fogspec.model.predict import Predictions
-from fogspec.numerics.acquisition import MORE_LIKELY_THAN_NOT
 from fogspec.numerics.pareto import pareto
 from fogspec.numerics.surrogate import Posterior
-from fogspec.spec.schema import Application
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -44,17 +43,17 @@ class Scale:
 class Rule:
     """Objective and limits over n machines.
 
-    `costs` and `names` (n,) describe the machines; `metric` is the name of the objective's metric, None for the latency. A
-    scale that is None is the limit on the same quantity, else its best attainable value (ADR 0004). `max_latency_s` is the
-    limit without the network's allowance, `units` are those of metrics, for people. With `measured_first`, a machine that was
-    not measured is chosen only if no measured one qualifies. Raise ValueError for an alpha outside of 0 to 1 and scales that
-    are not positive.
+    `costs` and `names` (n,) describe the machines; `metric` is the name of the objective's metric, None for the latency. The
+    limits must be met with probability `confidence`; without one, by the predicted values. A scale that is None is the limit
+    on the same quantity, else its best attainable value (ADR 0005). `max_latency_s` is the limit without the network's
+    allowance, `units` are those of metrics, for people. With `measured_first`, a machine that was not measured is chosen only
+    if no measured one qualifies. Raise ValueError for an alpha outside of 0 to 1 and scales that are not positive.
     """
 
     costs: Costs
     names: NDArray[np.object_]
     alpha: float
-    confidence: float
+    confidence: float | None
     metric: str | None = None
     metric_scale: float | None = None
     cost_scale: float | None = None
@@ -88,7 +87,7 @@ class Rule:
             max_cost_usd=constraints.cost,
             max_price_usd_per_hour=constraints.price,
             max_metrics=constraints.metrics,
-            measured_first=spec.benchmark.is_adaptive and spec.benchmark.volume is None,
+            measured_first=spec.sampler == "adaptive",
             units={name: one.unit for name, one in spec.metrics.items() if one.unit},
         )
 
@@ -143,11 +142,6 @@ class Rule:
             found[self.costs.price_usd_per_hour > self.max_price_usd_per_hour] = 0.0
         return found
 
-    @property
-    def levels(self) -> tuple[float, float]:
-        """The probabilities of meeting the limits that are required, one after the other."""
-        return self.confidence, min(self.confidence, MORE_LIKELY_THAN_NOT)
-
     def objective(self, metric_value: Floats, cost: Floats, scale: Scale) -> Floats:
         """Return the objective, dimensionless; smaller is better."""
         return self.alpha * metric_value / scale.metric + (1 - self.alpha) * cost / scale.cost
@@ -198,9 +192,9 @@ class Violation:
 class Selection:
     """The rule applied to predictions of n machines.
 
-    Latency, rate and cost are limits on latency: one quantile of its distribution is compared with the smallest of them.
-    Limits on metrics multiply in; metrics are taken as independent of the latency. Without a posterior the predicted values
-    alone must meet the limits.
+    Latency, rate and cost are limits on latency: its distribution on another server of the type says how likely the smallest
+    of them holds. Limits on metrics multiply in; metrics are taken as independent of the latency. Without a distribution no
+    machine meets limits with any probability.
     """
 
     rule: Rule
@@ -213,8 +207,8 @@ class Selection:
         return self.rule.bounds
 
     @property
-    def confidence(self) -> float:
-        """The probability with which the limits must be met."""
+    def confidence(self) -> float | None:
+        """The probability with which the limits must be met; None if predicted values decide."""
         return self.rule.confidence
 
     @property
@@ -251,27 +245,12 @@ class Selection:
         return found
 
     @cached_property
-    def _feasible(self) -> tuple[Mask, float | None]:
-        if self.latency.posterior is None:
-            return self.satisfied, None
-        if not self.bounds:
-            return self.satisfied, self.confidence
-        found = self.satisfied
-        for level in self.rule.levels:
-            found = self.satisfied & (self.required_latency_s(level) <= self.latency_budget_s)
-            if found.any():
-                return found, level
-        return found, None
-
-    @property
     def feasible(self) -> Mask:
-        """Machines (n,) that meet all limits with probability `level` at least."""
-        return self._feasible[0]
-
-    @property
-    def level(self) -> float | None:
-        """The highest required probability that some machine reaches; None if none does or without a posterior."""
-        return self._feasible[1]
+        """Machines (n,) that meet all limits with the required probability."""
+        if not self.bounds or self.confidence is None:
+            return self.satisfied
+        met = self._probability_met
+        return np.zeros_like(self.satisfied) if met is None else self.satisfied & (met >= self.confidence)
 
     @cached_property
     def candidates(self) -> Mask:
@@ -289,30 +268,6 @@ class Selection:
         """The objective (n,), infinite for machines that are not eligible."""
         value = self.rule.objective(self.metric_value, self.cost_usd_per_request, self.scale)
         return np.where(self.eligible, value, np.inf)
-
-    def usd_per_request(self) -> float | None:
-        """Return what the chosen machine's objective is worth in USD; None where cost has no weight.
-
-        Objectives that differ by cost alone differ by this money. Without a choice it is that of one to come.
-        """
-        if self.rule.alpha == 1:
-            return None
-        value = self._value_to_come if self.best is None else float(self.objective[self.best])
-        return value * self.scale.cost / (1 - self.rule.alpha) if np.isfinite(value) else None
-
-    @property
-    def _value_to_come(self) -> float:
-        """The objective of a choice to come while there is none: of the machine of the most probability over objective.
-
-        A machine that meets the limits has at most the latency that they leave it.
-        """
-        met = self._probability_met
-        if met is None or not met.any():
-            return float(np.min(self.objective))
-        latency_s = np.minimum(self.latency.value, self.latency_budget_s)
-        metric = self.metric_value if self.rule.metric else latency_s
-        value = self.rule.objective(metric, self.rule.costs.per_request(latency_s), self.scale)
-        return float(value[np.argmax(met / np.maximum(value, 1e-300))])
 
     @cached_property
     def best(self) -> int | None:
@@ -352,16 +307,17 @@ class Selection:
     def decided_above_s(self, rows: Rows) -> Floats | None:
         """Return the latency (m,) from which on a machine cannot both meet the limits and beat the choice (ADR 0028).
 
-        The choice counts with the upper end of its latency's 90% interval. Infinite where no latency decides; None without a
-        measured choice that meets the limits with the required confidence, and where the objective is of another metric.
+        The choice counts with the upper end of the 90% interval of its latency as it was measured: every type's servers differ.
+        Infinite where no latency decides; None without a
+        measured choice, and where the objective is of another metric.
         """
-        best, posterior = self.best, self.latency.posterior
-        if best is None or posterior is None or self.rule.metric is not None or self.level != self.confidence:
+        best, distribution = self.best, self.latency.distribution
+        if best is None or distribution is None or self.rule.metric is not None:
             return None
         if not self.latency.measured[best]:
             return None
         rule, one = self.rule.take(rows), self.rule.take(np.array([best]))
-        slowest_s = posterior.take(self.latency.type_index[[best]]).quantile(UPPER)
+        slowest_s = distribution.take(self.latency.type_index[[best]]).on_measured_server.quantile(UPPER)
         worst = float(one.value(slowest_s, self.scale)[0])
         low, high = np.full(len(rows), SHORTEST_S), np.full(len(rows), LONGEST_S)
         for _ in range(HALVINGS):
@@ -376,40 +332,32 @@ class Selection:
     @cached_property
     def front(self) -> Rows:
         """Feasible machines, else eligible ones, that no other beats in both the metric and the cost per request."""
-        return self._undominated(self.cost_usd_per_request)
-
-    @cached_property
-    def hourly_front(self) -> Rows:
-        """The same front with the price per hour, as in the paper's figures."""
-        return self._undominated(self.rule.costs.price_usd_per_hour)
-
-    def _undominated(self, column: Floats) -> Rows:
         rows = np.flatnonzero(self.feasible if self.feasible.any() else self.eligible)
-        return np.asarray(rows[pareto(column[rows], self.metric_value[rows])])
+        return np.asarray(rows[pareto(self.cost_usd_per_request[rows], self.metric_value[rows])])
 
     def required_latency_s(self, level: float) -> Floats:
         """Return the latency (n,) that each machine must be allowed to meet all limits with this probability.
 
-        A machine meets them if and only if its latency budget is at least this. Raise ValueError without a posterior.
+        Infinite where the limits on metrics leave too little. Raise ValueError without a distribution.
         """
-        posterior = self.latency.posterior
-        if posterior is None:
-            raise ValueError("without a posterior there are no probabilities")
-        of_metrics = self._metrics_probability
+        distribution = self.latency.distribution
+        if distribution is None:
+            raise ValueError("without a distribution there are no probabilities")
+        of_metrics = self.metrics_probability
         if of_metrics is None:
-            return np.asarray(posterior.quantile(level)[self.latency.type_index])
+            return np.asarray(distribution.quantile(level)[self.latency.type_index])
         rest = level / np.maximum(of_metrics, 1e-12)
-        enough = np.where(rest < 1, posterior.quantile(np.minimum(rest, 1 - 1e-12)), np.inf)
+        enough = np.where(rest < 1, distribution.quantile(np.minimum(rest, 1 - 1e-12)), np.inf)
         return np.asarray(enough[self.latency.type_index])
 
     @cached_property
-    def _metrics_probability(self) -> Floats | None:
+    def metrics_probability(self) -> Floats | None:
         """Probability of each type to meet the limits on metrics; None without such a limit."""
         found: Floats | None = None
         for name, predictions in self.metrics.items():
             bound = self.bounds.get(f"metrics.{name}")
-            if bound is not None and predictions.posterior is not None:
-                own = predictions.posterior.probability_below(bound)
+            if bound is not None and predictions.distribution is not None:
+                own = predictions.distribution.probability_below(bound)
                 found = own if found is None else found * own
         return found
 
@@ -419,36 +367,32 @@ class Selection:
         Limits on latency, rate and cost must hold with the probability that the limits on metrics leave, if they leave
         enough.
         """
-        if level is None or self.latency.posterior is None:
+        if level is None or self.latency.distribution is None:
             return self.values
         latency_s = self._limit_on_latency_s(level)
         found = self.rule.limited(latency_s, {name: one.value for name, one in self.metrics.items()})
         for name, one in self.metrics.items():
-            if one.posterior is not None:
-                found[f"metrics.{name}"] = np.maximum(one.posterior.quantile(level)[one.type_index], one.value)
+            if one.distribution is not None:
+                found[f"metrics.{name}"] = np.maximum(one.distribution.quantile(level)[one.type_index], one.value)
         return {name: found[name] for name in self.bounds}
 
-    @property
-    def lenient_latency_s(self) -> Floats:
-        """The limit on latency (n,) with which each machine would meet it with the lowest required probability."""
-        return self._limit_on_latency_s(self.rule.levels[-1])
-
     def _limit_on_latency_s(self, level: float) -> Floats:
-        posterior = self.latency.posterior
-        if posterior is None:
+        distribution = self.latency.distribution
+        if distribution is None:
             return self.latency.value
-        rest = self._metrics_probability
+        rest = self.metrics_probability
         required = level if rest is None else np.where(rest > level, level / np.maximum(rest, level), level)
-        return np.asarray(np.maximum(posterior.quantile(required)[self.latency.type_index], self.latency.value))
+        return np.asarray(np.maximum(distribution.quantile(required)[self.latency.type_index], self.latency.value))
 
-    def probability(self, row: int) -> float | None:
-        """Return the probability that one machine meets every limit; None if unknown.
+    def probability(self, row: int, *, measured_server: bool = False) -> float | None:
+        """Return the probability that another server of one machine's type meets every limit; None if unknown.
 
-        No model is certain: with limits it is at most `MOST_CERTAIN`.
+        No model is certain: with limits it is at most `MOST_CERTAIN`. It is for the server that was measured if that is asked.
         """
         if not self.eligible[row]:
             return 0.0
-        found = self.latency.probability_below(row, float(self.latency_budget_s[row]))
+        budget = float(self.latency_budget_s[row])
+        found = self.latency.probability_below(row, budget, measured_server=measured_server)
         for name, predictions in self.metrics.items():
             bound = self.bounds.get(f"metrics.{name}")
             if found is not None and bound is not None:
@@ -464,17 +408,14 @@ class Selection:
 
     @cached_property
     def _probability_met(self) -> Floats | None:
-        """Probability (n,) of meeting every limit, 0 for machines that are not eligible or whose type has a larger budget."""
-        posterior = self.latency.posterior
-        if posterior is None:
+        """Probability (n,) of meeting every limit, 0 for machines that are not eligible; None without a distribution."""
+        distribution, of = self.latency.distribution, self.latency.type_index
+        if distribution is None:
             return None
-        types, budget = self.latency.type_index, self.latency_budget_s
-        most = np.zeros(len(posterior.machines))
-        np.maximum.at(most, types[self.eligible], budget[self.eligible])
-        met = posterior.probability_below(most)
-        if self._metrics_probability is not None:
-            met = met * self._metrics_probability
-        return np.where(self.eligible & (budget >= most[types]), met[types], 0.0)
+        met = distribution.take(of).probability_below(self.latency_budget_s)
+        if self.metrics_probability is not None:
+            met = met * self.metrics_probability[of]
+        return np.where(self.eligible, met, 0.0)
 
     @cached_property
     def violations(self) -> tuple[Violation, ...]:
@@ -485,7 +426,7 @@ class Selection:
         """
         if self.feasible.any():
             return ()
-        values, bounds = self.required(self.rule.levels[-1]), self.bounds
+        values, bounds = self.required(self.confidence), self.bounds
         found = [one for name in bounds if (one := self._violation(name, values)) is not None and one.factor > 1]
         row = self.least_infeasible
         if not found and row is not None:
@@ -517,7 +458,7 @@ class Selection:
         rows = np.flatnonzero(self.eligible)
         if self.feasible.any() or not len(rows) or not self.bounds:
             return None
-        values = self.required(self.rule.levels[-1])
+        values = self.required(self.confidence)
         worst = np.max([values[name][rows] / max(bound, 1e-300) for name, bound in self.bounds.items()], axis=0)
         return int(rows[np.argmin(worst)])
 
@@ -525,13 +466,24 @@ class Selection:
         """Return the value of N types, each at the machine `rows` (N,) says, for the sampler; each machine if None."""
         if rows is None:
             rows = np.arange(len(self.rule.names))
-        fit = ~self.latency.unfit[rows]
+        fit, rule, distribution = ~self.latency.unfit[rows], self.rule.take(rows), self.latency.distribution
+        qualifies = self.feasible[rows] & (True if available is None else available)
+        budget_s = rule.latency_budget_s
+        if distribution is not None and self.confidence is not None:
+            budget_s = np.where(qualifies, budget_s, budget_s * np.exp(-distribution.room(self.confidence)))
         return Utility(
-            rule=self.rule.take(rows),
+            rule=rule,
+            qualifies=qualifies,
+            latency_budget_s=budget_s,
             scale=self.scale,
             metrics=self.metrics,
             available=fit if available is None else available & fit,
         )
+
+
+def independent(draws: Floats) -> Floats:
+    """Return draws (S, N) in another order: those of two posteriors are from one seed, model by model, even if reversed."""
+    return draws[np.random.default_rng(0).permutation(len(draws))]
 
 
 def _over(value: float, bound: float) -> float:
@@ -543,18 +495,16 @@ class Utility:
     """The value of N types in joint draws of their latency and metrics: the objective, infinite where a limit is violated.
 
     The sampler measures the type of the largest expected improvement of this value per price, and stops when that falls below
-    the threshold of its `Policy` (`fogspec.numerics.acquisition`).
+    the threshold of its `Policy` (`fogspec.numerics.acquisition`). `latency_budget_s` (N,) leaves room for another server
+    where a type does not qualify yet.
     """
 
     rule: Rule
+    qualifies: Mask
+    latency_budget_s: Floats
     scale: Scale
     metrics: Mapping[str, Predictions]
     available: Mask
-
-    @property
-    def confidence(self) -> float:
-        """The probability with which the limits must be met."""
-        return self.rule.confidence
 
     @property
     def measured_first(self) -> bool:
@@ -566,14 +516,13 @@ class Utility:
         rule, bounds = self.rule if rows is None else self.rule.take(rows), self.rule.bounds
         some: Rows | slice = slice(None) if rows is None else rows
         latency_s = np.exp(posterior.draws[:, some])
-        met = latency_s <= rule.latency_budget_s
+        met = latency_s <= self.latency_budget_s[some]
         met &= self.available[some]
         metric_value = latency_s
         for name, predictions in self.metrics.items():
             if predictions.posterior is None:
                 continue
-            # Both posteriors draw from one seed: the reversed order makes them independent.
-            value = np.exp(predictions.posterior.draws[::-1, some])
+            value = np.exp(independent(predictions.posterior.draws)[:, some])
             met &= value <= bounds.get(f"metrics.{name}", np.inf)
             if name == rule.metric:
                 metric_value = value

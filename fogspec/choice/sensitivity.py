@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fogspec.choice.choose import Choice, choose
-from fogspec.model.fit import Models, Observation
+from fogspec.language.schema import Application
+from fogspec.model.fit import Fitted, Observation
 from fogspec.model.predict import PredictionSet, PredictionSpace
-from fogspec.spec.schema import Application
 
 LEVEL = 0.9
 CONFIDENCES = (0.5, 0.8, 0.9, 0.95, 0.99)
@@ -38,8 +38,7 @@ class Influence:
     """The effect of leaving one sample out on the choice and the predictions.
 
     `moves` is the median relative change over all machines, `missed_by` the relative error of the prediction of this
-    machine from the others, `covered` whether the measurement lies in that prediction's interval at `LEVEL`, as wide as it is
-    shown.
+    machine from the others, `covered` whether the measurement lies in that prediction's interval at `LEVEL`.
     """
 
     id: str
@@ -76,7 +75,7 @@ def slacks(choice: Choice) -> list[Slack]:
     row = choice.chosen
     if row is None:
         return []
-    required = choice.required(choice.level)
+    required = choice.required(choice.confidence)
     found = []
     for name, bound in choice.bounds.items():
         others = choice.eligible.copy()
@@ -104,26 +103,33 @@ def slacks(choice: Choice) -> list[Slack]:
 def other_confidences(choice: Choice) -> list[OtherConfidence]:
     """Return the nearest lower and the nearest higher of `CONFIDENCES` with another choice, as far as there are any.
 
-    Empty without limits or probabilities, and where no machine reaches the required confidence.
+    Empty without limits, probabilities or a choice.
     """
     row = choice.chosen
-    if row is None or choice.by_relaxation or not choice.bounds or choice.level != choice.confidence:
+    required = choice.confidence
+    if (
+        row is None
+        or choice.by_relaxation
+        or not choice.bounds
+        or required is None
+        or choice.latency.distribution is None
+    ):
         return []
-    lower = [_at_confidence(choice, row, one) for one in reversed(CONFIDENCES) if one < choice.confidence]
-    higher = [_at_confidence(choice, row, one) for one in CONFIDENCES if one > choice.confidence]
+    lower = [_at_confidence(choice, row, one) for one in reversed(CONFIDENCES) if one < required]
+    higher = [_at_confidence(choice, row, one) for one in CONFIDENCES if one > required]
     return [one for some in (lower, higher) if (one := next((one for one in some if one.row != row), None))]
 
 
 def _at_confidence(choice: Choice, row: int, confidence: float) -> OtherConfidence:
     other = replace(choice, rule=replace(choice.rule, confidence=confidence))
     found = other.chosen
-    if found is None or other.level != confidence:
+    if found is None:
         return OtherConfidence(confidence=confidence, row=None)
     cost, latency = choice.cost_usd_per_request, choice.latency.value
     return OtherConfidence(
         confidence=confidence,
         row=found,
-        cost=float(cost[found] / cost[row]),
+        cost=float(cost[found] / cost[row]) if cost[row] else 1.0,
         latency=float(latency[found] / latency[row]),
     )
 
@@ -136,7 +142,7 @@ class Refits:
     """
 
     space: PredictionSpace | None
-    models: Models
+    models: Fitted
     targets: Sequence[str]
     _known: dict[tuple[str, ...], PredictionSet] = field(default_factory=dict)
 
@@ -146,18 +152,17 @@ class Refits:
             return None
         key = tuple(one.id for one in samples)
         if key not in self._known:
-            self._known[key] = self.space.predicted(samples, self.models.spec.rejected, self.targets)
+            self._known[key] = self.space.predicted(samples, self.models.rejected, self.targets)
         return self._known[key]
 
 
-def influences(application: Application, models: Models, refits: Refits, choice: Choice) -> list[Influence]:
+def influences(application: Application, models: Fitted, refits: Refits, choice: Choice) -> list[Influence]:
     """Return the influence of each sample: those that change the choice first, then those that move predictions most."""
-    body = models.spec
-    if len(body.observations) < 2:
+    if len(models.observations) < 2:
         return []
     found = []
-    for left_out in body.observations:
-        predicted = refits.of([one for one in body.observations if one is not left_out])
+    for left_out in models.observations:
+        predicted = refits.of([one for one in models.observations if one is not left_out])
         if predicted is not None:
             found.append(_influence(application, predicted, left_out, choice))
     return sorted(found, key=lambda one: (not one.changes, -round(one.moves, 6), one.id))
@@ -170,7 +175,7 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
     name = None if without.chosen is None else str(without.offers.instance[without.chosen])
     now = None if choice.chosen is None else str(choice.offers.instance[choice.chosen])
     missed, covered, value = float("nan"), False, left_out.values["latency"]
-    if (known := left_out_prediction(predicted, left_out, choice)) is not None:
+    if (known := left_out_prediction(predicted, left_out)) is not None:
         mean, low, high = known
         missed, covered = abs(mean / value - 1), low <= value <= high
     return Influence(
@@ -183,25 +188,21 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
     )
 
 
-def left_out_prediction(
-    predicted: PredictionSet, one: Observation, choice: Choice
-) -> tuple[float, float, float] | None:
-    """Return the latency that other samples predict for this one, and the ends of its interval, as wide as it is shown."""
-    posterior, shown = predicted.targets["latency"].posterior, choice.latency.posterior
-    if posterior is None or shown is None or predicted.space is None:
+def left_out_prediction(predicted: PredictionSet, one: Observation) -> tuple[float, float, float] | None:
+    """Return the latency that other samples predict for this one, and the ends of its interval."""
+    distribution = predicted.targets["latency"].distribution
+    if distribution is None or predicted.space is None:
         return None
-    # Only for this machine: a bisection over a whole catalog for each sample would take seconds.
-    own = posterior.widened(shown.calibration.factor).take(np.array([predicted.space.types.row(one.machine.type_key)]))
-    low, high = (float(own.quantile(p)[0]) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    return float(np.exp(own.mean[0])), low, high
+    own = distribution.take(np.array([predicted.space.types.row(one.machine.type_key)]))
+    low, high = own.interval(LEVEL)
+    return float(own.value[0]), float(low[0]), float(high[0])
 
 
 def widest_intervals(choice: Choice, count: int = 3) -> list[WideInterval]:
     """Return the machines with the widest intervals among those that might meet the limits, one offer of each type."""
-    ranges = choice.latency.ranges
-    if ranges is None:
+    if choice.latency.distribution is None:
         return []
-    low, high = (ranges.quantile(p) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    low, high = choice.latency.distribution.interval(LEVEL)
     of = choice.latency.type_index
     possible = choice.eligible & (low[of] <= choice.latency_budget_s)
     found: list[WideInterval] = []

@@ -1,6 +1,55 @@
 """The shortlist: named alternatives to the chosen machine."""
 
+from fogspec.base import units
+from fogspec.base.quantities import Cost, Duration, Price, Strict
+from fogspec.base.units import rounded
 from fogspec.choice.choose import Choice
+from fogspec.choice.menu import MetricValue, entry_of, why_not
+from fogspec.language.warned import sentence
+
+
+class Alternative(Strict):
+    """A machine that was not chosen, and why."""
+
+    role: str
+    infra: str
+    instance: str
+    latency: Duration
+    cost: Cost
+    metrics: dict[str, MetricValue]
+    price: Price
+    why_not: str
+
+
+def alternatives(choice: Choice) -> list[Alternative]:
+    """Return the other named choices, the runner-up, and the nearest machine that a limit excludes."""
+    found: list[Alternative] = []
+    for role, row in shortlist(choice).items():
+        entry = entry_of(choice, row)
+        found.append(
+            Alternative(
+                role=role,
+                infra=entry.infra,
+                instance=entry.instance,
+                latency=entry.latency,
+                cost=entry.cost,
+                metrics=entry.metrics,
+                price=entry.price,
+                why_not=reason(choice, row),
+            )
+        )
+    return found
+
+
+def reason(choice: Choice, row: int) -> str:
+    """Return why a machine is not the choice: the limits that it violates, else its objective."""
+    missed = "; ".join(map(sentence, why_not(choice, row)))
+    if missed or choice.chosen is None:
+        return missed or "meets the limits"
+    mine, best = (rounded(float(choice.objective[at])) for at in (row, choice.chosen))
+    if mine == best:
+        return "equal objective; ties go by cost, latency, name"
+    return "objective {} against {}".format(*units.shown_apart(mine, best))
 
 
 def shortlist(choice: Choice) -> dict[str, int]:

@@ -3,6 +3,7 @@
 import importlib
 import os
 import sys
+import textwrap
 from collections.abc import Sequence
 
 import click
@@ -13,81 +14,68 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, UsageError
 
 GROUPS = {
-    "Author": ("init", "validate", "config", "lock", "mv"),
-    "Plan and measure": ("compile", "doctor", "bench", "join", "status"),
+    "Author": ("init", "validate", "lock"),
+    "Plan and measure": ("compile", "bench", "status"),
     "Choose": ("menu", "explain", "report"),
-    "Deploy": ("apply", "watch", "ps", "logs", "adopt", "down", "keys"),
-    "Review and audit": ("diff", "review", "ci", "verify", "attest", "merge-driver"),
-    "Evaluate and more": ("evaluate", "conformance", "priors", "completion"),
+    "Deploy": ("apply", "watch", "logs", "down"),
+    "Review and audit": ("diff", "check"),
 }
 EXAMPLES = {
     "init": "fogspec init my-robot",
     "validate": "fogspec validate specs/my-robot.yaml",
-    "config": "fogspec config my-robot@prod --origins",
     "lock": "fogspec lock my-robot",
-    "mv": "fogspec mv my-robot my-arm",
     "compile": "fogspec compile my-robot",
-    "doctor": "fogspec doctor my-robot",
     "bench": "fogspec bench my-robot --dry-run",
-    "join": "fogspec join results/my-robot.yaml ../other-checkout/results/my-robot.yaml",
     "status": "fogspec status",
     "menu": "fogspec menu my-robot --latency 3s --alpha 0.2",
     "explain": "fogspec explain constraints.latency",
     "report": "fogspec report my-robot",
     "apply": "fogspec apply my-robot --dry-run",
     "watch": "fogspec watch my-robot --once --max-restarts 0",
-    "ps": "fogspec ps",
     "logs": "fogspec logs my-robot",
-    "adopt": "fogspec adopt my-robot",
     "down": "fogspec down my-robot",
-    "keys": "fogspec keys my-robot",
-    "diff": "fogspec diff my-robot",
-    "review": "fogspec review main",
-    "ci": "fogspec ci",
-    "verify": "fogspec verify my-robot",
-    "attest": "fogspec attest my-robot --key key.pem --out statement.json",
-    "merge-driver": "git config merge.fogspec.driver 'fogspec merge-driver %A %P'",
-    "evaluate": "fogspec evaluate --suite DIR",
-    "conformance": "fogspec conformance --infra slurm/lab --max '$2'",
-    "priors": "fogspec priors build --from DIR",
-    "completion": "fogspec completion bash > ~/.local/share/bash-completion/completions/fogspec",
+    "diff": "fogspec diff --since main",
+    "check": "fogspec check --since main",
 }
-EXITS = (
-    "Exit codes: 0 done, 1 invalid file, 2 wrong usage, 3 out of date, 4 infeasible,\n"
-    "            5 refused, 6 cloud error, 7 not measured, 8 busy, 70 bug, 130 interrupted"
-)
+EXITS = {
+    0: "done", 1: "invalid file", 2: "wrong usage", 3: "out of date", 4: "infeasible", 5: "refused", 6: "cloud error",
+    7: "not measured", 8: "busy", 70: "bug", 130: "interrupted",
+}  # fmt: skip
+ALWAYS = (0, 1, 2, 70, 130)
+ENDS = {  # what a command may end with besides
+    "init": (6,),
+    "validate": (),
+    "lock": (5, 6),
+    "compile": (3, 4, 5, 7),
+    "bench": (3, 4, 5, 6, 7, 8),
+    "status": (5, 6),
+    "menu": (3, 4, 5, 7),
+    "explain": (3, 4, 5, 7),
+    "report": (3, 4, 5, 7),
+    "apply": (3, 4, 5, 6, 7, 8),
+    "watch": (3, 5, 6, 8),
+    "logs": (5, 6),
+    "down": (3, 5, 6, 8),
+    "diff": (3, 5),
+    "check": (3, 5),
+}
 
 VERBS = {
     "init": "Write a commented, valid spec, or copy an example with its results",
     "validate": "Validate specs and report all errors",
     "explain": "Explain a field, an error code, or a choice",
-    "config": "Print a spec merged with its overlays and defaults",
     "compile": "Write plan and tasks; once measured, models, menu and manifest",
-    "keys": "Generate the robot's key of the link, on the robot",
-    "lock": "Pin catalog, images, workspace and workload to digests",
-    "mv": "Rename an application with its spec, lock, results and compiled files",
+    "lock": "Pin catalog and images to digests",
     "status": "Show what is up to date, what is deployed and what was spent",
-    "doctor": "Check the requirements of bench and apply, before money is spent",
     "bench": "Measure the plan's samples; costs money, and asks first",
-    "join": "Join the results of two branches, each sample once",
     "menu": "List candidate machines, optionally under other limits",
     "report": "Write a self-contained HTML report with interactive limits",
     "apply": "Deploy a manifest (idempotent); costs money, and asks first",
     "watch": "Keep deployments serving; restarts cost money, and it asks first",
-    "ps": "List the running machines of all applications, with their costs",
     "logs": "Print the output of an application's nodes",
-    "adopt": "Record running machines that the live state has lost",
     "down": "Tear down an application and verify that nothing is left",
-    "diff": "Compare new output with committed files and the deployment",
-    "review": "Describe a change of deployment in Markdown, for a pull request",
-    "verify": "Recompute the chain behind a manifest, byte for byte",
-    "ci": "Check before a merge that apply would deploy what is committed",
-    "attest": "Write an in-toto statement of a manifest's provenance",
-    "merge-driver": "Compile a file below compiled/ while git merges two branches",
-    "evaluate": "Replay sampling and choosing against full measurements",
-    "conformance": "Prove fogspec on an engine; costs money there, and asks first",
-    "priors": "Build performance priors from other workloads",
-    "completion": "Print a completion script for bash, zsh or fish",
+    "diff": "Compare with new output and the deployment, or with a commit",
+    "check": "Check, before a merge, that apply would deploy what is committed",
 }
 
 
@@ -102,12 +90,16 @@ def _verbosity(context: click.Context, parameter: click.Parameter, wanted: bool)
 
 VERBOSITY = (
     ("-q", "--quiet", "print only errors and the result"),
-    ("-v", "--verbose", "also print which files are read, with their digests, and how long each stage takes"),
+    (
+        "-v",
+        "--verbose",
+        "also print all notes, which files are read, with their digests, and how long each stage takes",
+    ),
 )
 
 
 # What many commands have stands last, in this order, and after a command's own options.
-SHARED = ("overlays", "catalog_path", "prices", "priors", "policies", "dry_run", "yes", "exit_code", "output", "color")
+SHARED = ("catalog_path", "prices", "policies", "dry_run", "yes", "exit_code", "output", "color")
 
 
 def _in_order(command: click.Command) -> None:
@@ -119,7 +111,7 @@ def _in_order(command: click.Command) -> None:
             one.show_default = True
 
 
-def _add_verbosity(command: click.Command) -> None:
+def add_verbosity(command: click.Command) -> None:
     """Add the options that each command has."""
     if not any(one.name == "quiet" for one in command.params):
         _in_order(command)
@@ -127,7 +119,13 @@ def _add_verbosity(command: click.Command) -> None:
             option = click.Option([short, long], is_flag=True, expose_value=False, callback=_verbosity, help=text)
             command.params.append(option)
     for inner in command.commands.values() if isinstance(command, click.Group) else ():
-        _add_verbosity(inner)
+        add_verbosity(inner)
+
+
+def exits(besides: Sequence[int]) -> str:
+    """Return the exit codes of a command, with their meanings, in lines of 80 columns."""
+    said = ", ".join(f"{code} {EXITS[code]}" for code in sorted({*ALWAYS, *besides}))
+    return textwrap.fill(said, 80, initial_indent="Exit codes: ", subsequent_indent=" " * 12)
 
 
 class _Verbs(click.Group):
@@ -136,14 +134,14 @@ class _Verbs(click.Group):
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in VERBS:
-            from fogspec.spec.suggest import did_you_mean
+            from fogspec.language.suggest import did_you_mean
 
             hints = did_you_mean(name, VERBS) or ["fogspec --help lists the commands"]
             raise UsageError(f"there is no command {name}", *hints)
         module = importlib.import_module(f"fogspec.cli.{name.replace('-', '_')}")
         command: click.Command = module.command
-        _add_verbosity(command)
-        command.epilog = f"\b\nExample: {EXAMPLES[name]}\n{EXITS}"
+        add_verbosity(command)
+        command.epilog = f"\b\nExample: {EXAMPLES[name]}\n{exits(ENDS[name])}"
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -153,9 +151,7 @@ class _Verbs(click.Group):
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         formatter.write_paragraph()
-        formatter.write(
-            "First steps:\n  fogspec init --example grasp-planning\n  fogspec menu grasp-planning-recorded\n"
-        )
+        formatter.write("First steps:\n  fogspec init --example grasp-planning\n  fogspec menu grasp-planning\n")
 
 
 @click.command(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"]})
@@ -164,7 +160,7 @@ def fogspec() -> None:
     """Find the right cloud machine for a robot's ROS 2 nodes, from measurements, and pin it in a pull request."""
 
 
-_add_verbosity(fogspec)
+add_verbosity(fogspec)
 
 
 def usage(wrong: click.ClickException) -> list[str]:
@@ -178,10 +174,15 @@ def usage(wrong: click.ClickException) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the documented exit code."""
+    run(fogspec, "fogspec", arguments)
+
+
+def run(command: click.Command, name: str, arguments: Sequence[str] | None) -> None:
+    """Run a command under this name and exit with the documented exit code; `arguments` None: those of the process."""
     set_verbosity(Verbosity.NORMAL)
     try:
-        ended = fogspec.main(
-            args=list(arguments) if arguments is not None else None, prog_name="fogspec", standalone_mode=False
+        ended = command.main(
+            args=list(arguments) if arguments is not None else None, prog_name=name, standalone_mode=False
         )
         code = ended if isinstance(ended, int) else 0
     except click.ClickException as wrong:

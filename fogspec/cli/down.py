@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     metavar="URL",
     help="tear down machines that another repository started for the application, such as a fork or a former origin",
 )
-@click.option("--yes", is_flag=True, help="skip the confirmation prompt, which only a terminal or --repository brings")
+@click.option(
+    "--yes", is_flag=True, help="skip the confirmation prompt, which appears only on a terminal or with --repository"
+)
 @OUTPUT
 def command(spec_or_name: str, repository: str | None, yes: bool, output: str) -> None:
     """Tear down one application, by name, and verify that nothing is left.

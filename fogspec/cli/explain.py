@@ -1,7 +1,6 @@
 """Implement `fogspec explain`: explain a field, a diagnostic code, or the choice of a machine."""
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -9,19 +8,20 @@ import click
 from fogspec.base.console import say_json, say_text
 from fogspec.base.errors import UsageError
 from fogspec.cli.next_steps import after_look, next_lines
-from fogspec.cli.options import CATALOG, OUTPUT, PRIORS, complete_application, load_named
+from fogspec.cli.options import OUTPUT, complete_application, load_named
 
 if TYPE_CHECKING:
-    from fogspec.spec.field_docs import FieldPage
+    from fogspec.language.documents import Reading
+    from fogspec.language.field_docs import FieldPage
 
 WIDEST_NAME = 24
 
 
 def _completions(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[str]:
     """Return the fields and codes with this prefix, for shell completion."""
-    from fogspec.spec.codes import codes
-    from fogspec.spec.field_docs import pages
-    from fogspec.spec.schema import Application
+    from fogspec.language.codes import codes
+    from fogspec.language.field_docs import pages
+    from fogspec.language.schema import Application
 
     return [one for one in (*(page.path for page in pages(Application)), *codes()) if one.startswith(begun)]
 
@@ -29,34 +29,34 @@ def _completions(_context: click.Context, _parameter: click.Parameter, begun: st
 @click.command()
 @click.argument("what", shell_complete=_completions)
 @click.argument("spec", required=False, metavar="[APP]", shell_complete=complete_application)
-@CATALOG
-@PRIORS
 @OUTPUT
-def command(what: str, spec: str | None, catalog_path: str | None, priors: Path | None, output: str) -> None:
+def command(what: str, spec: str | None, output: str) -> None:
     """Explain a field such as constraints.cost, an error code such as FS201, or the choice for an application.
 
     WHAT is the field, the code, or the application, by name or by spec. With a field, APP is searched for the line that
     sets it.
     """
-    from fogspec.spec.discover import spec_of
+    from fogspec.language.discover import spec_of
+    from fogspec.language.documents import Reading
 
+    reading = Reading()
     if what.upper().startswith("FS") and what[2:].isdigit():
         _code(what.upper(), output)
     elif os.path.exists(what) or what.endswith((".yaml", ".yml")) or "/" in what:
-        _choices(what, catalog_path, priors, output)
+        _choices(what, output, reading)
     elif _field(what, spec, output):
         return
-    elif spec_of(what):
-        _choices(what, catalog_path, priors, output)
+    elif spec_of(what, reading):
+        _choices(what, output, reading)
     else:
         _nothing(what)
 
 
-def _choices(what: str, catalog_path: str | None, priors: Path | None, output: str) -> None:
+def _choices(what: str, output: str, reading: "Reading") -> None:
     from fogspec.compile.compiler import compile_application
     from fogspec.report import explain
 
-    inputs = load_named(what, None, catalog_path, priors)
+    inputs = load_named(what, None, reading)
     compiled = [compile_application(one) for one in inputs]
     if output == "json":
         say_json([explain.as_dict(one) for one in compiled])
@@ -65,8 +65,8 @@ def _choices(what: str, catalog_path: str | None, priors: Path | None, output: s
 
 
 def _code(name: str, output: str) -> None:
-    from fogspec.spec.codes import codes
-    from fogspec.spec.reference import code_text
+    from fogspec.language.codes import codes
+    from fogspec.language.reference import code_text
 
     if name not in codes():
         same = sorted(one for one in codes() if one[:3] == name[:3])
@@ -80,15 +80,16 @@ def _code(name: str, output: str) -> None:
 
 def _field(name: str, spec: str | None, output: str) -> bool:
     """Explain the fields of this name. Return True if there are any."""
-    from fogspec.spec.discover import spec_of
-    from fogspec.spec.field_docs import matching, pages
-    from fogspec.spec.locate import locate
-    from fogspec.spec.reference import field_data, field_text
-    from fogspec.spec.schema import Application
+    from fogspec.language.discover import spec_of
+    from fogspec.language.documents import Reading
+    from fogspec.language.field_docs import matching, pages
+    from fogspec.language.locate import locate
+    from fogspec.language.reference import field_data, field_text
+    from fogspec.language.schema import Application
 
     known = pages(Application)
     found = matching(known, name)
-    spans = locate(spec_of(spec) or spec, [page.path for page in found]) if spec and found else {}
+    spans = locate(spec_of(spec, Reading()) or spec, [page.path for page in found]) if spec and found else {}
     if found and output == "json":
         say_json([field_data(page, spans.get(page.path, [])) for page in found])
     elif found:
@@ -97,10 +98,10 @@ def _field(name: str, spec: str | None, output: str) -> bool:
 
 
 def _nothing(name: str) -> None:
-    from fogspec.spec.discover import applications
-    from fogspec.spec.field_docs import pages
-    from fogspec.spec.schema import Application
-    from fogspec.spec.suggest import did_you_mean
+    from fogspec.language.discover import applications
+    from fogspec.language.field_docs import pages
+    from fogspec.language.schema import Application
+    from fogspec.language.suggest import did_you_mean
 
     fields = [page.path.rpartition(".")[2] for page in pages(Application)]
     hints = did_you_mean(name.rpartition(".")[2], [*fields, *applications()]) or ["all fields: fogspec explain spec"]
@@ -108,15 +109,19 @@ def _nothing(name: str) -> None:
 
 
 def _below(known: list["FieldPage"], found: list["FieldPage"]) -> list[str]:
-    """Return a list of the fields below a field, if it is the only one found."""
+    """Return lists of the basic and the advanced fields below a field, if it is the only one found."""
     if len(found) != 1:
         return []
     inside = [
         page for page in known if page.path.startswith((f"{found[0].path}.", f"{found[0].path}[", f"{found[0].path}.<"))
     ]
-    rows = [(page.path.removeprefix(found[0].path).lstrip("."), page.meaning) for page in inside]
-    width = min(max((len(name) for name, _ in rows), default=0), WIDEST_NAME)
-    # A meaning stands below a name that is too long for its column.
-    lines = [f"  {name}\n  {'':<{width}}  {meaning}" if len(name) > width else f"  {name:<{width}}  {meaning}"
-             for name, meaning in rows]  # fmt: skip
-    return ["fields:\n" + "\n".join(lines)] if rows else []
+    rows = [(page.path.removeprefix(found[0].path).lstrip("."), page.meaning, page.tier) for page in inside]
+    width = min(max((len(name) for name, *_ in rows), default=0), WIDEST_NAME)
+    tiers: dict[str, list[str]] = {"basic": [], "advanced": []}
+    for name, meaning, tier in rows:
+        # A meaning stands below a name that is too long for its column.
+        name = f"{name}\n  {'':<{width}}" if len(name) > width else f"{name:<{width}}"
+        tiers[tier].append(f"  {name}  {meaning}")
+    if not tiers["basic"]:
+        return ["\n".join(["fields:", *tiers["advanced"]])] if rows else []
+    return ["\n".join([f"{tier} fields:", *lines]) for tier, lines in tiers.items() if lines]

@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,14 +12,14 @@ from fogspec.cli.next_steps import next_command, say_next
 
 if TYPE_CHECKING:
     from fogspec.base.project_files import ProjectFiles
-    from fogspec.spec.launch_import.found import LaunchImport
+    from fogspec.importers.launch.found import LaunchImport
 
 MOST_DEFAULTS = 20
 # What git should know of a project, by file.
 FOR_GIT = {
     ".gitignore": ".fogspec/\n",
-    ".gitattributes": "compiled/** linguist-generated merge=fogspec\n"
-    "compiled/**/*.svg -diff\ncompiled/agent.pyz -diff -text merge=fogspec\n"
+    ".gitattributes": "compiled/** linguist-generated -merge\n"
+    "compiled/**/*.svg -diff\ncompiled/agent.pyz -diff -text\n"
     "results/*.yaml merge=fogspec-results\n",
 }
 
@@ -32,7 +32,10 @@ FOR_GIT = {
     "launch",
     type=click.Path(path_type=str),
     metavar="FILE",
-    help="launch file (Python, XML or YAML) to read nodes from; it is not run",
+    help="launch file (Python, XML or YAML) to read nodes from; it runs in a sandbox that can read only files of packages",
+)
+@click.option(
+    "--trust-launch", "trusted", is_flag=True, help="run the launch file also where this machine has no sandbox for it"
 )
 @click.option(
     "--package-path",
@@ -53,12 +56,6 @@ FOR_GIT = {
     metavar="FILE",
     help="output of `agent.pyz watch --out FILE` on the robot, in place of watching",
 )
-@click.option(
-    "--priors",
-    type=click.Path(path_type=Path),
-    metavar="DIR|FILE",
-    help="machine library (fogspec priors build), to name a first machine for the observed robot",
-)
 @click.option("--name", help="application name  [default: file name]")
 @click.option(
     "--example",
@@ -70,52 +67,58 @@ def command(
     arguments: tuple[str, ...],
     launch: str | None,
     package_paths: tuple[Path, ...],
+    trusted: bool,
     graph: bool,
     watch: str,
     record: str | None,
     observed: Path | None,
-    priors: Path | None,
     name: str | None,
     example: str | None,
 ) -> None:
-    """Write SPEC, a file or a name for specs/NAME.yaml, and the schema for the editor. Nothing is overwritten.
+    """Write SPEC, a file or a name for specs/NAME/NAME.yaml, and the schema for the editor. Nothing is overwritten.
 
     NAME:=VALUE are launch arguments for --from-launch, as `ros2 launch` takes them.
     """
+    from fogspec.base.layout import Layout
     from fogspec.base.project_files import ProjectFiles, write_output
     from fogspec.base.templates import shipped
     from fogspec.cli.init_graph import check_options, from_graph
+    from fogspec.importers.launch import read_launch
+    from fogspec.importers.scaffold import first_data, first_text, name_from, workspace_of
+    from fogspec.language.discover import is_name
+    from fogspec.language.loader import check_file
     from fogspec.report.diagnostics import show_diagnostics
-    from fogspec.spec.discover import is_name
-    from fogspec.spec.launch_import import read_launch
-    from fogspec.spec.loader import check_file
-    from fogspec.spec.scaffold import first_data, first_text, name_from
 
     if example is not None:
         from fogspec.cli.init_example import copy_example
 
         if spec or launch or graph or observed or name:
             raise UsageError("--example goes with no other argument of init", f"fogspec init --example {example}")
-        copy_example(example)
+        first = copy_example(example)
+        for_git(Path(), ProjectFiles(Path()))
+        say("measured already; nothing is rented")
+        say_next(next_command("menu", first))
         return
     if spec and ":=" in str(spec):
         spec, arguments = None, (str(spec), *arguments)
     given = _launch_arguments(arguments, launch)
     if spec and is_name(str(spec)) and not spec.suffix:
-        name, spec = name or str(spec), Path("specs") / f"{spec}.yaml"  # `init mybot` means specs/mybot.yaml
-    check_options(launch, graph, record, observed, priors)
-    found = read_launch(launch, given, package_paths) if launch else None
+        name, spec = name or str(spec), None  # `init mybot` means specs/mybot/mybot.yaml: it shares files with no other
+    check_options(launch, graph, record, observed)
+    found = read_launch(launch, given, package_paths, trusted=trusted) if launch else None
     name = name or name_from((spec and spec.name) or (launch and os.path.basename(launch)) or Path.cwd().name)
-    spec = spec or Path("specs") / f"{name}.yaml"
+    spec = spec or Path("specs") / name / f"{name}.yaml"
     if spec.exists():
         raise UsageError(f"{spec} is there already", "name another file, or remove it")
-    root = spec.parent.parent if spec.absolute().parent.name == "specs" else spec.parent
+    root = Layout.of(spec, name).root
     schema, files = root / "schemas" / "Application.json", ProjectFiles(root)
     data, notes = None, _notes(launch, given, found)
+    workspace, copied = workspace_of(found.folders if found else [], spec.parent)
+    notes += copied
     if graph or observed:
-        data, notes = from_graph(name, spec.parent, files, watch, record, observed, priors)
+        data, notes = from_graph(name, spec.parent, files, watch, record, observed)
     text = first_text(
-        data or first_data(name, found),
+        _with_files(data or first_data(name, found, workspace), spec.parent, found),
         Path(os.path.relpath(schema, spec.parent)).as_posix(),
         notes,
         found,
@@ -142,6 +145,19 @@ def command(
     say_next(next_command("validate", spec))
 
 
+def _with_files(data: dict[str, Any], folder: Path, found: "LaunchImport | None") -> dict[str, Any]:
+    """Return the values of a first spec, with its files listed if other specs are in the folder."""
+    from fogspec.importers.scaffold import first_text
+    from fogspec.language.files_there import files_used
+    from fogspec.language.loader import check_text
+    from fogspec.language.tree import has_spec
+
+    loaded = check_text(first_text(data, "", [], found).encode(), "spec")[0] if has_spec(folder) else []
+    if not loaded:
+        return data
+    return {**data, "spec": {**data["spec"], "files": files_used(loaded[0].application.spec, folder)}}
+
+
 def for_git(root: Path, files: "ProjectFiles") -> None:
     """Write what git should know of a project, where it has no such files yet."""
     if not (root / ".git").exists():
@@ -156,7 +172,7 @@ def for_git(root: Path, files: "ProjectFiles") -> None:
                 else f"{path}: what compile writes is generated"
             )
             continue
-        has = files.read(path).decode("utf-8", "replace").splitlines()
+        has = files.head(path, 1 << 20).decode("utf-8", "replace").splitlines()
         if lacking := [one for one in text.splitlines() if one not in has]:
             say(f"{path}: is there already, and lacks: {'; '.join(lacking)}")
 
@@ -177,7 +193,7 @@ def _notes(launch: str | None, given: dict[str, str], found: "LaunchImport | Non
     """Return what stands at the top of the spec: where it comes from, and what was decided for it."""
     if launch is None or found is None:
         return []
-    notes = [f"From {os.path.basename(launch)}, which was read and not run."]
+    notes = [f"From {os.path.basename(launch)}, which ran in a sandbox, with stand-ins for launch."]
     if given:
         notes.append("Launch arguments: " + " ".join(f"{key}:={value}" for key, value in given.items()))
     if found.defaults:

@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING, Any
 from fogspec.base import child
 from fogspec.base.console import note, say
 from fogspec.base.errors import CloudError, InvalidInput, UsageError
-from fogspec.cli.options import library_from
 
 if TYPE_CHECKING:
     from fogspec.base.project_files import ProjectFiles
-    from fogspec.numerics.priors import PriorData
-    from fogspec.spec.graph_import.observed import Observed
-    from fogspec.spec.graph_import.proposal import Proposal
+    from fogspec.importers.graph.observed import Observed
+    from fogspec.importers.graph.proposal import Proposal
 
 MOST_S = 600.0
 PATIENCE_S = 60.0  # discovery, parameters, and the start of Python
@@ -39,7 +37,7 @@ def seconds_of(text: str | None, option: str) -> float | None:
 
 def observe(seconds: float) -> "Observed":
     """Watch the robot on this computer's ROS graph; raise InvalidInput without ROS 2 or nodes, CloudError if it failed."""
-    from fogspec.spec.graph_import.observed import read_observed
+    from fogspec.importers.graph.observed import read_observed
 
     with tempfile.TemporaryDirectory(prefix="fogspec-watch-") as folder:
         out = Path(folder) / "robot.json"
@@ -95,14 +93,15 @@ def watcher(folder: str, *words: str, seconds: float) -> Iterator[None]:
 
 def first_of(name: str, proposal: "Proposal") -> dict[str, Any]:
     """Return the values of a first spec, with what the robot showed in place of what `init` makes up."""
-    from fogspec.spec.scaffold import first_data
+    from fogspec.importers.scaffold import first_data
 
     data = first_data(name)
     spec, found = data["spec"], dict(proposal.spec)
     del spec["benchmark"]["workload"]
     limits, transfer = found.pop("limits", {}), found.pop("transfer", None)
     order = ("cloud", "robot", "ros", "probe")
-    rest = {key: value for key, value in spec.items() if key not in order}
+    left_out = order if "robot" in found else (*order, "connectivity")
+    rest = {key: value for key, value in spec.items() if key not in left_out}
     probe = {"probe": found.get("probe", spec["probe"])}
     data["spec"] = {**{key: found[key] for key in order[:-1] if key in found}, **probe, **rest}
     data["spec"]["constraints"] |= limits
@@ -111,16 +110,12 @@ def first_of(name: str, proposal: "Proposal") -> dict[str, Any]:
     return data
 
 
-def check_options(
-    launch: str | None, graph: bool, record: str | None, observed: Path | None, priors: Path | None
-) -> None:
+def check_options(launch: str | None, graph: bool, record: str | None, observed: Path | None) -> None:
     """Raise UsageError for options that exclude each other."""
     if sum(map(bool, (launch, graph, observed))) > 1:
         raise UsageError("--from-launch, --from-graph and --observed are three sources, and a spec has one")
     if record is not None and not graph:
         raise UsageError("--record needs a robot that runs", "add --from-graph")
-    if priors is not None and not (graph or observed):
-        raise UsageError("--priors needs what was seen of a robot", "add --from-graph or --observed FILE")
 
 
 def from_graph(
@@ -130,16 +125,15 @@ def from_graph(
     watch: str,
     record_for: str | None,
     observed: Path | None,
-    priors: Path | None,
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the values of the spec and the lines of its head; the bag of the workload is below `folder`.
 
     Raise UsageError, InvalidInput and CloudError. Only the bag is written.
     """
-    from fogspec.spec.graph_import.observed import read_observed
-    from fogspec.spec.graph_import.proposal import propose
+    from fogspec.importers.graph.observed import read_observed
+    from fogspec.importers.graph.proposal import propose
+    from fogspec.importers.scaffold import workspace_of
 
-    library = library_from(priors)
     seconds, record_s = seconds_of(watch, "--watch"), seconds_of(record_for, "--record")
     bag = Path("data") / name
     if record_s and (folder / bag).exists():
@@ -158,8 +152,11 @@ def from_graph(
         data["spec"]["benchmark"]["workload"] = {"bag": bag.as_posix()}
     elif record_s:
         proposal.warnings.append("nothing was recorded: the probe has no request topic")
+    if "workspace" in data["spec"]["ros"]:
+        data["spec"]["ros"]["workspace"], copied = workspace_of(proposal.programs, folder)
+        proposal.warnings += copied
     proposal.warnings += without_invalid(data)
-    if library is not None and (guessed := guess(data, seen, proposal, library)):
+    if guessed := guess(data, seen, proposal):
         proposal.lines.append(guessed)
         say(guessed)
     for warning in proposal.warnings:
@@ -167,12 +164,13 @@ def from_graph(
     return data, ["From a robot that ran:", *proposal.lines]
 
 
-def guess(data: dict[str, Any], seen: "Observed", proposal: "Proposal", library: "PriorData") -> str | None:
-    """Return a first machine by a machine library, as a line of text; None if the robot or the library is not known enough."""
+def guess(data: dict[str, Any], seen: "Observed", proposal: "Proposal") -> str | None:
+    """Return a first machine by the machine library, as a line of text; None if too little is known of robot or machines."""
     from fogspec.catalog.sources import default_origin, load_catalog
+    from fogspec.importers.scaffold import first_text
+    from fogspec.language.loader import check_text
     from fogspec.model.first_guess import Robot, first_guess
-    from fogspec.spec.loader import check_text
-    from fogspec.spec.scaffold import first_text
+    from fogspec.model.library import built_in
 
     loaded, machine = check_text(first_text(data, "", []).encode(), "spec")[0], seen.machine
     if not loaded or proposal.latency_s is None or machine.vcpus is None or machine.memory_gib is None:
@@ -187,14 +185,14 @@ def guess(data: dict[str, Any], seen: "Observed", proposal: "Proposal", library:
         used_gib=proposal.memory_gib or 0.0,
     )
     clouds = sorted({entry.partition("/")[0] for entry in spec.infra})
-    found = first_guess(library, spec, robot, load_catalog(default_origin(clouds), clouds))
+    found = first_guess(built_in(), spec, robot, load_catalog(default_origin(clouds), clouds))
     return found.line() if found else None
 
 
 def without_invalid(data: dict[str, Any]) -> list[str]:
     """Remove what a spec refuses, such as a password among parameters, node by node; return what was removed."""
-    from fogspec.spec.loader import check_text
-    from fogspec.spec.scaffold import first_text
+    from fogspec.importers.scaffold import first_text
+    from fogspec.language.loader import check_text
 
     def wrong() -> list[str]:
         found = check_text(first_text(data, "", []).encode(), "spec")[1]

@@ -59,7 +59,7 @@ def command(spec_or_name: str, follow: bool, node: str | None) -> None:
 
 
 def _print(lines: Sequence[str], layout: "Layout", node: str | None, checked: bool = True) -> None:
-    """Print lines, or those of a node; raise UsageError, where that is `checked`, for one that there is not."""
+    """Print lines, or those of a node, or say that there are none; raise UsageError, if `checked`, for an unknown node."""
     from fogspec.base.errors import UsageError
     from fogspec.deploy.running import names_in, names_of_nodes, of_node
 
@@ -80,3 +80,5 @@ def _print(lines: Sequence[str], layout: "Layout", node: str | None, checked: bo
             note(f"{layout.name}: {node} printed none of the lines that are kept")
     if found:
         say_text("\n".join(found))
+    elif checked and node is None:
+        note(f"{layout.name}: its nodes printed nothing")

@@ -1,17 +1,16 @@
 """Implement `fogspec menu`: show the choices of a measured application, also under other constraints."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from fogspec.base.console import columns, has_color, say_json, say_text
+from fogspec.base.console import columns, say_json, say_text
 from fogspec.base.errors import UsageError
 from fogspec.base.text import shell_command
 from fogspec.base.units import parse_cost_usd_per_request, parse_duration_s
 from fogspec.cli.next_steps import next_command, say_next
-from fogspec.cli.options import CATALOG, COLOR, OUTPUT, PRIORS, SPEC, load_named, quantity, raise_together
+from fogspec.cli.options import OUTPUT, SPEC, load_named, quantity, raise_together
 
 if TYPE_CHECKING:
     from fogspec.compile.inputs import Inputs
@@ -53,10 +52,7 @@ def _number(_context: click.Context, _parameter: click.Parameter, value: float |
     help="limit on a metric; NAME=none for no limit; repeatable",
 )
 @click.option("--name", help="application, if the spec has several")
-@CATALOG
-@PRIORS
 @OUTPUT
-@COLOR
 def command(
     spec: str,
     alpha: float | None,
@@ -65,15 +61,13 @@ def command(
     metric: str | None,
     bounds: tuple[str, ...],
     name: str | None,
-    catalog_path: str | None,
-    priors: Path | None,
     output: str,
-    color: bool | None,
 ) -> None:
-    """Show the choices and the Pareto front of an application.
+    """Show the choice of an application among the best machines.
 
     APP is a name or a spec. Nothing is measured again and nothing is written.
     """
+    from fogspec.catalog.table import each_in_its_unit
     from fogspec.choice.menu import menu_data
     from fogspec.compile.decision import no_choice
     from fogspec.report.menu import NO_LIMIT, Changes, menu_view, show
@@ -82,19 +76,17 @@ def command(
         if text not in (None, NO_LIMIT):
             quantity(option, str(text), parse)
     changes = Changes(alpha=alpha, latency=latency, cost=cost, metric=metric, limits=dict(map(_bound, bounds)))
-    inputs = load_named(spec, name, catalog_path, priors)
+    inputs = load_named(spec, name)
     views = [menu_view(one, changes) for one in inputs]
-    menus = [one.menu for one in views]
+    menus = [menu for menu, _ in views]
     if output == "json":
         say_json([menu_data(menu) for menu in menus])
     else:
-        width = columns()
-        if color is None:
-            color = has_color()
-        say_text("\n\n".join(show(one.menu, one.plot(width, color), width) for one in views), color=color)
+        shown = zip(each_in_its_unit(inputs), views, strict=True)
+        say_text("\n\n".join(show(menu, machines, columns()) for _, (menu, machines) in shown))
         if all(menu.spec.balanced is not None for menu in menus):
             say_next(*(_following(one, changes) for one in inputs))
-    raise_together(map(no_choice, menus))
+    raise_together([no_choice(menu) for _, menu in zip(each_in_its_unit(inputs), menus, strict=True)])
 
 
 def _following(inputs: "Inputs", changes: "Changes") -> str | None:

@@ -1,7 +1,7 @@
-"""Say which command comes next: one table over all commands, with the options that the next one needs too."""
+"""Say which command comes next, with the options of the running one that it needs too."""
 
 import importlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any
 
@@ -12,66 +12,26 @@ from fogspec.base.console import is_quiet, say
 from fogspec.base.text import shell_command
 
 if TYPE_CHECKING:
-    from fogspec.audit.diff import Difference
-    from fogspec.audit.freshness import Status
+    from fogspec.check.audit import Status
     from fogspec.compile.artifacts import Artifacts
     from fogspec.compile.inputs import Inputs
     from fogspec.deploy.health import HealthReport
+    from fogspec.review.diff import Difference
 
 Words = tuple[str, ...]  # a verb, and its arguments
 
-# What may follow a command; nothing follows one that prints a document, or that ends the work.
-FOLLOWED_BY: dict[str, tuple[str, ...]] = {
-    "init": ("validate", "compile", "menu"),
-    "validate": ("compile",),
-    "config": (),
-    "lock": ("compile",),
-    "compile": ("lock", "bench", "compile", "explain"),
-    "doctor": ("compile", "bench"),
-    "bench": ("bench", "compile"),
-    "join": ("compile",),
-    "status": ("compile", "bench", "lock", "apply"),
-    "menu": ("explain", "compile"),
-    "explain": ("bench", "compile", "lock", "apply"),
-    "report": ("bench", "compile", "lock", "apply"),
-    "apply": ("apply", "status"),
-    "ps": ("down", "status"),
-    "logs": (),
-    "down": (),
-    "mv": ("apply",),
-    "adopt": ("status",),
-    "watch": (),
-    "merge-driver": (),
-    "keys": (),
-    "diff": ("compile", "lock", "apply"),
-    "review": (),
-    "ci": (),
-    "verify": ("lock", "apply"),
-    "attest": ("verify",),
-    "evaluate": (),
-    "conformance": (),
-    "priors": ("compile",),
-    "completion": (),
-}
-KEPT = ("overlays", "catalog_path", "priors", "policies")  # parameters that say what all commands are to read
-NEEDED = ("overlays",)  # without these, another command would read something else
+KEPT = ("catalog_path", "policies")  # parameters that say what the next command is to read, too
 
 
-def next_command(verb: str, *words: str | PathLike[str]) -> str | None:
-    """Return the command `fogspec VERB WORDS`, with the options of the running command that it needs too.
-
-    Return None if the running command has an option that VERB needs and does not take.
-    """
+def next_command(verb: str, *words: str | PathLike[str]) -> str:
+    """Return the command `fogspec VERB WORDS`, with the options of the running command that it takes too."""
     context = click.get_current_context()
     taken = {one.name: one for one in importlib.import_module(f"fogspec.cli.{verb}").command.params}
     options: list[str] = []
     for name in KEPT:
-        if not _given(context, name):
-            continue
-        if name in taken:
-            options += _option(taken[name], context.params[name])
-        elif name in NEEDED:
-            return None
+        if name in taken and _given(context, name):
+            of_it = _option(taken[name], context.params[name])
+            options += of_it if of_it[0] not in words else []
     return shell_command("fogspec", verb, *(fspath(word) for word in words), *options)
 
 
@@ -103,7 +63,7 @@ def after_compile(compiled: "Artifacts") -> str | None:
     if decision is None:
         return to_measure(compiled)
     if decision.menu.spec.balanced is None:
-        return None
+        return to_measure(compiled) if compiled.settles else None
     if decision.manifest is None:
         return f"{to_measure(compiled)}, or {next_command('compile', layout.spec, '--partial')}"
     return f"{next_command('explain', layout.argument)}, then review {shell_command(layout.manifest)}"
@@ -114,9 +74,7 @@ def after_look(compiled: "Artifacts") -> str | None:
     decision, layout = compiled.decision, compiled.layout
     if decision is None:
         return to_measure(compiled) if layout.files.exists(layout.plan) else next_command("compile", layout.spec)
-    if decision.menu.spec.balanced is None:
-        return None
-    if decision.manifest is None:
+    if decision.menu.spec.balanced is None or decision.manifest is None:
         return after_compile(compiled)
     return next_command("compile", layout.spec) if compiled.compare() else to_deploy(compiled.inputs)
 
@@ -126,36 +84,30 @@ def after_status(one: "Status", live: "HealthReport | None") -> Words | None:
 
     These are the words of `next_command`, which only the process of the command line can ask.
     """
-    if one.artifacts is None:
-        return None
-    if not one.fresh:
-        states = {stage.name: stage.state for stage in one.stages}
-        if states.get("plan") == "fresh" and (one.to_measure or states.get("results") == "partial"):
-            return _measure(one.artifacts)
-        return "compile", fspath(one.layout.spec)
+    if one.artifacts is None or not one.fresh:
+        return one.following
+    if not one.layout.files.exists(one.layout.manifest):
+        return one.following
     return _deploy(one.inputs) if live is None or live.sync != "Synced" or live.health == "Missing" else None
 
 
-def after_diff(inputs: "Inputs", one: "Difference", live: Sequence[Any] | None) -> str | None:
+def after_diff(one: "Difference") -> str | None:
     """Return what makes an application as its spec says; None if it is."""
     if one.refused is not None and one.after is None:
         return None
     if one.differs:
         return next_command("compile", one.layout.spec)
-    return to_deploy(inputs) if live else None
+    if not one.running or one.after is None:
+        return None
+    image = one.after.unpinned_image
+    return next_command(*(("apply", one.layout.manifest, "--dry-run") if image is None else ("lock", one.layout.spec)))
 
 
 def to_measure(compiled: "Artifacts") -> str | None:
     """Return the command that measures the plan; without prices there would be no choice, so first the one that has them."""
-    return next_command(*_measure(compiled))
+    from fogspec.check.audit import measuring
 
-
-def _measure(compiled: "Artifacts") -> Words:
-    from fogspec.compile.inputs import unpriced
-
-    if (missing := unpriced(compiled.inputs.spec, compiled.catalog)) is not None:
-        return missing[2]
-    return "bench", fspath(compiled.layout.spec), *compiled.plan.runner_options
+    return next_command(*measuring(compiled))
 
 
 def to_deploy(inputs: "Inputs") -> str | None:
@@ -164,7 +116,7 @@ def to_deploy(inputs: "Inputs") -> str | None:
 
 
 def _deploy(inputs: "Inputs") -> Words:
-    from fogspec.spec.lockfile import image_named, is_pinned, pinned
+    from fogspec.language.lockfile import image_named, is_pinned, pinned
 
     image = image_named(pinned(inputs.application, inputs.pins))
     if image is not None and not is_pinned(image):

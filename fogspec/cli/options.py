@@ -1,30 +1,32 @@
 """Define options and steps that several commands share."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 from click.shell_completion import CompletionItem
 
-from fogspec.base.console import detail, is_verbose, note, timed
+from fogspec.base.console import detail, is_verbose, note, say, say_json, timed
 from fogspec.base.errors import FogspecError, UsageError
 from fogspec.base.text import shell
 from fogspec.base.units import UnitError
 
 if TYPE_CHECKING:
     from fogspec.base.diagnostics import Diagnostic
+    from fogspec.catalog.machine import Machine
     from fogspec.compile.bundle import ManifestBundle
     from fogspec.compile.inputs import Inputs
-    from fogspec.numerics.priors import PriorData
-    from fogspec.spec.loader import LoadedSpec
-    from fogspec.spec.schema import Spec
+    from fogspec.deploy.checks import Stage
+    from fogspec.language.documents import Reading
+    from fogspec.language.loader import LoadedSpec, SourceFile
+    from fogspec.language.schema import Spec
 
 
 def complete_application(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
     """Return the applications in specs/ with this prefix, for shell completion; files if there is none."""
-    from fogspec.spec.discover import applications
+    from fogspec.language.discover import applications
 
     names = [one for one in applications() if one.startswith(begun)]
     return [CompletionItem(one) for one in names] or [CompletionItem(begun, type="file")]
@@ -66,7 +68,7 @@ COLOR = click.option(
 
 
 def _manifest(_context: click.Context, _parameter: click.Parameter, given: str) -> str:
-    from fogspec.spec.discover import is_name, named_spec
+    from fogspec.language.discover import is_name, named_spec
 
     if not is_name(given):
         return given
@@ -85,16 +87,9 @@ CATALOG = click.option(
     "catalog_path",
     type=click.Path(path_type=str),
     metavar="FROM",
-    help="price catalog: snapshot (bundled), skypilot (SkyPilot's own), a directory in its layout, or a CSV file in its "
-    "columns  [default: fogspec.lock, else skypilot if its lists are on this host, else snapshot]",
-)
-OVERLAYS = click.option(
-    "-f",
-    "--overlay",
-    "overlays",
-    multiple=True,
-    metavar="FILE",
-    help="partial spec to merge into each; repeatable, the last wins",
+    help="price catalog: snapshot (bundled), skypilot (SkyPilot's own), host (shapes of this host, without a price), a "
+    "directory in SkyPilot's layout, or a CSV file in its columns, in the project  [default: that of the lock, else of the "
+    "plan, else host for infra local, else skypilot if its lists are on this host, else snapshot]",
 )
 POLICIES = click.option(
     "--policy",
@@ -105,12 +100,6 @@ POLICIES = click.option(
 )
 WORKERS = click.option(
     "-j", "--workers", type=click.IntRange(1, 64), help="processes [default: as many as are worth starting]"
-)
-PRIORS = click.option(
-    "--priors",
-    type=click.Path(path_type=Path),
-    metavar="DIR|FILE",
-    help="machine library (fogspec priors build), with which fewer samples suffice  [default: fogspec.lock, else none]",
 )
 
 
@@ -124,15 +113,13 @@ def quantity(option: str, text: str, parse: Callable[[str], float]) -> float:
         ) from None
 
 
-def load_inputs(
-    specs: Sequence[str], catalog: str | None, priors: Path | None = None, *, audit: bool = False, each: bool = False
-) -> "list[Inputs]":
+def load_inputs(specs: Sequence[str], catalog: str | None, *, audit: bool = False) -> "list[Inputs]":
     """Read the inputs of the applications that arguments lead to, in all environments; see `check_specs` and `Inputs.load`."""
     from fogspec.compile.inputs import Inputs
-    from fogspec.spec.discover import load_specs
+    from fogspec.language.discover import load_specs
 
     with timed("reading"):
-        found = Inputs.load([], catalog=catalog, priors=priors, audit=audit, each=each, loaded=load_specs(specs))
+        found = Inputs.load([], catalog=catalog, audit=audit, loaded=load_specs(specs))
     show_read(found)
     return found
 
@@ -147,7 +134,7 @@ def show_read(inputs: "Sequence[Inputs]") -> None:
     others: dict[str, None] = {}
     for one in inputs:
         files |= {os.fspath(path): content for path, content in one.spec.texts.content.items()}
-        files |= {file.name: file.content for file in (one.lock, one.results_file, *one.on_disk.values()) if file}
+        files |= {file.name: file.content for file in (one.lock, *one.results_files, *one.on_disk.values()) if file}
         about = one.catalog.about
         others[f"catalog {about.source}: {len(one.catalog):,} offers, {about.digest}"] = None
         if one.library is not None:
@@ -163,8 +150,8 @@ def require_ready(loaded: "Sequence[LoadedSpec]", started: bool = False, files: 
     import dataclasses
 
     from fogspec.base.diagnostics import DiagnosticError
+    from fogspec.language.rules.benchmark import NO_SENDER, PLACEHOLDERS
     from fogspec.report.diagnostics import show_diagnostics
-    from fogspec.spec.rules.benchmark import NO_SENDER, PLACEHOLDERS
 
     said = list(dict.fromkeys(warning for one in loaded for warning in one.warnings))
     wrong = [dataclasses.replace(one, severity="error") for one in said if one.code == PLACEHOLDERS]
@@ -175,32 +162,33 @@ def require_ready(loaded: "Sequence[LoadedSpec]", started: bool = False, files: 
     show_diagnostics([one for one in said if started and one.code == NO_SENDER])
 
 
-def load_named(what: str, name: str | None, catalog: str | None, priors: Path | None) -> "list[Inputs]":
+def load_named(what: str, name: str | None, reading: "Reading | None" = None) -> "list[Inputs]":
     """Read the applications of a spec, or the one in specs/ that `what` names; `name` selects one of several.
 
     Those in environments are named. Raise UsageError if there is none, and the errors of `Inputs.load`.
     """
     from fogspec.compile.inputs import Inputs
 
-    return Inputs.load([], catalog=catalog, priors=priors, loaded=applications_of(what, name))
+    return Inputs.load([], loaded=applications_of(what, name, reading))
 
 
-def open_manifest(path: str, catalog: str | None) -> "ManifestBundle":
-    """Open a manifest with its inputs."""
+def open_manifest(path: str, spec: Path | None = None) -> "ManifestBundle":
+    """Open a manifest with its inputs; `spec` is where its application is if that is known."""
     from fogspec.compile.bundle import open_bundle
 
     with timed("reading"):
-        found = open_bundle(path, catalog)
+        found = open_bundle(path, spec)
     show_read([found.inputs])
     return found
 
 
 def check_policies(policies: Sequence[str], inputs: "Sequence[Inputs]") -> None:
     """Raise DiagnosticError if a spec or a manifest on disk violates a policy, or if a policy is invalid."""
+    from fogspec.compile.inputs import policies_read
     from fogspec.compile.manifest import Manifest
-    from fogspec.spec.rules.policies import Policies
+    from fogspec.language.rules.policies import Policies
 
-    rules, loaded = Policies(policies), [one.spec for one in inputs]
+    rules, loaded = Policies(policies, read=policies_read(inputs)), [one.spec for one in inputs]
     rules.require_specs(loaded)
     known = {path: file for one in inputs for path, file in one.on_disk.items()}
     rules.require_manifests(loaded, Manifest, known)
@@ -226,40 +214,58 @@ def raise_damaged(found: "Iterable[Diagnostic]") -> None:
         raise DiagnosticError(damaged)
 
 
-def named(what: str, name: str | None = None) -> tuple[str, str | None]:
-    """Return the spec that `what` names, by path or by application in specs/, and the name of the selected application.
-
-    Raise UsageError for an unknown application.
-    """
-    from fogspec.spec.discover import is_name, named_spec
-
-    return named_spec(what), name or (what if is_name(what) else None)
-
-
-def applications_of(what: str, name: str | None = None) -> list["LoadedSpec"]:
+def applications_of(what: str, name: str | None = None, reading: "Reading | None" = None) -> list["LoadedSpec"]:
     """Return the applications of a spec, or the one in specs/ that `what` names; `name` selects one of several.
 
-    Those in environments are named. Raise UsageError if there is none, DiagnosticError if the spec is invalid.
+    Those in environments are named. `reading` is what was read before. Raise UsageError if there is none, DiagnosticError if
+    the spec is invalid.
     """
-    from fogspec.spec.loader import load
+    from fogspec.language.discover import is_name, named_spec
+    from fogspec.language.documents import Reading
+    from fogspec.language.loader import load
 
-    path, wanted = named(what, name)
-    found = [one for one in load([path]) if (one.base is None if wanted is None else wanted == one.name)]
+    known, wanted = Reading() if reading is None else reading, name or (what if is_name(what) else None)
+    path = named_spec(what, known)
+    every = load([path], known)
+    found = [one for one in every if (one.base is None if wanted is None else wanted == one.name)]
     if not found:
-        raise UsageError(f"{path} has no application named {wanted}")
+        names = sorted(one.name for one in every)
+        raise UsageError(f"{path} has no application named {wanted}", f"it has {', '.join(names)}")
     return found
 
 
-def library_from(path: Path | None) -> "PriorData | None":
-    """Return the machine library that the command line names; None without one, so that the lock decides.
+def unmet(
+    loaded: "Sequence[LoadedSpec]",
+    stage: "Stage",
+    places: "Collection[str]",
+    output: str,
+    opened: "Inputs | None" = None,
+    known: "dict[Path, SourceFile] | None" = None,
+    here: "Machine | None" = None,
+) -> bool:
+    """Print the requirements of a bench or an apply that may start machines in these places; return whether one is not met.
 
-    Raise InvalidInput or DiagnosticError for an invalid library.
+    Raise DiagnosticError for a damaged lock.
     """
-    if path is None:
-        return None
-    from fogspec.model.priors import read_priors
+    from fogspec.backends.images.registry import Registry
+    from fogspec.backends.registry import deployment_backend
+    from fogspec.base.clouds import cloud_of
+    from fogspec.deploy.checks import Check, State, as_dict, as_lines, checks
+    from fogspec.deploy.state import SystemWallClock
 
-    return read_priors(path)
+    if any(cloud_of(place).on_skypilot for place in places):
+        note(
+            "SkyPilot checks its access to clouds; if its API server does not run on this computer, that starts, and ends then"
+        )
+    found: list[Check] = []
+    times, check = SystemWallClock(), Registry().check
+    for one in checks(loaded, stage, places, times, deployment_backend, check, opened, known, here):
+        if output == "text":
+            say(*as_lines(one, found[-1] if found else None))
+        found.append(one)
+    if output == "json":
+        say_json([as_dict(one) for one in found])
+    return any(one.state is State.PROBLEM for one in found)
 
 
 def check_image(image: str | None, spec: "Spec") -> None:
@@ -270,7 +276,7 @@ def check_image(image: str | None, spec: "Spec") -> None:
     from fogspec.backends.images.registry import NotShown, Registry
     from fogspec.base.errors import CloudError
     from fogspec.compile.tasks import login_of_machines
-    from fogspec.spec.lockfile import is_pinned
+    from fogspec.language.lockfile import is_pinned
 
     if image is None or not is_pinned(image):
         return

@@ -8,16 +8,14 @@ from fogspec.base.console import say, say_text
 from fogspec.base.errors import UsageError
 from fogspec.base.text import shell_command
 from fogspec.cli.next_steps import after_look, next_lines
-from fogspec.cli.options import CATALOG, PRIORS, complete_application, load_named
+from fogspec.cli.options import complete_application, load_named
 
 
 @click.command()
 @click.argument("what", metavar="APP", shell_complete=complete_application)
 @click.option("--name", help="application, if the spec has several")
 @click.option("--out", "to", metavar="FILE", help="output file, - for stdout  [default: compiled/NAME/report.html]")
-@CATALOG
-@PRIORS
-def command(what: str, name: str | None, to: str | None, catalog_path: str | None, priors: Path | None) -> None:
+def command(what: str, name: str | None, to: str | None) -> None:
     """Write the report of an application, one HTML page.
 
     APP is a name or a spec. The page has the interactive menu, spec, samples, models, costs and provenance. It needs no
@@ -27,12 +25,11 @@ def command(what: str, name: str | None, to: str | None, catalog_path: str | Non
     from fogspec.compile.compiler import compile_application
     from fogspec.report.html import page
 
-    inputs = load_named(what, name, catalog_path, priors)
+    inputs = load_named(what, name)
     if to is not None and len(inputs) > 1:
         raise UsageError(f"{what} has {len(inputs)} applications, {to} holds one: choose with --name")
-    given = [*(["--catalog", catalog_path] if catalog_path else []), *(["--priors", str(priors)] if priors else [])]
     for compiled in [compile_application(one) for one in inputs]:
-        common = [compiled.inputs.source, "--name", compiled.layout.name, *given]
+        common = [compiled.inputs.source, "--name", compiled.layout.name]
         regenerate, menu = shell_command("fogspec", "report", *common), shell_command("fogspec", "menu", *common)
         content = page(compiled, regenerate, menu)
         if to == "-":

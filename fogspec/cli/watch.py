@@ -9,12 +9,12 @@ import click
 from fogspec.base.console import ask, say, say_json
 from fogspec.base.errors import FogspecError, Interrupted, InvalidInput, Refused, UsageError
 from fogspec.base.units import parse_duration_s, shown_price
-from fogspec.cli.options import CATALOG, OUTPUT, complete_application, quantity
+from fogspec.cli.options import OUTPUT, complete_application, quantity
 
 if TYPE_CHECKING:
     from fogspec.base.layout import Layout
     from fogspec.deploy.watch import Watched, Watcher
-    from fogspec.spec.schema import Application
+    from fogspec.language.schema import Application
 
 STEP_S = 0.2
 
@@ -31,10 +31,10 @@ STEP_S = 0.2
     metavar="N",
     help="most machines started per hour for one application; 0 only reports",
 )
-@click.option("--listen", metavar="HOST:PORT", help="serve OpenMetrics at http://HOST:PORT/metrics")
-@CATALOG
 @click.option(
-    "--prices", metavar="FROM", help="price catalog of the price check, as --catalog  [default: that of --catalog]"
+    "--prices",
+    metavar="FROM",
+    help="price catalog of the price check, as compile --catalog  [default: that of the plan]",
 )
 @click.option("--yes", is_flag=True, help="skip the confirmation prompt")
 @OUTPUT
@@ -43,8 +43,6 @@ def command(
     once: bool,
     interval: str,
     max_restarts: int,
-    listen: str | None,
-    catalog_path: str | None,
     prices: str | None,
     yes: bool,
     output: str,
@@ -55,14 +53,13 @@ def command(
     good, or where the machine is gone: by the manifest that it ran, at the approved price at most, and before what is left
     of the old one ends. Where a machine cannot be reached, nothing is started. Drift and other manifests are reported.
 
-    Events are kept in .fogspec/NAME/events.jsonl. Ctrl-C ends the watch and leaves the deployments. With --once the exit
-    code is 6 if something does not serve.
+    Events are kept in .fogspec/NAME/events.jsonl, metrics in .fogspec/metrics.prom. Ctrl-C ends the watch and leaves the
+    deployments. With --once the exit code is 6 if something does not serve.
     """
     from functools import cache, partial
 
     from fogspec.backends.registry import deployment_backend
     from fogspec.base.signals import interruptible
-    from fogspec.deploy.metrics_server import serve_metrics
     from fogspec.deploy.state import SystemWallClock
     from fogspec.deploy.watch import Watcher, check_serving
 
@@ -75,15 +72,17 @@ def command(
         backend_for=cache(deployment_backend),
         restarts_per_hour=max_restarts,
         tell=partial(_tell, output),
-        catalog=catalog_path,
         prices=None if prices is None else partial(_prices, prices),
     )
     watcher.take(_applications(apps, {}))
     _confirm(watcher, yes or max_restarts == 0)
-    with serve_metrics(listen, lambda url: say(f"metrics: {url}", err=True)) as publish, interruptible() as interrupt:
+    with interruptible() as interrupt:
         while True:
             watcher.round(lambda: interrupt.asked)
-            publish(watcher.metrics())
+            try:
+                watcher.write_metrics()
+            except InvalidInput as failed:
+                say(f"warning: {failed.message}", err=True)  # the deployments matter more
             if once:
                 check_serving([*watcher.watched.values()])
                 return
@@ -98,17 +97,17 @@ def command(
 def _applications(apps: Sequence[str], before: "Mapping[str, Watched]") -> "dict[str, tuple[Application, Layout]]":
     """Return the applications that are watched, by name.
 
-    One whose spec is damaged or gone for now stays as it was. Raise DiagnosticError for that at the start.
+    One whose spec is damaged or gone for now stays as it was. Raise DiagnosticError and NoSpecs for that at the start.
     """
     from fogspec.base.diagnostics import DiagnosticError
     from fogspec.deploy.shared_state import store_of
-    from fogspec.spec.discover import check_specs, load_specs
+    from fogspec.language.discover import NoSpecs, check_specs, load_specs
 
     found = {name: (one.application, one.layout) for name, one in before.items()}
     try:
         loaded = load_specs(apps) if apps else check_specs()[0]
-    except (DiagnosticError, UsageError, InvalidInput):
-        if not before and apps:
+    except (DiagnosticError, UsageError, InvalidInput) as wrong:
+        if not before and (apps or isinstance(wrong, NoSpecs)):
             raise
         loaded = []
     for one in loaded:

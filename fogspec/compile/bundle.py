@@ -8,10 +8,13 @@ from fogspec.base import digest
 from fogspec.base.errors import InvalidInput
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import ProjectFiles
+from fogspec.base.text import shell_command
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.manifest import Manifest
+from fogspec.language.discover import spec_below
+from fogspec.language.documents import Reading
+from fogspec.language.loader import LoadedSpec, SourceFile, load
 from fogspec.plan.schema import TaskRef
-from fogspec.spec.loader import LoadedSpec, SourceFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +44,13 @@ class ManifestBundle:
         """Return an error for each file that does not match its digest in the manifest."""
         return [wrong for one in references(self.manifest) if (wrong := self._difference(one)) is not None]
 
+    def path(self, reference: TaskRef) -> Path:
+        """Return the path of a file that the manifest names."""
+        return Path(os.path.normpath(self.layout.compiled / reference.path))
+
     def file(self, reference: TaskRef) -> SourceFile:
         """Return a file that the manifest names."""
-        path = Path(os.path.normpath(self.layout.compiled / reference.path))
+        path = self.path(reference)
         return self.inputs.on_disk.get(path) or SourceFile.read(path, self.layout.files)
 
     def _difference(self, reference: TaskRef) -> str | None:
@@ -57,11 +64,12 @@ class ManifestBundle:
         return None
 
 
-def open_bundle(path: str | os.PathLike[str], catalog: str | None = None) -> ManifestBundle:
+def open_bundle(path: str | os.PathLike[str], spec: Path | None = None) -> ManifestBundle:
     """Open the manifest at `compiled/NAME/manifest.yaml` with its inputs.
 
-    `catalog` overrides the catalog in the lock. Raise DiagnosticError for a damaged file or an invalid spec, InvalidInput
-    for a manifest that is missing or elsewhere, where its relative paths are wrong, and the errors of `Inputs.load`.
+    `spec` is where its application is if that is known. Raise DiagnosticError for a damaged file or an invalid spec,
+    InvalidInput for a manifest that is missing or elsewhere, where its relative paths are wrong, and the errors of
+    `Inputs.load`.
     """
     at = Path(path)
     whole = Path(os.path.abspath(at))
@@ -70,12 +78,14 @@ def open_bundle(path: str | os.PathLike[str], catalog: str | None = None) -> Man
     files = ProjectFiles(root)
     if not files.is_file(at):
         raise InvalidInput(
-            f"{at}: there is no such manifest", "fogspec status says what is missing before there is one"
+            f"{at}: there is no such manifest",
+            f"{shell_command('fogspec', 'status', at.parent.name)} for what is missing, and the command that comes next",
         )
     file = SourceFile.read(at, files)
     manifest = file.document(Manifest)
     name = manifest.metadata.name
-    spec = root / manifest.provenance.application.path
+    reading = Reading()
+    spec = Path(spec or spec_below(root, name, reading) or Layout.named(root, name).spec)
     layout = Layout.of(spec, name)
     if os.path.abspath(layout.manifest) != str(whole):
         raise InvalidInput(
@@ -83,7 +93,7 @@ def open_bundle(path: str | os.PathLike[str], catalog: str | None = None) -> Man
             f"make it there: fogspec compile {spec}",
         )
     known = {layout.manifest: file}
-    found = Inputs.load([spec], catalog=catalog, name=name, audit=True, known=known)
+    found = Inputs.load([], loaded=load([spec], reading), name=name, audit=True, recorded=True, known=known)
     if not found:
         raise InvalidInput(f"{spec} has no application named {name}, which {at} deploys")
     return ManifestBundle(manifest, file.content, found[0])
@@ -91,6 +101,6 @@ def open_bundle(path: str | os.PathLike[str], catalog: str | None = None) -> Man
 
 def references(manifest: Manifest) -> list[TaskRef]:
     """Return every file that is approved with the manifest."""
-    spec = manifest.spec
-    robot = [] if spec.robot_launch is None else [spec.robot_launch]
-    return [spec.task, *(one.task for one in spec.fallbacks), *robot, *spec.files]
+    pins = manifest.pins
+    robot = [] if pins.robot_launch is None else [pins.robot_launch]
+    return [pins.task, *(one.task for one in manifest.spec.fallbacks), *robot, *pins.files]

@@ -4,29 +4,34 @@ What compile writes is a function of its inputs: files that no longer follow are
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fogspec.base.diagnostics import DiagnosticError
-from fogspec.base.errors import FogspecError, Refused
+from fogspec.base.errors import FogspecError, Infeasible, InvalidInput, Refused
 from fogspec.base.units import dollars, format_money
 from fogspec.catalog.filters import Filtered, filter_offers
+from fogspec.catalog.table import in_its_unit
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.inputs import Inputs
-from fogspec.compile.plan_files import plan_file, substitute_tasks, with_substitutes, with_tasks
+from fogspec.compile.plan_files import plan_file, with_tasks
+from fogspec.language.fingerprints import measured_record
+from fogspec.language.lockfile import pinned, some
+from fogspec.language.rules import RULES
+from fogspec.language.schema import Spec
 from fogspec.plan.budget import ceil_cents, cheapest_options, estimate_cost, within_budget
 from fogspec.plan.design import make_plan
 from fogspec.plan.reuse import plan_from_campaign, reuse_plan
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import Results, completed
 from fogspec.results.standing import Standing, standing
-from fogspec.spec.lockfile import pinned, pins_of_measurement, some
-from fogspec.spec.schema import Application
 
 if TYPE_CHECKING:
     from fogspec.compile.decision import Decision
 
 
+@in_its_unit
 def compile_application(inputs: Inputs, partial: bool = False) -> Artifacts:
     """Return every file that follows from the inputs, and what they say.
 
@@ -70,10 +75,9 @@ def _planned(inputs: Inputs, admissible: Filtered, results: Results | None) -> t
     application, layout = inputs.application, inputs.layout
     exact = pinned(application, inputs.pins)
     bare = plan_for(inputs, admissible, results)
-    check_budget(application, bare, admissible, results)
-    plan, tasks = with_tasks(exact, with_substitutes(exact, bare, admissible), layout)
-    files = {**inputs.agent, **tasks, **substitute_tasks(exact, plan, layout, results)}
-    return plan, {**files, layout.plan: plan_file(plan, layout)}
+    check_budget(inputs, bare, admissible, results)
+    plan, tasks = with_tasks(exact, bare, layout)
+    return plan, {**inputs.agent, **tasks, layout.plan: plan_file(plan, layout)}
 
 
 def try_compile(inputs: Inputs) -> Artifacts | FogspecError:
@@ -92,7 +96,12 @@ def standing_of(inputs: Inputs) -> Standing | None:
         raise inputs.refused
     if inputs.results is None:
         return None
-    return standing(inputs.results, inputs.application, pins_of_measurement(inputs.application, inputs.pins))
+    return standing(inputs.results, record_of(inputs), inputs.application.spec.benchmark.waivers)
+
+
+def record_of(inputs: Inputs) -> Mapping[str, Any]:
+    """Return the record of what is measured now."""
+    return measured_record(inputs.application, inputs.pins, inputs.sent)
 
 
 def usable(inputs: Inputs, found: Standing | None) -> tuple[Results | None, str | None]:
@@ -103,12 +112,25 @@ def usable(inputs: Inputs, found: Standing | None) -> tuple[Results | None, str 
     return None, f"{inputs.layout.results} measured something else: {changed} changed since"
 
 
-def check_budget(application: Application, plan: Plan, admissible: Filtered, results: Results | None) -> None:
+def check_budget(inputs: Inputs, plan: Plan, admissible: Filtered, results: Results | None) -> None:
     """Raise Refused if what is still to be measured may cost more than the budget leaves."""
     budget = plan.spec.budget
     due = estimate_cost(plan, completed(results), results.spec.spent if results else 0.0)
     if budget is None or within_budget(plan, due):
         return
+
+    def cost(spec: Spec) -> float | None:
+        application = inputs.application.model_copy(update={"spec": spec})
+        other = replace(inputs, spec=replace(inputs.spec, application=application))
+        if any(found.severity == "error" for rule in RULES for found in rule(application)):
+            return None
+        try:
+            changed = plan_for(other, _admissible(other), results)
+        except (Infeasible, InvalidInput):
+            return None
+        return estimate_cost(changed, completed(results), due.spent_usd).total_usd
+
+    options = cheapest_options(inputs.application, plan, due, admissible, cost)
     before = f", {dollars(due.spent_usd)} of it spent already" if due.spent_usd else ""
     parts = due.estimate
     raise Refused(
@@ -117,32 +139,28 @@ def check_budget(application: Application, plan: Plan, admissible: Filtered, res
         f"{len(due.todo)} samples to measure: measuring {dollars(parts.measuring)}, set-up {dollars(parts.setup)}, "
         f"start and end of the machines {dollars(parts.overhead)}, each at most",
         "ways to make it fit:",
-        *(f"- {option.line()}" for option in cheapest_options(application, plan, due, admissible)),
+        *(f"- {option.line()}" for option in options),
         f"- raise spec.benchmark.budget to {format_money(ceil_cents(due.total_usd))}: loses nothing",
     )
 
 
 def plan_for(inputs: Inputs, admissible: Filtered, results: Results | None) -> Plan:
     """Return the plan without its tasks: of a campaign that has begun, else the one on disk if it serves, else a new one."""
-    application = inputs.application
-    pins = pins_of_measurement(application, inputs.pins)
-    plan = None
+    record, plan = record_of(inputs), None
     if results is not None:
-        plan = _campaign_plan(inputs, pins, results) or _reusable_plan(inputs, pins, results)
-    return plan or make_plan(
-        application, inputs.source, inputs.catalog, pins=pins, admissible=admissible, library=inputs.library
-    )
+        plan = campaign_plan(inputs, record, results) or _reusable_plan(inputs, record, results)
+    return plan or make_plan(inputs.application, inputs.catalog, inputs=record, admissible=admissible)
 
 
-def _campaign_plan(inputs: Inputs, pins: Mapping[str, str], results: Results) -> Plan | None:
+def campaign_plan(inputs: Inputs, record: Mapping[str, Any], results: Results) -> Plan | None:
     """Return the plan of an adaptive campaign that has begun: its decisions are in the results."""
-    benchmark, sampling = inputs.application.spec.benchmark, results.spec.sampling
-    if sampling is None or benchmark.sampler != "adaptive" or benchmark.machines:
+    sampling = results.spec.sampling
+    if sampling is None or inputs.application.spec.sampler != "adaptive":
         return None
-    return plan_from_campaign(inputs.application, inputs.source, inputs.catalog, sampling, pins)
+    return plan_from_campaign(inputs.application, inputs.catalog, sampling, record)
 
 
-def _reusable_plan(inputs: Inputs, pins: Mapping[str, str], results: Results) -> Plan | None:
+def _reusable_plan(inputs: Inputs, record: Mapping[str, Any], results: Results) -> Plan | None:
     """Return the plan on disk if all of it is measured, it still serves, and the search space or the prices are new."""
     file = inputs.on_disk.get(inputs.layout.plan)
     if file is None:
@@ -152,8 +170,9 @@ def _reusable_plan(inputs: Inputs, pins: Mapping[str, str], results: Results) ->
     except DiagnosticError:
         return None
     body, spec = plan.spec, inputs.application.spec
-    if (body.hardware, body.infra, body.design_catalog) == (spec.hardware, spec.infra, inputs.catalog.about.digest):
+    searched = (spec.hardware.search_space, spec.infra, inputs.catalog.about.digest)
+    if (body.hardware, body.infra, body.designed_from) == searched:
         return None
     if not {sample.id for sample in body.samples} <= completed(results):
         return None
-    return reuse_plan(inputs.application, plan, inputs.catalog, pins)
+    return reuse_plan(inputs.application, plan, inputs.catalog, record)

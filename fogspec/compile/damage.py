@@ -4,38 +4,34 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from fogspec.base.diagnostics import DiagnosticError
+from fogspec.base.diagnostics import Diagnostic, DiagnosticError
 from fogspec.base.errors import UsageError
 from fogspec.base.git import git
 from fogspec.base.layout import Layout
 from fogspec.base.text import shell_command
-from fogspec.results.io import check_integrity
-from fogspec.results.schema import Results
-from fogspec.spec.loader import SourceFile
-from fogspec.spec.lockfile import Lock
-
-
-def read_results(file: SourceFile, layout: Layout) -> Results:
-    """Return the results in a file. Raise DiagnosticError if it was edited or cut short."""
-    results = file.document(Results)
-    check_integrity(results, layout.results)
-    return results
+from fogspec.language.loader import UPGRADE, SourceFile
+from fogspec.language.lockfile import Lock
+from fogspec.results.io import result_in
 
 
 def restorable(damaged: DiagnosticError, layout: Layout, base: str | None = None) -> DiagnosticError:
     """Return the errors of a damaged lock and of damaged results with the command that restores the file.
 
+    What a newer fogspec wrote is not damaged.
     Where the damage was committed, HEAD has it too: then it is the commit `base`, or the one before that change.
     """
-    fixes = {
-        str(layout.results): _fix(
-            layout.results, lambda file: read_results(file, layout), "move it away and measure again", base
-        ),
-        str(layout.lock): _fix(
-            layout.lock, lambda file: file.document(Lock), "remove it and write it again: fogspec lock", base
-        ),
-    }
-    return DiagnosticError([replace(one, fix=fixes.get(one.span.path, one.fix)) for one in damaged.diagnostics])
+
+    def fix(one: Diagnostic) -> str | None:
+        path = Path(one.span.path)
+        if one.fix == UPGRADE:
+            return one.fix
+        if path == layout.lock:
+            return _fix(path, lambda file: file.document(Lock), "remove it and write it again: fogspec lock", base)
+        if path.parent == layout.results:
+            return _fix(path, result_in, "move it away and measure its sample again", base)
+        return one.fix
+
+    return DiagnosticError([replace(one, fix=fix(one)) for one in damaged.diagnostics])
 
 
 def _fix(path: Path, read: Callable[[SourceFile], object], otherwise: str, base: str | None) -> str:

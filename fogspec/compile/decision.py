@@ -1,36 +1,49 @@
 """Choose a machine from results and make the files of the choice: models, menu, charts, and the pinned manifest."""
 
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from fogspec import __version__
+from fogspec.agent import PROTOCOL
 from fogspec.base import digest
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError, Infeasible, NotMeasured
 from fogspec.base.layout import Layout
-from fogspec.base.text import shell_command
-from fogspec.base.yaml.writer import yaml_text
+from fogspec.base.text import count
 from fogspec.catalog.filters import Filtered
-from fogspec.charts import menu_chart, menu_svg, model_svg
+from fogspec.charts.menu import menu_picture
+from fogspec.charts.model import model_picture
 from fogspec.choice.choose import Choice, choose
-from fogspec.choice.menu import LEVEL, Menu, floored, make_menu
+from fogspec.choice.menu import Menu, make_menu, rows_of, why_open
+from fogspec.choice.next_samples import outlook_of
+from fogspec.choice.outlook import Outlook
 from fogspec.choice.relaxed import Relaxed, chosen_by_relaxing, relaxed_optimum
-from fogspec.compile.deploy_files import Deployable, deployable
+from fogspec.compile.deploy_files import deployable
 from fogspec.compile.inputs import Inputs
 from fogspec.compile.links import link_of
-from fogspec.compile.manifest import FileRef, Manifest, Partial, Sources, make_manifest
-from fogspec.model.fit import Models, fit, targets
-from fogspec.model.predict import PredictionSet, predict
+from fogspec.compile.manifest import Evidence, Manifest, Pins, make_manifest
+from fogspec.compile.plan_files import document_file
+from fogspec.language import warned as codes
+from fogspec.language.fingerprints import CATALOG, TOOL, chosen_record, fitted_record
+from fogspec.language.lockfile import image_named, is_pinned, sent_files
+from fogspec.language.schema import Application, Waiver
+from fogspec.language.warned import Warned, sentence, warned
+from fogspec.model.fit import Fitted, Model, fit, fitted_from, targets
+from fogspec.model.predict import PredictionSet, predict, with_predictions
+from fogspec.numerics.families import WEAK_ERROR
 from fogspec.numerics.observations import DEFAULT_NOISE
-from fogspec.plan.schema import ApplicationRef, CatalogRef, Plan, digest_without_budget
+from fogspec.plan.schema import CatalogRef, Plan, digest_without_budget
 from fogspec.results.progress import Unfinished, unfinished
 from fogspec.results.resources import doubts
-from fogspec.results.schema import Results, other_servers, own_records
-from fogspec.results.standing import carried_on, carried_text
-from fogspec.spec import fingerprints
-from fogspec.spec.lockfile import image_named, is_pinned, sent_files
-from fogspec.spec.schema import Application, Waiver
+from fogspec.results.schema import Results, other_servers
+from fogspec.results.standing import carried_on, carried_warning
+
+FEW = 5  # samples, below which R² is high on noise too
+DOUBTS = 3  # about samples, in a picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +53,7 @@ class Selection:
     `relaxed` is the optimum of the paper's method.
     """
 
-    models: Models
+    models: Fitted
     predicted: PredictionSet
     choice: Choice
     relaxed: Relaxed | None
@@ -54,7 +67,7 @@ class Decision:
     of it was accepted.
     """
 
-    models: Models
+    models: Fitted
     predicted: PredictionSet
     choice: Choice
     menu: Menu
@@ -77,7 +90,10 @@ class Decision:
 
 
 def no_choice(menu: Menu) -> FogspecError | None:
-    """Return why a menu has no machine to choose: none admissible, measured, or within the limits; None if it has one."""
+    """Return why a menu has no machine to choose; None if it has one.
+
+    NotMeasured while nothing is measured, or one more sample may decide; Infeasible where no sample can.
+    """
     name = menu.metadata.name
     if menu.spec.balanced is not None:
         return None
@@ -85,19 +101,20 @@ def no_choice(menu: Menu) -> FogspecError | None:
         return Infeasible(f"{name}: no machine of the catalog is admissible")
     if not menu.spec.predicted:
         return NotMeasured(f"{name}: nothing is measured: no sample counts, or each admissible machine failed")
-    return Infeasible(f"{name}: no machine meets the limits")
+    said = (why_open(menu) or ["no machine meets the limits"])[0]
+    if menu.spec.open is not None and menu.spec.open.cause in ("one sample", "unknown"):
+        return NotMeasured(f"{name}: {said}")
+    return Infeasible(f"{name}: {said}")
 
 
 def select(inputs: Inputs, application: Application, admissible: Filtered, results: Results) -> Selection:
     """Fit the results, predict every admissible machine, and choose one by the method in the spec."""
-    library = inputs.library
-    models = fit(application, results, library.digest if library else None)
-    return select_from(
-        application, models, predict(models, admissible.offers, targets(application), inputs.catalog, library)
-    )
+    models = fit(application, results, inputs.library_digest)
+    predicted = predict(models, admissible.offers, targets(application), inputs.catalog, inputs.library)
+    return select_from(application, models, predicted)
 
 
-def select_from(application: Application, models: Models, predicted: PredictionSet) -> Selection:
+def select_from(application: Application, models: Fitted, predicted: PredictionSet) -> Selection:
     """Choose a machine from these predictions by the method in the spec."""
     choice = choose(application, predicted)
     # Importing scipy takes time, so only this method uses it (ADR 0071); the comparison in a manifest uses the grid.
@@ -106,6 +123,15 @@ def select_from(application: Application, models: Models, predicted: PredictionS
     if by_relaxation:
         choice = chosen_by_relaxing(choice, relaxed)
     return Selection(models, predicted, choice, relaxed)
+
+
+def outlook_after(application: Application, found: Selection, results: Results, plan: Plan) -> Outlook | None:
+    """Return what stands between the machines and the limits after these results; None where one is chosen."""
+    offers, budget = found.choice.offers, application.spec.benchmark.budget
+    usd = offers.price_usd_per_hour * plan.spec.commitment.paid_s / 3600
+    left_usd = math.inf if budget is None else budget - results.spec.spent
+    failed = [one.machine for one in found.models.rejected]
+    return outlook_of(application, found.predicted, found.choice, failed, usd, left_usd)
 
 
 def decide(
@@ -126,10 +152,13 @@ def decide(
     selection = select(inputs, application, admissible, results)
     models, choice, layout = selection.models, selection.choice, inputs.layout
     warnings = warnings_for(application, models, choice, results, left, waived)
-    menu = make_menu(application, choice, warnings)
-    shared = layout if layout.own_models else layout.measured
-    files = {layout.models: _yaml(models, shared), layout.menu: _yaml(menu, layout)}
-    files |= _charts(application, choice, models, layout)
+    outlook = outlook_after(application, selection, results, plan)
+    menu = make_menu(application, choice, warnings, selection.relaxed, outlook)
+    document = with_predictions(models, selection.predicted, rows_of(choice))
+    files = {layout.models: document_file(document, layout), layout.menu: document_file(menu, layout)}
+    files |= _charts(
+        application, choice, models, layout, [doubt for one in results.spec.samples for doubt in doubts(one)]
+    )
     manifest = None
     if choice.chosen is not None and (left is None or partial or _accepted(inputs, left, plan_digest)):
         deployed = deployable(
@@ -140,28 +169,24 @@ def decide(
             sent=inputs.agent,
             files=files,
         )
-        models_digest = digest.of_bytes(files[layout.models])
-        sources = _sources(
-            inputs,
-            application,
-            deployed,
-            plan_digest=plan_digest,
-            results_digest=results.integrity,
-            models_digest=models_digest,
-        )
         manifest = make_manifest(
             application,
             choice,
-            models,
-            sources,
+            evidence=_evidence(inputs, application, selection, results, waived),
+            pins=Pins(
+                plan=plan_digest,
+                models=digest.of_bytes(files[layout.models]),
+                task=deployed.task,
+                robot_launch=deployed.robot_launch,
+                files=deployed.files,
+                agent_protocol=PROTOCOL,
+                sent=sent_files(application, inputs.sent),
+            ),
+            fallbacks=deployed.fallbacks,
+            robot_environment=deployed.robot_environment,
             warnings=warnings,
-            relaxed=selection.relaxed,
-            carried=[one.model_copy(update={"pins": None}) for one in carried_on(results, waived)],
-            partial=None
-            if left is None
-            else Partial(measured=left.measured, planned=left.planned, missing=list(left.missing)),
         )
-        files[layout.manifest] = _yaml(manifest, layout)
+        files[layout.manifest] = document_file(manifest, layout)
     return Decision(
         models=models,
         predicted=selection.predicted,
@@ -179,158 +204,132 @@ def _accepted(inputs: Inputs, left: Unfinished, plan_digest: str) -> bool:
     if file is None:
         return False
     try:
-        provenance = file.document(Manifest).provenance
+        made = file.document(Manifest)
     except DiagnosticError:
         return False
-    partial = provenance.partial
-    return partial is not None and provenance.plan.digest == plan_digest and set(left.missing) <= set(partial.missing)
+    partial = made.partial
+    return partial is not None and made.pins.plan == plan_digest and set(left.missing) <= set(partial["missing"])
 
 
-def _sources(
+def _evidence(
     inputs: Inputs,
     application: Application,
-    deployed: Deployable,
-    *,
-    plan_digest: str,
-    results_digest: str,
-    models_digest: str,
-) -> Sources:
-    """Return references to the inputs of a choice and to the files of its deployment."""
-    layout, about = inputs.layout, inputs.catalog.about
-    return Sources(
-        application=ApplicationRef(
-            path=inputs.source,
-            digest=fingerprints.chosen_digest(application),
-            field_digests=fingerprints.chosen_fields(application),
-        ),
-        catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
-        plan=FileRef(path=layout.beside_manifest(layout.plan), digest=plan_digest),
-        results=FileRef(path=layout.relative(layout.results), digest=results_digest),
-        models=FileRef(path=layout.beside_manifest(layout.models), digest=models_digest),
-        task=deployed.task,
-        robot_launch=deployed.robot_launch,
-        robot_environment=deployed.robot_environment,
-        sent=sent_files(
-            application, layout.beside_manifest(layout.spec.parent), inputs.pins, layout.spec.parent == layout.root
-        ),
-        files=deployed.files,
-        fallbacks=deployed.fallbacks,
+    selection: Selection,
+    results: Results,
+    waived: Sequence[Waiver],
+) -> Evidence:
+    posterior = selection.choice.latency.posterior
+    return Evidence(
+        method=application.spec.objective.method,
+        samples=len(selection.models.observations),
+        scales_like={} if posterior is None else posterior.scales_like,
+        carried=carried_on(results, waived),
+        inputs=record_of_choice(inputs),
     )
+
+
+def record_of_choice(inputs: Inputs) -> dict[str, Any]:
+    """Return the record of what a manifest is made by: spec, results, machine library, catalog, fogspec, policies."""
+    about = CatalogRef.of(inputs.catalog.about).model_dump(mode="json")
+    catalog = {f"{CATALOG}.{name}": value for name, value in about.items()}
+    policies = {inputs.layout.relative(path): digest.of_bytes(file.content) for path, file in inputs.policies.items()}
+    others = {**fitted_from(inputs.results, inputs.library_digest), **catalog, TOOL: __version__, **policies}
+    return chosen_record(inputs.application, others)
+
+
+def record_of_models(inputs: Inputs) -> dict[str, Any]:
+    """Return the record of what models are fitted from now."""
+    return fitted_record(inputs.application, fitted_from(inputs.results, inputs.library_digest))
 
 
 def warnings_for(
     application: Application,
-    models: Models,
+    models: Fitted,
     choice: Choice,
     results: Results,
     left: Unfinished | None,
     waived: Sequence[Waiver] = (),
-) -> list[str]:
+) -> list[Warned]:
     """Return the warnings for reviewers about the predictions, most important first; `left` of the plan is unmeasured."""
-    partial = [] if left is None else [left.warning]
-    partial += [carried_text(one, len(own_records(results.spec.samples))) for one in carried_on(results, waived)]
-    found, row = [*partial, *caveats(models, choice), *_calibration(models, choice)], choice.chosen
-    for model in models.spec.models:
-        beside = f" with {model.gpu}" if model.gpu else ""
-        found += [f"curve of {model.target}{beside}: {text}" for text in model.warnings]
-    found += [f"sample {one.id} does not count: {one.reason}" for one in models.spec.rejected]
+    found, row = [] if left is None else [left.warning], choice.chosen
+    found += [carried_warning(one, len(results.spec.samples)) for one in carried_on(results, waived)]
+    found += [*caveats(models, choice), *_spread_unknown(models, choice)]
+    found += [one for model in models.curves for one in _of_curve(model)]
+    found += [one.why for one in models.rejected]
     found += other_servers(results.spec.samples)
-    found += doubts(results.spec.samples)
+    found += [doubt for one in results.spec.samples for doubt in doubts(one)]
     image = image_named(application)
     if image is not None and not is_pinned(image):
-        found.append(f"image {image} is not pinned to a digest: what is deployed may differ from what was measured")
+        found.append(warned(codes.image_unpinned, image=image))
     if row is not None:
-        found += link_of(application).notes(application, str(choice.offers.cloud[row]))
+        found += link_of(application).warnings(application, str(choice.offers.cloud[row]))
     unpredicted = len(choice.offers) - int(choice.eligible.sum())
     if unpredicted:
-        found.append(f"{unpredicted} admissible machines cannot be predicted, or failed when they were measured")
+        found.append(warned(codes.unpredicted, machines=unpredicted))
     return found
 
 
-def _calibration(models: Models, choice: Choice) -> list[str]:
-    """Return what the samples say against the ranges, and what stands for spreads that were not measured."""
-    posterior, body, found = choice.latency.posterior, models.spec, []
-    if posterior is None:
+def _of_curve(model: Model) -> Iterator[Warned]:
+    """Yield what makes a curve weak."""
+    target, gpu, error = model.target, model.gpu, model.loo_max_error
+    if model.n < FEW:
+        yield warned(codes.few_samples, target=target, gpu=gpu, samples=model.n)
+    if model.p == 1 and model.vcpus[0] < model.vcpus[1]:
+        yield warned(codes.constant_curve, target=target, gpu=gpu)
+    if error is not None and error > WEAK_ERROR:
+        yield warned(codes.curve_error, target=target, gpu=gpu, leave_one_out=error)
+
+
+def _spread_unknown(models: Fitted, choice: Choice) -> list[Warned]:
+    """Return what stands for spreads that were not measured."""
+    observations = models.observations
+    if choice.latency.distribution is None:
         return []
-    calibration, level = posterior.calibration, f"{LEVEL:.0%} range"
-    if calibration.factor > 1:
-        found.append(
-            f"{calibration.covered} of {calibration.machines} measured machines lie in the {level} that the others give them: "
-            f"ranges of predictions are widened by a factor of {calibration.factor:.3g}, with which "
-            f"{calibration.covered_widened} do; probabilities are not"
-        )
-    times = Counter(one.machine.type_key for one in body.observations)
-    unknown = sum(one.error is None and times[one.machine.type_key] == 1 for one in body.observations)
-    if unknown:
-        probability = None if choice.chosen is None or not choice.bounds else choice.probability(choice.chosen)
-        rests = (
-            "" if probability is None else f", on which the probability {floored(probability):g} of the choice rests"
-        )
-        found.append(
-            f"the spread of requests is unknown for {unknown} of {len(body.observations)} samples: "
-            f"each is assumed to err by {DEFAULT_NOISE:.1%}{rests}"
-        )
-    return found
+    times = Counter(one.machine.type_key for one in observations)
+    unknown = sum(one.error is None and times[one.machine.type_key] == 1 for one in observations)
+    if not unknown:
+        return []
+    return [warned(codes.spread_unknown, samples=unknown, of=len(observations), assumed_error=DEFAULT_NOISE)]
 
 
-def caveats(models: Models, choice: Choice) -> list[str]:
-    """Return the caveats about the choice; the charts show the first."""
-    if models.spec.measured_on_local:
-        return [
-            "extrapolated: measured on one host's CPUs and memory, not on machines of the catalog, whose CPUs differ: "
-            "the ranking is a guess, and how far off it is cannot be said"
-        ]
+def caveats(models: Fitted, choice: Choice) -> list[Warned]:
+    """Return the caveats about the choice, which its charts show too."""
+    if models.measured_on_local:
+        return [warned(codes.host_only)]
     if choice.chosen is not None:
         return _caveats_of_machine(choice, choice.chosen)
-    if choice.feasible.any():
-        return [
-            "the relaxed method ends beside no machine that meets the limits, though there are some: use exhaustive"
-        ]
-    return []
+    return [warned(codes.relaxed_end)] if choice.feasible.any() else []
 
 
-def _caveats_of_machine(choice: Choice, row: int) -> list[str]:
+def _caveats_of_machine(choice: Choice, row: int) -> list[Warned]:
     """Return the caveats about the machine in this row."""
-    found, name = [], choice.offers.instance[row]
+    found, name, met = [], str(choice.offers.instance[row]), choice.probability(row)
+    if choice.confidence is None and choice.bounds:
+        found.append(warned(codes.no_confidence, machine=name, probability=met))
     if choice.by_relaxation and not choice.feasible[row]:
-        met = choice.probability(row)
-        likely = "" if met is None else f": with probability {met:.2f} it does"
-        found.append(
-            f"the relaxed method ends at {name} because its own curve says that it meets the limits; the model of method: "
-            f"exhaustive says that it does not{likely}"
-        )
+        found.append(warned(codes.relaxed_end, machine=name, probability=met))
     elif choice.best is not None and choice.objective[row] > choice.objective[choice.best]:
-        best = choice.offers.instance[choice.best]
-        found.append(f"the relaxed method ends at {name}; {best} meets the limits and is better: use exhaustive")
-    elif not choice.meets_confidence:
-        found.append(
-            f"no machine meets the limits with constraints.confidence {choice.confidence:g}: {name}, the best of those "
-            f"more likely to meet them than not, does with probability {choice.probability(row) or 0:.2f}"
-        )
-    if choice.latency.extrapolated[row]:
-        found.append(f"extrapolated: {name} lies outside the vCPUs, memory and kinds of machine that were sampled")
+        found.append(warned(codes.relaxed_end, machine=name, better=str(choice.offers.instance[choice.best])))
     if not choice.latency.measured[row]:
-        where = choice.latency.where_nested(row)
-        how = "was not measured, its latency is predicted" if where is None else f"was measured on {where}, not itself"
-        found.append(f"not verified: {name} {how}")
+        extrapolated = bool(choice.latency.extrapolated[row])
+        found.append(warned(codes.not_verified, machine=name, extrapolated=extrapolated))
     return found
 
 
-def _yaml(artifact: Models | Menu | Manifest, layout: Layout) -> bytes:
-    again = shell_command("fogspec", "compile", layout.relative(layout.spec))
-    return yaml_text(artifact.model_dump(mode="json"), again, layout.source).encode()
-
-
-def _charts(application: Application, choice: Choice, models: Models, layout: Layout) -> dict[Path, bytes]:
-    """Return the chart files; none if no machine can be predicted."""
+def _charts(
+    application: Application, choice: Choice, models: Fitted, layout: Layout, doubted: Sequence[Warned]
+) -> dict[Path, bytes]:
+    """Return the chart files, with what is doubtful about the samples; none if no machine can be predicted."""
     if not len(choice.front):
         return {}
-    doubts = caveats(models, choice)
-    found = {layout.picture: menu_svg.draw(menu_chart.menu_chart(application, choice, doubts)).encode()}
-    sized = {layout.latencies: None, layout.metric_picture: application.spec.objective.metric}
-    for path, metric in sized.items():
-        if path == layout.latencies or metric is not None:
-            chart = model_svg.size_chart(application, choice, models, doubts, metric)
-            if chart.series:
-                found[path] = model_svg.draw(chart).encode()
-    return found
+    notes = list(map(sentence, [*caveats(models, choice), *doubted[:DOUBTS]]))
+    notes += (
+        [f"{count(len(doubted) - DOUBTS, 'more doubt')} about samples: fogspec explain"]
+        if len(doubted) > DOUBTS
+        else []
+    )
+    found = {layout.picture: menu_picture(application, choice, notes)}
+    found[layout.latencies] = model_picture(application, choice, models, notes)
+    if metric := application.spec.objective.metric:
+        found[layout.metric_picture] = model_picture(application, choice, models, notes, metric)
+    return {path: picture.encode() for path, picture in found.items() if picture is not None}

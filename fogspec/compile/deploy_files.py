@@ -3,23 +3,31 @@
 The manifest pins all of them by digest, so that only approved files are deployed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from fogspec.base import digest
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
-from fogspec.base.text import shell_command
-from fogspec.base.yaml.writer import yaml_text
+from fogspec.catalog.machine import Machine
 from fogspec.choice.choose import Choice
 from fogspec.choice.shortlist import fallback_rows
 from fogspec.compile.launch_files import launch_files, link_of_machine, robot_launch
 from fogspec.compile.links import link_of
-from fogspec.compile.tasks import deploy_task, deployed_processes, has_end, launched_together, listener, ros_environment
+from fogspec.compile.plan_files import setup_script, yaml_file
+from fogspec.compile.tasks import (
+    asks,
+    deploy_comment,
+    deploy_task,
+    deploy_work,
+    deployed_processes,
+    has_end,
+    listener,
+    ros_environment,
+)
+from fogspec.language.schema import Application
 from fogspec.plan.schema import TaskRef
-from fogspec.spec.schema import Application
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,21 +51,14 @@ def deployable(
     files: dict[Path, bytes],
 ) -> Deployable:
     """Add the files that deploy the machine in row `chosen` to `files`; `sent` are copied to every machine."""
-    files[layout.deploy] = _task(application, layout, choice, chosen)
     rows = fallback_rows(choice, application.spec.deployment.fallbacks)
-    for number, row in enumerate(rows, 1):
-        files[layout.fallback(number)] = _task(application, layout, choice, row)
-    sent = {**sent, **launch_files(application, layout)}
-    files |= sent
-    robot, text = None, robot_launch(application, layout)
-    if text is not None:
-        files[layout.robot] = text
-        robot = reference(layout, layout.robot, text)
+    files |= deployment_files(application, layout, [choice.offers.machine(row) for row in (chosen, *rows)], sent)
+    robot = reference(layout, layout.robot, files[layout.robot]) if layout.robot in files else None
     return Deployable(
         task=reference(layout, layout.deploy, files[layout.deploy]),
         robot_launch=robot,
         robot_environment=link_of(application).end(application, "robot").environment,
-        files=[reference(layout, path, content) for path, content in sorted(sent.items())],
+        files=[reference(layout, path, content) for path, content in sorted(_sent(application, layout, sent).items())],
         fallbacks={
             row: reference(layout, layout.fallback(number), files[layout.fallback(number)])
             for number, row in enumerate(rows, 1)
@@ -65,35 +66,45 @@ def deployable(
     )
 
 
+def deployment_files(
+    application: Application, layout: Layout, machines: Sequence[Machine], sent: Mapping[Path, bytes]
+) -> dict[Path, bytes]:
+    """Return all files that deploy the first of these machines, and the tasks of the others, its fallbacks."""
+    files = {}
+    for number, machine in enumerate(machines):
+        path, reason = (layout.fallback(number), f"fallback {number}") if number else (layout.deploy, "the choice")
+        files[path] = _task(application, layout, machine, reason)
+    files |= _sent(application, layout, sent)
+    text = robot_launch(application, layout)
+    return files if text is None else {**files, layout.robot: text}
+
+
 def reference(layout: Layout, path: Path, content: bytes) -> TaskRef:
     """Return a reference to a file, relative to the manifest."""
     return TaskRef(path=layout.beside_manifest(path), digest=digest.of_bytes(content))
 
 
-def _task(application: Application, layout: Layout, choice: Choice, row: int) -> bytes:
+def _sent(application: Application, layout: Layout, sent: Mapping[Path, bytes]) -> dict[Path, bytes]:
+    return {**sent, **_scripts(application, layout), **launch_files(application, layout)}
+
+
+def _scripts(application: Application, layout: Layout) -> dict[Path, bytes]:
+    """Return the scripts that the machine runs, by path."""
     spec = application.spec
-    ros: dict[str, Any] = ros_environment(spec)
-    link = link_of_machine(application)
-    run = render(
-        "run_deploy.sh.j2",
-        **ros,
+    text = render(
+        "deploy.sh.j2",
+        **ros_environment(spec),
+        source=layout.relative(layout.spec),
         processes=deployed_processes(application),
         listeners=listener(spec),
-        link=link,
+        asks=asks(spec.cloud),
+        link=link_of_machine(application),
         ready=spec.deployment.ready,
         ends=has_end(spec),
     )
-    parts = [] if ros["distro"] is None else [render("setup_ros2.sh.j2", **ros)]
-    parts += [render("setup_link.sh.j2", **link)] if link else []
-    task = deploy_task(
-        application,
-        choice.offers.machine(row),
-        workdir=layout.relative(layout.spec.parent),
-        agent=layout.relative(layout.agent),
-        setup="\n".join(parts) or None,
-        run=run,
-        launch=layout.relative(layout.cloud) if spec.ros and launched_together(spec) else None,
-        link=layout.relative(layout.link) if link else None,
-    )
-    again = shell_command("fogspec", "compile", layout.relative(layout.spec))
-    return yaml_text(task, again, layout.source).encode()
+    return {**setup_script(application, layout), layout.deploy_script: text.encode()}
+
+
+def _task(application: Application, layout: Layout, machine: Machine, reason: str) -> bytes:
+    task = deploy_task(application, machine, deploy_work(application, layout))
+    return yaml_file(task, layout, deploy_comment(application.spec, machine, reason))

@@ -13,7 +13,7 @@ from fogspec.compile.links.sros2_policy import policy
 from fogspec.compile.links.wireguard import interface
 from fogspec.compile.links.zenoh import common_name
 from fogspec.compile.tasks import label, launched_together
-from fogspec.spec.schema import Application, Node
+from fogspec.language.schema import Application, Node
 
 SIDES: tuple[Literal["cloud", "robot"], ...] = ("cloud", "robot")
 
@@ -65,25 +65,25 @@ def link_script(application: Application, layout: Layout) -> str:
     return render(
         "link.sh.j2",
         kind=link_of(application).name,
+        packages=packages(application),
         name=name,
         source=layout.relative(layout.spec),
-        origin=layout.source,
         port=port_of(application),
         common_name={side: common_name(name, side) for side in SIDES},
         interface={side: interface(name, side) for side in SIDES},
     )
 
 
+def packages(application: Application) -> list[str]:
+    """Return the Ubuntu packages that the link is made of."""
+    distro = application.spec.ros.distro if application.spec.ros else ""
+    return [name.replace("DISTRO", distro) for name in link_of(application).packages]
+
+
 def link_of_machine(application: Application) -> dict[str, Any] | None:
     """Return the template values for the cloud end of the link; None without a link."""
     link = link_of(application)
-    if link.protocol is None:
-        return None
-    distro = application.spec.ros.distro if application.spec.ros else ""
-    return {
-        "packages": [name.replace("DISTRO", distro) for name in link.packages],
-        "environment": dict(link.end(application, "cloud").environment),
-    }
+    return None if link.protocol is None else {"environment": dict(link.end(application, "cloud").environment)}
 
 
 def _words(application: Application, layout: Layout, nodes: Sequence[Node], logged: bool = False) -> dict[str, Any]:
@@ -92,7 +92,6 @@ def _words(application: Application, layout: Layout, nodes: Sequence[Node], logg
     labels = [label(node) if node.name or node.cmd else None for node in nodes if logged]
     return {
         "source": layout.relative(layout.spec),
-        "origin": layout.source,
         "name": application.name,
         **launch_source.words(nodes, labels),
     }

@@ -6,13 +6,14 @@ from itertools import zip_longest
 from typing import Any
 
 from fogspec.base.templates import python, render
-from fogspec.spec.launch_text import CLASSES, Substitution, has_substitution, imports, parts
-from fogspec.spec.schema import ComposableNode, Node
+from fogspec.language.launch_text import CLASSES, Substitution, has_allowed, has_substitution, imports, parts
+from fogspec.language.schema import ComposableNode, Node
 
 
 def node_launch(node: Node) -> str:
     """Return a launch file that starts one node, for a measurement: it ends with the node."""
-    return render("node.launch.py.j2", **words([node.model_copy(update={"respawn": False})]), together=True)
+    once = node.model_copy(update={"launch": node.launch.model_copy(update={"respawn": False})})
+    return render("node.launch.py.j2", **words([once]), together=True)
 
 
 def words(nodes: Sequence[Node], labels: Sequence[str | None] = ()) -> dict[str, Any]:
@@ -40,7 +41,7 @@ def _all(nodes: Sequence[Node]) -> list[Node | ComposableNode]:
 
 
 def _files_with(nodes: Sequence[Node]) -> bool:
-    return any(node.allow_substs or has_substitution(file) for node in _all(nodes) for file in node.parameter_files)
+    return any(has_allowed(node) or has_substitution(file) for node in _all(nodes) for file in node.parameter_files)
 
 
 def _values_with(nodes: Sequence[Node]) -> bool:
@@ -49,22 +50,23 @@ def _values_with(nodes: Sequence[Node]) -> bool:
 
 def _written(node: Node, label: str | None) -> dict[str, Any]:
     """Return each argument of a node's action as a Python expression, in the order of launch_ros' documentation."""
+    delay_s = node.launch.respawn_delay
     common = {
         "additional_env": _map(node.env) if node.env else None,
-        "respawn": "True" if node.respawn else None,
-        "respawn_delay": repr(float(node.respawn_delay)) if node.respawn and node.respawn_delay else None,
+        "respawn": "True" if node.launch.respawn else None,
+        "respawn_delay": repr(float(delay_s)) if node.launch.respawn and delay_s else None,
     }
     if node.cmd is not None:
         named = repr(label) if label else None
         argv = {"cmd": _list([*node.cmd, *node.arguments], 12), "name": named, "cwd": "str(SPEC)"}
-        return {"kind": "ExecuteProcess", "words": _set({**argv, **common}), "respawn": node.respawn}
+        return {"kind": "ExecuteProcess", "words": _set({**argv, **common}), "respawn": node.launch.respawn}
     words: dict[str, Any] = {
         "package": _text(str(node.package)),
         "executable": _text(str(node.executable)),
         **_named(node, 12),
         "exec_name": repr(label) if label else None,
         "arguments": _list(node.arguments, 12) if node.arguments else None,
-        "prefix": _text(node.prefix) if node.prefix else None,
+        "prefix": _text(node.launch.prefix) if node.launch.prefix else None,
         **common,
     }
     kind = "Node"
@@ -75,7 +77,7 @@ def _written(node: Node, label: str | None) -> dict[str, Any]:
         words["namespace"] = words["namespace"] or repr("")
         lines = "".join(_component(one) for one in node.composable_node_descriptions)
         words["composable_node_descriptions"] = f"[\n{lines}            ]"
-    return {"kind": kind, "words": _set(words), "respawn": node.respawn}
+    return {"kind": kind, "words": _set(words), "respawn": node.launch.respawn}
 
 
 def _component(node: ComposableNode) -> str:
@@ -94,7 +96,7 @@ def _named(node: Node | ComposableNode, indent: int) -> dict[str, str | None]:
     parameters = None
     if node.parameters or node.parameter_files:
         inner = " " * (indent + 4)
-        lines = [f"{inner}{_file(file, node.allow_substs)},\n" for file in node.parameter_files]
+        lines = [f"{inner}{_file(file, has_allowed(node))},\n" for file in node.parameter_files]
         lines += [f"{inner}{_value(node.parameters, indent + 4)},\n"] if node.parameters else []
         parameters = "[\n" + "".join(lines) + " " * indent + "]"
     pairs = sorted(node.remappings.items())

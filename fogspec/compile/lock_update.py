@@ -1,66 +1,42 @@
-"""Update the lock: keep existing pins, resolve missing ones, and digest the files next to the specs again."""
+"""Update locks: keep existing pins, and resolve missing ones."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 from fogspec.base.errors import UsageError
-from fogspec.base.layout import Layout
 from fogspec.catalog.table import About
-from fogspec.spec.lock_io import files_sent, read_lock, read_pins
-from fogspec.spec.lockfile import CatalogPin, ImagePin, Lock, LockBody, Pins, PriorsPin, image_named, is_pinned
-from fogspec.spec.schema import Application
+from fogspec.language.lockfile import CatalogPin, ImagePin, Pins, differing, image_named, is_pinned
+from fogspec.language.schema import Application
 
 ALL = "all"
 
 
 @dataclass(frozen=True, slots=True)
 class LockRequest:
-    """An application to lock, with the origin of its catalog and the catalog found there.
-
-    `priors` is the machine library that `--priors` names; None keeps the locked one.
-    """
+    """An application to lock, with what its lock pins now, the origin of its catalog and the catalog found there."""
 
     application: Application
-    layout: Layout
+    old: Pins | None
     origin: str
     about: About
-    priors: PriorsPin | None = None
 
 
-def relock(
-    wanted: Sequence[LockRequest], digest_of: Callable[[str], str], upgrade: Sequence[str], whole: bool
-) -> dict[Path, Lock]:
-    """Return the updated locks by path, one for each project.
+def relock(wanted: Sequence[LockRequest], digest_of: Callable[[str], str], upgrade: Sequence[str]) -> list[Pins]:
+    """Return what each application's lock is to pin.
 
     `digest_of` queries a registry. `upgrade` names the pins to resolve again: `catalog`, an image as named in a spec, or
-    `all`. If `whole`, these are all applications and pins of others are dropped. Raise UsageError for an unknown name in
-    `upgrade`.
+    `all`. Raise UsageError for an unknown name in `upgrade`.
     """
     known = {"catalog", ALL, *filter(None, (image_named(one.application) for one in wanted))}
     if unknown := [name for name in upgrade if name not in known]:
         raise UsageError(f"nothing to upgrade is named {', '.join(unknown)}", f"there is: {', '.join(sorted(known))}")
     ask = cache(digest_of)
-    found: dict[Path, dict[str, Pins]] = {}
-    for one in wanted:
-        path, name = one.layout.lock, one.layout.name
-        old = read_pins(one.layout)
-        if path not in found:
-            before = None if whole else read_lock(path)
-            found[path] = dict(before.spec.applications) if before else {}
-        image = _image(one.application, old, upgrade, ask)
-        files = files_sent(one.application, one.layout)
-        found[path][name] = Pins(
-            catalog=_catalog(one, old, upgrade),
-            image=image,
-            priors=one.priors or (old.priors if old else None),
-            files=files,
-        )
-    return {path: Lock(spec=LockBody(applications=pins)) for path, pins in found.items()}
+    return [Pins(catalog=_catalog(one, upgrade), image=_image(one, upgrade, ask)) for one in wanted]
 
 
-def _catalog(one: LockRequest, old: Pins | None, upgrade: Sequence[str]) -> CatalogPin:
+def _catalog(one: LockRequest, upgrade: Sequence[str]) -> CatalogPin:
+    old = one.old
     if old is not None and old.catalog.origin == one.origin and not {"catalog", ALL} & set(upgrade):
         return old.catalog
     about = one.about
@@ -69,10 +45,8 @@ def _catalog(one: LockRequest, old: Pins | None, upgrade: Sequence[str]) -> Cata
     )
 
 
-def _image(
-    application: Application, old: Pins | None, upgrade: Sequence[str], ask: Callable[[str], str]
-) -> ImagePin | None:
-    name = image_named(application)
+def _image(one: LockRequest, upgrade: Sequence[str], ask: Callable[[str], str]) -> ImagePin | None:
+    name, old = image_named(one.application), one.old
     if name is None or is_pinned(name):
         return None
     if old is not None and old.image is not None and old.image.image == name and not {name, ALL} & set(upgrade):
@@ -80,28 +54,20 @@ def _image(
     return ImagePin(image=name, digest=ask(name))
 
 
-def differences(before: Lock | None, now: Lock) -> list[str]:
+def differences(before: Pins | None, now: Pins) -> list[str]:
     """Return a line for each difference between two locks."""
-    old = before.spec.applications if before else {}
-    new = now.spec.applications
+    old, new = {} if before is None else _flat(before), _flat(now)
     lines = []
-    for name in sorted(old.keys() | new.keys()):
-        was, is_ = _flat(old.get(name)), _flat(new.get(name))
-        for what in sorted(was.keys() | is_.keys()):
-            if was.get(what) == is_.get(what):
-                continue
-            if what not in was:
-                lines.append(f"new: {name}: {what}: {is_[what]}")
-            elif what not in is_:
-                lines.append(f"gone: {name}: {what}")
-            else:
-                lines.append(f"changed: {name}: {what}: {was[what]} -> {is_[what]}")
+    for what in differing(old, new):
+        if what not in old:
+            lines.append(f"new: {what}: {new[what]}")
+        elif what not in new:
+            lines.append(f"gone: {what}")
+        else:
+            lines.append(f"changed: {what}: {old[what]} -> {new[what]}")
     return lines
 
 
-def _flat(pins: Pins | None) -> dict[str, str]:
-    if pins is None:
-        return {}
+def _flat(pins: Pins) -> dict[str, str]:
     image = {f"image {pins.image.image}": pins.image.digest} if pins.image else {}
-    priors = {"priors": f"{pins.priors.origin} ({pins.priors.digest})"} if pins.priors else {}
-    return {"catalog": f"{pins.catalog.origin} ({pins.catalog.digest})", **image, **priors, **pins.files}
+    return {"catalog": f"{pins.catalog.origin} ({pins.catalog.digest})", **image}

@@ -1,58 +1,105 @@
-"""Compiled tasks: plain SkyPilot tasks as typed values, launchable by hand, the same for every runner.
-
-The shell scripts inside are rendered elsewhere and given as text, because rendering reads templates from disk.
-"""
+"""What machines run, and the plain SkyPilot tasks that have it run, launchable by hand."""
 
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from fogspec.base import digest
+from fogspec.backends.protocol import (
+    AGENT_FILE,
+    DEPLOY_FILE,
+    DEPLOYMENT_IDLE_MINUTES,
+    LAUNCH_FILE,
+    LINK_FOLDER,
+    MEASURE_FILE,
+    SETUP_FILE,
+    Work,
+)
+from fogspec.base import digest, text, units
 from fogspec.base.clouds import OwnEnd, cloud_of
-from fogspec.base.layout import DEFAULT_ENVIRONMENT
+from fogspec.base.layout import DEFAULT_ENVIRONMENT, Layout
 from fogspec.catalog.machine import Machine
 from fogspec.compile.launch_source import node_launch
 from fogspec.compile.links import link_of, port_of
+from fogspec.language import warned as codes
+from fogspec.language.launch_text import has_substitution, needs_launch
+from fogspec.language.lockfile import registry_login
+from fogspec.language.named_files import measurement_sends_files
+from fogspec.language.probe import module, optional, player, probe_parts
+from fogspec.language.schema import Application, ComposableNode, Node, Spec
+from fogspec.language.warned import Warned, warned
 from fogspec.plan.commitment import Commitment, engine_settings
 from fogspec.plan.schema import Sample
-from fogspec.spec.launch_text import needs_launch
-from fogspec.spec.lockfile import measurement_sends_files, registry_login
-from fogspec.spec.probe import module, optional, player, probe_parts
-from fogspec.spec.schema import Application, Node, Spec
 
-DEPLOYMENT_IDLE_MINUTES = 30
 BAG_PACKAGES = ["mcap==1.6.0", "rosbags==0.11.9"]  # from PyPI, to read bags on the measured machine
-AGENT_FILE = "~/.fogspec/agent.pyz"
-LAUNCH_FILE = "~/.fogspec/launch/cloud.launch.py"
-LINK_FOLDER = "~/.fogspec/link"
 # The robot's public half, given when the task is launched: the task itself is the same for every robot.
 LINK_PEER = "FOGSPEC_LINK_PEER"
 # How long the deployment may run, given when it is launched: it depends on the date, and on what was spent before.
 LIFETIME, ENDS = "FOGSPEC_LIFETIME_S", "FOGSPEC_ENDS"
 LEAST_LIFETIME_S = 60.0  # a deployment that would end before is not started
-# The release of ros-infrastructure/ros-apt-source that sets up ROS 2's package source; by distribution, the code name of
-# its Ubuntu (REP 2000) and the package's sha256, as Docker's official `ros` images check it.
+# By distribution, the code name of its Ubuntu (REP 2000), and the sha256 of the package of ros-infrastructure/ros-apt-source
+# that sets up ROS 2's package source there, as Docker's official `ros` images check it.
+UBUNTU = {"humble": "jammy", "jazzy": "noble", "kilted": "noble", "lyrical": "resolute", "rolling": "resolute"}
 ROS_APT_SOURCE = "1.2.0"
 ROS_APT_PACKAGES = {
-    "humble": ("jammy", "767884cf4ed03116b9d64438930a832ed854147ae435279a7924dfdf60f94433"),
-    "jazzy": ("noble", "0804d9b13db770eb87019be414cd78378835228ad5fa801fc88758596dd8f7e5"),
-    "lyrical": ("resolute", "a275b9b819874e745a928e83e39c429fa4d607159285c4ef3ebcf75afa732ee3"),
+    "jammy": "767884cf4ed03116b9d64438930a832ed854147ae435279a7924dfdf60f94433",
+    "noble": "0804d9b13db770eb87019be414cd78378835228ad5fa801fc88758596dd8f7e5",
+    "resolute": "a275b9b819874e745a928e83e39c429fa4d607159285c4ef3ebcf75afa732ee3",
 }
 
 
-def sample_task(
-    application: Application,
-    sample: Sample,
-    commitment: Commitment,
-    *,
-    workdir: str,
-    agent: str,
-    setup: str | None,
-    run: str,
-) -> dict[str, Any]:
-    """Return the task that measures one sample; `workdir` and `agent` are paths relative to where it is launched.
+def sample_work(application: Application, sample: Sample, layout: Layout, sent: Mapping[Path, bytes]) -> Work:
+    """Return what measures a sample; `sent` are the contents of the files that the machine is sent, by path."""
+    spec, above = application.spec, sample.decided_above
+    mounts = {**_always(spec, layout), MEASURE_FILE: layout.relative(layout.measure_script)}
+    contents = {layout.relative(path): content for path, content in sent.items()}
+    return Work(
+        script=MEASURE_FILE,
+        arguments=() if above is None else ("--decided-above", units.format_number(above)),
+        setup=_setup(spec),
+        mounts=mounts,
+        workdir=layout.relative(layout.spec.parent) if measurement_sends_files(spec) else None,
+        secrets=tuple(spec.secrets),
+        digests={path: digest.of_bytes(contents[path]) for path in mounts.values() if path in contents},
+    )
+
+
+def deploy_work(application: Application, layout: Layout, digests: Mapping[str, str] | None = None) -> Work:
+    """Return what runs the cloud nodes; `digests` are those of the files that the manifest pins."""
+    spec, linked = application.spec, link_of(application).protocol is not None
+    mounts = {**_always(spec, layout), DEPLOY_FILE: layout.relative(layout.deploy_script)}
+    if spec.ros is not None and launched_together(spec):
+        mounts[LAUNCH_FILE] = layout.relative(layout.cloud)
+    if linked:
+        mounts[LINK_FOLDER] = layout.relative(layout.link)
+    given = [*([LIFETIME, ENDS] if has_end(spec) else []), *([LINK_PEER] if linked else [])]
+    files = measurement_sends_files(spec) or spec.deployment.ready is not None
+    return Work(
+        script=DEPLOY_FILE,
+        setup=(*_setup(spec), *(("bash", f"{LINK_FOLDER}/link.sh", "cloud", "install") if linked else ())),
+        mounts=mounts,
+        workdir=layout.relative(layout.spec.parent) if files else None,
+        secrets=tuple(spec.secrets),
+        envs=dict.fromkeys(given),
+        digests=digests or {},
+    )
+
+
+def _setup(spec: Spec) -> tuple[str, ...]:
+    """Return the command that sets up ROS 2 and then runs the words behind it; none for plain processes."""
+    return () if spec.ros is None else ("bash", SETUP_FILE)
+
+
+def _always(spec: Spec, layout: Layout) -> dict[str, str]:
+    """Return the files that every machine is sent, by their paths there."""
+    setup = {} if spec.ros is None else {SETUP_FILE: layout.relative(layout.setup_script)}
+    return {AGENT_FILE: layout.relative(layout.agent), **setup}
+
+
+def sample_task(application: Application, sample: Sample, commitment: Commitment, work: Work) -> dict[str, Any]:
+    """Return the SkyPilot task that measures one sample.
 
     SkyPilot's autostop with `wait_for: none` counts the machine's lifetime whether or not the job still runs, so that one
     that hangs keeps no machine. SkyPilot arms it once the files are there, and the job begins. Where the engine has a time
@@ -60,96 +107,65 @@ def sample_task(
     """
     autostop = {"idle_minutes": math.ceil(commitment.lifetime_s / 60), "down": True, "wait_for": "none"}
     labels = {"fogspec-application": application.metadata.name, "fogspec-sample": sample.id[:63].rstrip("-")}
-    task = _task(
-        application,
-        sample.machine,
-        autostop=autostop,
-        labels=labels,
-        workdir=workdir,
-        agent=agent,
-        setup=setup,
-        run=run,
-    )
+    task = _task(application, sample.machine, autostop, labels, work)
     settings = engine_settings(sample.machine, commitment.lifetime_s)
     return task if settings is None else {**task, "config": settings}
 
 
-def deploy_task(
-    application: Application,
-    machine: Machine,
-    *,
-    workdir: str,
-    agent: str,
-    setup: str | None,
-    run: str,
-    launch: str | None = None,
-    link: str | None = None,
-) -> dict[str, Any]:
-    """Return the task that runs the cloud nodes on the chosen machine, until they end or it is unused.
+def sample_comment(sample: Sample, commitment: Commitment) -> str:
+    """Return which machine measures a sample and why, its price, its longest time and the most that it may cost."""
+    machine, price = sample.machine, sample.machine.price
+    most = units.shown_duration(commitment.paid_s)
+    cost = f"{units.shown_price(price)}, at most {most}, at most {units.dollars(commitment.usd(price))}"
+    return f"{machine.instance} on {machine.infra}: {sample.reason}. {cost if price else f'No price, at most {most}'}."
 
-    `launch` is the cloud's launch file and `link` the folder of the link's configuration, where there are such.
-    """
+
+def deploy_comment(spec: Spec, machine: Machine, reason: str) -> str:
+    """Return which machine is deployed and why, its price, its longest time and the most that it may cost."""
+    until, most = spec.deployment.until, spec.deployment.budget
+    words = [units.shown_price(machine.price) if machine.price else "no price"]
+    words.append("until fogspec down" if until is None else f"until {until}")
+    words += [] if most is None else [f"at most {units.dollars(most)}"]
+    return f"{machine.instance} on {machine.infra}: {reason}. {', '.join(words)}."
+
+
+def deploy_task(application: Application, machine: Machine, work: Work) -> dict[str, Any]:
+    """Return the SkyPilot task that runs the cloud nodes on the chosen machine, until they end or it is unused."""
     autostop = {"idle_minutes": DEPLOYMENT_IDLE_MINUTES, "down": True}
     labels = {"fogspec-application": application.metadata.name}
     if application.environment != DEFAULT_ENVIRONMENT:
         labels["fogspec-environment"] = application.environment
-    task = _task(
-        application,
-        machine,
-        autostop=autostop,
-        labels=labels,
-        workdir=workdir,
-        agent=agent,
-        setup=setup,
-        run=run,
-    )
-    if application.spec.deployment.ready is not None:
-        task = {**{key: task[key] for key in ("name", "resources")}, "workdir": workdir, **task}
+    task = _task(application, machine, autostop, labels, work)
     settings = engine_settings(machine, None)
     if settings is not None:
         task["config"] = settings
-    if launch is not None:
-        task["file_mounts"][LAUNCH_FILE] = launch
-    given = [LIFETIME, ENDS] if has_end(application.spec) else []
-    if link is not None:
-        given.append(LINK_PEER)
-        task["file_mounts"][LINK_FOLDER] = link
-        if link_of(application).protocol == "tcp" and cloud_of(machine.infra).containers:
-            task["resources"]["ports"] = [port_of(application)]
-    return {**task, "envs": dict.fromkeys(given)} if given else task
+    if LINK_FOLDER in work.mounts and link_of(application).protocol == "tcp" and cloud_of(machine.infra).containers:
+        task["resources"]["ports"] = [port_of(application)]
+    return {**task, "envs": dict(work.envs)} if work.envs else task
 
 
 def has_end(spec: Spec) -> bool:
     """Return whether the deployment ends by itself."""
-    return spec.deployment.until is not None or spec.deployment.max_spend is not None
+    return spec.deployment.until is not None or spec.deployment.budget is not None
 
 
 def _task(
-    application: Application,
-    machine: Machine,
-    *,
-    autostop: Mapping[str, Any],
-    labels: Mapping[str, str],
-    workdir: str,
-    agent: str,
-    setup: str | None,
-    run: str,
+    application: Application, machine: Machine, autostop: Mapping[str, Any], labels: Mapping[str, str], work: Work
 ) -> dict[str, Any]:
-    spec = application.spec
     task: dict[str, Any] = {
         "name": application.metadata.name,
-        "resources": _resources(spec, machine, autostop, labels),
+        "resources": _resources(application.spec, machine, autostop, labels),
         # By default SkyPilot gives a managed job the credentials of its API server, with which it could start machines.
         "api_server_access": False,
     }
-    if measurement_sends_files(spec):
-        task["workdir"] = workdir
-    if spec.secrets:
-        task["secrets"] = dict.fromkeys(spec.secrets)
-    task["file_mounts"] = {AGENT_FILE: agent}
-    if setup is not None:
-        task["setup"] = setup
-    task["run"] = run
+    if work.workdir is not None:
+        task["workdir"] = work.workdir
+    if work.secrets:
+        task["secrets"] = dict.fromkeys(work.secrets)
+    task["file_mounts"] = dict(work.mounts)
+    if work.setup:
+        task["setup"] = " ".join(work.setup)
+    task["run"] = " ".join(["exec", "bash", work.script, *map(text.shell, work.arguments)])
     return task
 
 
@@ -172,20 +188,20 @@ def _resources(spec: Spec, machine: Machine, autostop: Mapping[str, Any], labels
     return {**resources, "autostop": dict(autostop), "labels": dict(labels)}
 
 
-def left_out(spec: Spec, machine: Machine) -> list[str]:
+def left_out(spec: Spec, machine: Machine) -> list[Warned]:
     """Return what a task for this machine leaves out of the spec, because there is no such thing there."""
     cloud, image = cloud_of(machine.infra), spec.ros.image if spec.ros else None
     if not cloud.on_skypilot:
-        return [f"image {image} is left out on this host: its own ROS 2 is used"] if image else []
+        return [warned(codes.left_out, what="image", cloud=cloud.name, image=image)] if image else []
     if cloud.own_end is OwnEnd.POD_DEADLINE and image and (login := registry_login(spec)):
-        return [f"{', '.join(login)}: not used in {cloud.name}, where the cluster's imagePullSecrets pull {image}"]
+        return [warned(codes.left_out, what="login", cloud=cloud.name, image=image, secrets=login)]
     if cloud.containers:
         return []
     found = []
     if image:
-        found.append(f"image {image} is left out in {cloud.name}: ROS 2 is installed with apt, if it is absent")
+        found.append(warned(codes.left_out, what="image", cloud=cloud.name, image=image))
     if machine.spot:
-        found.append(f"spot is left out in {cloud.name}, which has none")
+        found.append(warned(codes.left_out, what="spot", cloud=cloud.name))
     return found
 
 
@@ -196,11 +212,12 @@ def login_of_machines(spec: Spec) -> list[str]:
     return registry_login(spec) if log_in else []
 
 
-def measured_processes(spec: Spec) -> list[list[str]]:
+def measured_processes(spec: Spec) -> list[list[str] | dict[str, Any]]:
     """Return every process of a sample: listeners, cloud nodes, and the client unless a node is the client."""
     client, inside = spec.benchmark.workload.node, probe_parts(spec).inside
-    nodes = [[*inside, *command(node)] for node in spec.cloud]
-    return [*listener(spec), *nodes, *([command(client)] if client else []), *player(spec)]
+    nodes = [{"argv": [*inside, *command(node)], "name": label(node)} for node in spec.cloud]
+    clients = [{"argv": command(client), "name": label(client)}] if client else []
+    return [*listener(spec), *nodes, *clients, *player(spec)]
 
 
 def deployed_processes(application: Application) -> list[list[str] | dict[str, Any]]:
@@ -220,9 +237,10 @@ def deployed_processes(application: Application) -> list[list[str] | dict[str, A
     for node in spec.cloud:
         argv = optional(inside, command(node))
         kept: dict[str, Any] = {"argv": argv, "name": label(node)}
-        if node.respawn:
-            kept["respawn"] = "always" if node.respawn is True else node.respawn
-            found.append({**kept, **({"respawn_delay": node.respawn_delay} if node.respawn_delay else {})})
+        again, delay_s = node.launch.respawn, node.launch.respawn_delay
+        if again:
+            kept["respawn"] = "always" if again is True else again
+            found.append({**kept, **({"respawn_delay": delay_s} if delay_s else {})})
         elif spec.ros is None:
             found.append(kept)
     return found
@@ -238,7 +256,7 @@ def label(node: Node) -> str:
 
 def launched_together(spec: Spec) -> list[Node]:
     """Return the cloud nodes that one launch file starts: those that are not started again when they end."""
-    return [node for node in spec.cloud if not node.respawn]
+    return [node for node in spec.cloud if not node.launch.respawn]
 
 
 def _found(path: str, program: str, words: str) -> list[str]:
@@ -249,6 +267,25 @@ def _found(path: str, program: str, words: str) -> list[str]:
 def listener(spec: Spec) -> list[list[str]]:
     """Return the processes that listen to the graph beside the nodes."""
     return [list(argv) for argv in probe_parts(spec).beside]
+
+
+def asks(nodes: Sequence[Node]) -> list[str] | None:
+    """Return the command that asks nodes whether they declare the parameters that the spec sets; None if it sets none.
+
+    A node whose name the spec does not say is found by package and executable of its process; those of a parameter file, which
+    may be for other nodes, are not asked about.
+    """
+    found: list[str] = []
+    for node in nodes:
+        parts: list[Node | ComposableNode] = [node, *node.composable_node_descriptions]
+        for one in parts:
+            names = [name for name, _ in _flat(one.parameters)]
+            texts = [one.name or "", one.namespace or ""]
+            known = one.name and not any(map(has_substitution, texts))
+            process = f"{node.package}/{node.executable}"
+            named = f"/{texts[1].strip('/')}/{one.name}" if texts[1].strip("/") else one.name
+            found += ["--of", str(named) if known else process, *names] if names else []
+    return [*module("declared", *found)] if found else None
 
 
 def command(node: Node) -> list[str]:
@@ -263,7 +300,7 @@ def command(node: Node) -> list[str]:
         *environment,
         "ros2",
         "run",
-        *(["--prefix", node.prefix] if node.prefix else []),
+        *(["--prefix", node.launch.prefix] if node.launch.prefix else []),
         str(node.package),
         str(node.executable),
         *node.arguments,
@@ -308,7 +345,7 @@ def ros_environment(spec: Spec) -> dict[str, Any]:
         "apt": ros.apt if ros else [],
         "setup": ros.setup if ros else [],
         "setup_digest": digest.shorten(digest.of_value(ros.setup if ros else [])),
-        "apt_source": dict(zip(("codename", "sha256"), ROS_APT_PACKAGES[ros.distro], strict=True)) if ros else {},
+        "apt_source": {"codename": UBUNTU[ros.distro], "sha256": ROS_APT_PACKAGES[UBUNTU[ros.distro]]} if ros else {},
         "apt_source_version": ROS_APT_SOURCE,
         "compiler": bool(probe_parts(spec).inside),
         "secrets": spec.secrets,

@@ -7,28 +7,27 @@ steps knows every machine there may be, and stops or keeps it. The old machine i
 import contextlib
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable, no_access
 from fogspec.base.clouds import cloud_name
 from fogspec.base.errors import Busy, CloudError, FogspecError, Interrupted, InvalidInput, Refused
-from fogspec.base.locks import application_lock
-from fogspec.base.redaction import check_set
+from fogspec.base.redaction import check_set, known
 from fogspec.base.signals import interruptible
 from fogspec.base.text import shell_command
 from fogspec.compile.links import link_of
 from fogspec.deploy import link
 from fogspec.deploy.candidates import Candidate
-from fogspec.deploy.lifetime import NO_END, End, left_s, limited
+from fogspec.deploy.lifetime import NO_END, End, end_variables, left_s, limited
+from fogspec.deploy.packages import packages_differ, packages_text
 from fogspec.deploy.preflight import LaunchPlan
-from fogspec.deploy.redacted import redacting
-from fogspec.deploy.schema import DeployedMachine, date_of
+from fogspec.deploy.schema import Applied, DeployedMachine, date_of
 from fogspec.deploy.shared_state import holding
 from fogspec.deploy.state import SENT, DeploymentState, WallClock
 from fogspec.deploy.stores import StoreUnavailable
-from fogspec.spec.lock_io import snapshot
+from fogspec.language.lock_io import snapshot
 
 NO_CAPACITY = ("capacity", "quota")
 STOPPED = "interrupted: what was being started is gone, what served before still does"
@@ -57,7 +56,7 @@ class Rollout:
     `send` makes the snapshot of the files that a machine is sent, and raises OutOfDate if they are not `files` any more.
     `backend_of` returns the backend of an infra; `link_check` connects robot and cloud once the nodes are ready, and returns
     why the link does not answer yet. `end` is what ends the machines by itself; `ends`, in place of its `until`, the date in
-    UTC at which a machine was to end whose place this one takes.
+    UTC at which a machine was to end whose place this one takes. `applied` is the record of this apply.
     """
 
     live: DeploymentState
@@ -74,6 +73,7 @@ class Rollout:
     send: Callable[[Path], object] = lambda _target: None
     end: End = NO_END
     ends: str | None = None
+    applied: Applied | None = None
 
     def current(self) -> DeployedMachine | None:
         """Return the machine that serves this manifest already; None if there is none, or its nodes have ended.
@@ -102,7 +102,8 @@ class Rollout:
             if machine.state == "serving" and same and self._is_alive(machine):
                 self.live.keep_manifest(machine.name, self.manifest)
                 now = machine.machine.model_copy(update={"price": first.price_usd_per_hour})
-                machine = machine.model_copy(update={"manifest": self.digest, "machine": now, "fallback": 0})
+                update = {"manifest": self.digest, "machine": now, "fallback": 0, "applied": self.applied}
+                machine = machine.model_copy(update=update)
                 self.live.put(machine, ends=True)
                 return machine
         return None
@@ -163,6 +164,7 @@ class Rollout:
             served, begun = self._attempt(one, begun), None
             if served is not None:
                 self._check_alone(served)
+                served = served.model_copy(update={"applied": self.applied})
                 self.live.put(served, ends=True)
                 self.stop_others([served.name])
                 return served
@@ -240,6 +242,7 @@ class Rollout:
             boot=times.boot(),
             since=date_of(times.date().timestamp()),
             ends=ends,
+            applied=self.applied,
         )
         self.live.put(machine)
         return machine
@@ -251,7 +254,7 @@ class Rollout:
         # What serves now is paid until this one answers.
         meanwhile = sum(other.machine.price for other in self.live.machines) * self.ready_timeout_s / 3600
         machine = one.machine.model_copy(update={"price": one.price_usd_per_hour})
-        end = self.end if self.ends is None else End(self.ends, self.end.max_spend_usd)
+        end = self.end if self.ends is None else End(self.ends, self.end.budget_usd)
         return end.date(machine, self.live.times.date(), self.live.total_usd() + meanwhile)
 
     def _started(self, machine: DeployedMachine, one: Candidate) -> DeployedMachine:
@@ -262,12 +265,13 @@ class Rollout:
             self.send(self.live.folder(machine.name) / SENT)  # another clone recorded it and was ended before it began
         self.report(f"{one.machine.instance} in {one.machine.infra}: starting {machine.name}")
         self.live.keep_manifest(machine.name, self.manifest)
-        task, lifetime_s = one.task, None
+        work, task, lifetime_s = one.work, one.task, None
         if machine.ends is not None:
             lifetime_s = max(1.0, left_s(machine.ends, self.live.times.date()))
+            work = replace(work, envs={**work.envs, **end_variables(machine.ends, lifetime_s)})
             task = limited(task, machine.machine, machine.ends, lifetime_s)
         try:
-            self._backend(machine).start(self.live.job(machine, task, one.cap_usd_per_hour, lifetime_s))
+            self._backend(machine).start(self.live.job(machine, work, task, one.cap_usd_per_hour, lifetime_s))
         except Unreachable as lost:
             self.report(f"lost contact: {lost}")
         return machine
@@ -309,6 +313,9 @@ class Rollout:
             status = self._poll(machine)
             why = status.detail
             if status.state == "ready" and (why := self.link_check(machine, status)) is None:
+                layout = self.live.layout
+                for text in packages_text(layout.name, packages_differ(layout, machine, status)):
+                    self.report(f"warning: {text}")
                 return machine.model_copy(update={"state": "serving", "address": status.address})
             if status.state == "ended":
                 self._keep_last_words(machine)
@@ -343,7 +350,7 @@ class Rollout:
         layout = self.live.layout
         with contextlib.suppress(Unreachable, InvalidInput, OSError):
             if log := self._backend(machine).read_log(self.live.job(machine)):
-                layout.files.write(layout.last_words, log)
+                layout.files.write(layout.last_words, known().redact_bytes(log))
                 self.report(f"{machine.name}: its last words: {shell_command('fogspec', 'logs', layout.name)}")
 
     def _poll(self, machine: DeployedMachine) -> DeploymentStatus:
@@ -402,13 +409,16 @@ def apply(
     times: WallClock,
     report: Callable[[str], None],
     confirm: Callable[[], None],
+    applied: Callable[[DeploymentState], Applied | None],
     ends: str | None = None,
     admit: Callable[[DeploymentState], None] = lambda _live: None,
+    verb: str = "apply",
 ) -> RolloutResult:
     """Make the deployment what the manifest asks for; `confirm` is called before money is spent, and may raise.
 
-    `ends` is the date at which it ends by itself, in place of what `spec.deployment.until` says from now on. `admit` is given
-    the state before `confirm`, and may raise as well.
+    `ends` is the date at which it ends by itself, in place of what `spec.deployment.until` says from now on. `applied` returns
+    the record of this apply, and `admit` is given the state before `confirm`; both may raise as well. `verb` is for messages
+    and the history.
 
     Raise CloudError, InvalidInput or Interrupted as `Rollout.run` does, Refused while another apply, bench or down runs,
     if the live state names a machine of another application, or if a machine serves that this directory does not know,
@@ -419,14 +429,12 @@ def apply(
     begun_s = times.now_s()
     live: DeploymentState | None = None
     try:
-        what = f"apply of {layout.name}"
-        with (
-            application_lock(layout, what),
-            interruptible() as interrupt,
-            holding(layout, what, times, report) as record,
-        ):
+        what = f"{verb} of {layout.name}"
+        with interruptible() as interrupt, holding(layout, what, times, report) as record:
             live = DeploymentState.read(layout, times, record)
+            live.verb = verb
             live.check_owned()
+            now = applied(live)
             rollout = Rollout(
                 live=live,
                 manifest=plan.content,
@@ -435,15 +443,18 @@ def apply(
                 image=plan.image,
                 files=plan.files,
                 ready_timeout_s=plan.opened.manifest.spec.ready_timeout,
-                backend_of=cache(redacting(backend_for, names)),
+                backend_of=cache(backend_for),
                 report=report,
                 stopping=lambda: interrupt.asked,
                 link_check=link_check(plan, report),
                 send=lambda target: snapshot(plan.opened.loaded.application, layout, target, plan.files),
                 end=End.of(plan.opened.manifest.spec),
                 ends=ends,
+                applied=now,
             )
             if (served := rollout.current()) is not None:
+                if now is not None and now.commit not in (None, served.applied and served.applied.commit):
+                    live.put(served := served.model_copy(update={"applied": now}))
                 return RolloutResult(served, rollout.stop_others([served.name]), times.now_s() - begun_s)
             if (adopted := rollout.adopt()) is not None:
                 rollout.stop_others([adopted.name])
@@ -453,7 +464,7 @@ def apply(
                 raise Refused(
                     f"{layout.name} runs already, started from another folder or by an apply whose live state is lost",
                     *unknown,
-                    f"fogspec adopt {layout.name} takes it over, fogspec down {layout.name} ends it",
+                    f"fogspec apply {layout.name} --adopt takes it over, fogspec down {layout.name} ends it",
                 )
             for machine in (one for one in live.machines if one.state == "serving"):
                 old = f"{machine.machine.instance} in {machine.machine.infra}"

@@ -4,16 +4,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from fogspec.backends.protocol import Work
 from fogspec.base import units
 from fogspec.base.clouds import cloud_of
 from fogspec.base.errors import Refused
 from fogspec.catalog.machine import Machine
-from fogspec.spec.lockfile import image_of, is_pinned
+from fogspec.language.lockfile import image_of, is_pinned
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A machine that may be launched with its reviewed task: the manifest's own, or one of its fallbacks.
+    """A machine that may be launched with the reviewed work and task: the manifest's own, or one of its fallbacks.
 
     `number` counts the machines before it, `runs` is the digest of all that the machine is given; `now_usd_per_hour` is
     its price now, None if the catalog does not have it. It may cost at most `cap_usd_per_hour`: the approved price, or what
@@ -22,6 +23,7 @@ class Candidate:
 
     number: int
     machine: Machine
+    work: Work
     task: Mapping[str, Any]
     runs: str
     approved_usd_per_hour: float

@@ -9,10 +9,12 @@ from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import DeploymentBackend, Job, Unreachable
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import CloudError, FogspecError, Interrupted, InvalidInput, UsageError
-from fogspec.base.layout import Layout
-from fogspec.base.locks import application_lock
+from fogspec.base.git import check_untracked, tracked_state
+from fogspec.base.layout import MOST_BYTES, Layout
+from fogspec.base.project_files import LinkedPath
 from fogspec.base.repository import committed
 from fogspec.base.signals import finishing
+from fogspec.base.text import shell_command
 from fogspec.bench.journal import JournalState
 from fogspec.deploy.apply import stop_machine
 from fogspec.deploy.shared_state import SharedRecord, holding, shared_layouts, store_of
@@ -27,16 +29,17 @@ def layout_of(spec_or_name: str) -> Layout:
     Raise InvalidInput for an invalid spec, UsageError for a name that nothing has. A name needs only the live state below
     the working directory: the spec may be deleted.
     """
-    if spec_or_name.endswith((".yaml", ".yml")) or "/" in spec_or_name:
-        from fogspec.spec.loader import load
+    from fogspec.language.loader import load
 
+    if spec_or_name.endswith((".yaml", ".yml")) or "/" in spec_or_name:
         try:
             found = [one for one in load([spec_or_name]) if one.base is None]
         except DiagnosticError as wrong:
-            what = wrong.diagnostics[0]
+            what, at = wrong.diagnostics[0], Path(spec_or_name)
+            name = at.parent.name if at.parent.parent.name in ("compiled", "results") else at.stem
             raise InvalidInput(
                 f"{what.span.path}:{what.span.line}:{what.span.column}: {what.message}",
-                f"what runs is ended by its application's name too: fogspec down {Path(spec_or_name).stem}",
+                f"what runs is ended by its application's name too: {shell_command('fogspec', 'down', name)}",
             ) from None
         if len(found) > 1:
             names = ", ".join(one.name for one in found)
@@ -53,14 +56,16 @@ def layout_of(spec_or_name: str) -> Layout:
         known = any(one.name == layout.name for one in shared_layouts(store, layout.root))
     if not known:
         raise UsageError(f"there is no application named {spec_or_name} here", *_meant(layout, spec_or_name))
+    with contextlib.suppress(DiagnosticError, InvalidInput):
+        load([layout.spec])  # what machines say is printed without the secrets that it names
     return layout
 
 
 def _meant(layout: Layout, name: str) -> list[str]:
     """Return the known name that is nearest to this one, else where it was looked for, as a list of hints."""
     from fogspec.deploy.running import layouts
-    from fogspec.spec.discover import applications
-    from fogspec.spec.suggest import did_you_mean
+    from fogspec.language.discover import applications
+    from fogspec.language.suggest import did_you_mean
 
     known = [*applications(), *(one.name for one in layouts(layout.root))]
     return did_you_mean(name, known) or [f"looked for {layout.state} and {layout.compiled}"]
@@ -69,7 +74,7 @@ def _meant(layout: Layout, name: str) -> list[str]:
 def leave_link(layout: Layout) -> None:
     """Forget the cloud's end of the link, if the spec still exists, is valid, and has a link."""
     from fogspec.deploy.link import leave
-    from fogspec.spec.loader import load
+    from fogspec.language.loader import load
 
     with contextlib.suppress(DiagnosticError, InvalidInput):
         for one in load([layout.spec]):
@@ -96,12 +101,9 @@ def down(
     """
     try:
         what = f"down of {layout.name}"
-        with (
-            finishing(),
-            application_lock(layout, what, remove=True),
-            holding(layout, what, times, report, salvage=True, owner=owner) as record,
-        ):
+        with finishing(), holding(layout, what, times, report, salvage=True, owner=owner, ends=True) as record:
             live = readable_state(layout, times, report, record, owner)
+            live.verb = "down"
             done = _down(live, backends, report, confirm, others_too=owner is not None)
         if layout.files.remove_folder(layout.state):
             layout.files.remove_folder(layout.state.parent)
@@ -129,10 +131,14 @@ def readable_state(
         damaged = DeploymentState(layout, times, [], unreadable=True, record=record, manifests={}, _owner=record.owner)
         damaged.where = record.path
         return damaged
+    if record is None and (tracked := tracked_state(layout)) is not None:
+        report(f"{layout.root / tracked}: git tracks it, so its machines are found by their names")
+        return DeploymentState(layout, times, [], unreadable=True, _owner=owner)
     try:
         return DeploymentState.read(layout, times, record, owner)
-    except DiagnosticError as problems:
-        report(f"{layout.live}: {problems.diagnostics[0].message}: machines are found by their names")
+    except (DiagnosticError, LinkedPath) as problem:
+        why = problem.diagnostics[0].message if isinstance(problem, DiagnosticError) else problem.message
+        report(f"{layout.live}: {why}: machines are found by their names")
         return DeploymentState(layout, times, [], unreadable=True, _owner=owner)
 
 
@@ -166,14 +172,20 @@ def _down(
         raise CloudError(f"{live.layout.name}: not everything could be verified gone", *left, "safe to run again")
     if unwritten:
         raise unwritten[0]
-    if others_too and live.foreign:
-        return ended, spent  # the rest of the record is of this repository's application
+    if not (others_too and live.foreign):  # else the rest of the record is of this repository's application
+        _clear(live, report)
+    return ended, spent
+
+
+def _clear(live: DeploymentState, report: Callable[[str], None]) -> None:
+    """Remove the record of an application of which nothing runs; raise Refused for one that git tracks, and ForeignMachine."""
+    if live.record is None:
+        check_untracked(live.layout)
     live.check_owned()
     if (kept := live.set_aside()) is not None:
         report(f"{kept} is the live state that cannot be read: nothing of this application runs any more, remove it")
     for path in live.clear():
         report(f"{path}: removed")
-    return ended, spent
 
 
 def _named(live: DeploymentState, backends: Sequence[DeploymentBackend], report: Callable[[str], None]) -> list[str]:
@@ -190,12 +202,15 @@ def _named(live: DeploymentState, backends: Sequence[DeploymentBackend], report:
 def _orphans(live: DeploymentState, backend: DeploymentBackend, report: Callable[[str], None]) -> int:
     """Stop machines with the application's name that are not in the live state; return their number."""
     layout = live.layout
+    known = {one.name for one in live.machines} | {act.name for act in live.history if act.did == "ended"}
     names = list(backend.list(live.owner, layout.state))
     for name in [*names, *(name for name in _journaled(live, backend.name) if name not in names)]:
         directory = live.folder(name) if live.owner.has_deployment(name) else layout.state / "attempts" / name
-        backend.stop(Job(name=name, owner=live.owner, task={}, root=layout.root, directory=directory))
+        backend.stop(Job(name=name, owner=live.owner, root=layout.root, directory=directory))
         if name in names:
             report(f"{name}: gone")
+        if live.owner.has_deployment(name) and name not in known:
+            live.gone_by_name(name)
     if rest := backend.list(live.owner, layout.state):
         raise Unreachable(f"still there: {', '.join(rest)}")
     return len(names)
@@ -204,7 +219,7 @@ def _orphans(live: DeploymentState, backend: DeploymentBackend, report: Callable
 def _journaled(live: DeploymentState, runner: str) -> list[str]:
     """Return the machines that benches started with this runner and have not verified gone: a list may lack them."""
     with contextlib.suppress(OSError, FogspecError):
-        opened = JournalState.read(live.layout.files.read(live.layout.journal)).open
+        opened = JournalState.read(live.layout.files.head(live.layout.journal, MOST_BYTES)).open
         return [name for name, one in opened.items() if one.runner == runner and live.owner.has(name)]
     return []
 

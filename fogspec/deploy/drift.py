@@ -7,27 +7,27 @@ predicted interval. Latencies are taken on the machine, as they were when it was
 import io
 import itertools
 import math
-import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cache
 from typing import Literal
 
 import numpy as np
 
+from fogspec.agent.intervals import interval
 from fogspec.base import units
 from fogspec.catalog.cost import Costs
 from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Expected
+from fogspec.language.schema import Application
 from fogspec.results.requests import RecordRules, parse_requests
 from fogspec.results.schema import LatencySummary
-from fogspec.results.statistics import NEEDED, QUANTILES, summary, weights
-from fogspec.spec.schema import Application
+from fogspec.results.statistics import NEEDED, summary, weights
 
 Drift = Literal["none", "slower", "faster", "unknown"]
 # Few enough that a change shows soon, enough for the interval of a 99th percentile.
 LEAST, LATEST = 30, 1000
-Z95 = statistics.NormalDist().inv_cdf(0.975)
 
 
 class Limit(StrEnum):
@@ -90,26 +90,17 @@ def drift(observed_s: tuple[float, float] | None, predicted_s: tuple[float, floa
 
 
 def interval_s(latencies_s: Sequence[float], statistic: str) -> tuple[float, float] | None:
-    """Return the 95% interval of a statistic of requests in the order they came; None for too few of them.
-
-    Mean: widened by the lag-1 autocorrelation, for successive requests resemble each other. Quantiles: binomial order
-    statistics.
-    """
-    n = len(latencies_s)
-    if n < max(LEAST, NEEDED.get(statistic, 1)):
+    """Return the 95% interval of a statistic of requests in the order they came; None for too few of them."""
+    if len(latencies_s) < max(LEAST, NEEDED.get(statistic, 1)):
         return None
-    if statistic == "mean":
-        mean = statistics.fmean(latencies_s)
-        deviations = [x - mean for x in latencies_s]
-        square = math.fsum(d * d for d in deviations)
-        lag = math.fsum(a * b for a, b in itertools.pairwise(deviations)) / square if square else 0.0
-        lag = min(max(lag, 0.0), 0.99)
-        half = Z95 * math.sqrt(square / (n - 1) / n * (1 + lag) / (1 - lag))
-        return mean - half, mean + half
-    share, ordered = QUANTILES[statistic], sorted(latencies_s)
-    spread = Z95 * math.sqrt(n * share * (1 - share))
-    low, high = math.floor(n * share - spread), math.ceil(n * share + spread)
-    return None if low < 0 or high >= n else (ordered[low], ordered[high])
+    found = interval(latencies_s, statistic)
+    return (found.low, found.high) if math.isfinite(found.half) else None
+
+
+@cache
+def needed(statistic: str) -> int:
+    """Return the least number of requests for which `interval_s` knows the interval, if they do not resemble each other."""
+    return next(n for n in itertools.count(LEAST) if interval_s([1.0] * n, statistic) is not None)
 
 
 def _cost(application: Application, machine: Machine, latency_s: float) -> float:

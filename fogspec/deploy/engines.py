@@ -10,10 +10,10 @@ from typing import Any
 from fogspec.base.clouds import LOCAL, cloud_name
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
-from fogspec.base.layout import Layout
+from fogspec.base.layout import MOST_BYTES, Layout
 from fogspec.base.repository import committed
 from fogspec.deploy.shared_state import look, store_of
-from fogspec.spec.loader import SourceFile
+from fogspec.language.loader import SourceFile
 
 UNKNOWN = "unknown"  # a cloud like any other: SkyPilot is asked
 
@@ -43,14 +43,15 @@ def engines_of(layout: Layout) -> Engines:
         for content in _versions(layout, path, doubts):
             try:
                 found = set(_clouds(SourceFile(path, content).plain()))
-            except (DiagnosticError, FogspecError, RecursionError):
+            except Exception:  # whatever is wrong with one record, the others are read
                 doubts.append(f"{path}: cannot be read")
             else:
                 clouds |= found
                 known = known or bool(found)
     try:
         shared = None if (store := store_of(layout)) is None else look(store, layout)
-        clouds |= {cloud_name(one.machine.infra) for one in (shared.spec.machines if shared is not None else ())}
+        held = {cloud_name(one.machine.infra) for one in (shared.spec.machines if shared is not None else ())}
+        clouds, known = clouds | held, known or bool(held)
     except (DiagnosticError, FogspecError):
         doubts.append(f"the shared state of {layout.name}: cannot be read")
     clouds |= set(_journaled(layout, doubts))
@@ -63,7 +64,7 @@ def _versions(layout: Layout, path: Path, doubts: list[str]) -> Iterator[bytes]:
     """Yield the content of a file as it is here and, of what is committed, as it was last committed."""
     if os.path.lexists(path):
         try:
-            yield layout.files.read(path)
+            yield layout.files.read(path, MOST_BYTES)
         except FogspecError as problem:
             doubts.append(problem.message)
         except OSError:
@@ -79,7 +80,7 @@ def _clouds(value: Any) -> Iterator[str]:
             if key == "infra" or (key == "machines" and isinstance(inner, list)):
                 texts = [inner] if isinstance(inner, str) else inner if isinstance(inner, list) else []
                 yield from (cloud_name(text) for text in texts if isinstance(text, str))
-            if key != "field_digests":  # it has names of fields as keys, `infra` too
+            if key != "inputs":  # names of files and fields are keys there, `infra` too
                 yield from _clouds(inner)
     elif isinstance(value, list):
         for inner in value:
@@ -91,7 +92,7 @@ def _journaled(layout: Layout, doubts: list[str]) -> Iterator[str]:
     if not os.path.lexists(layout.journal):
         return
     try:
-        lines = layout.files.read(layout.journal).splitlines(keepends=True)
+        lines = layout.files.read(layout.journal, MOST_BYTES).splitlines(keepends=True)
     except FogspecError as problem:
         doubts.append(problem.message)
         return

@@ -8,6 +8,7 @@ from typing import Any
 
 from fogspec.base.errors import InvalidInput
 from fogspec.base.layout import Layout
+from fogspec.base.redaction import without_secrets
 from fogspec.deploy.schema import date_of
 from fogspec.deploy.state import WallClock
 
@@ -31,7 +32,7 @@ class Events:
             "application": self.layout.name,
             "event": event,
             "machine": machine,
-            "text": text,
+            "text": without_secrets(text),
             "at_s": round(self.times.now_s(), 3),
             "boot": self.times.boot(),
         }

@@ -6,6 +6,7 @@ one commit on top of the record before it. Every exchange runs in a temporary re
 
 import contextlib
 import os
+import re
 import shlex
 import tempfile
 from collections.abc import Mapping
@@ -15,13 +16,23 @@ from fogspec.base import child
 from fogspec.base.errors import UsageError
 from fogspec.base.git import Ended, exchange, git
 from fogspec.base.repository import normalized
-from fogspec.deploy.stores import Overtaken, Stored, StoreUnavailable
+from fogspec.base.text import shell_command
+from fogspec.deploy.stores import Overtaken, Stored, StoreRefused, StoreUnavailable
 
 REFS = "refs/fogspec/state/"
 FILE = "state.yaml"
 HEADER = r"^http\..+\.extraheader$"
 # What serves a repository on this host reads that repository's configuration, and would run its hooks.
 SERVE = ("-c", f"core.hooksPath={os.devnull}", "-c", "core.alternateRefsCommand=", "-c", "gc.auto=0")
+# So it may hold only these settings: those that git writes into a bare repository, and others that name no program.
+PLAIN = re.compile(
+    r"core\.(repositoryformatversion|filemode|sharedrepository|logallrefupdates|ignorecase|precomposeunicode|symlinks|fsync"
+    r"|(loose)?compression|bigfilethreshold)|receive\.(deny(nonfastforwards|deletes|deletecurrent)|unpacklimit|maxinputsize"
+    r"|fsckobjects|autogc)|transfer\.(fsckobjects|unpacklimit|hiderefs)|uploadpack\.allow\w+|http\.(receive|upload)pack"
+    r"|gc\.(auto(detach|packlimit)?|\w+expire|reflogexpireunreachable)|remote\..+\.(url|fetch|push|mirror|prune|tagopt)"
+    r"|extensions\.(objectformat|refstorage)|(user|pack|gitweb)\.\w+"
+)
+FIXED = {"core.bare": "true", "receive.denycurrentbranch": "refuse"}
 
 
 class GitStore:
@@ -75,7 +86,7 @@ class GitStore:
         ended = self._exchange(*words, stdin=stdin)
         if ended.code:
             raise StoreUnavailable(self.where, self._reason(ended))
-        return ended.output.decode().strip()
+        return ended.output.decode("utf-8", "replace").strip()
 
     def _fetched(self, pattern: str) -> dict[str, Stored]:
         words = ["fetch", "--quiet", "--depth=1", "--no-tags", "--prune", "--no-write-fetch-head", "--no-auto-gc"]
@@ -104,7 +115,32 @@ class GitStore:
 
     def _served(self, program: str) -> list[str]:
         """Return the option for a repository on this host, whose configuration and hooks are not the user's."""
-        return [f"--{program}={shlex.join([child.program('git'), *SERVE, program])}"] if self._local else []
+        if not self._local:
+            return []
+        for folder in (f"{self._url}/.git", self._url, f"{self._url}.git/.git", f"{self._url}.git"):
+            self._check(folder)  # wherever git looks for it
+        return [f"--{program}={shlex.join([child.program('git'), *SERVE, program])}"]
+
+    def _check(self, folder: str) -> None:
+        """Raise StoreRefused for a repository on this host that is not bare, or in which git might run something."""
+        copy = f"{self._url.removesuffix('.git')}-bare.git"  # with the records, too
+        clone = shell_command("git", "clone", "--mirror", folder, copy)
+        bare = f"make a bare one: {clone} && {shell_command('git', 'remote', 'set-url', 'origin', copy)}"
+        if os.path.isfile(folder) or os.path.lexists(f"{folder}/commondir"):
+            raise StoreRefused(folder, "points to another repository, and a bare one is needed", bare)
+        if not os.path.lexists(head := f"{folder}/HEAD"):
+            return
+        config = f"{folder}/config"
+        for entry in self._made("config", "--file", config, "--null", "--list", stdin=b"").split("\0")[:-1]:
+            name, _, value = entry.partition("\n")
+            if value.lower() != FIXED[name] if name in FIXED else not PLAIN.fullmatch(name):
+                unset = shell_command("git", "config", "--file", config, "--unset-all", name)
+                reason = f"{name} = {value[:99]}: only plain settings of a bare repository are accepted"
+                raise StoreRefused(config, reason, bare if name == "core.bare" else f"if nothing needs it: {unset}")
+        named = self._exchange(f"--git-dir={folder}", "symbolic-ref", "--quiet", "HEAD").output
+        if named.startswith(b"refs/fogspec/"):
+            fix = shell_command("git", f"--git-dir={folder}", "symbolic-ref", "HEAD", "refs/heads/main")
+            raise StoreRefused(head, "names a record, not a branch", f"name a branch: {fix}")
 
     def _exchange(self, *words: str, stdin: bytes = b"") -> Ended:
         try:

@@ -5,34 +5,38 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
 
-from fogspec.audit.compare import Change, changes
-from fogspec.audit.diff import read_manifest, significant
 from fogspec.backends.protocol import DeploymentBackend, DeploymentStatus, LaunchRefused, Unreachable
 from fogspec.base import digest, units
+from fogspec.base.console import is_verbose
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import FogspecError
-from fogspec.base.layout import Layout
+from fogspec.base.layout import MOST_BYTES, Layout
 from fogspec.base.quantities import as_numbers
 from fogspec.base.redaction import redacted
 from fogspec.base.text import count
 from fogspec.base.units import dollars
+from fogspec.check.compare import Change, compared
 from fogspec.compile.manifest import Manifest
-from fogspec.deploy.drift import Observed, observe, violation_text
-from fogspec.deploy.redacted import redacting
+from fogspec.deploy.drift import Observed, needed, observe, violation_text
+from fogspec.deploy.packages import packages_differ, packages_text
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, WallClock
+from fogspec.language.loader import SourceFile, read_plain
+from fogspec.language.lockfile import differing
+from fogspec.language.schema import Application
 from fogspec.results.io import read_results
-from fogspec.spec.loader import SourceFile, read_plain
-from fogspec.spec.lockfile import differing
-from fogspec.spec.schema import Application
+from fogspec.review.deployed import Deployed
 
 Sync = Literal["Synced", "OutOfSync"]
-Health = Literal["Healthy", "Drifted", "Degraded", "Progressing", "Missing", "Unknown"]
+Health = Literal["Healthy", "NotJudged", "Drifted", "Degraded", "Progressing", "Missing", "Unknown"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HealthReport:
-    """The deployment of one application: sync, health, reasons and figures; `machines` are all that may cost money."""
+    """The deployment of one application: sync, health, reasons and figures; `machines` are all that may cost money.
+
+    `packages` are all differences between the machine that was measured and the one that serves.
+    """
 
     sync: Sync
     health: Health
@@ -45,11 +49,7 @@ class HealthReport:
     manifest: Manifest | None
     spent_usd: float
     up_s: float | None
-
-    @property
-    def well(self) -> bool:
-        """Whether nothing needs attention."""
-        return self.sync == "Synced" and self.health == "Healthy"
+    packages: tuple[str, ...] = ()
 
 
 def health_report(
@@ -69,23 +69,25 @@ def health_report(
     live_file.check_owned()
     if not live_file.machines:
         return None
-    serving = next((one for one in live_file.machines if one.state == "serving"), None)
-    subject = serving or live_file.machines[-1]
-    live = _poll(live_file, subject, cache(redacting(backend_for, application.spec.secrets)))
+    serving, subject = _subject(live_file)
+    backend_of = cache(backend_for)
+    live = _poll(live_file, subject, backend_of)
     approved = _manifest(live_file, subject)
     files = _files_changed(sent, subject)
-    differs = manifest_changes(layout, live_file, subject, application) + files
+    differs = manifest_changes(layout, live_file, subject) + files
     reasons = [] if fresh else ["the manifest on disk is stale: fogspec diff says why"]
     reasons += (
         ["another manifest is committed than the one that runs"] if subject.manifest != _committed(layout) else []
     )
     reasons += [f"{one.field} changed since it was started" for one in files]
-    reasons += [f"{one.name} is {one.state} too" for one in live_file.machines if one is not subject]
+    reasons += _others(live_file, subject, backend_of)
     observed = None
     if live is not None and approved is not None and live.state == "ready":
         observed = observe(live.timings, application, approved.expected, subject.machine)
     health, why = _health(subject, live, observed, approved)
     why += _another_cpu(layout, subject, live)
+    packages = packages_differ(layout, subject, live)
+    why += packages_text(layout.name, packages)
     return HealthReport(
         sync="OutOfSync" if differs or not fresh or serving is None else "Synced",
         health=health,
@@ -98,27 +100,83 @@ def health_report(
         manifest=approved,
         spent_usd=live_file.total_usd(),
         up_s=live_file.up_s(subject),
+        packages=tuple(packages),
     )
 
 
-def manifest_changes(
-    layout: Layout, live: DeploymentState, machine: DeployedMachine, application: Application
-) -> list[Change]:
+def health_without_spec(
+    layout: Layout, times: WallClock, backend_for: Callable[[str], DeploymentBackend]
+) -> HealthReport | None:
+    """Return the health of what runs of an application that has no spec, by its live state; None if nothing does.
+
+    Raise ForeignMachine if the live state names a machine of another application.
+    """
+    live_file = DeploymentState.look(layout, times)
+    live_file.check_owned()
+    if not live_file.machines:
+        return None
+    serving, subject = _subject(live_file)
+    backend_of = cache(backend_for)
+    live = _poll(live_file, subject, backend_of)
+    health, why = _health(subject, live, None, None)
+    if health == "NotJudged":
+        why = ["not judged without its spec"]
+    return HealthReport(
+        sync="OutOfSync",
+        health=health,
+        reasons=(*_others(live_file, subject, backend_of), *why),
+        changes=(),
+        machines=tuple(live_file.machines),
+        serving=serving,
+        live=live,
+        observed=None,
+        manifest=None,
+        spent_usd=live_file.total_usd(),
+        up_s=live_file.up_s(subject),
+    )
+
+
+def _subject(live: DeploymentState) -> tuple[DeployedMachine | None, DeployedMachine]:
+    """Return the machine that serves, if one does, and the one that is judged."""
+    serving = next((one for one in live.machines if one.state == "serving"), None)
+    return serving, serving or live.machines[-1]
+
+
+def _others(
+    live: DeploymentState, subject: DeployedMachine, backend_of: Callable[[str], DeploymentBackend]
+) -> Iterator[str]:
+    """Yield a reason for each other machine of the application, also for one that its engine lists and no record has."""
+    name, known = live.layout.name, {one.name for one in live.machines}
+    yield from (f"{one.name} is {one.state} too" for one in live.machines if one is not subject)
+    try:
+        listed = backend_of(subject.machine.infra).list(live.owner, live.layout.state)
+    except (Unreachable, FogspecError):
+        return  # what the record has is shown without contact, too
+    unknown = (one for one in listed if live.owner.has_deployment(one) and one not in known)
+    yield from (
+        f"{one} runs and is in no record: fogspec apply {name} --adopt takes it over, fogspec down {name} ends it"
+        for one in unknown
+    )
+
+
+def manifest_changes(layout: Layout, live: DeploymentState, machine: DeployedMachine) -> list[Change]:
     """Return the differences between the manifest on disk and a machine's own manifest."""
     if _committed(layout) == machine.manifest:
         return []
-    secrets = application.spec.secrets
     try:
         kept = live.manifest_of(machine.name)
         before: Any = {"digest": machine.manifest} if kept is None else read_plain(f"manifest of {machine.name}", kept)
     except (DiagnosticError, FogspecError, OSError):
         before = {"digest": machine.manifest}
-    return significant(changes(redacted(before, secrets), redacted(read_manifest(layout), secrets)))
+    now = Deployed.at(layout)
+    after = None if now is None else now.values if now.damage is None else {"damaged": now.damage}
+    return compared(redacted(before), after)
 
 
 def _committed(layout: Layout) -> str | None:
     """Return the digest of the manifest on disk."""
-    return digest.of_bytes(layout.files.read(layout.manifest)) if layout.files.is_file(layout.manifest) else None
+    files = layout.files
+    return digest.of_bytes(files.head(layout.manifest, MOST_BYTES + 1)) if files.is_file(layout.manifest) else None
 
 
 def _files_changed(sent: Mapping[str, str], machine: DeployedMachine) -> list[Change]:
@@ -127,15 +185,13 @@ def _files_changed(sent: Mapping[str, str], machine: DeployedMachine) -> list[Ch
     return [Change(name, "as it was started", "changed since") for name in differing(known, sent)]
 
 
-def running_changes(
-    layout: Layout, times: WallClock, application: Application, sent: Mapping[str, str]
-) -> list[Change] | None:
+def running_changes(layout: Layout, times: WallClock, sent: Mapping[str, str]) -> list[Change] | None:
     """Return the differences for the machine that serves now, without polling; None if there is none."""
     live = DeploymentState.look(layout, times)
     serving = next((one for one in live.machines if one.state == "serving"), None)
     if serving is None:
         return None
-    return manifest_changes(layout, live, serving, application) + _files_changed(sent, serving)
+    return manifest_changes(layout, live, serving) + _files_changed(sent, serving)
 
 
 def _poll(
@@ -171,11 +227,16 @@ def _health(
         return "Progressing", [live.detail] if live.detail else []
     notes = [live.detail] if live.detail else []
     if observed is None or manifest is None:
-        return "Healthy", notes
+        return "NotJudged", [*notes, "not judged: the manifest that it was started for cannot be read"]
     notes += [violation_text(one, observed, manifest.expected) for one in observed.violated]
     drifted = observed.drift in ("slower", "faster")
     if drifted:
         notes.append(f"the model no longer holds: requests are {observed.drift} than predicted")
+    if not observed.violated and observed.interval_s is None:
+        least = needed(manifest.expected.latency.statistic)
+        few = f"not judged yet ({observed.requests} of {least} requests)"
+        alike = f"not judged: the latency varies too slowly for an interval from {observed.requests} requests"
+        return "NotJudged", [*notes, few if observed.requests < least else alike]
     return "Degraded" if observed.violated else "Drifted" if drifted else "Healthy", notes
 
 
@@ -198,18 +259,22 @@ def as_text(one: HealthReport) -> list[str]:
     subject = one.serving or one.machines[-1]
     machine = subject.machine
     lines = [f"  {'running':<9} {one.sync}, {one.health}"]
-    lines += [f"  {'':<9} {text}" for text in one.reasons]
+    lines += [f"  {'':<9} {text}" for text in (*one.reasons, subject.name)]
     up = "" if one.up_s is None else f", up {units.shown_duration(round(one.up_s))}"
     lines.append(
         f"  {'':<9} {machine.instance} in {machine.infra} at {subject.address or 'no address yet'}{up}, "
         f"{units.shown_price(machine.price)}, {dollars(one.spent_usd)} so far"
     )
+    if subject.applied is not None:
+        lines.append(f"  {'':<9} {subject.applied.text}")
     if subject.ends is not None:
         over = one.live is not None and one.live.state in ("ended", "gone")
         lines.append(f"  {'':<9} {'its end was' if over else 'ends by itself at'} {subject.ends}")
     if restarted := {name: times for name, times in (one.live.restarts if one.live else {}).items() if times}:
         each = ", ".join(f"{name} {count(times, 'time')}" for name, times in restarted.items())
         lines.append(f"  {'':<9} restarted: {each}")
+    if is_verbose():
+        lines += [f"  {'':<9} {text}" for text in one.packages]
     if one.manifest is not None and one.observed is not None:
         lines.append(f"  {'':<9} {_observed_words(one.observed, one.manifest)}")
     return lines
@@ -224,7 +289,7 @@ def _observed_words(seen: Observed, manifest: Manifest) -> str:
     failed = f", {seen.failed} failed" if seen.failed else ""
     cost = "" if seen.cost_usd_per_request is None else f", {units.shown_cost(seen.cost_usd_per_request)}"
     unsaid = ", without an interval: drift cannot be seen" if expected.interval is None else ""
-    return f"{value} of the latest {seen.requests} requests{failed}{cost}; {predicted}{unsaid}"
+    return f"{value} of the latest {count(seen.requests, 'request')}{failed}{cost}; {predicted}{unsaid}"
 
 
 def as_dict(one: HealthReport) -> dict[str, Any]:
@@ -241,6 +306,7 @@ def as_dict(one: HealthReport) -> dict[str, Any]:
         "up_s": one.up_s,
         "ends": (one.serving or one.machines[-1]).ends,
         "ready_s": one.live and one.live.ready_s,
+        "packages": list(one.packages),
         "restarts": {} if one.live is None else dict(one.live.restarts),
         "server": None if one.live is None or one.live.server is None else as_numbers(one.live.server),
         "predicted": None if one.manifest is None else _predicted(one.manifest),

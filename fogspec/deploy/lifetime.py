@@ -34,15 +34,15 @@ class End:
     """What ends a deployment: `until` as the spec has it, and the most that may be spent in USD."""
 
     until: str | None = None
-    max_spend_usd: float | None = None
+    budget_usd: float | None = None
 
     @classmethod
     def of(cls, pinned: Pinned) -> "End":
         """Return the end in a manifest."""
-        return cls(pinned.until, pinned.max_spend)
+        return cls(pinned.until, pinned.budget)
 
     def __bool__(self) -> bool:
-        return self.until is not None or self.max_spend_usd is not None
+        return self.until is not None or self.budget_usd is not None
 
     def date(self, machine: Machine, now: datetime, spent_usd: float) -> str:
         """Return when a machine that is started now ends, in UTC; `spent_usd` is spent already, or may be by others meanwhile.
@@ -53,18 +53,18 @@ class End:
         if self.until is not None:
             until = parse_until(self.until)
             found.append(until if isinstance(until, datetime) else now + timedelta(seconds=until))
-        if self.max_spend_usd is not None and machine.price > 0:
-            paid_s = 3600 * (self.max_spend_usd - spent_usd) / machine.price
+        if self.budget_usd is not None and machine.price > 0:
+            paid_s = 3600 * (self.budget_usd - spent_usd) / machine.price
             away_s = PROVISIONING_S + TEARDOWN_S if cloud_of(machine.infra).on_skypilot else 0.0
             found.append(now + timedelta(seconds=max(0.0, min(paid_s - away_s, 1e9))))
-            reason = "spec.deployment.max_spend" if found[-1] == min(found) else reason
+            reason = "spec.deployment.budget" if found[-1] == min(found) else reason
         end = min(found, default=now + timedelta(days=10_000))
         if (end - now).total_seconds() < LEAST_LIFETIME_S:
             spent = f"{units.dollars(spent_usd)} spent, or reserved for what still runs"
             raise Refused(
                 f"{machine.instance} in {machine.infra}: {reason} is reached, or would be within a minute of its start",
                 f"{spent}; fogspec down ends it and counts from zero"
-                if reason.endswith("max_spend")
+                if reason.endswith("budget")
                 else "set a later end in the spec, then: fogspec compile",
             )
         return date_of(end.timestamp())
@@ -76,8 +76,8 @@ class End:
             words.append(
                 f"{self.until} after apply" if isinstance(parse_until(self.until), float) else f"at {self.until}"
             )
-        if self.max_spend_usd is not None:
-            words.append(f"before {units.dollars(self.max_spend_usd)} are spent")
+        if self.budget_usd is not None:
+            words.append(f"before {units.dollars(self.budget_usd)} are spent")
         cloud = cloud_of(infra)
         return f"{', and '.join(words)}, by {KEPT_BY[cloud.own_end] if cloud.on_skypilot else 'its supervisor'}"
 
@@ -95,10 +95,15 @@ def ended(ends: str | None, now: datetime) -> bool:
     return ends is not None and left_s(ends, now) <= 0
 
 
+def end_variables(ends: str, lifetime_s: float) -> dict[str, str]:
+    """Return the variables of a machine that ends by itself after `lifetime_s`, at the date `ends` in UTC."""
+    unix_s = datetime.fromisoformat(ends).astimezone(UTC).timestamp()
+    return {LIFETIME: f"{lifetime_s:.0f}", ENDS: f"{unix_s:.0f}"}
+
+
 def limited(task: Mapping[str, Any], machine: Machine, ends: str, lifetime_s: float) -> dict[str, Any]:
     """Return the task of a machine that ends by itself after `lifetime_s`, at the date `ends` in UTC."""
-    unix_s = datetime.fromisoformat(ends).astimezone(UTC).timestamp()
-    envs = {**task.get("envs", {}), LIFETIME: f"{lifetime_s:.0f}", ENDS: f"{unix_s:.0f}"}
+    envs = {**task.get("envs", {}), **end_variables(ends, lifetime_s)}
     autostop = {"idle_minutes": math.ceil(lifetime_s / 60), "down": True, "wait_for": "none"}
     config = engine_settings(machine, lifetime_s) if cloud_of(machine.infra).on_skypilot else None
     found = {**task, "envs": envs, "resources": {**task.get("resources", {}), "autostop": autostop}}

@@ -16,7 +16,7 @@ from fogspec.base.text import shell_command
 from fogspec.compile.launch_files import link_script
 from fogspec.compile.links import link_of
 from fogspec.compile.tasks import LINK_PEER
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
 
 TIMEOUT_S = 60.0
 
@@ -27,27 +27,15 @@ def folder_of(name: str) -> Path:
     return (Path(links) if links else Path.home() / ".fogspec" / "links") / name / "robot"
 
 
-def make_keys(application: Application, layout: Layout) -> str:
-    """Make the robot's private key if there is none, and return its public half.
-
-    Raise InvalidInput without a link in the spec, CloudError if a program is missing.
-    """
-    if link_of(application).protocol is None:
-        raise InvalidInput(
-            f"{layout.spec}: spec.connectivity.link is none, which needs no keys", "write zenoh or wireguard"
-        )
-    return _run(application, layout, "keys").strip()
-
-
 def environment(application: Application, layout: Layout) -> dict[str, str]:
-    """Return the variables that the task gets at launch; none without a link. Raise Refused before `fogspec keys`."""
+    """Return the variables that the task gets at launch; none without a link. Raise Refused before the robot has a key."""
     if link_of(application).protocol is None:
         return {}
     public = folder_of(application.name) / "public"
     if not public.is_file():
         raise Refused(
             f"{application.name}: the robot has no key for its link yet: {public} is missing",
-            f"on the robot: {shell_command('fogspec', 'keys', layout.argument)}",
+            f"on the robot: {shell_command('bash', layout.link / 'link.sh', 'robot', 'keys')}",
             "on another computer: copy that file, the public half, from the robot to the same place here",
         )
     return {LINK_PEER: public.read_text("ascii", "replace").strip()}

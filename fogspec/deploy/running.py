@@ -1,74 +1,26 @@
-"""What runs of all applications of a project, by their live state, and what their nodes print."""
+"""The applications of a project that have live state, and what their nodes print."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from fogspec.backends.agent_state import printed
 from fogspec.backends.protocol import DeploymentBackend, LaunchRefused, Unreachable
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import CloudError, FogspecError, InvalidInput, Refused
-from fogspec.base.layout import Layout
+from fogspec.base.layout import MOST_BYTES, Layout
 from fogspec.base.text import shell_command
 from fogspec.compile.tasks import label
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.shared_state import shared_layouts, store_of
 from fogspec.deploy.state import DeploymentState, WallClock
-from fogspec.spec.loader import load
+from fogspec.language.loader import load
 
 FOLLOW_EVERY_S = 1.0
 MARK = re.compile(r"\[([^\[\]]+)\] ")
 LEVELS = ("DEBUG", "INFO", "WARN", "WARNING", "ERROR", "FATAL", "CRITICAL")
 
 Backends = Callable[[str], DeploymentBackend]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Running:
-    """A machine of an application; `answers` is what its nodes say now, `has_spec` whether the spec is still there."""
-
-    application: str
-    machine: DeployedMachine
-    answers: str
-    up_s: float
-    spent_usd: float
-    has_spec: bool
-
-
-def running(
-    root: Path, names: Sequence[str], times: WallClock, backend_for: Backends
-) -> tuple[list[Running], list[str]]:
-    """Return the machines in the live state of all applications below a root, and what cannot be read.
-
-    `names` are the applications that have a spec. Nothing is written.
-    """
-    found, problems = list[Running](), list[str]()
-    for layout in layouts(root):
-        try:
-            live = DeploymentState.look(layout, times)
-        except DiagnosticError as damaged:
-            problems.append(
-                f"{damaged.diagnostics[0].span.path}: {damaged.diagnostics[0].message}; "
-                f"fogspec down {layout.name} ends what runs"
-            )
-            continue
-        except Refused as foreign:
-            problems.append(foreign.message)
-            continue
-        problems += [f"{live.where}: {one.name} is a machine of another application" for one in live.foreign]
-        found += [
-            Running(
-                application=layout.name,
-                machine=one,
-                answers=_answers(live, one, backend_for),
-                up_s=live.up_s(one),
-                spent_usd=live.spent(one),
-                has_spec=layout.name in names,
-            )
-            for one in live.machines
-        ]
-    return found, problems
 
 
 def layouts(root: Path) -> list[Layout]:
@@ -90,7 +42,7 @@ def without_spec(root: Path, names: Collection[str], times: WallClock) -> list[s
         try:
             live = DeploymentState.look(layout, times)
         except (DiagnosticError, Refused):
-            found.append(f"{layout.name}: no spec has an application of this name, and its live state cannot be read")
+            found.append(f"{layout.name}: no spec has an application of this name, and {layout.live} cannot be read")
             continue
         if live.machines:
             machines = ", ".join(one.name for one in live.machines)
@@ -117,7 +69,7 @@ def log_lines(layout: Layout, times: WallClock, backend_for: Backends) -> tuple[
         if not layout.files.is_file(layout.last_words):
             apply = shell_command("fogspec", "apply", layout.manifest)
             raise InvalidInput(f"{layout.name}: nothing runs, and no start that failed is on record", apply)
-        return None, printed(layout.files.read(layout.last_words))
+        return None, printed(layout.files.head(layout.last_words, MOST_BYTES))
     machine = live.machines[-1]
     try:
         return machine, printed(backend_for(machine.machine.infra).read_log(live.job(machine)))

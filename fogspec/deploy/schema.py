@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from fogspec.base.digest import shorten
 from fogspec.base.quantities import Duration, Id, Money, Strict
+from fogspec.base.units import dollars, shown_price
 from fogspec.catalog.machine import Machine
-from fogspec.deploy.object_store import URL
 from fogspec.plan.schema import EnvironmentMetadata
 
 
@@ -23,6 +24,57 @@ class Place(Strict):
 
     host: str
     root: str
+
+
+class Applied(Strict):
+    """The apply that a machine serves.
+
+    `generation` counts them. `commit` is HEAD of the checkout, `actor` the user of CI or
+    git's `user.name`; None without git. `date` is in UTC.
+    """
+
+    generation: int
+    commit: Annotated[str, Field(pattern=r"^[0-9a-f]{40,64}$")] | None = None
+    actor: str | None = None
+    date: Annotated[str, AfterValidator(_date)]
+
+    @property
+    def text(self) -> str:
+        """The apply in words."""
+        commit = f"commit {self.commit[:12]}, " if self.commit else ""
+        by = f" by {self.actor}" if self.actor else ""
+        return f"{commit}applied {self.date}{by}, generation {self.generation}"
+
+
+class Act(Strict):
+    """What a command did with a machine, `name`: it `started` it, `kept` it under another manifest, or `ended` it.
+
+    `by` is the apply that the machine serves, for its end who ended it from which commit, each with the date of the act.
+    `price` is in USD per hour, `spent` what the machine had cost at its end; of one that was found by its name alone, neither
+    is known, nor its `machine`, its `manifest` and its generation, which is 0.
+    """
+
+    verb: str
+    did: Literal["started", "kept", "ended"]
+    by: Applied
+    name: Id
+    machine: str | None = None
+    manifest: str | None = None
+    price: Money | None = None
+    spent: Money | None = None
+
+    @property
+    def text(self) -> str:
+        """The act in words."""
+        cost = "" if self.spent is None else f", {dollars(self.spent)}"
+        what = f"{self.name}, found by its name"
+        if self.machine is not None and self.manifest is not None and self.price is not None:
+            digest = shorten(self.manifest, 12)
+            what = f"{self.machine} at {shown_price(self.price)}{cost}, {self.name}, manifest {digest}"
+        commit = f", commit {self.by.commit[:12]}" if self.by.commit else ""
+        actor = f" by {self.by.actor}" if self.by.actor else ""
+        generation = f", generation {self.by.generation}" if self.by.generation else ""
+        return f"{self.by.date} {self.verb}{actor} {self.did} {what}{commit}{generation}"
 
 
 class DeployedMachine(Strict):
@@ -51,6 +103,7 @@ class DeployedMachine(Strict):
     boot: str
     since: Annotated[str, AfterValidator(_date)]
     ends: Annotated[str, AfterValidator(_date)] | None = None
+    applied: Applied | None = None
 
     def up_s(self, now_s: float, boot: str, today: datetime) -> float:
         """Return the seconds since its start: by the monotonic clock, or over a restart of this host by the date."""
@@ -60,10 +113,14 @@ class DeployedMachine(Strict):
 
 
 class DeploymentBody(Strict):
-    """The machines, and the cost of those that are gone since the application was last down."""
+    """The machines, and the cost of those that are gone since the application was last down.
+
+    `history` has what the latest commands did with machines, the oldest first; it stays when nothing runs any more.
+    """
 
     machines: list[DeployedMachine]
     spent: Money = 0.0
+    history: list[Act] = Field(default_factory=list)
 
 
 class LiveState(Strict):
@@ -112,10 +169,8 @@ REPOSITORY = r"git\+(https|ssh)://[^\s:@/]+(@[^\s:@/]+)?(:\d+)?/\S+"
 
 
 def _state(text: str) -> str:
-    if text not in ("folder", "git") and not re.fullmatch(rf"{REPOSITORY}|{URL}", text):
-        raise ValueError(
-            "write folder, git, git+https://HOST/PATH or git+ssh://git@HOST/PATH without a password, or s3://BUCKET/PREFIX"
-        )
+    if text not in ("folder", "git") and not re.fullmatch(rf"{REPOSITORY}", text):
+        raise ValueError("write folder, git, git+https://HOST/PATH or git+ssh://git@HOST/PATH without a password")
     return text
 
 
@@ -125,8 +180,7 @@ class ProjectBody(Strict):
     state: Annotated[str, AfterValidator(_state)] = Field(
         default="folder",
         description="where the live state of deployments is: folder (.fogspec of this clone), git (refs of the remote "
-        "origin, shared by all clones), git+URL (refs of another repository), or s3://BUCKET/PREFIX (also gs://, az://: "
-        "objects in a bucket)",
+        "origin, shared by all clones), or git+URL (refs of another repository)",
         examples=["git"],
     )
 

@@ -8,10 +8,9 @@ own clock, or if its process was on this computer and is gone.
 
 import contextlib
 import os
-import re
 import secrets
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import timedelta
 from functools import cache
@@ -24,16 +23,15 @@ from fogspec.base.clock import SystemClock
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import Busy, FogspecError, InvalidInput, Refused
 from fogspec.base.layout import Layout
-from fogspec.base.locks import start_ticks
+from fogspec.base.locks import application_lock, start_ticks
 from fogspec.base.repository import origin_of
 from fogspec.base.text import shell_command
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.deploy.git_store import GitStore
-from fogspec.deploy.object_store import URL, FolderObjects, FsspecObjects, ObjectStore
-from fogspec.deploy.schema import DeployedMachine, Lease, Project, SharedBody, SharedState, date_of
+from fogspec.deploy.schema import DeploymentBody, Lease, Project, SharedBody, SharedState, date_of
 from fogspec.deploy.stores import Overtaken, Store, Stored, StoreUnavailable
+from fogspec.language.loader import SourceFile, read_document
 from fogspec.plan.schema import EnvironmentMetadata
-from fogspec.spec.loader import SourceFile, read_document
 
 if TYPE_CHECKING:
     from fogspec.deploy.state import WallClock
@@ -67,17 +65,11 @@ def store_of(layout: Layout) -> Store | None:
 
 @cache
 def _store(root: str, setting: str, where: str) -> Store:
-    if re.fullmatch(URL, setting):
-        return ObjectStore(setting, FsspecObjects(setting))
-    if setting.startswith("file:///"):
-        return ObjectStore(setting, FolderObjects(setting.removeprefix("file://")))
     found = origin_of(Path(root))
     if setting.startswith("git+"):
         return GitStore(setting.removeprefix("git+"), found[1] if found else Path(root), Path(root))
     if setting != "git":
-        raise InvalidInput(
-            f"{where}: {setting} is not a place for live state", "write folder, git, git+URL, or s3://BUCKET/PREFIX"
-        )
+        raise InvalidInput(f"{where}: {setting} is not a place for live state", "write folder, git or git+URL")
     if found is None:
         raise InvalidInput(
             f"{where}: git needs a remote named origin, and {root} has none",
@@ -166,7 +158,8 @@ class SharedRecord:
     def take(self, salvage: bool = False) -> None:
         """Take the lease; raise Busy, naming the holder, if another command has it.
 
-        With `salvage` a damaged record is kept as `damaged` and replaced by an empty one; without, raise DiagnosticError.
+        With `salvage` a damaged record is kept as `damaged`, and stays in its place, without a lease, until another one or
+        none is written; without, raise DiagnosticError.
         """
         stored, waited_s, told = self.store.read(key_of(self.owner)), 0.0, False
         while True:
@@ -184,6 +177,8 @@ class SharedRecord:
                     process=_process(),
                     until=self._until(),
                 )
+                if self.damaged is not None:
+                    return None
                 try:
                     return self._write()
                 except Overtaken:
@@ -210,6 +205,7 @@ class SharedRecord:
         return Busy(f"{self.what} must wait: {who} has not ended", "wait for it, or stop it with Ctrl-C there")
 
     def _parsed(self, stored: Stored, salvage: bool) -> SharedState | None:
+        self.damaged = None
         try:
             return parsed(stored, self.path, self.owner)
         except DiagnosticError:
@@ -218,11 +214,11 @@ class SharedRecord:
             self.damaged = stored.content
             return None
 
-    def save(self, machines: Sequence[DeployedMachine], spent: float, manifests: Mapping[str, str]) -> None:
+    def save(self, body: DeploymentBody, manifests: Mapping[str, str]) -> None:
         """Write the machines; raise Busy if another command took over meanwhile, StoreUnavailable if it is not written."""
         with self._mutex:
             before = self.state
-            self.state = self._document(machines, spent, manifests)
+            self.state = self._document(body, manifests)
             try:
                 self._insist()
             except BaseException:
@@ -232,7 +228,7 @@ class SharedRecord:
     def renew(self) -> None:
         """Renew the lease; an unreachable store is asked again the next time."""
         with self._mutex:
-            if self._lease is None or self.overtaken:
+            if self._lease is None or self.overtaken or self.damaged is not None:
                 return
             count = self._lease.renewed + 1
             self._lease = self._lease.model_copy(update={"renewed": count, "until": self._until()})
@@ -252,14 +248,14 @@ class SharedRecord:
             return had
 
     def give_back(self) -> None:
-        """End the lease; a record without machines and cost goes."""
+        """End the lease; a record without machines, cost and history goes."""
         with self._mutex:
-            if self._lease is None or self.overtaken:
+            if self._lease is None or self.overtaken or self.damaged is not None:
                 return
             self._lease = None
             try:
                 body = None if self.state is None else self.state.spec
-                self._insist(remove=body is None or not (body.machines or body.spent))
+                self._insist(remove=body is None or not (body.machines or body.spent or body.history))
             except FogspecError as failed:
                 self.report(f"{failed.message}: the lease of {self.what} ends by itself after {LEASE_S:g} s")
 
@@ -271,14 +267,15 @@ class SharedRecord:
             except Overtaken:
                 if self.overtaken or not self._is_mine():
                     self.overtaken = True
-                    raise self._lost() from None
+                    raise self.lost() from None
             except StoreUnavailable:
                 if not left:
                     raise
                 self.times.sleep(1.0)
-        raise self._lost()
+        raise self.lost()
 
-    def _lost(self) -> Busy:
+    def lost(self) -> Busy:
+        """Return the error of a command whose lease another one took over."""
         return Busy(
             f"{self.what}: another command took over its state while this one had no contact: it stops here",
             f"see what runs, then run it again: {shell_command('fogspec', 'status', self.layout.name)}",
@@ -298,27 +295,25 @@ class SharedRecord:
         content = None
         if not remove:
             body = self.state.spec if self.state is not None else None
-            whole = self._document(
-                [] if body is None else body.machines,
-                0.0 if body is None else body.spent,
-                {} if body is None else body.manifests,
-            )
+            whole = self._document(body or DeploymentBody(machines=[]), {} if body is None else body.manifests)
             made = f"fogspec status {self.layout.name}"
             content = yaml_text(whole.model_dump(mode="json"), made).encode()
         elif self._version is None:
             return
         why = f"{self.what} on {os.uname().nodename}"
         self._version = self.store.write(key_of(self.owner), content, self._version, why)
+        self.damaged = None
 
-    def _document(self, machines: Sequence[DeployedMachine], spent: float, manifests: Mapping[str, str]) -> SharedState:
-        names = {one.name for one in machines}
+    def _document(self, body: DeploymentBody, manifests: Mapping[str, str]) -> SharedState:
+        names = {one.name for one in body.machines}
         return SharedState(
             metadata=EnvironmentMetadata(name=self.layout.name),
             spec=SharedBody(
                 repository=self.owner.repository,
                 owner=self.owner.digest,
-                machines=list(machines),
-                spent=spent,
+                machines=body.machines,
+                spent=body.spent,
+                history=body.history,
                 manifests={name: text for name, text in manifests.items() if name in names},
                 lease=self._lease,
             ),
@@ -336,16 +331,34 @@ def holding(
     report: Callable[[str], None],
     salvage: bool = False,
     owner: Owner | None = None,
+    ends: bool = False,
 ) -> Iterator[SharedRecord | None]:
-    """Hold the application's shared record, renewed while it is held; None where the state is in the folder `.fogspec`.
+    """Hold the application's lease for `what`: the lock on this computer and, where clones share the state, its record.
 
-    `owner` is another one than the application of this repository. Raise Busy if another command holds the record,
-    StoreUnavailable, and the errors of `store_of` and `SharedRecord.take`.
+    The record is renewed while it is held; it is None where the state is in the folder `.fogspec`. `owner` is another one
+    than the application of this repository. With `ends` state that git tracks is accepted, and the lock's file goes.
+    Raise Busy if another command holds the lease, StoreUnavailable, and the errors of `application_lock`, `store_of` and
+    `SharedRecord.take`.
     """
-    store = store_of(layout)
-    if store is None:
-        yield None
-        return
+    with application_lock(layout, what, remove=ends, tracked=ends):
+        store = store_of(layout)
+        if store is None:
+            yield None
+            return
+        with _shared(store, layout, what, times, report, salvage, owner) as record:
+            yield record
+
+
+@contextlib.contextmanager
+def _shared(
+    store: Store,
+    layout: Layout,
+    what: str,
+    times: "WallClock",
+    report: Callable[[str], None],
+    salvage: bool,
+    owner: Owner | None,
+) -> Iterator[SharedRecord]:
     owner = owner or owner_of(layout)
     record = SharedRecord(store=store, layout=layout, times=times, what=what, report=report, owner=owner)
     record.take(salvage)

@@ -6,31 +6,33 @@ The record is a file of this clone, or where clones share it what `fogspec.deplo
 import contextlib
 import dataclasses
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from fogspec.backends.naming import FALLBACK_LABEL, MANIFEST_LABEL, RUNS_LABEL, ForeignMachine, Owner
-from fogspec.backends.protocol import Job
+from fogspec.backends.protocol import Job, Work
 from fogspec.backends.registry import owner_of
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
 from fogspec.base.clouds import LOCAL
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import CloudError, FogspecError
-from fogspec.base.git import tracked_state
+from fogspec.base.git import check_untracked
 from fogspec.base.layout import Layout
 from fogspec.base.project_files import ProjectFiles
-from fogspec.base.text import shell_command
+from fogspec.base.repository import actor_of, head_of
+from fogspec.base.text import line, shell_command
 from fogspec.base.yaml.reader import MOST_BYTES_OF_CANONICAL
-from fogspec.deploy.schema import DeployedMachine, DeploymentBody, LiveState, Place, SharedState
+from fogspec.deploy.schema import Act, Applied, DeployedMachine, DeploymentBody, LiveState, Place, SharedState, date_of
 from fogspec.deploy.shared_state import SharedRecord, key_of, look, store_of
+from fogspec.language.loader import read_document
 from fogspec.plan.schema import EnvironmentMetadata
-from fogspec.spec.loader import read_document
 
 MANIFEST = "manifest.yaml"  # in a machine's directory: what it was started for
+MOST_ACTS = 50  # of the history, the latest
 SENT = "sent"  # in a machine's directory: the snapshot of the files that it was sent
 
 
@@ -69,12 +71,15 @@ class DeploymentState:
     `foreign` are records of machines that are not this application's: they are kept as they are, and nothing acts on them.
     `unreadable` tells that there is a file that cannot be read. Where clones share the state, `record` holds it for a command
     that changes it, and `manifests` are the texts of the machines' manifests in it; `where` is the record's place for people.
+    `verb` is what the history is to name.
     """
 
     layout: Layout
     times: WallClock
     machines: list[DeployedMachine]
     spent_usd: float = 0.0
+    history: list[Act] = field(default_factory=list)
+    verb: str = ""
     foreign: list[DeployedMachine] = field(default_factory=list)
     unreadable: bool = False
     record: SharedRecord | None = None
@@ -110,7 +115,7 @@ class DeploymentState:
             body = read_document(layout.live, LiveState, layout.files).spec
         except DiagnosticError as wrong:
             raise _ended_by_name(wrong, layout) from None
-        return cls(layout, times, list(body.machines), body.spent, _owner=owner)
+        return cls(layout, times, list(body.machines), body.spent, list(body.history), _owner=owner)
 
     @classmethod
     def _shared(
@@ -124,6 +129,7 @@ class DeploymentState:
             times,
             list(body.machines),
             body.spent,
+            list(body.history),
             record=record,
             manifests=manifests,
             where=where,
@@ -132,8 +138,11 @@ class DeploymentState:
 
     @classmethod
     def look(cls, layout: Layout, times: WallClock) -> "DeploymentState":
-        """Return the same for a verb that only reads: state that came with the checkout is ignored, see `tracked_note`."""
-        return cls.read(layout, times) if tracked_state(layout) is None else cls(layout, times, [])
+        """Return the same for a verb that only reads; raise Refused for state that git tracks."""
+        check_untracked(
+            layout, f"{shell_command('fogspec', 'down', layout.name)} ends what runs of it here, found by name"
+        )
+        return cls.read(layout, times)
 
     @property
     def owner(self) -> Owner:
@@ -150,21 +159,71 @@ class DeploymentState:
     def put(self, machine: DeployedMachine, *, ends: bool = False) -> None:
         """Add the machine, or change its record; with `ends` mark all others for stopping, in the same write."""
         others = [one for one in self.machines if one.name != machine.name]
+        before = next((one for one in self.machines if one.name == machine.name), None)
+        acts = list[Act]()
+        if before is None or before.manifest != machine.manifest:
+            acts = [self._act("started" if machine.state == "starting" else "kept", machine, machine.applied)]
         if ends:
             others = [one.model_copy(update={"state": "ending"}) for one in others]
-        self._write([*others, machine])
+        self._write([*others, machine], acts=acts)
 
     def gone(self, name: str) -> None:
         """Add the cost of a machine that is verified gone, and remove its record and directory."""
         ended = [one for one in self.machines if one.name == name]
-        self._write([one for one in self.machines if one.name != name], self.spent_usd + sum(map(self.spent, ended)))
+        rest, spent = [one for one in self.machines if one.name != name], self.spent_usd + sum(map(self.spent, ended))
+        self._write(rest, spent, [self._act("ended", one, spent=self.spent(one)) for one in ended])
         folders = [self.folder(name), *(self._place(one)[1] for one in ended if one.place is not None)]
         for folder in folders:
             with contextlib.suppress(OSError, FogspecError):
                 ProjectFiles(folder.parents[3]).remove_tree(folder)
 
+    def gone_by_name(self, name: str) -> None:
+        """Record the end of a machine that no record here has; beside one that cannot be read, once that is set aside."""
+        act = Act(verb=self.verb, did="ended", by=self.applied(head_of(self.layout.root), 0), name=name)
+        if self.unreadable:
+            self.history = [*self.history, act][-MOST_ACTS:]
+        else:
+            self._write(self.machines, acts=[act])
+
+    def applied(self, commit: str | None, generation: int | None = None) -> Applied:
+        """Return the record of a command on a commit from this checkout, by the user of CI or of git, now.
+
+        It is the next generation unless another is given.
+        """
+        last = [one.applied.generation for one in self.machines if one.applied]
+        last += [one.by.generation for one in self.history]
+        actor = actor_of(self.layout.root)
+        return Applied(
+            generation=1 + max(last, default=0) if generation is None else generation,
+            commit=commit,
+            actor=actor and line(actor)[:100],
+            date=date_of(self.times.date().timestamp()),
+        )
+
+    def _act(
+        self,
+        did: Literal["started", "kept", "ended"],
+        machine: DeployedMachine,
+        by: Applied | None = None,
+        spent: float | None = None,
+    ) -> Act:
+        now = self.applied(head_of(self.layout.root), machine.applied.generation if machine.applied else 0)
+        return Act(
+            verb=self.verb,
+            did=did,
+            by=now if by is None else by.model_copy(update={"date": now.date}),
+            name=machine.name,
+            machine=f"{machine.machine.infra}/{machine.machine.instance}",
+            manifest=machine.manifest,
+            price=machine.machine.price,
+            spent=None if spent is None else round(spent, 6),
+        )
+
     def set_aside(self) -> Path | None:
-        """Rename a file that cannot be read, and return its new path; None if there is no such."""
+        """Keep a file that cannot be read under another name, and return that; None if there is no such.
+
+        A file stays in its place too, until another one is written over it.
+        """
         if not self.unreadable:
             return None
         damaged = None if self.record is None else self.record.damaged
@@ -172,24 +231,29 @@ class DeploymentState:
         while files.exists(path := self.layout.state / f"{self.layout.live.name}.unreadable-{number}"):
             number += 1
         if damaged is None:
-            files.move(self.layout.live, path)
+            files.set_aside(self.layout.live, path)
         else:
             files.write(path, damaged)
         return path
 
     def clear(self) -> Iterator[str]:
-        """Remove the file and what is left next to it, once no machine is left, and yield each; raise OSError if that fails.
+        """Remove what is left next to the file, once no machine is left, and the file if it has no history; yield each.
 
+        Raise OSError if that fails.
         Of `deployed`, only what belongs to machines of the application goes: other things there belong to others.
         """
         if self.machines or self.foreign:
             raise ValueError("machines are left")
-        if self.record is not None and self.record.clear():
+        if self.history:
+            self._write([], 0.0)
+        elif self.record is not None and self.record.clear():
             yield self.where
         # A process that was killed in the middle of a write leaves a part.
         layout, files = self.layout, self.layout.files
         parts = [name for name in files.names(layout.state) if name.startswith(f".{layout.live.name}.")]
-        ours = (layout.live, layout.last_words, *(layout.state / name for name in parts))
+        ours = [layout.last_words, *(layout.state / name for name in parts)]
+        if not self.history or self.record is not None:
+            ours.append(layout.live)
         yield from (str(path) for path in ours if files.remove(path))
         folders = [self.folder(name) for name in files.names(layout.deployed) if self.owner.has(name)]
         yield from (str(path) for path in folders if files.remove_tree(path))
@@ -214,16 +278,18 @@ class DeploymentState:
     def job(
         self,
         machine: DeployedMachine,
+        work: Work | None = None,
         task: Mapping[str, Any] | None = None,
         cap_usd_per_hour: float | None = None,
         lifetime_s: float | None = None,
     ) -> Job:
-        """Return the machine's job; only starting it needs the task, the most that it may cost and how long it may run."""
+        """Return the machine's job; only starting it needs the work and task, its highest cost and longest time."""
         root, directory = self._place(machine)
         tree = directory / SENT
         return Job(
             name=machine.name,
             owner=self.owner,
+            work=work,
             task=task or {},
             root=root,
             directory=directory,
@@ -269,26 +335,27 @@ class DeploymentState:
         path = self.folder(name) / MANIFEST
         if not self.layout.files.is_file(path):
             return None
-        content = self.layout.files.read(path, MOST_BYTES_OF_CANONICAL + 1)
+        content = self.layout.files.head(path, MOST_BYTES_OF_CANONICAL + 1)
         return content if len(content) <= MOST_BYTES_OF_CANONICAL else None
 
-    def _write(self, machines: list[DeployedMachine], spent_usd: float | None = None) -> None:
+    def _write(self, machines: list[DeployedMachine], spent_usd: float | None = None, acts: Sequence[Act] = ()) -> None:
         spent = round(self.spent_usd if spent_usd is None else spent_usd, 6)
+        history = [*self.history, *acts][-MOST_ACTS:]
+        body = DeploymentBody(machines=[*self.foreign, *machines], spent=spent, history=history)
         if self.record is not None:
-            self.record.save([*self.foreign, *machines], spent, self.manifests or {})
-            self.machines, self.spent_usd = machines, spent
-            return
-        state = LiveState(
-            metadata=EnvironmentMetadata(name=self.layout.name),
-            spec=DeploymentBody(machines=[*self.foreign, *machines], spent=spent),
-        )
+            self.record.save(body, self.manifests or {})
+        else:
+            self._save(body)
+        self.machines, self.spent_usd, self.history = machines, spent, history
+
+    def _save(self, body: DeploymentBody) -> None:
+        state = LiveState(metadata=EnvironmentMetadata(name=self.layout.name), spec=body)
         apply = shell_command("fogspec", "apply", self.layout.relative(self.layout.manifest))
         self.layout.files.write_yaml(
             self.layout.live,
             state.model_dump(mode="json"),
             f"fogspec down {self.layout.name}; {apply}",
         )
-        self.machines, self.spent_usd = machines, spent
 
 
 def labels_of(machine: DeployedMachine) -> dict[str, str]:
@@ -298,5 +365,5 @@ def labels_of(machine: DeployedMachine) -> dict[str, str]:
 
 
 def _ended_by_name(wrong: DiagnosticError, layout: Layout) -> DiagnosticError:
-    fix = f"fogspec down {layout.name} finds what runs by its name and ends it, fogspec adopt {layout.name} keeps it"
+    fix = f"fogspec down {layout.name} finds what runs by its name and ends it, fogspec apply {layout.name} --adopt keeps it"
     return DiagnosticError([dataclasses.replace(one, fix=fix) for one in wrong.diagnostics])

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-from fogspec.base.errors import CloudError
+from fogspec.base.errors import CloudError, FogspecError
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,15 +14,23 @@ class Stored:
     content: bytes = b""
 
 
+WITHOUT = "FOGSPEC_STATE=folder runs a command without the shared state"
+
+
 class StoreUnavailable(CloudError):
     """The store did not answer, or refused: what it has is as it was, or as it was to become."""
 
     def __init__(self, where: str, reason: str) -> None:
-        super().__init__(
-            f"{where}: no contact: {reason}",
-            "nothing is lost: run it again when it answers",
-            "FOGSPEC_STATE=folder runs a command without the shared state",
-        )
+        super().__init__(f"{where}: no contact: {reason}", "nothing is lost: run it again when it answers", WITHOUT)
+
+
+class StoreRefused(StoreUnavailable):
+    """To read or write the store could run a program that its files name; nothing of it was used."""
+
+    exit_code = 5
+
+    def __init__(self, place: str, reason: str, fix: str) -> None:
+        FogspecError.__init__(self, f"{place}: {reason}", fix, WITHOUT)
 
 
 class Overtaken(Exception):

@@ -14,7 +14,6 @@ from typing import Any
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import Busy, CloudError, FogspecError, Interrupted, OutOfDate, Refused
 from fogspec.base.layout import Layout
-from fogspec.base.locks import application_lock
 from fogspec.base.text import count, shell_command
 from fogspec.base.units import shown_duration
 from fogspec.catalog.table import Catalog
@@ -23,13 +22,12 @@ from fogspec.deploy.apply import Backends, apply, stop_machine
 from fogspec.deploy.events import HOUR_S, RESTART, Events
 from fogspec.deploy.health import HealthReport, health_report
 from fogspec.deploy.lifetime import ended
-from fogspec.deploy.openmetrics import Metrics
+from fogspec.deploy.metrics import metrics_text
 from fogspec.deploy.preflight import check_fresh, launch_plan
-from fogspec.deploy.redacted import redacting
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.shared_state import holding
 from fogspec.deploy.state import DeploymentState, WallClock
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 10.0, 300.0
 
@@ -97,7 +95,6 @@ class Watcher:
     backend_for: Backends
     restarts_per_hour: int
     tell: Callable[[Mapping[str, Any]], None]
-    catalog: str | None = None
     prices: Callable[[ManifestBundle], Catalog] | None = None
     watched: dict[str, Watched] = field(default_factory=dict)
 
@@ -121,14 +118,17 @@ class Watcher:
             if one.report is not None:
                 self._act(one, one.report)
 
-    def metrics(self) -> str:
-        """Return what was seen last as metrics."""
-        restarts = {}
+    def write_metrics(self) -> None:
+        """Write what was seen last as metrics, below each root; raise InvalidInput if a file cannot be written."""
+        restarts, now = dict[str, int](), self.times.date().timestamp()
         for name, one in self.watched.items():
             with contextlib.suppress(FogspecError):
                 restarts[name] = one.events.restarts()
-        reports = {name: one.report for name, one in self.watched.items()}
-        return Metrics(reports, restarts, self.times.date().timestamp()).text()
+        for layout in {one.layout.root: one.layout for one in self.watched.values()}.values():
+            below = {name: one for name, one in self.watched.items() if one.layout.root == layout.root}
+            known = {name: one.report for name, one in below.items() if one.report or one.problem is None}
+            text = metrics_text(known, {name: restarts[name] for name in below if name in restarts}, now)
+            layout.files.write(layout.metrics, text.encode())
 
     def _look(self, one: Watched) -> None:
         one.report, one.problem = None, None
@@ -147,6 +147,9 @@ class Watcher:
         if one.report is None:
             if one.said.pop("health", None) is not None:
                 self.tell({"application": one.layout.name, "event": "Missing", "text": "nothing runs"})
+            return
+        if one.report.health == "NotJudged" and one.report.sync == "Synced":  # no news; another manifest is
+            one.said.pop("health", None)
             return
         reasons = "; ".join(one.report.reasons)
         subject = _subject(one.report)
@@ -180,7 +183,7 @@ class Watcher:
         """Start a machine in place of one that does not serve; raise why that may not be."""
         self._check_rate(one)
         layout, name = one.layout, one.layout.name
-        opened = open_bundle(layout.manifest, self.catalog)
+        opened = open_bundle(layout.manifest, layout.spec)
         if opened.digest != subject.manifest:
             raise OutOfDate(
                 f"{name}: does not serve, and another manifest is committed than the one that ran",
@@ -209,8 +212,10 @@ class Watcher:
             self.times,
             lambda text: self._progress(one, text),
             lambda: None,
+            lambda _live: subject.applied,
             subject.ends,
             admit,
+            "watch",
         )
         self._clear(one, "problem")
         if served.changed and not served.kept:
@@ -240,15 +245,15 @@ class Watcher:
         def report(text: str) -> None:
             self._progress(one, text)
 
-        with application_lock(layout, what), holding(layout, what, self.times, report) as record:
+        with holding(layout, what, self.times, report) as record:
             live = DeploymentState.read(layout, self.times, record)
+            live.verb = "watch"
             live.check_owned()
             serving = None if over else next((m for m in live.machines if m.state == "serving"), None)
             if serving is None and not over and any(machine.state == "starting" for machine in live.machines):
                 return
-            backend_of = redacting(self.backend_for, one.application.spec.secrets)
             for machine in [m for m in live.machines if m is not serving]:
-                stop_machine(live, machine, backend_of(machine.machine.infra), lambda _text: None)
+                stop_machine(live, machine, self.backend_for(machine.machine.infra), lambda _text: None)
                 self._tell(one, "ended", "its time is over" if over else f"it was {machine.state}", machine.name)
         self._look(one)
 

@@ -15,9 +15,9 @@ from fogspec.catalog.cost import Costs
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.instance_types import instance_types
 from fogspec.catalog.table import Catalog
+from fogspec.language.schema import Spec
 from fogspec.numerics.kernels import Floats, Machines, codes
 from fogspec.numerics.priors import PriorData, prior_for
-from fogspec.spec.schema import Spec
 
 Z90 = 1.644854  # two-sided 90% quantile of the standard normal distribution
 

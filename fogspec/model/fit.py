@@ -3,33 +3,38 @@
 Predictions come from the surrogate (`fogspec.model.predict`, ADR 0020), which is conditioned on `observations` and
 `rejected`. The families of section 2.C are fitted beside it, one for each GPU type and target (the latency, or a metric of the
 application), chosen by leave-one-out error (ADR 0008): for comparison and for shapes of one host; and by the largest R² for the
-relaxed method (ADR 0131).
+relaxed method (ADR 0005).
 """
 
 import math
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from fogspec.base.clouds import LOCAL
-from fogspec.base.quantities import Duration, Lean, Strict
+from fogspec.base.quantities import Strict
+from fogspec.base.units import rounded
 from fogspec.catalog.machine import Machine
+from fogspec.language import warned as codes
+from fogspec.language.fingerprints import LIBRARY, RESULTS, SURROGATE, fitted_record
+from fogspec.language.schema import Application, Statistic
+from fogspec.language.warned import Warned, warned
 from fogspec.numerics import families
 from fogspec.numerics.families import Fit, fit_all
-from fogspec.numerics.kernels import distinct
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.surrogate import VERSION
 from fogspec.plan.schema import PlanMetadata
 from fogspec.results.ranges import LATENCY_S
+from fogspec.results.resources import contended
 from fogspec.results.schema import Measured, Results
-from fogspec.spec.schema import Application, Statistic
 
 # Two servers of one type differ, whatever is measured on each: median coefficient of variation of repeated
 # measurements over Spare Cores' public benchmarks (SpareCores/sc-inspector-data).
 SERVER_ERROR = 0.015
 MOST_ERROR = 10.0
-MOST_MISSED = 1000.0
 # The standard error of a quantile over that of the mean, of a normal variable: sqrt(p (1 - p)) / density.
 ERROR_OF = {"mean": 1.0, "p50": 1.25, "p95": 2.11, "p99": 3.74}
 
@@ -50,27 +55,26 @@ class PaperFit(Strict):
 
 
 class Model(Strict):
-    """One fitted curve of the paper's families; `coefficients` in the order of the formula.
+    """One fitted curve of the paper's families to `n` samples; `coefficients` in the order of the formula.
 
-    `vcpus` and `memory_gib` are the ranges that were sampled. Errors are relative, from leaving one sample out.
+    `vcpus` and `memory_gib` are the ranges that were sampled. Errors are relative, from leaving one sample out. `paper` is the
+    curve of the largest R² where that is another one.
     """
 
     target: str
-    gpu: str | None
+    gpu: str | None = None
     cpu_family: str
     memory_family: str
     formula: str
     coefficients: dict[str, float]
     n: int
     p: int
-    r2: float | None
-    loo_median_error: float | None
-    loo_max_error: float | None
-    paper: PaperFit | None
+    r2: float | None = None
+    loo_median_error: float | None = None
+    loo_max_error: float | None = None
+    paper: PaperFit | None = None
     vcpus: tuple[float, float]
     memory_gib: tuple[float, float]
-    samples: list[str]
-    warnings: list[str]
 
     @property
     def shape(self) -> families.Shape:
@@ -78,23 +82,19 @@ class Model(Strict):
         return families.Shape(self.cpu_family, self.memory_family)
 
 
-class Observation(Lean):
-    """A machine that was measured: its values by target, and the latency's relative standard error, null if it is unknown.
-
-    One that is `nested_in` a larger machine was measured on a part of it, and not itself (ADR 0025).
-    """
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observation:
+    """A machine that was measured: its values by target, and the latency's relative standard error, if it is known."""
 
     id: str
     machine: Machine
-    values: dict[str, float]
-    error: float | None
-    nested_in: str | None = None
-
-    ADDED = frozenset({"nested_in"})
+    values: Mapping[str, float]
+    error: float | None = None
 
 
-class RejectedSample(Lean):
-    """A sample without a value, and why.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RejectedSample:
+    """A sample without a value, and why: a warning of the code `sample_rejected`.
 
     `excludes_machine`: the machine itself failed; `out_of_memory`: it ran out of memory, so machines with no more memory are
     ruled out too; `latency_lower_bound` comes from a run that was given up in its first request.
@@ -102,31 +102,62 @@ class RejectedSample(Lean):
 
     id: str
     machine: Machine
-    reason: str
-    excludes_machine: bool
+    why: Warned
+    excludes_machine: bool = False
     out_of_memory: bool = False
-    latency_lower_bound: Duration | None = None
-    nested_in: str | None = None
-
-    ADDED = frozenset({"nested_in"})
+    latency_lower_bound: float | None = None
 
 
-class Predictor(Strict):
-    """What predicts: the surrogate's version, and the digest of the machine library that it was given, if any."""
+class PredictedTarget(Strict):
+    """The predictions of one target.
 
-    surrogate: int
-    priors: str | None
+    `models` were averaged, as many as `effective` equal weights; `amplitudes` are the standard deviations of the log value that
+    they give to what makes machines differ. `widening` is the factor by which the sigma of machines that were not measured is
+    larger for what the left-out ones err by.
+
+    `machines` are mu and sigma, the mean and the standard deviation of the log value on a machine of a type. `left_out` are the
+    measured log value, and mu and sigma as far as the other machines say.
+    """
+
+    models: int
+    effective: float
+    amplitudes: dict[str, float]
+    widening: float
+    machines: dict[str, tuple[float, float]]
+    left_out: dict[str, tuple[float, float, float]] = Field({})
+
+
+class ServerShift(Strict):
+    """How servers of one type differ in a cloud: with probability `tail` by a normal variable of deviation `spread`."""
+
+    tail: float
+    spread: float
+
+
+class SampleValues(Strict):
+    """What a sample measured, by target."""
+
+    id: str
+    values: dict[str, float]
 
 
 class ModelsBody(Strict):
-    """What was fitted; `measured_on_local` says that the samples were shapes of one host, not machines on offer."""
+    """What was fitted; `measured_on_local` says that the samples were shapes of one host, not machines on offer.
 
-    statistic: Statistic
-    measured_on_local: bool
-    predictor: Predictor
-    models: list[Model]
-    observations: list[Observation]
-    rejected: list[RejectedSample]
+    The latency on another server of a type is exp of a mixture of two normals, (1 - tail) N(mu, sigma^2) + tail N(mu,
+    sigma^2 + spread^2), with the `shift` of the machine's cloud; a metric is the first of them with tail 0. `predictions` are
+    by target, of the machines that were measured and those in the menu: empty where curves of the families predict. `samples`
+    are those that count.
+
+    `inputs` is the record of all that it was fitted from (`fogspec.language.fingerprints.fitted_record`).
+    """
+
+    inputs: dict[str, Any]
+    measured_on_local: bool = False
+    models: list[Model] = Field([])
+    samples: list[SampleValues] = Field([])
+    shift: dict[str, ServerShift] = Field({})
+    predictions: dict[str, PredictedTarget] = Field({})
 
 
 class Models(Strict):
@@ -138,31 +169,59 @@ class Models(Strict):
     spec: ModelsBody
 
 
-def fit(application: Application, results: Results, priors: str | None = None) -> Models:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fitted:
+    """What models are made from, and the curves; `inputs` and `measured_on_local` are those of `ModelsBody`."""
+
+    name: str
+    inputs: dict[str, Any]
+    measured_on_local: bool
+    curves: Sequence[Model]
+    observations: Sequence[Observation]
+    rejected: Sequence[RejectedSample]
+
+    def document(self, shift: Mapping[str, ServerShift], predictions: Mapping[str, PredictedTarget]) -> Models:
+        """Return the document with these predictions; whatever else is known of a sample stands in the results."""
+        body = ModelsBody(
+            inputs=self.inputs,
+            measured_on_local=self.measured_on_local,
+            models=list(self.curves),
+            samples=[SampleValues(id=one.id, values=dict(one.values)) for one in self.observations],
+            shift=dict(shift),
+            predictions=dict(predictions),
+        )
+        return Models(metadata=PlanMetadata(name=self.name), spec=body)
+
+
+def fit(application: Application, results: Results, library: str | None = None) -> Fitted:
     """Return the observations, and the families' curves of every target for each sampled GPU type.
 
-    `priors` is the digest of the machine library that predictions are made with.
+    `library` is the digest of the machine library that predictions are made with.
     """
     statistic = application.spec.constraints.statistic
     known, unusable = partition(results.spec.samples, statistic)
     groups: dict[str | None, list[Observation]] = {}
     for one in known:
-        groups.setdefault(_gpu_key(one.machine), []).append(one)
-    models = [
+        groups.setdefault(one.machine.gpu_key, []).append(one)
+    curves = [
         _model(target, gpu, with_it)
         for gpu, group in sorted(groups.items(), key=lambda item: item[0] or "")
         for target in targets(application)
         if (with_it := [one for one in group if target in one.values])
     ]
-    body = ModelsBody(
-        statistic=statistic,
+    return Fitted(
+        name=application.metadata.name,
+        inputs=fitted_record(application, fitted_from(results, library)),
         measured_on_local=is_proxy(application, known),
-        predictor=Predictor(surrogate=VERSION, priors=priors),
-        models=models,
+        curves=curves,
         observations=known,
         rejected=unusable,
     )
-    return Models(metadata=PlanMetadata(name=application.metadata.name), spec=body)
+
+
+def fitted_from(results: Results | None, library: str | None) -> dict[str, Any]:
+    """Return what the models depend on besides the spec, by name, None for what there is not."""
+    return {RESULTS: None if results is None else results.integrity, LIBRARY: library, SURROGATE: VERSION}
 
 
 def is_proxy(application: Application, known: Sequence[Observation]) -> bool:
@@ -186,49 +245,33 @@ def targets(application: Application) -> list[str]:
 
 def _observation(record: Measured, statistic: Statistic) -> Observation | RejectedSample:
     # A run that answered nothing waited for its first request: that request takes longer than it waited.
-    nested = record.nested_in
-    waited = (
-        record.latency_lower_bound if record.latency is None and record.latency_lower_bound and not nested else None
-    )
+    waited = record.latency_lower_bound if record.latency is None and record.latency_lower_bound else None
 
-    def unusable(why: str, unfit: bool) -> RejectedSample:
+    def unusable(state: str, *, unfit: bool = False, **why: Any) -> RejectedSample:
         return RejectedSample(
             id=record.id,
             machine=record.machine,
-            reason=why,
+            why=warned(codes.sample_rejected, sample=record.id, state=state, **why),
             excludes_machine=unfit,
             latency_lower_bound=waited,
-            out_of_memory=record.reason == "out_of_memory" and nested is None,
-            nested_in=None if nested is None else nested.label,
+            out_of_memory=record.reason == "out_of_memory",
         )
 
     if record.state != "ok" or record.latency is None:
-        reason = (record.reason or record.state).replace("_", " ")
-        # What fails in a part of a machine may run on a machine of that size.
-        unfit = record.nested_in is None and (
-            record.state == "timeout"
-            or record.reason
-            in (
-                "crash",
-                "out_of_memory",
-                "no_response",
-                "check",
-                "out_of_range",
-            )
-        )
-        return unusable(f"{reason}: {record.detail}" if record.detail else reason, unfit)
+        failed = ("crash", "out_of_memory", "no_response", "check", "out_of_range")
+        unfit = record.state == "timeout" or record.reason in failed
+        return unusable(record.reason or record.state, unfit=unfit, detail=record.detail or None)
     value = getattr(record.latency, statistic)
     if value is None:
-        return unusable(f"{record.requests} requests are too few for a {statistic}", unfit=False)
+        return unusable(record.state, statistic=statistic, requests=record.requests)
     if not LATENCY_S.holds(value):
-        return unusable(f"a latency of {value:g} s is not a latency", unfit=False)
+        return unusable(record.state, latency_s=value)
     values = {"latency": value, **record.metrics}
     return Observation(
         id=record.id,
         machine=record.machine,
         values=values,
         error=_error(record, statistic),
-        nested_in=None if nested is None else nested.label,
     )
 
 
@@ -236,20 +279,16 @@ def _error(record: Measured, statistic: Statistic) -> float | None:
     """Return the relative standard error of the statistic as a figure for all machines of the type; None if it is unknown."""
     latency = record.latency
     known = latency is not None and latency.sd is not None
-    if not known and record.nested_in is None:
+    # By what others took of its CPUs, a contended sample may be off.
+    lost = record.resources.outside or 0.0 if record.resources is not None and contended(record) else 0.0
+    if not known and not lost:
         return None
     own = DEFAULT_NOISE
     if latency is not None and latency.sd is not None:
-        own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(max(record.requests, 1))
-    if record.nested_in is not None and record.server is not None:
-        # What the machine lost to others and to disks, a machine of that size may not lose.
-        own = math.hypot(own, (record.server.steal or 0.0) + (record.server.io_wait or 0.0))
+        own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(record.independent or max(record.requests, 1))
+    own = math.hypot(own, lost)
     # Beyond this the sample says nothing, whatever more it could.
-    return _to(5, min(math.hypot(own, SERVER_ERROR), MOST_ERROR))
-
-
-def _gpu_key(machine: Machine) -> str | None:
-    return machine.gpu_key
+    return rounded(min(math.hypot(own, SERVER_ERROR), MOST_ERROR), 5)
 
 
 def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:
@@ -271,52 +310,28 @@ def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:
         r2=r2,
         loo_median_error=_finite(best.loo_median),
         loo_max_error=_finite(best.loo_max),
-        paper=_paper(fits),
+        paper=_paper(fits, best.shape),
         vcpus=(float(vcpus.min()), float(vcpus.max())),
         memory_gib=(float(memory.min()), float(memory.max())),
-        samples=[one.id for one in group],
-        warnings=_warnings(best, len(distinct(vcpus))),
     )
 
 
 def _finite(value: float) -> float | None:
-    return _to(5, value) if math.isfinite(value) else None
+    return rounded(value, 5) if math.isfinite(value) else None
 
 
-def _to(digits: int, value: float) -> float:
-    """Round to significant digits, because later digits differ between processors and the file must not."""
-    return float(f"{value:.{digits}g}")
-
-
-def _paper(fits: Sequence[Fit]) -> PaperFit | None:
+def _paper(fits: Sequence[Fit], own: families.Shape) -> PaperFit | None:
     best = families.select(fits, "r2")
-    if not math.isfinite(best.r2):
+    if not math.isfinite(best.r2) or best.shape == own:
         return None
     return PaperFit(
         cpu_family=best.shape.cpu,
         memory_family=best.shape.memory,
         formula=best.shape.formula(),
         coefficients=_coefficients(best),
-        r2=_to(5, best.r2),
+        r2=rounded(best.r2, 5),
     )
 
 
 def _coefficients(fit: Fit) -> dict[str, float]:
-    return {name: _to(7, value) for name, value in zip(fit.shape.names, fit.coefficients, strict=True)}
-
-
-def _warnings(best: Fit, levels: int) -> list[str]:
-    found = []
-    if best.n < 5:
-        samples = "1 sample" if best.n == 1 else f"{best.n} samples"
-        found.append(f"R² is not informative with {samples} and 2 parameters: it is high on noise too")
-    if best.p == 1 and levels > 1:
-        found.append("no curve has a lower leave-one-out error than the mean: the model is a constant")
-    if math.isfinite(best.loo_max) and best.loo_max > families.WEAK_ERROR:
-        worst = (
-            f"up to {best.loo_max:.0%}"
-            if best.loo_max < MOST_MISSED
-            else f"more than {MOST_MISSED:.0f} times its value"
-        )
-        found.append(f"leave-one-out error of {worst}, whatever R² is")
-    return found
+    return {name: rounded(value, 7) for name, value in zip(fit.shape.names, fit.coefficients, strict=True)}

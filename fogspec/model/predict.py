@@ -7,20 +7,32 @@ elsewhere are: from them the families' curves are read, marked as extrapolated a
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fogspec.base.clouds import LOCAL
+from fogspec.base.units import rounded
 from fogspec.catalog.instance_types import InstanceTypes, instance_types, types_with_measured
 from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.catalog.table import Catalog, Floats
-from fogspec.model.fit import Model, Models, Observation, RejectedSample
+from fogspec.model.fit import (
+    Fitted,
+    Model,
+    Models,
+    Observation,
+    PredictedTarget,
+    RejectedSample,
+    ServerShift,
+)
 from fogspec.numerics import families
-from fogspec.numerics.nested import learnt_factor, nested_error
-from fogspec.numerics.observations import DEFAULT_NOISE, observations
+from fogspec.numerics.ensemble import Ensemble
+from fogspec.numerics.kernels import distinct, quantised
+from fogspec.numerics.observations import observations
+from fogspec.numerics.prediction import Prediction
 from fogspec.numerics.priors import PriorData, prior_for
+from fogspec.numerics.servers import OTHER, SHIFTS
 from fogspec.numerics.surrogate import Posterior, Space, prepare
 
 Mask = NDArray[np.bool_]
@@ -34,10 +46,9 @@ class Predictions:
     Types are `measured` if a machine of the type was measured, `extrapolated` outside of the sampled range, and `unfit` if a
     machine of the type failed, or one with at least as much memory ran out of it. Without a posterior there are only values.
 
-    `nested_in` names, by type, the part of a larger machine that a type was measured on, which was not measured itself.
-
-    `ranges` is the posterior of the prediction intervals: for the latency that of another server of each type, because the
-    machine that is deployed is not the one that was measured. Probabilities and the choice are about the types.
+    `distribution` is that of the value on another server of each type (N,), because the machine that is deployed is not the
+    one that was measured; of a metric, which does not depend on the server, it is without the shift. Ranges and
+    probabilities are read from it alone; the posterior is the sampler's.
     """
 
     value: Floats
@@ -46,18 +57,14 @@ class Predictions:
     unfit: Mask
     type_index: NDArray[np.intp]
     posterior: Posterior | None
-    nested_in: Mapping[int, str] = field(default_factory=dict)
-    varies_by_server: bool = False
-    solved: dict[tuple[int, float], tuple[float, float]] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
+    distribution: Prediction | None = None
 
     @classmethod
     def of_values(cls, value: Floats) -> "Predictions":
         """Return predictions without probabilities."""
         none = np.zeros(len(value), dtype=bool)
         return cls(
-            value=value,
+            value=quantised(value),
             measured=none,
             extrapolated=~none,
             unfit=none,
@@ -79,52 +86,40 @@ class Predictions:
         Without `type_index` (n,) the offers are the types. Metrics of the application do not vary by server.
         """
         at = np.arange(len(posterior.machines)) if type_index is None else type_index
-        # Within what an exponential can hold: a lower bound alone may leave nearly everything open.
-        value = np.exp(np.clip(posterior.mean, -600, 600))
+        distribution = posterior.prediction if varies_by_server else posterior.prediction.on_measured_server
         return cls(
-            value=value[at],
+            value=distribution.value[at],
             measured=posterior.measured[at],
             extrapolated=posterior.extrapolated[at],
             unfit=np.zeros(len(at), dtype=bool) if unfit is None else unfit[at],
             type_index=at,
             posterior=posterior,
-            varies_by_server=varies_by_server,
+            distribution=distribution,
         )
-
-    @property
-    def ranges(self) -> Posterior | None:
-        """The posterior of the prediction intervals."""
-        return self.posterior.elsewhere if self.posterior and self.varies_by_server else self.posterior
 
     def interval(self, row: int, level: float) -> tuple[float, float] | None:
         """Two-sided prediction interval of one offer, None where the model cannot say."""
-        return self.intervals([row], level)[0]
-
-    def intervals(self, rows: Sequence[int], level: float) -> list[tuple[float, float] | None]:
-        """Return `interval` of several offers, which takes hardly longer than of one; each type's is kept."""
-        ranges = self.ranges
-        if ranges is None:
-            return [None] * len(rows)
-        types = self.type_index[list(rows)].tolist()
-        # Only of these types: a bisection over a whole catalog takes a second.
-        if new := sorted({one for one in types if (one, level) not in self.solved}):
-            own = ranges.take(np.array(new))
-            ends = (own.quantile((1 - level) / 2).tolist(), own.quantile((1 + level) / 2).tolist())
-            self.solved.update({(one, level): (low, high) for one, low, high in zip(new, *ends, strict=True)})
-        return [
-            self.solved[one, level] if math.isfinite(self.value[row]) else None
-            for row, one in zip(rows, types, strict=True)
-        ]
-
-    def where_nested(self, row: int) -> str | None:
-        """Return the part of a larger machine that an offer was measured on, and not itself; None for other offers."""
-        return self.nested_in.get(int(self.type_index[row]))
-
-    def probability_below(self, row: int, bound: float) -> float | None:
-        """Probability that one offer's true value is at most `bound`, None where the model cannot say."""
-        if self.posterior is None or not math.isfinite(self.value[row]):
+        if self.distribution is None or not math.isfinite(self.value[row]):
             return None
-        return float(self.posterior.probability_below(bound)[self.type_index[row]])
+        low, high = self.distribution.interval(level)  # of all offers: one by one, each would take as long
+        at = self.type_index[row]
+        return float(low[at]), float(high[at])
+
+    def probability_below(self, row: int, bound: float, *, measured_server: bool = False) -> float | None:
+        """Probability that one offer's true value is at most `bound`, None where the model cannot say.
+
+        It is for another server of the type, unless it shall be for the one that was measured.
+        """
+        one = self._of(row)
+        if one is None:
+            return None
+        return float((one.on_measured_server if measured_server else one).probability_below(bound)[0])
+
+    def _of(self, row: int) -> Prediction | None:
+        """Return the distribution of one offer; None where there is none."""
+        if self.distribution is None or not math.isfinite(self.value[row]):
+            return None
+        return self.distribution.take(self.type_index[[row]])
 
 
 @dataclass(frozen=True)
@@ -163,16 +158,10 @@ class PredictionSpace:
         unfit[[self.types.row(one.machine.type_key) for one in unusable if one.excludes_machine]] = True
         of = self.types.of[: len(self.offers)]
         found = {name: _conditioned(self.space, self.types, known, unusable, name) for name in targets}
-        itself = {one.machine.type_key for one in known if one.nested_in is None}
-        nested = {
-            self.types.row(one.machine.type_key): one.nested_in
-            for one in known
-            if one.nested_in is not None and one.machine.type_key not in itself
-        }
         return PredictionSet(
             self.offers,
             self.types,
-            {name: replace(_predictions(name, one, unfit, of), nested_in=nested) for name, one in found.items()},
+            {name: _predictions(name, one, unfit, of) for name, one in found.items()},
             self,
         )
 
@@ -188,21 +177,20 @@ class PredictionSet:
 
 
 def predict(
-    models: Models,
+    models: Fitted,
     offers: Catalog,
     targets: Sequence[str],
     catalog: Catalog | None = None,
     library: PriorData | None = None,
 ) -> PredictionSet:
     """Predictions of these targets for every offer; `catalog` describes measured machines that are not offers."""
-    body = models.spec
-    if body.measured_on_local or not len(offers):
+    if models.measured_on_local or not len(offers):
         return PredictionSet(
             offers, instance_types(offers), {name: _by_curves(models, offers, name) for name in targets}
         )
     return predict_from(
-        known=body.observations,
-        unusable=body.rejected,
+        known=models.observations,
+        unusable=models.rejected,
         offers=offers,
         targets=targets,
         catalog=catalog,
@@ -228,6 +216,52 @@ def counts(machine: Machine, offers: Catalog) -> bool:
     return not machine.is_local or bool((offers.cloud == LOCAL).all())
 
 
+def with_predictions(models: Fitted, predicted: PredictionSet, rows: Sequence[int]) -> Models:
+    """Return the document with the predictions of measured machines and of the offers in these rows, by cloud and name."""
+    latency = predicted.targets["latency"]
+    if predicted.space is None or latency.posterior is None:
+        return models.document({}, {})
+    types, measured = predicted.types, latency.posterior.measured
+    at = distinct(np.concatenate([np.flatnonzero(measured), latency.type_index[list(rows)]])).tolist()
+    keys = [types.key(row) for row in at]
+    shifts = {key[0]: SHIFTS.get(key[0], OTHER) for key in keys}
+    ensemble = predicted.space.space.ensemble
+    found = {
+        target: _predicted_target(one.posterior, ensemble, dict(zip(at, keys, strict=True)))
+        for target, one in predicted.targets.items()
+        if one.posterior is not None
+    }
+    shift = {cloud: ServerShift(tail=one.tail, spread=one.spread) for cloud, one in sorted(shifts.items())}
+    return models.document(shift, found)
+
+
+def _predicted_target(posterior: Posterior, ensemble: Ensemble, keys: Mapping[int, TypeKey]) -> PredictedTarget:
+    weights, of, others = posterior.weights, posterior.prediction, posterior.left_out
+    place = {} if others is None else {row: i for i, row in enumerate(others.at.tolist())}
+
+    def normal(one: Prediction, i: int) -> tuple[float, float]:
+        return float(one.mu[i]), float(one.sigma[i])
+
+    names = {row: f"{key[0]}/{key[1]}" + (f" {key[2]}:{key[3]:g}" if key[2] else "") for row, key in keys.items()}
+    return PredictedTarget(
+        models=len(weights),
+        effective=rounded(float(1 / (weights**2).sum()), 3),
+        amplitudes={name: rounded(sd, 3) for name, sd in ensemble.amplitudes(weights).items()},
+        widening=1.0 if others is None else others.factor,
+        machines={name: normal(of, row) for row, name in names.items()},
+        left_out={}
+        if others is None
+        else {
+            name: (
+                rounded(float(others.log_measured[i]), 6),
+                *(rounded(one, 4) for one in normal(others.prediction, i)),
+            )
+            for row, name in names.items()
+            if (i := place.get(row)) is not None
+        },
+    )
+
+
 def _conditioned(
     space: Space,
     types: InstanceTypes,
@@ -241,38 +275,15 @@ def _conditioned(
         return None
     bounds = [one for one in unusable if one.latency_lower_bound] if target == "latency" else []
     at = [types.row(one.machine.type_key) for one in values]
-    expected = nested_error(space.machines)[at]
-    factor = _learnt(values, expected, target)
-    errors = [_error(one, target, factor * more) for one, more in zip(values, expected.tolist(), strict=True)]
+    errors = [math.nan if target != "latency" or one.error is None else one.error for one in values]
     return space.fit(
         observations(
             [*at, *(types.row(one.machine.type_key) for one in bounds)],
             [*(one.values[target] for one in values), *(one.latency_lower_bound or 0.0 for one in bounds)],
             [*errors, *(math.nan for _ in bounds)],
             [*(False for _ in values), *(True for _ in bounds)],
-            [*(one.nested_in is not None for one in values), *(False for _ in bounds)],
         )
     )
-
-
-def _error(one: Observation, target: str, nested: float) -> float:
-    """Return the relative standard error of a target, NaN if it is unknown; `nested` is what being a part of a machine adds."""
-    own = math.nan if target != "latency" or one.error is None else one.error
-    return own if one.nested_in is None else math.hypot(DEFAULT_NOISE if math.isnan(own) else own, nested)
-
-
-def _learnt(values: Sequence[Observation], expected: Floats, target: str) -> float:
-    """Return the factor on the errors of nested measurements, from the types that were measured both ways."""
-    own: dict[TypeKey, list[float]] = {}
-    for one in values:
-        if one.nested_in is None:
-            own.setdefault(one.machine.type_key, []).append(math.log(one.values[target]))
-    pairs = [
-        (math.log(one.values[target]) - math.fsum(both) / len(both), more)
-        for one, more in zip(values, expected.tolist(), strict=True)
-        if one.nested_in is not None and (both := own.get(one.machine.type_key))
-    ]
-    return learnt_factor([deviation for deviation, _ in pairs], [error for _, error in pairs])
 
 
 def _predictions(target: str, posterior: Posterior | None, unfit: Mask, type_index: NDArray[np.intp]) -> Predictions:
@@ -282,10 +293,10 @@ def _predictions(target: str, posterior: Posterior | None, unfit: Mask, type_ind
     return replace(none, unfit=unfit[type_index], type_index=type_index)
 
 
-def _by_curves(models: Models, offers: Catalog, target: str) -> Predictions:
+def _by_curves(models: Fitted, offers: Catalog, target: str) -> Predictions:
     """Return predictions of the families' curves, for shapes of one host."""
     value = np.full(len(offers), np.nan)
-    for model in models.spec.models:
+    for model in models.curves:
         if model.target == target:
             rows = _with_gpu(offers, model)
             coefficients = list(model.coefficients.values())

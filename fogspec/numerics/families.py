@@ -22,7 +22,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
+from fogspec.numerics.kernels import Floats, quantised
+
 Rule = Literal["loo", "r2"]
 
 # Ties go to the earlier family: bounded, positive curves before curves that fall below zero or grow without limit.
@@ -91,7 +92,7 @@ def _names(cpu: str, memory: str) -> tuple[str, ...]:
 
 
 def curve(family: str, x: Floats, exponent: float | Floats = 0.0) -> list[Floats]:
-    """Return the columns of one family at x, each shaped like x; power and exponential use `exponent`."""
+    """Return the columns of one family at x, each shaped like x, by `exponent` if it has one; ValueError if it has no curve."""
     match family:
         case "constant":
             return []
@@ -105,8 +106,10 @@ def curve(family: str, x: Floats, exponent: float | Floats = 0.0) -> list[Floats
             return [x]
         case "power":
             return [x**exponent]
-        case _:
+        case "exponential":
             return [np.exp(np.clip(exponent * x, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))]
+        case _:
+            raise ValueError(f"{family} is not a curve family")
 
 
 def columns(shape: Shape, vcpus: ArrayLike, memory_gib: ArrayLike, exponents: Sequence[float] | Floats) -> Floats:
@@ -282,13 +285,15 @@ def _fit(
     linear, full_rank = _solve(_designs(shape, c, m, exponents), y, keep)
     if not full_rank[0]:
         return None
-    coefficients = _polish(shape, np.concatenate([linear[0], exponents[0]]), c, m, y)
+    coefficients = quantised(_polish(shape, np.concatenate([linear[0], exponents[0]]), c, m, y))
     residuals = y - predict(shape, coefficients, c, m)
     total = float(np.sum((y - y.mean()) ** 2))
     r2 = 1 - float(np.sum(residuals**2)) / total if total > 0 else float("nan")
     loo = _leave_one_out(shape, c, m, y, np.column_stack([linear, exponents])[1:])
     loo[~(determined & full_rank)[1:]] = np.nan
-    return Fit(shape=shape, coefficients=tuple(coefficients.tolist()), n=len(y), r2=r2, loo=tuple(loo.tolist()))
+    return Fit(
+        shape=shape, coefficients=tuple(coefficients.tolist()), n=len(y), r2=r2, loo=tuple(quantised(loo).tolist())
+    )
 
 
 def _leave_one_out(shape: Shape, c: Floats, m: Floats, y: Floats, folds: Floats) -> Floats:

@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Scalar = TypeVar("Scalar", bound=np.generic)
 MOST_NUMBERS = 20_000_000  # in a table of machines by kinds: far beyond any cloud's catalog
+DIGITS = 9  # significant ones of a number that leaves the model
+_POWERS = np.array([float(f"1e{power}") for power in range(-300, 301)])  # of ten, exactly rounded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +24,7 @@ class Machines:
     """N machines as columns.
 
     Codes are those of `codes`, -1 if unknown (`gpu`: -1 = none); unknown numbers are NaN. Raise ValueError if lengths differ
-    or a vCPU count, memory or price is not positive.
+    or a vCPU count or memory is not positive, or a price negative.
     """
 
     vcpus: Floats
@@ -44,10 +46,12 @@ class Machines:
         for name in self.__slots__:
             if len(getattr(self, name)) != n:
                 raise ValueError(f"{name} has {len(getattr(self, name))} entries, vcpus has {n}")
-        for name in ("vcpus", "memory_gib", "price_usd_per_hour"):
+        for name in ("vcpus", "memory_gib"):
             column = getattr(self, name)
             if not bool(np.all(np.isfinite(column) & (column > 0))):
                 raise ValueError(f"{name} must be positive and finite for every machine")
+        if not bool(np.all(np.isfinite(self.price_usd_per_hour) & (self.price_usd_per_hour >= 0))):
+            raise ValueError("price_usd_per_hour must be finite and not negative for every machine")
 
     def __len__(self) -> int:
         return len(self.vcpus)
@@ -73,6 +77,14 @@ def median(values: Floats) -> float:
     """Return the median without np.median, whose first call imports numpy.ma."""
     ordered = np.sort(values)
     return float((ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2)
+
+
+def quantised(values: Floats) -> Floats:
+    """Return values (...) that leave a model to nine significant digits: others depend on processor and libraries."""
+    with np.errstate(divide="ignore"):
+        power = DIGITS - 1 - np.floor(np.log10(np.abs(values)))
+    scale = _POWERS[300 + np.where(np.isfinite(power), power, 0.0).clip(-300, 300).astype(int)]
+    return np.asarray(np.rint(values * scale) / scale)
 
 
 def codes(names: list[str]) -> Ints:

@@ -18,16 +18,14 @@ class Observations:
     """n samples: index of the machine, latency, and its error.
 
     `relative_error` is the standard error of the latency over the latency, NaN if unknown. A `lower_bound` is a run that
-    was aborted or failed after that time: the latency is at least this. A `nested` one was measured on a part of a larger
-    machine (`fogspec.numerics.nested`): it informs, and its machine does not count as measured. Raise ValueError for
-    latencies that are not positive and finite, for negative errors, and for unequal lengths.
+    was aborted or failed after that time: the latency is at least this. Raise ValueError for latencies that are not positive
+    and finite, for negative errors, and for unequal lengths.
     """
 
     machine: np.ndarray
     latency_s: Floats
     relative_error: Floats
     lower_bound: np.ndarray
-    nested: np.ndarray
 
     def __post_init__(self) -> None:
         if len({len(getattr(self, name)) for name in self.__slots__}) > 1:
@@ -41,13 +39,13 @@ class Observations:
 
     def in_order(self) -> "Observations":
         """Return the samples in an order of their own values, so that sums over them do not depend on the given order."""
-        order = np.lexsort((self.nested, self.lower_bound, self.relative_error, self.latency_s, self.machine))
+        order = np.lexsort((self.lower_bound, self.relative_error, self.latency_s, self.machine))
         return Observations(*(getattr(self, name)[order] for name in self.__slots__))
 
     @property
     def own(self) -> np.ndarray:
-        """The complete samples of the machines themselves, (n,)."""
-        return np.asarray(~self.lower_bound & ~self.nested)
+        """The complete samples, (n,)."""
+        return np.asarray(~self.lower_bound)
 
 
 def observations(
@@ -55,16 +53,14 @@ def observations(
     latency_s: np.ndarray | list[float],
     relative_error: np.ndarray | list[float] | None = None,
     lower_bound: np.ndarray | list[bool] | None = None,
-    nested: np.ndarray | list[bool] | None = None,
 ) -> Observations:
-    """Return `Observations` from sequences; by default errors are unknown, no run was aborted and none is nested."""
+    """Return `Observations` from sequences; by default errors are unknown and no run was aborted."""
     n = len(machine)
     return Observations(
         np.asarray(machine, dtype=np.intp).reshape(n),
         np.asarray(latency_s, dtype=float).reshape(n),
         np.full(n, np.nan) if relative_error is None else np.asarray(relative_error, dtype=float),
         np.zeros(n, dtype=bool) if lower_bound is None else np.asarray(lower_bound, dtype=bool),
-        np.zeros(n, dtype=bool) if nested is None else np.asarray(nested, dtype=bool),
     )
 
 

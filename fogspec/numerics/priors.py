@@ -69,7 +69,7 @@ def prior_for(
         )
     suites = [data.suites[i] for i in np.array(kept)[enough]]
     weight = np.array([suites.count(suite) ** -0.5 for suite in suites])
-    return Prior(_complete_matrix(profiles), weight / weight.sum(), nugget)
+    return Prior(_complete_matrix(profiles), weight / weight.sum(), nugget, tuple(suites))
 
 
 def _log_cores(machines: Machines) -> Floats:
@@ -113,7 +113,10 @@ def _complete_matrix(profiles: Floats) -> Floats:
     filled = np.where(missing, level + effect, profiles)
     for _ in range(12):
         level = filled.mean(1, keepdims=True)
-        left, size, right = np.linalg.svd(filled - level, full_matrices=False)
-        size = np.maximum(size - 0.05 * size[0], 0.0)[:RANK]
-        filled = np.where(missing, (left[:, :RANK] * size) @ right[:RANK] + level, profiles)
+        centred = filled - level
+        # The singular values are the roots of the eigenvalues of a matrix that is small whatever the number of machines.
+        values, left = np.linalg.eigh(centred @ centred.T)
+        size, left = np.sqrt(np.maximum(values[: -RANK - 1 : -1], 1e-30)), left[:, : -RANK - 1 : -1]
+        kept = np.maximum(size - 0.05 * size[0], 0.0) / size
+        filled = np.where(missing, (left * kept) @ (left.T @ centred) + level, profiles)
     return np.asarray(filled - filled.mean(1, keepdims=True))

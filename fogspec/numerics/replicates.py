@@ -11,7 +11,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from fogspec.numerics.kernels import Floats
+from fogspec.numerics.kernels import Floats, quantised
 from fogspec.numerics.observations import NOISE_SPREAD, SCALES, TYPICAL_NOISE, pooled
 from fogspec.numerics.surrogate import Posterior
 
@@ -52,7 +52,7 @@ def after_one_more(posterior: Posterior) -> Estimates:
         weight, centre, moves = _by_noise(own, float(value[i]), *others)
         table[:, i] = centre[which] + moves[which] * normal
         probability[:, i] = (weight / each)[which]
-    return Estimates(at, table, probability)
+    return Estimates(at, quantised(table), quantised(probability))
 
 
 def _without(posterior: Posterior, machine: int, value: float, noise: float) -> tuple[float, float]:

@@ -1,22 +1,24 @@
 """The budget check, and the changes of a spec that make its plan fit with the least loss."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from fogspec.base import units
-from fogspec.base.errors import Infeasible, InvalidInput
 from fogspec.catalog.filters import Filtered
-from fogspec.catalog.table import Catalog
-from fogspec.plan.commitment import Commitment, room_s
-from fogspec.plan.design import make_plan
+from fogspec.language.schema import Application, Spec
+from fogspec.plan.commitment import room_s
 from fogspec.plan.schema import Estimate, Plan, Sample, estimate
-from fogspec.spec.schema import Application, Hardware
 
 OPTIONS = 3
 MIN_MEASURING_S = 10.0
 MIN_SETUP_S = 30.0
 NAMED = 4
+
+# The most that a changed spec may cost in USD, None if it is refused; the fraction that a change loses, its text, that of
+# its loss, and the spec with it.
+Cost = Callable[[Spec], float | None]
+Change = tuple[float, str, str, Spec]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +64,20 @@ def within_budget(plan: Plan, due: CostEstimate) -> bool:
 
 
 def cheapest_options(
-    application: Application, plan: Plan, due: CostEstimate, admissible: Filtered
+    application: Application, plan: Plan, due: CostEstimate, admissible: Filtered, cost: Cost
 ) -> list[BudgetOption]:
     """Return the `OPTIONS` changes with the least loss, least first: less time, fewer machines, a narrower search space."""
     if (budget := plan.spec.budget) is None:
         return []
+    spec = application.spec
     found = [
-        *_less_time(plan, due, budget),
-        *_fewer_machines(plan, due, budget),
-        *_narrower_space(application, budget, due, admissible),
+        BudgetOption(loss, change, total_usd, loses)
+        for loss, change, loses, changed in (
+            *_less_time(spec, plan, due, budget),
+            *_fewer_machines(spec, plan, due, budget),
+            *_narrower_space(spec, budget, admissible, cost),
+        )
+        if (total_usd := cost(changed)) is not None and total_usd <= budget
     ]
     return sorted(found, key=lambda option: (option.loss, option.change))[:OPTIONS]
 
@@ -80,21 +87,25 @@ def ceil_cents(usd: float) -> float:
     return math.ceil(round(usd * 100, 6)) / 100
 
 
-def _less_time(plan: Plan, due: CostEstimate, budget: float) -> Iterator[BudgetOption]:
-    body = plan.spec
+def _less_time(spec: Spec, plan: Plan, due: CostEstimate, budget: float) -> Iterator[Change]:
+    body, benchmark = plan.spec, spec.benchmark
     usd_per_hour = math.fsum(sample.machine.price for sample in due.todo)
     left_s = room_s((budget - due.spent_usd) * 3600 / usd_per_hour)
-    shorter = _round_down(left_s - body.setup_timeout)
+    shorter = _round_down(left_s - body.ready_timeout)
     if MIN_MEASURING_S <= shorter < body.duration:
         change = _lower("spec.benchmark.stop.duration", body.duration, shorter)
-        total_usd = due.spent_usd + Commitment(measuring_s=shorter, setup_s=body.setup_timeout).usd(usd_per_hour)
-        yield BudgetOption(1 - shorter / body.duration, change, total_usd, "loses requests of each sample after that")
+        stop = benchmark.stop.model_copy(update={"duration": shorter})
+        loses = "loses requests of each sample after that"
+        yield 1 - shorter / body.duration, change, loses, _with(spec, "benchmark", stop=stop)
     sooner = _round_down(left_s - body.duration)
-    if MIN_SETUP_S <= sooner < body.setup_timeout:
-        change = _lower("spec.benchmark.setup_timeout", body.setup_timeout, sooner)
-        total_usd = due.spent_usd + Commitment(measuring_s=body.duration, setup_s=sooner).usd(usd_per_hour)
+    if MIN_SETUP_S <= sooner < body.ready_timeout:
+        change = _lower("spec.benchmark.ready_timeout", body.ready_timeout, sooner)
         loses = "loses every machine that takes longer to be ready"
-        yield BudgetOption(1 - sooner / body.setup_timeout, change, total_usd, loses)
+        yield 1 - sooner / body.ready_timeout, change, loses, _with(spec, "benchmark", ready_timeout=sooner)
+
+
+def _with(spec: Spec, part: str, **values: object) -> Spec:
+    return spec.model_copy(update={part: getattr(spec, part).model_copy(update=values)})
 
 
 def _lower(name: str, old_s: float, new_s: float) -> str:
@@ -107,7 +118,7 @@ def _round_down(seconds: float) -> float:
     return float(seconds // (step := next(steps, 1)) * step)
 
 
-def _fewer_machines(plan: Plan, due: CostEstimate, budget: float) -> Iterator[BudgetOption]:
+def _fewer_machines(spec: Spec, plan: Plan, due: CostEstimate, budget: float) -> Iterator[Change]:
     """Leave out the most expensive samples, as few as it takes."""
     kept = sorted(due.todo, key=lambda sample: (sample.machine.price, sample.id))
     lost: list[Sample] = []
@@ -115,9 +126,11 @@ def _fewer_machines(plan: Plan, due: CostEstimate, budget: float) -> Iterator[Bu
     while kept and due.spent_usd + estimate(kept, body.commitment).total > budget:
         lost.append(kept.pop())
     if kept:
-        total = due.spent_usd + estimate(kept, body.commitment).total
-        words = f"measure {len(kept)} of {len(due.todo)} machines (spec.benchmark.machines)"
-        yield BudgetOption(len(lost) / len(due.todo), words, total, f"loses {_named([_cell(one) for one in lost])}")
+        machines = [one.machine for one in body.samples if one not in lost]
+        names = list(dict.fromkeys(f"local/{one.instance}" if one.is_local else one.instance for one in machines))
+        words = f"set spec.benchmark.machines to [{', '.join(names)}], {len(kept)} of {len(due.todo)} machines"
+        loses = f"loses {_named([_cell(one) for one in lost])}"
+        yield len(lost) / len(due.todo), words, loses, _with(spec, "benchmark", machines=names)
 
 
 def _cell(sample: Sample) -> str:
@@ -128,50 +141,32 @@ def _named(words: Sequence[str]) -> str:
     return "; ".join(words[:NAMED]) + (f"; and {len(words) - NAMED} more" if len(words) > NAMED else "")
 
 
-def _narrower_space(
-    application: Application, budget: float, due: CostEstimate, admissible: Filtered
-) -> Iterator[BudgetOption]:
+def _narrower_space(spec: Spec, budget: float, admissible: Filtered, cost: Cost) -> Iterator[Change]:
     """Lower the limit on vCPUs to the highest that fits, or leave out one GPU type."""
-    if application.spec.benchmark.machines:
+    if spec.benchmark.machines:
         return
-    offers, hardware = admissible.offers, application.spec.hardware
+    offers, hardware = admissible.offers, spec.hardware
     sizes = sorted(set(offers.vcpus.tolist()))
+    fewest = None if hardware.cpus is None else hardware.cpus.low
     low, high = 0, len(sizes) - 1
-    best: tuple[float, float] | None = None
+    best: tuple[float, Spec] | None = None
     while low < high:
         middle = (low + high) // 2
-        total = _total_usd(application, offers, due, _with_cpus(hardware, sizes[middle]))
-        if total is not None and total <= budget:
-            best, low = (sizes[middle], total), middle + 1
+        total_usd = cost(changed := _with(spec, "hardware", cpus=units.Range(fewest, sizes[middle])))
+        if total_usd is not None and total_usd <= budget:
+            best, low = (sizes[middle], changed), middle + 1
         else:
             high = middle
     if best is not None:
         lost = float((offers.vcpus > best[0]).mean())
         words = f"lower spec.hardware.cpus to at most {units.format_number(best[0])}"
-        yield BudgetOption(lost, words, best[1], f"loses {_percent(lost)} of the candidates, those with more vCPUs")
+        yield lost, words, f"loses {_percent(lost)} of the candidates, those with more vCPUs", best[1]
     for gpu in hardware.gpus if len(hardware.gpus) > 1 else ():
+        lost = float((offers.gpu == ("" if gpu == "none" else gpu.partition(":")[0])).mean())
+        what = "machines without a GPU" if gpu == "none" else f"machines with {gpu}"
         others = [one for one in hardware.gpus if one != gpu]
-        total = _total_usd(application, offers, due, hardware.model_copy(update={"gpus": others}))
-        if total is not None and total <= budget:
-            lost = float((offers.gpu == ("" if gpu == "none" else gpu.partition(":")[0])).mean())
-            what = "machines without a GPU" if gpu == "none" else f"machines with {gpu}"
-            words = f"take {gpu} out of spec.hardware.gpus"
-            yield BudgetOption(lost, words, total, f"loses {_percent(lost)} of the candidates, {what}")
-
-
-def _with_cpus(hardware: Hardware, high: float) -> Hardware:
-    low = None if hardware.cpus is None else hardware.cpus.low
-    return hardware.model_copy(update={"cpus": units.Range(low, high)})
-
-
-def _total_usd(application: Application, offers: Catalog, due: CostEstimate, hardware: Hardware) -> float | None:
-    """Return the cost of the plan for this hardware, in USD; None if no machine is left."""
-    spec = application.spec.model_copy(update={"hardware": hardware})
-    try:
-        plan = make_plan(application.model_copy(update={"spec": spec}), "", offers)
-    except (Infeasible, InvalidInput):
-        return None
-    return due.spent_usd + plan.spec.estimate.total
+        words, loses = f"take {gpu} out of spec.hardware.gpus", f"loses {_percent(lost)} of the candidates, {what}"
+        yield lost, words, loses, _with(spec, "hardware", gpus=others)
 
 
 def _percent(lost: float) -> str:

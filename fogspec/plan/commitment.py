@@ -1,13 +1,12 @@
 """What a sample may cost at most: the times that its machine is paid for, each with a name, in one place.
 
     provisioning   from the request until the machine's own end is armed: boot, SkyPilot's runtime, copying files
-    set-up         spec.benchmark.setup_timeout
+    set-up         spec.benchmark.ready_timeout
     measuring      spec.benchmark.stop.duration
-    parts          with spec.benchmark.shapes nested: `PART_S` for each part of the machine
     collecting     fetching the results, and what SkyPilot rounds up to whole minutes
     teardown       from the end of all that until the cloud has no such machine
 
-Set-up, measuring, parts and collecting are the machine's lifetime, which its own end counts. A controller that can act
+Set-up, measuring and collecting are the machine's lifetime, which its own end counts. A controller that can act
 stops the machine before; the sum holds for one that cannot, from the moment at which the end is armed.
 """
 
@@ -19,13 +18,11 @@ from typing import Any
 from fogspec.base.clouds import OwnEnd, cloud_of
 from fogspec.base.units import shown_duration, shown_price
 from fogspec.catalog.machine import Machine
-from fogspec.spec.schema import Benchmark
+from fogspec.language.schema import Benchmark
 
 PROVISIONING_S = 300.0
 COLLECTING_S = 300.0
 TEARDOWN_S = 120.0
-PART_S = 120.0  # start and measuring
-MOST_PARTS = 3
 PATIENCE_S = 120.0  # a controller's, with a machine that is silent when its time is over
 
 
@@ -35,24 +32,16 @@ class Commitment:
 
     measuring_s: float
     setup_s: float
-    nested: bool = False
 
     @classmethod
     def of(cls, benchmark: Benchmark) -> "Commitment":
         """Return the times of a spec's samples."""
-        return cls(
-            measuring_s=benchmark.stop.duration, setup_s=benchmark.setup_timeout, nested=benchmark.shapes == "nested"
-        )
-
-    @property
-    def parts_s(self) -> float:
-        """The longest time for all parts of a machine, for which every machine may have them."""
-        return PART_S * MOST_PARTS if self.nested else 0.0
+        return cls(measuring_s=benchmark.stop.duration, setup_s=benchmark.ready_timeout)
 
     @property
     def wall_s(self) -> float:
         """The longest time that a sample takes once its machine is up."""
-        return self.setup_s + self.measuring_s + self.parts_s
+        return self.setup_s + self.measuring_s
 
     @property
     def lifetime_s(self) -> float:

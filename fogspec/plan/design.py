@@ -4,13 +4,11 @@ import difflib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fogspec.base import units
-from fogspec.base.clouds import LOCAL
 from fogspec.base.errors import Infeasible, InvalidInput
 from fogspec.catalog.classes import platforms
 from fogspec.catalog.filters import (
@@ -23,29 +21,25 @@ from fogspec.catalog.filters import (
     merge_zones,
     unknown_places,
 )
-from fogspec.catalog.machine import Machine
+from fogspec.catalog.machine import host_shape
 from fogspec.catalog.table import About, Catalog, Floats, ranks
+from fogspec.language import warned as codes
+from fogspec.language.fingerprints import IMAGE, measured_record
+from fogspec.language.lockfile import image_named
+from fogspec.language.schema import Application, Benchmark, Sampler, Spec
+from fogspec.language.warned import Warned, warned
 from fogspec.numerics.design import Cell, Grid, edge_grid
 from fogspec.plan.commitment import Commitment
-from fogspec.plan.parts import nested_notes, with_parts
 from fogspec.plan.schema import (
-    NO_PINS,
-    ApplicationRef,
     CatalogRef,
     Plan,
     PlanBody,
     PlanMetadata,
     Sample,
-    Sampler,
     estimate,
     sample_on,
+    settings_of,
 )
-from fogspec.spec import fingerprints
-from fogspec.spec.lockfile import image_named, is_pinned
-from fogspec.spec.schema import Application, Benchmark, Spec, local_shape
-
-if TYPE_CHECKING:
-    from fogspec.numerics.priors import PriorData
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,19 +47,17 @@ class Design:
     """The samples, and notes on how they were chosen."""
 
     samples: tuple[Sample, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Warned, ...]
 
 
 def make_plan(
     application: Application,
-    path: str,
     catalog: Catalog,
     *,
-    pins: Mapping[str, str] = NO_PINS,
+    inputs: Mapping[str, Any] | None = None,
     admissible: Filtered | None = None,
-    library: "PriorData | None" = None,
 ) -> Plan:
-    """Return the sampling plan of a spec at `path` (as written into the plan), without its tasks.
+    """Return the sampling plan of a spec, without its tasks; `inputs` is the record of what is measured, if files are sent.
 
     Pure: it depends on the values of the spec and the content of the catalog, not on the order of either. Raises
     Infeasible if no machine on offer is admissible, InvalidInput for a listed machine that is not on offer. The budget is
@@ -74,69 +66,55 @@ def make_plan(
     spec = application.spec
     if admissible is None:
         admissible = filter_offers(catalog, spec.hardware, spec.infra)
-    found = design(spec, catalog, admissible, library)
-    sampler: Sampler = "list" if spec.benchmark.machines else spec.benchmark.sampler
-    return plan_of(application, path, catalog.about, sampler=sampler, design=found, pins=pins)
+    found = design(spec, catalog, admissible)
+    return plan_of(application, catalog.about, sampler=spec.sampler, design=found, inputs=inputs)
 
 
 def plan_of(
     application: Application,
-    path: str,
     about: About,
     *,
     sampler: Sampler,
     design: Design,
-    pins: Mapping[str, str] = NO_PINS,
+    inputs: Mapping[str, Any] | None = None,
 ) -> Plan:
     """Return a plan of these samples, with its maximum cost."""
     spec, benchmark = application.spec, application.spec.benchmark
-    stop = benchmark.stop
+    record = measured_record(application) if inputs is None else inputs
     body = PlanBody(
-        application=ApplicationRef(
-            path=path,
-            digest=fingerprints.planned_digest(application),
-            field_digests=fingerprints.measured_fields(application),
-        ),
-        pins=dict(pins),
-        catalog=CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
-        design_catalog=about.digest,
-        hardware=spec.hardware,
+        inputs=dict(record),
+        catalog=CatalogRef.of(about),
+        hardware=spec.hardware.search_space,
         infra=spec.infra,
         sampler=sampler,
-        shapes="nested" if benchmark.shapes == "nested" else None,
-        requests=stop.requests,
-        duration=stop.duration,
-        warmup=benchmark.warmup,
-        setup_timeout=benchmark.setup_timeout,
+        **settings_of(benchmark),
         budget=benchmark.budget,
         estimate=estimate(design.samples, commitment(spec)),
         samples=list(design.samples),
-        notes=[*design.notes, *_unpinned(application, pins)],
+        notes=[*design.notes, *_unpinned(application, record)],
     )
     return Plan(metadata=PlanMetadata(name=application.metadata.name), spec=body)
 
 
-def _unpinned(application: Application, pins: Mapping[str, str]) -> list[str]:
+def _unpinned(application: Application, record: Mapping[str, Any]) -> list[Warned]:
     image = image_named(application)
-    return (
-        []
-        if image is None or is_pinned(image) or "image" in pins
-        else [f"image {image} is not pinned to a digest: fogspec lock"]
-    )
+    return [] if image is None or IMAGE in record else [warned(codes.image_unpinned, image=image)]
 
 
-def design(spec: Spec, catalog: Catalog, admissible: Filtered, library: "PriorData | None" = None) -> Design:
-    """Return the samples of the spec's sampler; the adaptive one uses the performance priors in `library`.
+def design(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
+    """Return the samples of the spec's sampler.
 
     Raises Infeasible if there are none, InvalidInput for an unknown instance type.
     """
     if spec.benchmark.machines:
         found = _listed(spec, catalog, admissible)
-        if commitment(spec).nested:
-            samples = tuple(with_parts(one, catalog) for one in found.samples)
-            found = Design(samples, (*found.notes, *nested_notes(samples, commitment(spec))))
-    elif spec.benchmark.sampler == "adaptive":
-        found = _adaptive(spec, admissible, library)
+    elif spec.sampler == "list":
+        offers = admissible.offers
+        found = Design(
+            tuple(sample_on(offers.machine(row), "measuring here is free") for row in range(len(offers))), ()
+        )
+    elif spec.sampler == "adaptive":
+        found = _adaptive(spec, admissible)
     else:
         found = _grid(spec, admissible)
     if not found.samples:
@@ -163,7 +141,7 @@ def commitment(spec: Spec) -> Commitment:
     return Commitment.of(spec.benchmark)
 
 
-def _adaptive(spec: Spec, admissible: Filtered, library: "PriorData | None") -> Design:
+def _adaptive(spec: Spec, admissible: Filtered) -> Design:
     """Return the first batch; `fogspec.choice.next_samples` chooses the next ones after it was measured."""
     from fogspec.plan.initial_batch import initial_batch
 
@@ -172,68 +150,51 @@ def _adaptive(spec: Spec, admissible: Filtered, library: "PriorData | None") -> 
         return Design((), ())
     usd = max_cost_usd(spec, offers.price_usd_per_hour)
     left = math.inf if budget is None else max(budget, float(usd.min()))
-    batch = initial_batch(offers, usd, left, library, spec.benchmark)
-    samples = tuple(
-        with_parts(sample_on(offers.machine(row), why), offers, batch.part_types(offers, i))
-        for i, (row, why) in enumerate(zip(batch.rows, batch.reasons, strict=True))
-    )
-    nested = nested_notes(samples, commitment(spec)) if commitment(spec).nested else ()
-    return Design(samples, (_later(spec.benchmark, offers), *nested))
+    batch = initial_batch(offers, usd, left)
+    samples = tuple(sample_on(offers.machine(row), why) for row, why in zip(batch.rows, batch.reasons, strict=True))
+    return Design(samples, (_later(spec.benchmark),))
 
 
-def _later(benchmark: Benchmark, offers: Catalog) -> str:
-    from fogspec.catalog.instance_types import instance_types
-    from fogspec.numerics.acquisition import Policy
-
-    at_once = "one by one" if benchmark.batch_size in (None, 1) else f"{benchmark.batch_size} at once"
-    if benchmark.wall_time is not None and benchmark.batch_size is None:
-        at_once = f"as many at once as {units.shown_duration(benchmark.wall_time)} needs"
-    bounds = []
-    if benchmark.volume is not None:
-        requests = f"{benchmark.volume.requests:,.0f} requests"
-        bounds.append(f"as long as the next is expected to save more than its price on {requests}")
-    policy = Policy(worth=None if benchmark.volume is None else 1.0)
-    most = f"{policy.bound(len(instance_types(offers)))} samples: there is no budget"
-    if benchmark.budget is not None:
-        most = f"the budget of {units.dollars(benchmark.budget)}"
-    bounds.append(f"never beyond {most}")
-    return f"the first batch; then the model selects the next machines, {at_once}, {', '.join(bounds)}"
+def _later(benchmark: Benchmark) -> Warned:
+    return warned(codes.selects_more, at_once=benchmark.batch_size, budget_usd=benchmark.budget)
 
 
 def _grid(spec: Spec, admissible: Filtered) -> Design:
     samples: list[Sample] = []
-    notes: list[str] = []
+    notes: list[Warned] = []
     offers = admissible.offers
     for entry in spec.infra:
         here = matches_infra(offers, entry)
         for gpu in spec.hardware.gpus:
             group = offers.take(here & matches_gpu(offers, gpu))
             if not len(group):
-                notes.append(f"{entry}, GPU {gpu}: no admissible machine, nothing is sampled")
+                notes.append(warned(codes.nothing_sampled, infra=entry, gpu=gpu))
                 continue
-            group, others = _of_one_platform(group)
-            notes += [f"{entry}, GPU {gpu}: {text}" for text in others]
+            group, kinds = _of_one_platform(group)
+            if kinds > 1:
+                families = sorted(set(group.family.tolist()))
+                notes.append(warned(codes.one_platform, infra=entry, gpu=gpu, families=families, kinds=kinds))
             grid = edge_grid(group.vcpus, group.memory_gib, cheapest_first(group))
             samples += [
                 sample_on(group.machine(cell.row), _reason(cell, gpu)) for cell in grid.cells if cell.same_as is None
             ]
-            notes += [f"{entry}, GPU {gpu}: {text}" for text in _grid_notes(grid, group)]
+            for one in _grid_notes(grid, group, entry, gpu):
+                notes += [one] if one not in notes else []
     return Design(tuple(samples), tuple(notes))
 
 
-def _of_one_platform(group: Catalog) -> tuple[Catalog, list[str]]:
-    """Return the machines of one kind of CPU, so that the grid compares sizes and not generations; a note on others.
+def _of_one_platform(group: Catalog) -> tuple[Catalog, int]:
+    """Return the machines of one kind of CPU, so that the grid compares sizes and not generations; how many kinds there are.
 
     It is the kind whose vCPUs and memory span most, then the one with the cheapest machines in its cells.
     """
     kinds = platforms(group)
     names = sorted(set(kinds.tolist()))
     if len(names) == 1:
-        return group, []
+        return group, 1
     parts = {name: group.take(np.asarray(kinds == name, dtype=np.bool_)) for name in names}
     best = min(parts, key=lambda name: (-_span(parts[name]), _grid_price(parts[name]), name))
-    families = ", ".join(sorted(set(parts[best].family.tolist())))
-    return parts[best], [f"sizes of one kind of CPU, {families}; sampler: adaptive compares all {len(names)} kinds"]
+    return parts[best], len(names)
 
 
 def _span(group: Catalog) -> float:
@@ -252,34 +213,38 @@ def _reason(cell: Cell, gpu: str) -> str:
     return f"{cpus} vCPUs ({cell.vcpus:g}), {memory} memory ({cell.memory_gib:g} GiB){beside}"
 
 
-def _grid_notes(grid: Grid, group: Catalog) -> Iterator[str]:
+def _grid_notes(grid: Grid, group: Catalog, infra: str, gpu: str) -> Iterator[Warned]:
     for level in grid.skipped:
-        other = "smallest" if level == "largest" else "smallest or largest"
-        yield f"the {level} vCPU count is also the {other}: its cells are skipped"
+        yield warned(codes.level_skipped, infra=infra, gpu=gpu, level=level)
     for cell in grid.cells:
-        what = f"{cell.vcpus:g} vCPUs with {cell.levels[1]} memory"
+        machine = str(group.instance[cell.row])
         if cell.snapped:
-            yield f"{what}: no machine has {cell.asked_gib:g} GiB, the nearest on offer is {cell.memory_gib:g} GiB"
+            yield warned(
+                codes.memory_snapped,
+                infra=infra,
+                gpu=gpu,
+                vcpus=cell.vcpus,
+                level=cell.levels[1],
+                wanted_gib=cell.asked_gib,
+                memory_gib=cell.memory_gib,
+            )
         if cell.same_as is not None:
-            yield f"{what}: {group.instance[cell.row]} is a duplicate: sampled once"
+            yield warned(codes.sampled_once, infra=infra, machine=machine)
         elif group.burstable[cell.row]:
-            yield f"{what}: {group.instance[cell.row]} is burstable, its latency depends on CPU credits left"
+            yield warned(codes.burstable, infra=infra, machine=machine)
 
 
 def _listed(spec: Spec, catalog: Catalog, admissible: Filtered) -> Design:
     samples: list[Sample] = []
-    notes: list[str] = []
+    notes: list[Warned] = []
     admitted = set(admissible.offers.instance.tolist())
     for name in spec.benchmark.machines:
-        if shape := local_shape(name):
-            cpus, memory_gib = shape
-            instance = name.removeprefix("local/")
-            here = Machine(infra=LOCAL, instance=instance, cpus=cpus, memory=memory_gib, price=0.0)
+        if here := host_shape(name):
             samples.append(sample_on(here, "listed in benchmark.machines"))
             continue
         samples += _found(name, spec, catalog)
         if name not in admitted:
-            notes.append(f"{name} is listed in benchmark.machines, and is not a candidate: hardware does not admit it")
+            notes.append(warned(codes.not_candidate, machine=name))
     return Design(tuple(samples), tuple(notes))
 
 
@@ -289,7 +254,7 @@ def _found(name: str, spec: Spec, catalog: Catalog) -> Iterator[Sample]:
     If one host may carry several accelerators, those in `hardware.gpus` come first.
     """
     rows = catalog.take(np.asarray(catalog.instance == name, dtype=np.bool_))
-    allowed = ~rows.spot | spec.hardware.spot
+    allowed = ~rows.spot | bool(spec.hardware.spot)
     places = [merge_zones(rows.take(allowed & matches_infra(rows, entry)), [entry]) for entry in spec.infra]
     if not any(len(place) for place in places):
         close = difflib.get_close_matches(name, sorted(set(catalog.instance.tolist())), n=3)
@@ -308,6 +273,6 @@ def _distinct(found: Design) -> Design:
     notes = list(found.notes)
     for one in found.samples:
         if one.id in first:
-            notes.append(f"{one.machine.infra} {one.machine.instance} is a duplicate: sampled once")
+            notes.append(warned(codes.sampled_once, infra=one.machine.infra, machine=one.machine.instance))
         first.setdefault(one.id, one)
     return Design(tuple(first.values()), tuple(notes))

@@ -1,58 +1,86 @@
 """Reuse of a measured plan: a narrower search space or new prices cost no new samples; whether a campaign continues."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from fogspec.base import digest, units
+from fogspec.base.clouds import LOCAL
 from fogspec.base.units import Range
 from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
+from fogspec.language import warned as codes
+from fogspec.language.fingerprints import differing_rows, part_read_by
+from fogspec.language.schema import CLASSES, STANDARD, Application, Hardware
+from fogspec.language.warned import warned
 from fogspec.plan.design import Design, commitment, plan_of
 from fogspec.plan.schema import (
-    NO_PINS,
-    ApplicationRef,
+    SETTINGS,
     CatalogRef,
     Plan,
     PlanBody,
+    PlanMetadata,
     Sample,
     Sampling,
     estimate,
+    settings_of,
 )
-from fogspec.spec import fingerprints
-from fogspec.spec.schema import Application, Hardware
 
 
-def reuse_plan(
-    application: Application, plan: Plan, catalog: Catalog, pins: Mapping[str, str] = NO_PINS
-) -> Plan | None:
+def reuse_plan(application: Application, plan: Plan, catalog: Catalog, inputs: Mapping[str, Any]) -> Plan | None:
     """Return the plan with the prices of this catalog, or None if the spec needs another plan.
 
     The plan is reused if its samples are measured in the same way and the search space that they were chosen from contains
-    the spec's. A machine that is no longer on offer keeps its price.
+    the spec's, whatever name it was made under. A machine that is no longer on offer keeps its price.
     """
-    spec, body = application.spec, plan.spec
-    stop, benchmark = spec.benchmark.stop, spec.benchmark
-    same = (
-        not benchmark.machines
-        and plan.metadata.name == application.metadata.name
-        and body.application.field_digests == fingerprints.measured_fields(application)
-        and body.pins == dict(pins)
-        and (body.sampler, body.requests, body.duration, body.warmup, body.setup_timeout)
-        == (benchmark.sampler, stop.requests, stop.duration, benchmark.warmup, benchmark.setup_timeout)
-        and (body.shapes or "own") == benchmark.shapes
-        and contains(body.hardware, body.infra, spec.hardware, spec.infra)
-    )
-    if not same:
+    if (
+        differing_rows(plan.spec.inputs, inputs)
+        or application.spec.benchmark.machines
+        or settings_changed(application, plan)
+    ):
         return None
     samples = [
         sample.model_copy(update={"machine": _repriced(sample.machine, catalog), "task": None})
-        for sample in body.samples
+        for sample in plan.spec.samples
     ]
-    return Plan(metadata=plan.metadata, spec=_with(application, body, catalog, samples))
+    return Plan(
+        metadata=PlanMetadata(name=application.metadata.name), spec=_with(application, plan.spec, catalog, samples)
+    )
+
+
+def settings_changed(application: Application, plan: Plan) -> list[str]:
+    """Return the fields of the spec by which samples would be selected or measured otherwise than in the plan."""
+    spec, body = application.spec, plan.spec
+    same = {
+        "spec.hardware or spec.infra": contains(body.hardware, body.infra, spec.hardware, spec.infra),
+        "spec.benchmark.sampler": body.sampler == spec.sampler,
+    }
+    settings = settings_of(spec.benchmark)
+    same |= {f"spec.benchmark.{path}": getattr(body, name) == settings[name] for name, path in SETTINGS.items()}
+    return [name for name, unchanged in same.items() if not unchanged]
+
+
+def picks_changed(application: Application, plan: Plan, measured: bool) -> list[str]:
+    """Return the fields of the spec by which other samples would be picked than the plan's, of which all may be `measured`."""
+    changed, spec, body = settings_changed(application, plan), application.spec, plan.spec
+    space = "spec.hardware or spec.infra"
+    if not measured and space not in changed and (body.hardware, body.infra) != (spec.hardware, spec.infra):
+        changed.append(space)
+    listed = {name.removeprefix(f"{LOCAL}/") for name in spec.benchmark.machines}
+    if listed and listed != {sample.machine.instance for sample in body.samples}:
+        changed.append("spec.benchmark.machines")
+    return changed
+
+
+def kept_plan(application: Application, plan: Plan, catalog: Catalog, inputs: Mapping[str, Any]) -> Plan:
+    """Return the plan with what is measured now and the budget of the spec; `catalog` has its machines."""
+    samples = [sample.model_copy(update={"task": None}) for sample in plan.spec.samples]
+    body = _with(application, plan.spec, catalog, samples).model_copy(update={"inputs": dict(inputs)})
+    return plan.model_copy(update={"spec": body})
 
 
 def plan_from_campaign(
-    application: Application, path: str, catalog: Catalog, sampling: Sampling, pins: Mapping[str, str] = NO_PINS
+    application: Application, catalog: Catalog, sampling: Sampling, inputs: Mapping[str, Any]
 ) -> Plan:
     """Return the plan of an adaptive campaign: the samples requested so far, at the prices of this catalog.
 
@@ -64,13 +92,13 @@ def plan_from_campaign(
         for one in batch.samples
     ]
     notes = [
-        f"batch {number} ({len(batch.samples)}): {batch.reason}" for number, batch in enumerate(sampling.batches, 1)
+        warned(codes.batch, number=number, samples=len(batch.samples), reason=batch.reason)
+        for number, batch in enumerate(sampling.batches, 1)
     ]
-    notes.append(
-        f"sampling ended: {sampling.stop_reason}" if sampling.stop_reason else "fogspec bench selects the next machines"
-    )
+    ended = sampling.stop_reason
+    notes.append(warned(codes.sampling_ended, reason=ended) if ended else warned(codes.selects_more))
     design = Design(tuple(samples), tuple(notes))
-    plan = plan_of(application, path, catalog.about, sampler="adaptive", design=design, pins=pins)
+    plan = plan_of(application, catalog.about, sampler="adaptive", design=design, inputs=inputs)
     if not covers(application, sampling):
         return plan
     search_space = {"hardware": sampling.hardware, "infra": sampling.infra}
@@ -97,11 +125,12 @@ def should_resume(application: Application, sampling: Sampling) -> bool:
 
 def limits_of(application: Application) -> str:
     """Return a short digest of the limits, the objective and what bounds sampling: they decide what is sampled."""
-    chosen = fingerprints.chosen_part(application)
+    chosen = part_read_by("choice", application)["spec"]
     parts = {name: chosen[name] for name in ("constraints", "objective", "metrics")}
-    bounding = {"volume", "wall_time", *(["servers"] if application.spec.benchmark.servers > 1 else [])}
-    benchmark = application.spec.benchmark.model_dump(mode="json", include=bounding, exclude_none=True)
-    return digest.shorten(digest.of_value(parts | ({"benchmark": benchmark} if benchmark else {})))
+    hardware = application.spec.hardware
+    parts["hardware"] = [hardware.interruptions_per_s, hardware.startup]
+    servers = application.spec.benchmark.servers
+    return digest.shorten(digest.of_value(parts | ({"benchmark": {"servers": servers}} if servers > 1 else {})))
 
 
 def price_rises(samples: Sequence[Sample], catalog: Catalog) -> list[str]:
@@ -124,12 +153,8 @@ def _with(application: Application, body: PlanBody, catalog: Catalog, samples: S
     about, benchmark = catalog.about, application.spec.benchmark
     return body.model_copy(
         update={
-            "application": ApplicationRef(
-                path=body.application.path,
-                digest=fingerprints.planned_digest(application),
-                field_digests=body.application.field_digests,
-            ),
-            "catalog": CatalogRef(source=about.source, revision=about.revision, date=about.date, digest=about.digest),
+            "catalog": CatalogRef.of(about),
+            "design_catalog": None if body.designed_from == about.digest else body.designed_from,
             "budget": benchmark.budget,
             "estimate": estimate(samples, commitment(application.spec)),
             "samples": list(samples),
@@ -145,14 +170,13 @@ def _repriced(machine: Machine, catalog: Catalog) -> Machine:
 
 def contains(outer: Hardware, outer_infra: Sequence[str], inner: Hardware, inner_infra: Sequence[str]) -> bool:
     """Return whether every machine of the inner search space is in the outer one, judged by the specs alone."""
-    allow = outer.machines.allow
     return (
         all(_within(getattr(outer, name), getattr(inner, name)) for name in ("cpus", "memory", "memory_per_cpu"))
         and {*inner.gpus} <= {*outer.gpus}
         and {*inner.arch} <= {*outer.arch}
-        and (outer.spot or not inner.spot)
-        and {*outer.machines.deny} <= {*inner.machines.deny}
-        and (not allow or (bool(inner.machines.allow) and all(_is_covered(allow, one) for one in inner.machines.allow)))
+        and (bool(outer.spot) or not inner.spot)
+        and {*outer.deny} <= {*inner.deny}
+        and all(_is_covered(outer.allow, one) for one in inner.allow)
         and all(any(one == other or one.startswith(f"{other}/") for other in outer_infra) for one in inner_infra)
     )
 
@@ -165,7 +189,9 @@ def _within(outer: Range | None, inner: Range | None) -> bool:
 
 
 def _is_covered(patterns: Sequence[str], one: str) -> bool:
-    """Return whether one of the patterns matches all that `one` matches: `c6i.*` covers `c6i.large`."""
-    return one in patterns or any(
+    """Return whether one of the entries admits all that `one` does: `c6i.*` covers `c6i.large`, standard every name."""
+    if one in CLASSES:
+        return one in patterns or "*" in patterns
+    return bool({one, STANDARD} & {*patterns}) or any(
         pattern.count("*") == 1 and pattern.endswith("*") and one.startswith(pattern[:-1]) for pattern in patterns
     )

@@ -1,11 +1,11 @@
 """The sampling plan: the machines to measure, the cost of each, and the reason for each."""
 
+import functools
 import itertools
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
-from types import MappingProxyType
-from typing import Literal
+from collections.abc import Collection, Sequence
+from typing import Any, Literal, Self
 
 from pydantic import Field
 
@@ -13,87 +13,49 @@ from fogspec.base import digest
 from fogspec.base.clouds import cloud_of
 from fogspec.base.quantities import Duration, Id, Lean, Money, Strict
 from fogspec.catalog.machine import Machine
+from fogspec.catalog.table import About
+from fogspec.language.schema import Benchmark, Hardware, Name, NameInEnvironment, Sampler
+from fogspec.language.warned import Warned
 from fogspec.plan.commitment import Commitment
-from fogspec.spec.schema import Hardware, Name, NameInEnvironment
-
-Sampler = Literal["grid", "adaptive", "list"]
-PartName = Literal["half", "quarter", "eighth"]
-Nested = Literal["nested"]
 
 
 class TaskRef(Strict):
-    """A compiled task beside the plan: relative path and sha256 of its bytes."""
+    """A compiled file: path relative to the file that names it, and sha256 of its bytes."""
 
     path: str
     digest: str
 
 
-def article(part: PartName) -> str:
-    """Return a part's name with its article."""
-    return f"an {part}" if part == "eighth" else f"a {part}"
-
-
-class Part(Strict):
-    """A part of a machine, and the machine that it stands for: of that many vCPUs and that much memory."""
-
-    part: PartName
-    machine: Machine
-
-
 class Sample(Lean):
-    """One machine to measure; `id` is unique in the plan and names its cluster, task and files.
+    """One machine to measure; `id` is unique in the plan and names its cluster, task and files; `task` is the task's sha256.
 
-    `parts` of it are measured after it, on the same machine (ADR 0025). Once its latency is certainly above `decided_above` it
-    cannot become the choice, and measuring ends (ADR 0028).
+    Once its latency is certainly above `decided_above` it cannot become the choice, and measuring ends.
     """
 
     id: Id
     machine: Machine
     reason: str
-    task: TaskRef | None = None
-    parts: list[Part] = Field([], max_length=3)
+    task: str | None = None
     decided_above: Duration | None = None
 
-    ADDED = frozenset({"parts", "decided_above"})
 
-    @property
-    def part_names(self) -> tuple[PartName, ...]:
-        """The names of its parts, in the order in which they are measured."""
-        return tuple(one.part for one in self.parts)
+class CatalogRef(Lean):
+    """The catalog that a file was made from; `origin` is what `--catalog` takes to read it, relative to the project.
 
-    def nested(self, part: Part) -> "Sample":
-        """Return the sample that a part of the machine is."""
-        return Sample(
-            id=f"{self.id}-{part.part}", machine=part.machine, reason=f"{article(part.part)} of {self.machine.instance}"
-        )
+    Without prices its costs are `core_hours`.
+    """
 
-
-class Substitute(Strict):
-    """A machine to measure if the machine of the sample `substitute_for` is unavailable; they are tried in this order."""
-
-    substitute_for: Id
-    machine: Machine
-    reason: str
-
-
-class CatalogRef(Strict):
-    """The catalog that a file was made from."""
-
+    origin: str
     source: str
     revision: str
     date: str
     digest: str
+    core_hours: bool = False
 
-
-class ApplicationRef(Strict):
-    """The spec that a file was made from; the digest covers the values that the stage reads, not the bytes of the file.
-
-    In a plan, `field_digests` has a short digest of each field that the measurements depend on, to name a change.
-    """
-
-    path: str
-    digest: str
-    field_digests: dict[str, str] = Field({})
+    @classmethod
+    def of(cls, about: About) -> Self:
+        """Return the reference to a catalog."""
+        return cls.model_validate(about, from_attributes=True)
 
 
 class Batch(Strict):
@@ -132,38 +94,53 @@ class Estimate(Strict):
     wall: Duration
 
 
-class PlanBody(Lean):
+class PlanBody(Strict):
     """The samples of a plan and the settings that they are measured with.
 
     `hardware` and `infra` are the search space that the samples were chosen from, `design_catalog` is the digest of the
-    catalog at that time; the spec may have become narrower since, and prices may have changed. `pins` are digests from the
-    lock of what the spec only names.
+    catalog at that time if it was another; the spec may have become narrower since. `inputs` is the record of
+    what is measured (`fogspec.language.fingerprints.measured_record`). `scripts` are what every sample's machine runs.
     """
 
-    application: ApplicationRef
-    pins: dict[str, str] = Field({})
+    inputs: dict[str, Any]
     catalog: CatalogRef
-    design_catalog: str
+    design_catalog: str | None = None
     hardware: Hardware
     infra: list[str]
     sampler: Sampler
-    shapes: Nested | None = None
-    requests: int | None
+    requests: int | None = None
     duration: Duration
     warmup: int
-    setup_timeout: Duration
-    budget: Money | None
+    ready_timeout: Duration
+    budget: Money | None = None
     estimate: Estimate
+    scripts: list[TaskRef] = Field([])
     samples: list[Sample]
-    substitutes: list[Substitute] = Field([])
-    notes: list[str]
+    notes: list[Warned] = Field([])
 
-    ADDED = frozenset({"shapes"})
+    @property
+    def designed_from(self) -> str:
+        """The digest of the catalog that the samples were chosen from."""
+        return self.design_catalog or self.catalog.digest
 
     @property
     def commitment(self) -> Commitment:
         """The most that each sample's machine is paid for."""
-        return Commitment(measuring_s=self.duration, setup_s=self.setup_timeout, nested=self.shapes is not None)
+        return Commitment(measuring_s=self.duration, setup_s=self.ready_timeout)
+
+
+# What every sample is measured with, by the name in a plan, as the fields of `spec.benchmark` have it.
+SETTINGS = {
+    "requests": "stop.requests",
+    "duration": "stop.duration",
+    "warmup": "warmup",
+    "ready_timeout": "ready_timeout",
+}
+
+
+def settings_of(benchmark: Benchmark) -> dict[str, Any]:
+    """Return the values of `SETTINGS` in a spec."""
+    return {name: functools.reduce(getattr, path.split("."), benchmark) for name, path in SETTINGS.items()}
 
 
 class PlanMetadata(Strict):
@@ -190,9 +167,6 @@ class Plan(Strict):
     def runner_options(self) -> list[str]:
         """The options of `fogspec bench` that say where this plan is measured, if it is on this host."""
         return ["--runner", "local"] if all(sample.machine.is_local for sample in self.spec.samples) else []
-
-
-NO_PINS: Mapping[str, str] = MappingProxyType({})
 
 
 def sample_id(machine: Machine, nth: int = 1) -> str:

@@ -1,6 +1,6 @@
 """Report diagnostics as text for people, JSON for programs, or annotations for GitHub."""
 
-import os
+import re
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
@@ -15,6 +15,7 @@ Output = Literal["text", "json", "github"]
 
 MOST_SHOWN = 50
 MOST_COLUMNS = 160
+IN_PACKAGE = re.compile(r".*/(?:fogspec/|(?=fogspec_lab/))(.*)")
 
 
 def show_diagnostics(diagnostics: Sequence[Diagnostic], output: str = "text", color: bool | None = None) -> None:
@@ -105,11 +106,8 @@ def bug_paragraph(bug: BaseException) -> str:
     import traceback
 
     frames = traceback.extract_tb(bug.__traceback__)
-    ours = [frame for frame in frames if f"{os.sep}fogspec{os.sep}" in frame.filename] or frames
-    steps = " < ".join(
-        f"{frame.filename.rpartition(f'{os.sep}fogspec{os.sep}')[2]}:{frame.lineno} {frame.name}"
-        for frame in reversed(ours[-4:])
-    )
+    ours = [(frame, place) for frame in frames if (place := IN_PACKAGE.match(frame.filename))]
+    steps = " < ".join(f"{place[1]}:{frame.lineno} {frame.name}" for frame, place in reversed(ours[-4:]))
     return (
         f"fogspec has a bug, and nothing is wrong with your files: {type(bug).__name__} at {steps or 'an unknown place'} "
         f"(fogspec {__version__}, Python {platform.python_version()}, {platform.system()}). Please report this paragraph, "

@@ -1,15 +1,18 @@
 """Explain a choice: the funnel, binding limits, influential samples, weak predictions, and close alternatives."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from fogspec.base import units
+from fogspec.base.console import is_verbose
 from fogspec.base.quantities import as_numbers
-from fogspec.base.text import count, paragraph
-from fogspec.base.units import dollars, rounded
+from fogspec.base.text import count, line, paragraph, shell_command
+from fogspec.base.units import LIMIT_UNITS, dollars, rounded, shown_limit, shown_percent
+from fogspec.catalog.table import in_its_unit
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LIMIT_UNITS, entry_of, floored, menu_data, shown_limit, shown_probability, shown_text
+from fogspec.choice.menu import Menu, floored, menu_data, shown_probability, shown_text
 from fogspec.choice.next_samples import NextSample, best_next_sample, probability_better
 from fogspec.choice.sensitivity import (
     LEVEL,
@@ -23,17 +26,18 @@ from fogspec.choice.sensitivity import (
     slacks,
     widest_intervals,
 )
-from fogspec.choice.shortlist import shortlist
+from fogspec.choice.shortlist import alternatives, shortlist
 from fogspec.compile.artifacts import Artifacts
 from fogspec.compile.decision import Decision
-from fogspec.compile.manifest import alternatives
+from fogspec.language.fingerprints import LIBRARY
 from fogspec.model.fit import Model, targets
 from fogspec.numerics.servers import OTHER, SHIFTS
-from fogspec.report.summary import billing_text, entry_text, infeasible_text, metrics_text
+from fogspec.report.facts import baseline_of, latency_of, machine_of
+from fogspec.report.summary import WIDEST, billing_text, infeasible_text, metrics_text, rows, warning_lines
 from fogspec.results.resources import use_line
-from fogspec.results.schema import Measured, NestedIn, own_records
 
 MOST_SAMPLES = 3
+SHOWN = ("runner-up", "ruled out")  # alternatives that are always shown
 DIFFERENT = 0.05  # of the latency: what the servers of one type may differ by unsaid
 
 
@@ -51,7 +55,7 @@ class Analysis:
         offers = compiled.admissible.offers
         app, body = compiled.application, compiled.plan.spec
         usd = offers.price_usd_per_hour * body.commitment.paid_s / 3600
-        failed = [one.machine for one in decision.models.spec.rejected if one.nested_in is None]
+        failed = [one.machine for one in decision.models.rejected]
         return cls(
             slacks(decision.choice),
             influences(app, decision.models, refits, decision.choice),
@@ -59,45 +63,77 @@ class Analysis:
         )
 
 
+@in_its_unit
 def explain(compiled: Artifacts, refits: Refits | None = None, following: Sequence[str] = ()) -> str:
     """Return the explanation of a measured application, feasible or not, or the plan of an unmeasured one.
 
-    `refits` caches fits without some of the samples, to share them with other analyses; `following` are lines about what
-    comes next.
+    With `--verbose` also what the model rests on: funnel, samples, servers. `refits` caches fits without some of the samples,
+    to share them with other analyses; `following` are lines about what comes next.
     """
     decision = compiled.decision
     if decision is None:
         return paragraph([*_unmeasured(compiled), *following])
-    menu, choice = decision.menu, decision.choice
+    menu, choice, verbose = decision.menu, decision.choice, is_verbose()
     found = Analysis.of(compiled, decision, refits or refits_of(compiled, decision))
-    local = decision.models.spec.measured_on_local
+    local = decision.models.measured_on_local
     lines = [f"{compiled.layout.name}: {menu.spec.objective}, {billing_text(menu)}"]
     if menu.spec.balanced is None:
-        lines += [*infeasible_text(menu), *_infeasible(choice)]
+        lines += infeasible_text(menu)
     else:
-        lines += ["", f"chosen    {entry_text(menu.spec.balanced)}", *_why(choice, menu.spec.scale)]
-    lines += ["", "funnel    " + _funnel(compiled, decision)]
-    if choice.chosen is not None:
-        lines += ["", "limits", *(f"  {_slack_text(b)}" for b in found.bindings)]
-        lines += [f"  {_confidence_text(choice, one)}" for one in other_confidences(choice)]
-    lines += ["", "model", *_model(decision, found)]
-    if found.influences:
-        lines += [
-            "",
-            "samples that matter most",
-            *(f"  {_influence_text(one)}" for one in found.influences[:MOST_SAMPLES]),
-        ]
-    if servers := _servers(compiled):
-        lines += ["", "measured on", *(f"  {text}" for text in servers)]
-    if used := _used(compiled):
-        lines += ["", "used while measured", *(f"  {text}" for text in used)]
-    lines += ["", "one more sample", f"  {_next_sample_text(choice, found.next, local)}"]
+        lines += rows(_choice_rows(menu, choice))
+    lines += rows([("limits", _slack_text(one, verbose)) for one in found.bindings])
+    if verbose:
+        lines += rows([("confident", _confidence_text(choice, one)) for one in other_confidences(choice)])
+    lines += rows(_others(compiled, decision, verbose))
+    if choice.chosen is not None:  # else it is the first that is said
+        lines += rows([("one more", _next_sample_text(choice, found.next, local))])
+    lines += rows(_details(compiled, decision, found)) if verbose else []
+    warnings = menu.spec.warnings
+    named = warning_lines(warnings, len(warnings) if verbose else None)
+    lines += [part for text in named for part in textwrap.wrap(line(text), WIDEST, subsequent_indent=" " * 4)]
+    if not verbose:
+        hidden = len(warnings) - len(named)
+        again = shell_command("fogspec", "explain", compiled.layout.argument, "-v")
+        lines.append(f"  {count(hidden, 'note') + ' and ' if hidden else ''}the model: {again}")
+    return paragraph([*lines, *following])
+
+
+def _choice_rows(menu: Menu, choice: Choice) -> list[tuple[str, str]]:
+    """Return the choice with its figures, what it beats, and why it is chosen; none without one."""
+    entry, row = menu.spec.balanced, choice.chosen
+    if entry is None or row is None:
+        return []
+    figures = f"{latency_of(entry)}, {metrics_text(entry.metrics)}{units.shown_cost(entry.cost)}"
+    rows = [("choice", machine_of(entry)), ("choice", f"{figures}, {units.shown_price(entry.price)}")]
+    if words := baseline_of(menu):
+        rows.append(("baseline", words))
+    pool, meet = int(choice.candidates.sum()), int(choice.feasible.sum())
+    among = "no other machine meets all limits" if meet == 1 else f"lowest of the {meet} machines that meet all limits"
+    if pool < meet:
+        among = f"lowest of {pool} measured machines among the {meet} that meet all limits"
+    rows.append(("why", f"objective value {units.shown(float(choice.objective[row]))}: {among}"))
+    probability = choice.probability(row)
+    if probability is not None and choice.bounds:
+        required = "none is required" if choice.confidence is None else f"required {choice.confidence:g}"
+        met = f"all limits are met with probability {floored(probability):.3f} ({required})"
+        here = choice.probability(row, measured_server=True)
+        if is_verbose() and here is not None:
+            met += f"; on the server that was measured, with probability {floored(here):.3f}"
+        rows.append(("confident", met))
+    return rows
+
+
+def _details(compiled: Artifacts, decision: Decision, found: Analysis) -> list[tuple[str, str]]:
+    """Return what the model rests on: the funnel of offers, errors, samples, servers and what was used on them."""
+    scale = " + ".join(f"{name} / {shown_text(name, divisor)}" for name, divisor in decision.menu.spec.scale.items())
+    rows = [("scale", scale), ("funnel", _funnel(compiled, decision))]
+    rows += [("model", text) for text in _model(decision, found)]
+    rows += [("samples", _influence_text(one)) for one in found.influences[:MOST_SAMPLES]]
+    rows += [("measured on", text) for text in _servers(compiled)]
+    rows += [("used", text) for text in _used(compiled)]
     if another := _another_server(compiled, decision):
-        lines += ["", "another server", f"  {another}"]
-    lines += ["", "others", *_others(compiled, decision)]
-    if menu.spec.warnings:
-        lines += ["", *(f"warning: {text}" for text in menu.spec.warnings)]
-    return paragraph([*lines, *(["", *following] if following else [])])
+        rows.append(("servers", another))
+    return rows
 
 
 def as_dict(compiled: Artifacts) -> dict[str, Any]:
@@ -116,7 +152,9 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
         },
         "confidence": choice.confidence,
         "probability_met": None if choice.chosen is None else choice.probability(choice.chosen),
-        "sure": choice.meets_confidence,
+        "probability_met_on_measured_server": None
+        if choice.chosen is None
+        else choice.probability(choice.chosen, measured_server=True),
         "likeliest": _likeliest_dict(choice),
         "limits": [_slack_dict(b) for b in analysis.bindings],
         "confidences": [_confidence_dict(choice, one) for one in other_confidences(choice)],
@@ -127,10 +165,8 @@ def as_dict(compiled: Artifacts) -> dict[str, Any]:
             {"instance": str(choice.offers.instance[one.row]), "ratio": one.ratio} for one in widest_intervals(choice)
         ],
         "next_sample": None if analysis.next is None else _next_sample_dict(choice, analysis.next),
-        "models": [as_numbers(model) for model in decision.models.spec.models],
-        "alternatives": []
-        if choice.chosen is None
-        else [as_numbers(one) for one in alternatives(choice, choice.chosen)],
+        "models": [as_numbers(model) for model in decision.models.curves],
+        "alternatives": [] if choice.chosen is None else [as_numbers(one) for one in alternatives(choice)],
     }
 
 
@@ -151,7 +187,6 @@ def _next_sample_dict(choice: Choice, sample: NextSample) -> dict[str, Any]:
         "infra": choice.offers.infra(sample.row),
         "instance": str(choice.offers.instance[sample.row]),
         "gain": sample.gain,
-        "saves_usd": sample.saves_usd,
         "probability_better": sample.probability_better,
         "cost_usd": sample.usd,
     }
@@ -168,42 +203,6 @@ def _slack_dict(b: Slack) -> dict[str, Any]:
         "changes_to": b.changes_to,
         "changes_at": None if b.changes_at is None else rounded(b.changes_at),
     }
-
-
-def _why(choice: Choice, scale: dict[str, str]) -> list[str]:
-    row = choice.chosen
-    if row is None:
-        return []
-    terms = " and ".join(f"{name} / {shown_text(name, divisor)}" for name, divisor in scale.items())
-    pool, meet = int(choice.candidates.sum()), int(choice.feasible.sum())
-    among = ": no other machine meets all limits" if meet == 1 else f", among the {meet} machines that meet all limits"
-    if pool < meet:
-        among = f", among the {pool} measured machines of {meet} that meet all limits"
-    lines = [f"why       lowest objective value, {units.shown(float(choice.objective[row]))}, of {terms}{among}"]
-    probability = choice.probability(row)
-    if probability is not None and choice.bounds:
-        where = choice.latency.where_nested(row)
-        unmeasured = "not measured" if where is None else f"measured on {where}, not itself"
-        how = "measured" if choice.latency.measured[row] else f"{unmeasured}: see the sample below"
-        lines.append(
-            f"confident all limits are met with probability {floored(probability):.3f} (required {choice.confidence:g}); {how}"
-        )
-    return lines
-
-
-def _infeasible(choice: Choice) -> list[str]:
-    row = choice.most_probable
-    if row is None:
-        return []
-    probability = choice.probability(row) or 0.0
-    offer = choice.offers.machine(row)
-    sure = (
-        "the model excludes that any does"
-        if probability < 1 - choice.confidence
-        else "the model cannot exclude that one does"
-    )
-    met = shown_probability(probability)
-    return [f"  most likely to meet all limits: {offer.instance} in {offer.infra}, with probability {met}: {sure}"]
 
 
 def meet_words(count: int) -> str:
@@ -223,11 +222,17 @@ def _funnel_dict(compiled: Artifacts) -> list[dict[str, Any]]:
     return [{"filter": f.name, "removed": f.removed, "left": f.left} for f in funnel.filters]
 
 
-def _slack_text(binding: Slack) -> str:
+def _slack_text(binding: Slack, verbose: bool) -> str:
+    """Return a limit with its room; `verbose` says which machines it alone excludes."""
     name = binding.limit
-    value, bound = (shown_limit(name, one, binding.unit) for one in (binding.value, binding.bound))
-    words = f"{name}: {value} of at most {bound}, {units.headroom_text(binding.value, binding.bound)}"
-    words += f"; the choice holds down to {shown_limit(name, binding.required, binding.unit)}"
+    value, bound, required = (
+        shown_limit(name, one, binding.unit).removesuffix(f" per {units.REQUESTS_TEXT}")
+        for one in (binding.value, binding.bound, binding.required)
+    )
+    words = f"{name}: {value}, limit {bound}, {units.headroom_text(binding.value, binding.bound)}"
+    words += f"; holds down to {required}"
+    if not verbose:
+        return words
     words += f"; alone it excludes {count(binding.rules_out_alone, 'machine')}"
     if binding.changes_at is not None:
         at = shown_limit(name, binding.changes_at, binding.unit)
@@ -259,29 +264,30 @@ def _difference(ratio: float, less: str, more: str) -> str:
 
 
 def _model(decision: Decision, found: Analysis) -> list[str]:
-    choice, body = decision.choice, decision.models.spec
+    choice, models = decision.choice, decision.models
     lines = []
-    if not body.measured_on_local:
-        beside = f" and machine library {body.predictor.priors}" if body.predictor.priors else ""
-        lines.append(
-            f"  surrogate on {len(body.observations)} samples{beside}{_leave_one_out_text(choice, found.influences)}"
-        )
+    if not models.measured_on_local:
+        library = models.inputs.get(LIBRARY)
+        beside = f" and machine library {library}" if library else ""
+        lines.append(f"surrogate on {len(models.observations)} samples{beside}{_leave_one_out_text(found.influences)}")
+        by_suite = {} if choice.latency.posterior is None else choice.latency.posterior.scales_like
+        if words := ", ".join(f"{name} {one:.2f}" for name, one in by_suite.items()):
+            lines.append(f"scales like, by weight of the library's programs: {words}")
     for one in widest_intervals(choice):
         low, high = map(units.shown_duration, choice.latency.interval(one.row, LEVEL) or (0.0, 0.0))
-        lines.append(f"  weak: {choice.offers.instance[one.row]} [{low}, {high}], a factor of {one.ratio:.2f}")
-    return lines + [f"  curve: {_model_text(model)}" for model in body.models]
+        lines.append(f"weak: {choice.offers.instance[one.row]} [{low}, {high}], a factor of {one.ratio:.2f}")
+    return lines + [f"curve, for comparison: {_model_text(model)}" for model in models.curves]
 
 
 def _server_dicts(compiled: Artifacts) -> list[dict[str, Any]]:
     samples = [] if compiled.results is None else compiled.results.spec.samples
-    return [{"id": one.id, **as_numbers(one.server)} for one in own_records(samples) if one.server is not None]
+    return [{"id": one.id, **as_numbers(one.server)} for one in samples if one.server is not None]
 
 
 def _servers(compiled: Artifacts) -> list[str]:
     """Return a line for each server that ran samples, as it described itself."""
     samples = [] if compiled.results is None else compiled.results.spec.samples
-    own = [f"{one.machine.instance}: {one.server.line()}" for one in own_records(samples) if one.server is not None]
-    return own + [_nested_text(one, one.nested_in) for one in samples if one.nested_in is not None]
+    return [f"{one.machine.instance}: {one.server.line()}" for one in samples if one.server is not None]
 
 
 def _used(compiled: Artifacts) -> list[str]:
@@ -307,7 +313,7 @@ def _another_server(compiled: Artifacts, decision: Decision) -> str | None:
     machine = choice.offers.machine(row)
     if machine.is_local:
         return None
-    own = [one for one in decision.models.spec.observations if one.nested_in is None]
+    own = decision.models.observations
     measured = [one.values["latency"] for one in own if one.machine.type_key == machine.type_key]
     usd = compiled.plan.spec.commitment.usd(machine.price)
     chance = SHIFTS.get(machine.cloud_name, OTHER).beyond(DIFFERENT)
@@ -317,28 +323,18 @@ def _another_server(compiled: Artifacts, decision: Decision) -> str | None:
     if len(measured) > 1:
         apart = max(measured) / min(measured) - 1
         return f"{machine.instance} was measured {len(measured)} times, up to {apart:.1%} apart; {differ}"
-    how = "" if compiled.application.spec.benchmark.is_adaptive else "with sampler: adaptive, "
+    how = "" if compiled.application.spec.sampler == "adaptive" else "with sampler: adaptive, "
     return f"{differ}; {how}benchmark.servers: 2 measures {machine.instance} on another one, for at most {dollars(usd)}"
 
 
-def _nested_text(one: Measured, where: NestedIn) -> str:
-    """Return what a record of a part of a machine says of the type that it stands for."""
-    held = where.confined
-    by = "" if held is None else f", vCPUs held by {held.cpus_by}" + (", memory by cgroup" if held.memory_by else "")
-    value = one.state if one.latency is None else units.shown_duration(one.latency.mean)
-    return f"{one.machine.instance}: {value} on {where.label}, not on {one.machine.instance} itself{by}"
-
-
-def _leave_one_out_text(choice: Choice, found: list[Influence]) -> str:
+def _leave_one_out_text(found: list[Influence]) -> str:
     known = sorted(one.missed_by for one in found if one.missed_by == one.missed_by)
     if not known:
         return ""
-    covered, posterior = sum(one.covered for one in found), choice.latency.posterior
-    factor = 1.0 if posterior is None else posterior.calibration.factor
-    widened = f", which is widened by a factor of {factor:.3g} for them" if factor > 1 else ""
+    covered = sum(one.covered for one in found)
     return (
         f": leave-one-out error: median {known[len(known) // 2]:.1%}, max {known[-1]:.1%}; "
-        f"{covered} of {len(found)} are within the {LEVEL:.0%} interval{widened}"
+        f"{covered} of {len(found)} are within the {LEVEL:.0%} interval"
     )
 
 
@@ -355,17 +351,14 @@ def _next_sample_text(choice: Choice, found: NextSample | None, local: bool) -> 
         return "no further sample would add information"
     offer = choice.offers.machine(found.row)
     words = f"{offer.instance} in {offer.infra}, at most {dollars(found.usd)}: "
-    saves = "" if found.saves_usd is None else f", which saves {dollars(found.saves_usd)} over the volume"
-    if choice.chosen is None:
-        return f"{words}meets the limits with probability {shown_probability(choice.probability(found.row) or 0)}"
     if choice.latency.measured[found.row]:
         which = "the choice" if found.row == choice.chosen else "a rival"
         again = f"{which} once more, for one sample may err"
-        return f"{words}{again}: betters the choice by {found.gain:.2%} on average{saves}"
+        return f"{words}{again}; expected to improve the choice by {shown_percent(found.gain)}"
     if found.row == choice.chosen:
-        return f"{words}it is the choice: measuring it verifies it{saves}"
+        return f"{words}it is the choice: measuring it verifies it"
     better = f"better than the choice with probability {shown_probability(found.probability_better or 0)}"
-    return f"{words}{better}, by {found.gain:.2%} on average{saves}"
+    return f"{words}{better}; expected to improve it by {shown_percent(found.gain)}"
 
 
 def _model_text(model: Model) -> str:
@@ -380,20 +373,24 @@ def _model_text(model: Model) -> str:
     return f"{model.target}{beside} = {model.formula}, {values}; c = vCPUs, m = GiB; {model.n} samples: {error}{r2}"
 
 
-def _others(compiled: Artifacts, decision: Decision) -> list[str]:
+def _others(compiled: Artifacts, decision: Decision, verbose: bool) -> list[tuple[str, str]]:
+    """Return the runner-up and the machine that a limit excludes, of a `verbose` explanation all named ones."""
     if decision.choice.chosen is None:
-        nearest = decision.choice.least_infeasible
-        return [] if nearest is None else [f"  nearest   {entry_text(entry_of(decision.choice, nearest))}"]
+        return []
     rows = shortlist(decision.choice)
     return [
-        f"  {a.role:<9} {a.instance} in {a.infra}, {units.shown_price(a.price)}: {units.shown_duration(a.latency)}, "
-        f"{metrics_text(a.metrics)}{units.shown_cost(a.cost)}; {a.why_not}{_difference_text(compiled, decision, rows[a.role])}"
-        for a in alternatives(decision.choice, decision.choice.chosen)
+        (
+            a.role,
+            f"{a.instance}: {units.shown_duration(a.latency)}, {metrics_text(a.metrics)}{units.shown_cost(a.cost)}; "
+            f"{a.why_not}{_difference_text(compiled, decision, rows[a.role], verbose)}",
+        )
+        for a in alternatives(decision.choice)
+        if verbose or a.role in SHOWN
     ]
 
 
-def _difference_text(compiled: Artifacts, decision: Decision, row: int) -> str:
-    """Return the terms of the objective against the choice, and the probability that the machine is better.
+def _difference_text(compiled: Artifacts, decision: Decision, row: int, verbose: bool) -> str:
+    """Return the probability that the machine is better, with `verbose` also the objective's terms against the choice.
 
     The text is empty for an infeasible machine.
     """
@@ -403,8 +400,8 @@ def _difference_text(compiled: Artifacts, decision: Decision, row: int) -> str:
     both = zip(parts(app, choice, row), parts(app, choice, choice.chosen), strict=True)
     words = ", ".join(f"{name} {own - best:+.3f}" for (name, own), (_, best) in both)
     better = probability_better(decision.predicted, choice, row)
-    return f" ({words})" + (
-        "" if better is None else f"; better after all with probability {shown_probability(better)}"
+    return (f" ({words})" if verbose else "") + (
+        "" if better is None else f"; better with probability {shown_probability(better)}"
     )
 
 

@@ -1,41 +1,29 @@
 """Recompute the menu for other limits or another alpha, and render it as text."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from fogspec.base import units
 from fogspec.base.errors import NotMeasured, OutOfDate, UsageError
-from fogspec.base.text import count, line, paragraph, shell_command, table
+from fogspec.base.text import count, paragraph, shell_command
 from fogspec.catalog.filters import filter_offers
-from fogspec.charts.menu_chart import menu_chart
-from fogspec.charts.terminal import plot
 from fogspec.choice.choose import Choice
-from fogspec.choice.menu import LEVEL, Entry, Menu, MenuBody, make_menu, metric_text, shown_text
+from fogspec.choice.menu import Entry, Menu, entry_of, make_menu, shown_text
+from fogspec.choice.shortlist import shortlist
 from fogspec.compile.compiler import plan_for, standing_of, usable
-from fogspec.compile.decision import select, warnings_for
+from fogspec.compile.decision import outlook_after, select, warnings_for
 from fogspec.compile.inputs import Inputs
-from fogspec.report.summary import billing_text, entry_text, infeasible_text
+from fogspec.language.lockfile import pinned
+from fogspec.language.schema import Application
+from fogspec.report.facts import baseline_of, machines, meeting
+from fogspec.report.summary import billing_text, infeasible_text, warning_lines
 from fogspec.results.progress import unfinished
-from fogspec.spec.lockfile import pinned
-from fogspec.spec.schema import Application
 
 NO_LIMIT = "none"
-
-
-@dataclass(frozen=True, slots=True)
-class MenuView:
-    """A menu and the choice behind it."""
-
-    application: Application
-    choice: Choice
-    menu: Menu
-
-    def plot(self, width: int, color: bool) -> str:
-        """Return the menu chart in plain characters; an empty string if no machine can be predicted."""
-        if not len(self.choice.front):
-            return ""
-        return "\n".join(plot(menu_chart(self.application, self.choice, []), width, color))
+MEETING, MISSING = 5, 2  # machines of the table that meet the limits, and that do not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,8 +53,8 @@ class Changes:
         return ", ".join(f"{name}: {value}" for name, value in named.items() if value is not None)
 
 
-def menu_view(inputs: Inputs, changes: Changes) -> MenuView:
-    """Return the menu of a measured application under other limits.
+def menu_view(inputs: Inputs, changes: Changes) -> tuple[Menu, list[Entry]]:
+    """Return the menu of a measured application under other limits, and the machines of its table.
 
     Raise NotMeasured if it has no results, OutOfDate if they are stale, DiagnosticError for damaged results, UnitError for
     a wrong quantity, UsageError for a metric that the spec does not have.
@@ -87,11 +75,12 @@ def menu_view(inputs: Inputs, changes: Changes) -> MenuView:
         admissible = filter_offers(
             measured.catalog, measured.application.spec.hardware, measured.application.spec.infra
         )
-    left = unfinished(measured.application, plan_for(measured, admissible, results), results)
+    plan = plan_for(measured, admissible, results)
+    left = unfinished(measured.application, plan, results)
     waived = () if standing is None else standing.waived
     warnings = warnings_for(application, found.models, found.choice, results, left, waived)
-    menu = make_menu(application, found.choice, warnings)
-    return MenuView(application, found.choice, menu)
+    outlook = outlook_after(application, found, results, plan)
+    return make_menu(application, found.choice, warnings, outlook=outlook), listed(found.choice)
 
 
 def changed(application: Application, changes: Changes) -> Application:
@@ -123,73 +112,30 @@ def changed(application: Application, changes: Changes) -> Application:
     )
 
 
-def show(menu: Menu, picture: str = "", width: int = 80) -> str:
-    """Return the menu as text, tables at most `width` wide: the named choices, the chart, then the Pareto fronts."""
-    body = menu.spec
+def show(menu: Menu, entries: Sequence[Entry], width: int = 80) -> str:
+    """Return the menu as text, its table at most `width` wide: the machines of the table, then what bears on the choice."""
+    body, places = menu.spec, {entry.infra for entry in entries}
     limits = ", ".join(f"{name} at most {shown_text(name, bound)}" for name, bound in body.limits.items()) or "none"
-    against = _against(body)
     lines = [
         f"{menu.metadata.name}: {body.objective}, {billing_text(menu)}, {body.statistic} latency",
-        f"limits: {limits}; {_meet(body)}",
-        *(f"warning: {text}" for text in body.warnings),
+        f"limits: {limits}; {meeting(menu).replace('the limits', 'them')}{f' in {places.pop()}' if len(places) == 1 else ''}",
     ]
     if body.balanced is None:
         lines += infeasible_text(menu)
-    else:
-        for role, entry in (
-            ("balanced", body.balanced),
-            ("cheapest", body.cheapest),
-            ("fastest", body.fastest),
-            (f"least {body.metric}", body.least),
-        ):
-            if entry is not None:
-                lines.append(f"{role:<9} {entry_text(entry)}")
-    places = {entry.infra for entry in (*body.front, *body.hourly_front)}
-    where = f" in {min(places)}" if len(places) == 1 else ""
-    fronts = list[str]()
-    for money, entries in (("cost per request", body.front), ("price per hour", body.hourly_front)):
-        fronts += ["", f"Pareto front{where}, {money} against {against}:"]
-        fronts += _table(entries, width, place=not where)
-    return "\n".join([paragraph(lines), *(["", picture] if picture else []), paragraph(fronts)])
+    if words := baseline_of(menu):
+        lines.append(f"baseline: {words}")
+    lines += machines(menu, entries).text(width)
+    named = warning_lines(body.warnings)
+    hidden = len(body.warnings) - len(named)
+    more = [f"  {count(hidden, 'note')} on models: {shell_command('fogspec', 'explain', menu.metadata.name)}"]
+    return paragraph([*lines, *named, *(more if hidden else [])])
 
 
-def _meet(body: MenuBody) -> str:
-    return f"{body.meet} of {count(body.predicted, 'machine')} {'meets' if body.meet == 1 else 'meet'} them"
-
-
-def _against(body: MenuBody) -> str:
-    """Return what the fronts weigh against money: the latency, or the objective's metric with its unit."""
-    if body.metric is None:
-        return f"{body.statistic} latency"
-    unit = next(
-        (e.metrics[body.metric].unit for e in (*body.front, *body.hourly_front) if body.metric in e.metrics), None
-    )
-    return f"{body.metric} in {unit}" if unit else body.metric
-
-
-def _table(entries: list[Entry], width: int, place: bool) -> list[str]:
-    metrics = list(dict.fromkeys(name for e in entries for name in e.metrics))
-    heads = [f"{name} [{LEVEL:.0%}]" + _limit_of(entries, name) for name in metrics]
-    places = ["infra"] if place else []
-    rows = [["instance type", *places, "vCPU", "GiB", "price", "latency", *heads, f"per {units.REQUESTS_TEXT}", ""]]
-    for e in entries:
-        gpu = f" {e.gpu.count:g}x{e.gpu.name}" if e.gpu else ""
-        rows.append(
-            [
-                e.instance + (" spot" if e.spot else "") + gpu,
-                *([e.infra] if place else []),
-                f"{e.cpus:g}",
-                units.shown(e.memory),
-                units.shown_price(e.price),
-                units.shown_duration(e.latency),
-                *(metric_text("", e.metrics[name]).strip() if name in e.metrics else "-" for name in metrics),
-                units.money(units.REQUESTS_SHOWN * e.cost),
-                e.how,
-            ]
-        )
-    return table([[line(cell) for cell in row] for row in rows], width)
-
-
-def _limit_of(entries: list[Entry], name: str) -> str:
-    limit = next((e.metrics[name].limit for e in entries if name in e.metrics), None)
-    return "" if limit is None else f" <= {units.format_number(limit)}"
+def listed(choice: Choice) -> list[Entry]:
+    """Return the machines of the menu's table: the best that meet the limits, the named ones, then the best of the others."""
+    rows = np.flatnonzero(choice.eligible & np.isfinite(choice.objective)).tolist()
+    best = sorted(rows, key=lambda row: (not choice.feasible[row], choice.objective[row], row))
+    met = [row for row in best if choice.feasible[row]]
+    named = [choice.chosen, choice.least_infeasible, *shortlist(choice).values()]
+    shown = {*met[:MEETING], *named, *best[len(met) :][:MISSING]}
+    return [entry_of(choice, row) for row in best if row in shown]

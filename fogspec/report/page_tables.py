@@ -1,18 +1,15 @@
 """Build the tables of the report: samples, curves, residuals."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from fogspec.base import units
 from fogspec.base.units import rounded
 from fogspec.catalog.machine import Machine
-from fogspec.choice.choose import Choice
 from fogspec.choice.sensitivity import Refits, left_out_prediction
-from fogspec.model.fit import Models, Observation
+from fogspec.model.fit import Fitted, Observation
 from fogspec.numerics import families
 from fogspec.plan.schema import Plan
+from fogspec.report.facts import Block
 from fogspec.results.resources import use_line
 from fogspec.results.schema import Measured, Results
 
@@ -22,34 +19,22 @@ MEASURED_HEADS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table with its caption; `numbers` are the indices of numeric columns."""
-
-    caption: str
-    heads: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-    numbers: tuple[int, ...]
-
-
-def planned_table(plan: Plan) -> Table:
+def planned_table(plan: Plan) -> Block:
     """Return the table of planned samples."""
     rows = [(s.machine.instance, s.machine.infra, *_shape(s.machine), s.reason) for s in plan.spec.samples]
-    return Table(
-        "To be measured", ("machine", "infra", "vCPU", "memory", "GPU", "price per hour", "why"), rows, (2, 3, 5)
-    )
+    return Block(rows, ("machine", "infra", "vCPU", "memory", "GPU", "price per hour", "why"), numbers=(2, 3, 5))
 
 
-def measured_table(results: Results) -> Table:
+def measured_table(results: Results) -> Block:
     """Return the table of measured samples, without empty columns."""
     source = f"; {results.spec.source}" if results.spec.source else ""
     rows = [_measured(one) for one in results.spec.samples]
     numbers = (2, 3, 5, 7, 8, 9, 10, 11, 12, 14, 15)
     used = [at for at in range(len(MEASURED_HEADS)) if any(row[at] for row in rows)]
-    return Table(
-        f"Runner: {results.spec.runner}{source}",
-        tuple(MEASURED_HEADS[at] for at in used),
+    return Block(
         [tuple(row[at] for at in used) for row in rows],
+        tuple(MEASURED_HEADS[at] for at in used),
+        [f"runner: {results.spec.runner}{source}"],
         tuple(i for i, at in enumerate(used) if at in numbers),
     )
 
@@ -68,8 +53,7 @@ def _measured(one: Measured) -> tuple[str, ...]:
         one.machine.instance + (" spot" if one.machine.spot else ""),
         one.machine.infra,
         *_shape(one.machine),
-        (f"{one.state} ({why})" if why else one.state)
-        + ("" if one.nested_in is None else f", on {one.nested_in.label}, not itself"),
+        f"{one.state} ({why})" if why else one.state,
         str(one.requests),
         *(_time(value) for value in times),
         metrics,
@@ -84,9 +68,10 @@ def _time(seconds: float | None) -> str:
     return "" if seconds is None else units.shown_duration(seconds)
 
 
-def curve_rows(models: Models) -> list[tuple[str, ...]]:
-    """Return the rows of the curves, one for each GPU type and target."""
-    return [
+def curve_table(models: Fitted) -> Block:
+    """Return the table of the curves, one for each GPU type and target."""
+    heads = ("of", "formula", "coefficients", "samples", "R²", "leave-one-out error, median", "max")
+    rows = [
         (
             model.target + (f" with {model.gpu}" if model.gpu else ""),
             model.formula,
@@ -96,35 +81,28 @@ def curve_rows(models: Models) -> list[tuple[str, ...]]:
             _share(model.loo_median_error),
             _share(model.loo_max_error),
         )
-        for model in models.spec.models
+        for model in models.curves
     ]
+    return Block(rows, heads, numbers=range(3, 7))
 
 
-def residual_rows(models: Models, refits: Refits, choice: Choice) -> Sequence[tuple[str, ...]]:
-    """Return, for each sample, the prediction of its curve and the surrogate's leave-one-out prediction."""
-    fitted = {model.gpu: model for model in models.spec.models if model.target == "latency"}
+def residual_table(models: Fitted, refits: Refits) -> Block:
+    """Return the table of samples, with the prediction of each by its curve and by the samples of all other machines."""
+    fitted = {model.gpu: model for model in models.curves if model.target == "latency"}
+    heads = ("sample", "measured", "curve", "curve's error", "predicted without it", "90% interval", "error")
     rows = []
-    for one in models.spec.observations:
+    for one in models.observations:
         model = fitted.get(one.machine.gpu_key)
         latency = one.values["latency"]
         curve = None
         if model is not None:
             at = np.array([one.machine.cpus]), np.array([one.machine.memory])
             curve = float(families.predict(model.shape, list(model.coefficients.values()), *at)[0])
-        known = _predicted(models, refits, choice, one)
+        known = _predicted(models, refits, one)
         rows.append(
             (one.machine.instance, _time(latency), _time(curve), _off(curve, latency), *_without(known, latency))
         )
-    return rows
-
-
-def left_out(models: Models, refits: Refits, choice: Choice) -> list[tuple[str, float, float, float, float]]:
-    """Return each sample that the others predict: name, measured seconds, predicted ones, and the ends of the interval."""
-    found = []
-    for one in models.spec.observations:
-        if (known := _predicted(models, refits, choice, one)) is not None:
-            found.append((one.machine.instance, one.values["latency"], *known))
-    return found
+    return Block(rows, heads, numbers=range(1, 7))
 
 
 def _without(known: tuple[float, float, float] | None, latency: float) -> tuple[str, str, str]:
@@ -135,11 +113,11 @@ def _without(known: tuple[float, float, float] | None, latency: float) -> tuple[
     return _time(value), f"{_time(low)} to {_time(high)}", _off(value, latency)
 
 
-def _predicted(models: Models, refits: Refits, choice: Choice, one: Observation) -> tuple[float, float, float] | None:
+def _predicted(models: Fitted, refits: Refits, one: Observation) -> tuple[float, float, float] | None:
     key = one.machine.type_key
-    others = [other for other in models.spec.observations if other.machine.type_key != key]
+    others = [other for other in models.observations if other.machine.type_key != key]
     predicted = refits.of(others) if others else None
-    return None if predicted is None else left_out_prediction(predicted, one, choice)
+    return None if predicted is None else left_out_prediction(predicted, one)
 
 
 def _off(predicted: float | None, measured: float) -> str:

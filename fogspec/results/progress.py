@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass
 
+from fogspec.language.schema import Application
+from fogspec.language.warned import Warned, partial, warned
 from fogspec.plan.reuse import covers
 from fogspec.plan.schema import Plan
 from fogspec.results.schema import Results, completed
-from fogspec.spec.schema import Application
-
-NAMED = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,24 +16,25 @@ class Unfinished:
     measured: int
     planned: int
     missing: tuple[str, ...]
-    why: str
+    candidates_changed: bool
 
     @property
     def state(self) -> str:
         """Return how much of the plan was measured, for people."""
-        return state_text(self.measured, self.planned)
+        if self.measured < self.planned:
+            return f"{self.measured} of {self.planned} planned samples are measured"
+        return f"sampling did not end after {self.planned} samples"
 
     @property
-    def warning(self) -> str:
-        """Return what a reviewer should know of a choice that was made before the plan was carried out."""
-        return f"partial: {self.state}; {self.why}"
-
-
-def state_text(measured: int, planned: int) -> str:
-    """Return how much of a plan that was not carried out was measured, for people."""
-    if measured < planned:
-        return f"{measured} of {planned} planned samples are measured"
-    return f"sampling did not end after {planned} samples"
+    def warning(self) -> Warned:
+        """Return the warning about a choice that was made before the plan was carried out."""
+        return warned(
+            partial,
+            measured=self.measured,
+            planned=self.planned,
+            missing=list(self.missing),
+            candidates_changed=self.candidates_changed,
+        )
 
 
 def unfinished(application: Application, plan: Plan, results: Results) -> Unfinished | None:
@@ -45,13 +45,8 @@ def unfinished(application: Application, plan: Plan, results: Results) -> Unfini
     samples = {sample.id for sample in plan.spec.samples}
     left = sorted(samples - completed(results))
     sampling = results.spec.sampling if plan.spec.sampler == "adaptive" else None
-    if left:
-        more = ", ..." if len(left) > NAMED else ""
-        why = f"to measure: {', '.join(left[:NAMED])}{more}"
-    elif sampling is not None and sampling.stop_reason is None:
-        why = "the next machines are not selected yet"
-    elif sampling is not None and not covers(application, sampling):
-        why = "the candidates have changed since machines were selected"
-    else:
+    ended = sampling is None or sampling.stop_reason is not None
+    changed = not left and ended and sampling is not None and not covers(application, sampling)
+    if ended and not left and not changed:
         return None
-    return Unfinished(len(samples) - len(left), len(samples), tuple(left), why)
+    return Unfinished(len(samples) - len(left), len(samples), tuple(left), changed)

@@ -10,10 +10,10 @@ from typing import BinaryIO, TypeGuard
 from fogspec.base.files import open_untrusted
 from fogspec.base.quantities import Bounds
 from fogspec.base.units import UnitError, shown_duration
+from fogspec.language.probe import name_of
+from fogspec.language.schema import Application
 from fogspec.results.join import VERDICT, Request, Value, join
 from fogspec.results.ranges import CLOCK_S, METRIC, REQUEST_S, SIZE_LIMIT
-from fogspec.spec.probe import name_of
-from fogspec.spec.schema import Application
 
 LINE_LIMIT = 64 * 2**10
 LINES_LIMIT = 1_000_000

@@ -1,20 +1,21 @@
 """What samples used of their machines, for people, and samples that measured the wrong thing."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 
 from fogspec.base import units
+from fogspec.language import warned as codes
+from fogspec.language.warned import Warned, warned
 from fogspec.results.schema import Measured, ResourceUse
 
 BOUND = 0.9  # of the vCPUs, or of a GPU's time, from which it limits the latency
 ONE_CORE = 1.1  # vCPUs that one thread may seem to use
 IDLE_GPU = 0.02  # of a GPU's time
 THROTTLED = 0.05  # of the periods of a quota
+CONTENDED = 0.05  # of its vCPUs, from which what others took is part of a latency
 SMALLER = 0.95
 SWAPPED_GIB = 2.0**-6
 PAGED_PER_S = 10.0  # major page faults, from which disks are part of the latency
 NETWORK_GIB = 2.0**-10
-# Codes of what is doubted.
-GPU_IDLE, SWAPS, QUOTA = "FS901", "FS902", "FS903"
 
 
 def use_line(use: ResourceUse) -> str:
@@ -32,9 +33,9 @@ def _words(use: ResourceUse) -> Iterator[str]:
         yield f"{of}, at most {units.shown(use.cpu_max)}"
     if use.throttled is not None and use.throttled >= THROTTLED:
         yield f"throttled in {use.throttled:.0%} of periods"
-    yield f"{_memory(use.memory_peak)} of memory"
+    yield f"{units.shown_memory(use.memory_peak)} of memory"
     if _swaps(use):
-        yield f"swapping: {_memory(use.swapped or 0.0)}"
+        yield f"swapping: {units.shown_memory(use.swapped or 0.0)}"
     if use.major_faults >= PAGED_PER_S * use.window:
         yield f"{use.major_faults:,} page faults that waited for a disk"
     if use.gpu_max is not None and use.gpu_mean is not None:
@@ -42,39 +43,34 @@ def _words(use: ResourceUse) -> Iterator[str]:
         bound = "GPU-bound: " if use.gpu_mean >= BOUND else ""
         yield f"{gpu} idle" if use.gpu_max < IDLE_GPU else f"{bound}{gpu} {use.gpu_mean:.0%} busy"
     if use.gpu_memory_peak is not None:
-        total = "" if use.gpu_memory is None else f" of {_memory(use.gpu_memory)}"
-        yield f"{_memory(use.gpu_memory_peak)}{total} of GPU memory"
+        total = "" if use.gpu_memory is None else f" of {units.shown_memory(use.gpu_memory)}"
+        yield f"{units.shown_memory(use.gpu_memory_peak)}{total} of GPU memory"
     if (use.received or 0.0) + (use.sent or 0.0) >= NETWORK_GIB:
-        yield f"network {_memory(use.received or 0.0)} in, {_memory(use.sent or 0.0)} out"
+        yield f"network {units.shown_memory(use.received or 0.0)} in, {units.shown_memory(use.sent or 0.0)} out"
 
 
-def doubts(records: Iterable[Measured]) -> list[str]:
-    """Return a warning with its code for each sample that measured something else than its machine at work."""
-    return [f"sample {one.id}: {text}" for one in records if one.state == "ok" for text in doubts_of(one)]
+def contended(record: Measured) -> bool:
+    """Return whether other processes, or the host, took more than `CONTENDED` of a sample's vCPUs."""
+    return record.resources is not None and (record.resources.outside or 0.0) > CONTENDED
 
 
-def doubts_of(record: Measured) -> Sequence[str]:
-    """Return why a sample measured something else than its machine at work, each with a code to explain."""
+def doubts(record: Measured) -> Iterator[Warned]:
+    """Yield a warning for each reason why a sample measured something else than its machine at work."""
     use = record.resources
-    if use is None:
-        return ()
-    found = []
+    if use is None or record.state != "ok":
+        return
     if record.machine.gpu is not None and use.gpu_max is not None and use.gpu_max < IDLE_GPU:
-        found.append(f"its GPU was idle, {use.gpu_max:.0%} busy at most: a machine without one may do [{GPU_IDLE}]")
+        yield warned(codes.gpu_idle, sample=record.id, most_busy=use.gpu_max)
     if _swaps(use):
-        swapped = _memory(use.swapped or 0.0)
-        found.append(f"its machine swapped {swapped} while requests were measured: it needs more memory [{SWAPS}]")
+        yield warned(codes.swapped, sample=record.id, swapped_gib=use.swapped or 0.0)
+    if contended(record):
+        mean_s = None if record.latency is None else record.latency.mean
+        yield warned(codes.contended, sample=record.id, cpu_time=use.outside or 0.0, mean_s=mean_s)
     # A quota of the machine's own size, as a pod has it, is the machine.
     smaller = use.vcpus < SMALLER * record.machine.cpus
     if smaller and use.throttled is not None and use.throttled >= THROTTLED:
-        share = f"in {use.throttled:.0%} of periods"
-        found.append(f"a CPU quota of {units.shown(use.vcpus)} vCPUs stopped its processes {share} [{QUOTA}]")
-    return found
+        yield warned(codes.cpu_quota, sample=record.id, vcpus=use.vcpus, periods=use.throttled)
 
 
 def _swaps(use: ResourceUse) -> bool:
     return use.swapped is not None and use.swapped >= SWAPPED_GIB
-
-
-def _memory(gib: float) -> str:
-    return f"{units.shown(gib)} GiB" if gib >= 1 else f"{units.shown(gib * 1024)} MiB"

@@ -1,16 +1,19 @@
-"""The results of a benchmark: one record per sample, measured or failed."""
+"""The results of a benchmark: one file per sample, with its record, measured or failed."""
 
-from collections.abc import Iterable, Sequence
-from typing import Annotated, Any, Literal, Self
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from fogspec.base import digest
-from fogspec.base.quantities import Id, Lean, Money, Strict
+from fogspec.base.quantities import Id, Lean, Strict
 from fogspec.catalog.machine import Machine, TypeKey
-from fogspec.plan.schema import PartName, PlanMetadata, Sampling, article
+from fogspec.language.schema import Hardware, Statistic, Waiver
+from fogspec.language.warned import Warned, mixed_servers, warned
+from fogspec.plan.schema import Sample, Sampling
 from fogspec.results.ranges import Amount, Counted, MemoryUse, MetricValue, RequestTime, Text, Time, Vcpus
-from fogspec.spec.schema import Statistic, Waiver
 
 State = Literal["ok", "insufficient", "timeout", "failed"]
 Reason = Literal[
@@ -22,6 +25,7 @@ Reason = Literal[
     "crash",
     "out_of_memory",
     "no_response",
+    "not_reported",
     "check",
     "out_of_range",
     "interrupted",
@@ -44,24 +48,21 @@ class LatencySummary(Strict):
     p99: RequestTime | None = None
 
 
-class Timings(Strict):
-    """Raw timings of a sample: a file relative to the results file, and sha256 of its bytes."""
-
-    path: str
-    digest: str
-
-
 class ServerFacts(Strict):
     """The server that ran a sample, as it described itself; facts that it did not give are None.
 
     `features` are instruction sets that matter to numerical code. `clock_ghz` and `run_queue`, the tasks that could have run,
     are those at the end; `steal` is the fraction of the CPU time that its host gave to others, `io_wait` that in which
     it was idle and waited for disks. `changed_to` is another CPU
-    that it had at the end.
+    that it had at the end. `driver` is that of its GPUs, `packages` the sha256 of the list of its packages, which is next to
+    the results.
     """
 
     cpu: str = Field(min_length=1, max_length=120)
     arch: str | None = Field(None, pattern=r"^[A-Za-z0-9_]{1,16}$")
+    kernel: str | None = Field(None, min_length=1, max_length=120)
+    driver: str | None = Field(None, pattern=r"^[0-9.]{1,32}$")
+    packages: str | None = Field(None, pattern=r"^sha256:[0-9a-f]{64}$")
     features: list[Annotated[str, Field(pattern=r"^[a-z0-9_]{1,16}$")]] = Field([], max_length=32)
     sockets: int | None = Field(None, ge=1, le=64)
     cores: int | None = Field(None, ge=1, le=8192)
@@ -94,7 +95,8 @@ class ResourceUse(Strict):
     """What the processes of a sample used while requests were measured, in a `window` that begins after warm-up.
 
     `cpu_mean` and `cpu_max`, of one second, are in vCPUs, of `vcpus` that affinity and quota let the processes use. `throttled`
-    is the fraction of periods in which that quota stopped them. `memory_peak` is the largest sum of their resident memory, read
+    is the fraction of periods in which that quota stopped them. `outside` is the fraction of `vcpus` that other processes, or
+    the machine's host, kept from them. `memory_peak` is the largest sum of their resident memory, read
     once per second. Page faults are theirs; `major_faults` waited for a disk. `swapped`, `received` and `sent` are what the
     whole machine moved to and from swap and through its network devices. Of its `gpus`, `gpu_mean` and `gpu_max` are the
     fractions of time in which the busiest one computed, and `gpu_memory_peak` is of `gpu_memory` of the fullest one. `overhead`
@@ -106,6 +108,7 @@ class ResourceUse(Strict):
     cpu_mean: Vcpus
     cpu_max: Vcpus
     throttled: float | None = Field(None, ge=0, le=1)
+    outside: float | None = Field(None, ge=0, le=1)
     memory_peak: MemoryUse
     minor_faults: Annotated[int, Field(ge=0, le=10**15)]
     major_faults: Annotated[int, Field(ge=0, le=10**15)]
@@ -120,44 +123,20 @@ class ResourceUse(Strict):
     overhead: Vcpus
 
 
-class Confined(Strict):
-    """By what a part of a machine was held to its vCPUs and to its memory, None for memory that was not limited."""
-
-    cpus_by: Literal["cpuset", "affinity"]
-    memory_by: Literal["cgroup"] | None = None
-
-
-class NestedIn(Strict):
-    """The sample whose machine was confined, that machine, the part of it, and how it was held to that."""
-
-    sample: Id
-    machine: Machine
-    part: PartName
-    confined: Confined | None = None
-
-    @property
-    def label(self) -> str:
-        """Return where it was measured, for people."""
-        return f"{article(self.part)} of {self.machine.instance}"
-
-
 class Measured(Strict):
     """One sample's record.
 
-    `substitute_for` names the unavailable sample that this machine was measured for. `stopped_by` is
-    what ended the measurement: steps, time, precision, decided (too slow to become the choice), exit of the processes, size of
-    the timings, a signal. Of the `duration` that is paid, `setup` is how long it took to the first request, and `measuring` how
-    long from then on.
-    `requests` counts valid requests after warm-up, `failed_requests` those that failed their own check.
+    `stopped_by` is what ended the measurement: steps, time, precision, decided (too slow to become the choice), exit of the
+    processes, size of the timings, a signal. Of the `duration` that is paid, `setup` is how long it took to the first request,
+    and `measuring` how long from then on.
+    `requests` counts valid requests after warm-up, `failed_requests` those that failed their own check. `independent` is
+    how many requests that do not resemble the one before would tell the mean latency as exactly.
     `service` is the time that the node worked on a request, without what it waited for others, where the probe tells
     them apart; `lost` of the failed requests got no response, `unmatched` responses belong to no request.
     `latency` is there when at least one valid request was measured, whatever the state; `latency_lower_bound` is a lower
     bound on the latency of a sample that was aborted in the middle of a request. A figure that its machine sent out of
     range (`fogspec.results.ranges`) is none: it makes the sample `failed`, `out_of_range`. `server` is the server
-    that ran it, `resources` what it used.
-
-    A record that is `nested_in` another was measured on a part of that one's machine: it stands for `machine`, which it is not,
-    and its cost is in that record.
+    that ran it, `resources` what it used. `timings` is the digest of the raw timings, a file in the folder of results.
     """
 
     id: Id
@@ -168,34 +147,21 @@ class Measured(Strict):
     detail: Text | None = None
     requests: Counted
     failed_requests: Counted = 0
+    independent: float | None = Field(None, gt=0, le=10**12)
     latency: LatencySummary | None = None
     service: LatencySummary | None = None
     lost: Counted | None = None
     unmatched: Counted | None = None
     latency_lower_bound: RequestTime | None = None
     metrics: dict[str, MetricValue] = Field({})
-    substitute_for: Id | None = None
     stopped_by: StoppedBy | None = None
     setup: Time | None = None
     measuring: Time | None = None
     duration: Time
     spent: Amount
-    timings: Timings | None = None
+    timings: str | None = None
     server: ServerFacts | None = None
     resources: ResourceUse | None = None
-    nested_in: NestedIn | None = None
-
-    @model_validator(mode="after")
-    def _is_part(self) -> Self:
-        """Require of a nested record that it is smaller than its machine, free of charge, and no substitute."""
-        parent = self.nested_in
-        if parent is None:
-            return self
-        if self.machine.cpus >= parent.machine.cpus or self.machine.memory > parent.machine.memory:
-            raise ValueError(f"{self.id} is nested in {parent.machine.instance}, which is not larger")
-        if self.spent or self.substitute_for is not None:
-            raise ValueError(f"{self.id} is nested: its machine is paid for by {parent.sample}")
-        return self
 
 
 class Confirmation(Strict):
@@ -216,75 +182,118 @@ class Confirmation(Strict):
 
 
 class Carried(Lean):
-    """Samples that were measured before a change and count on: `application` and `pins` are those before it.
+    """Samples that were measured before a change and count on: `inputs` is the digest of the record of inputs before it.
 
-    Because the changes were waived, or a measurement of the chosen machine confirmed the older results.
+    Because the changes were waived, or a measurement of the chosen machine confirmed the older results. In the file of one
+    sample, it is that sample.
     """
 
-    application: str
-    pins: dict[str, str] | None = None
-    samples: list[Id]
+    inputs: str
+    samples: list[Id] = Field([])
     waivers: list[Waiver] = Field([])
     confirmed: Confirmation | None = None
 
-    ADDED = frozenset({"pins", "waivers", "confirmed"})
+
+class Requested(Lean):
+    """A sample that an adaptive campaign requested: the `place` that it has in its `batch` of so many, all from 1, and why.
+
+    `hardware`, `infra` and `limits_digest` are those of `fogspec.plan.schema.Sampling`, as are `stop_reason` and
+    `out_of_budget`, which the samples of the last batch have.
+    """
+
+    batch: int = Field(ge=1)
+    place: int = Field(ge=1)
+    of: int = Field(ge=1)
+    reason: str
+    sample: Sample
+    hardware: Hardware
+    infra: list[str]
+    limits_digest: str
+    stop_reason: str | None = None
+    out_of_budget: bool = False
+
+
+class ResultBody(Lean):
+    """One sample: its record, None while there is none; what all attempts to measure it have `spent`; and provenance.
+
+    `inputs` is the record of what was measured (`fogspec.language.fingerprints.measured_record`): fields of the spec,
+    digests of the image and of the files that were sent. `carried` are the changes since, in order; `inputs` is the
+    newest record. `source` cites measurements that were recorded elsewhere.
+    """
+
+    id: Id
+    inputs: dict[str, Any]
+    carried: list[Carried] = Field([], max_length=1000)
+    runner: str
+    source: str | None = None
+    spent: Amount
+    requested: Requested | None = None
+    record: Measured | None = None
+
+
+class Result(Strict):
+    """`kind: Result`: the file of one sample. `integrity` is the digest over its body, so that an edited file is detected."""
+
+    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
+    kind: Literal["Result"] = "Result"
+    spec: ResultBody
+    integrity: str
 
 
 class ResultsBody(Strict):
-    """The samples, and the provenance of their figures.
+    """All samples of an application: what the files say together (`fogspec.results.folded`).
 
-    `application` is the digest over what measuring reads of the spec; `plan` the digest of the plan, None for
-    measurements that were recorded elsewhere, whose `source` cites them. `pins` are the plan's: digests of what the
-    spec only names; None where nothing was locked. `field_digests` are the plan's digests of what measuring reads of the spec.
-    `measured` are the values behind `application`, without those that are not set, so that a later change can be named.
-    `carried` are the changes since the older samples, in order; the digests are those of the newest.
+    `carried` are the changes since the older samples, in order; `inputs` is the newest record. `paid` is what the attempts of
+    a sample cost where that is not the cost of its record, or where there is none. `before` is what results cost that were
+    set aside.
     """
 
-    application: str
-    plan: str | None = None
-    pins: dict[str, str] | None = None
-    field_digests: dict[str, str] | None = None
-    measured: dict[str, Any] | None = None
-    carried: list[Carried] | None = Field(None, max_length=1000)
+    inputs: dict[str, Any]
+    carried: list[Carried] | None = None
     runner: str
     source: str | None = None
-    budget: Money | None = None
-    spent: Amount
     sampling: Sampling | None = None
     samples: list[Measured]
+    paid: dict[str, Amount] = Field({})
+    before: Amount = 0.0
 
-    @model_validator(mode="after")
-    def _have_parents(self) -> Self:
-        """Require of each nested record the record of the sample whose machine it was measured on."""
-        known = {one.id: one.machine.type_key for one in own_records(self.samples)}
-        for one in self.samples:
-            parent = one.nested_in
-            if parent is not None and known.get(parent.sample) != parent.machine.type_key:
-                raise ValueError(
-                    f"{one.id} is nested in {parent.sample}, and there is no record of that sample and machine"
-                )
-        return self
+    @property
+    def costs(self) -> dict[str, float]:
+        """What each sample has cost in USD, by its id."""
+        return {one.id: one.spent for one in self.samples} | self.paid
+
+    @property
+    def spent(self) -> float:
+        """What all of it has cost in USD."""
+        return round(math.fsum([self.before, *self.costs.values()]), 9)
 
 
-class Results(Strict):
-    """`kind: Results`; `integrity` is the digest over everything else, so that an edited file is detected."""
+@dataclass(frozen=True, slots=True)
+class Results:
+    """The results of an application; `integrity` is the digest over what is measured and its provenance."""
 
-    apiVersion: Literal["fogspec.dev/v1alpha1"] = "fogspec.dev/v1alpha1"
-    kind: Literal["Results"] = "Results"
-    metadata: PlanMetadata
     spec: ResultsBody
     integrity: str
 
 
-def with_checksum(metadata: PlanMetadata, body: ResultsBody) -> Results:
-    """Return the results with their checksum."""
-    found = Results(metadata=metadata, spec=body, integrity="")
-    return found.model_copy(update={"integrity": _checksum(found)})
+def results_of(body: ResultsBody) -> Results:
+    """Return the results with their digest: over all fields but those that are None, and what was set aside."""
+    return Results(body, digest.of_value(body.model_dump(mode="json", exclude={"before"}, exclude_none=True)))
 
 
-def checksum_ok(results: Results) -> bool:
+def sealed(body: ResultBody) -> Result:
+    """Return the file of a sample with its checksum."""
+    return Result(spec=body, integrity=_checksum(body))
+
+
+def checksum_ok(file: Result) -> bool:
     """Return whether the checksum matches the content."""
-    return results.integrity == _checksum(results)
+    return file.integrity == _checksum(file.spec)
+
+
+def _checksum(body: ResultBody) -> str:
+    """Return the digest over all fields but those that are None, so that an optional field added later keeps it valid."""
+    return digest.of_value(body.model_dump(mode="json", exclude_none=True))
 
 
 def is_final(record: Measured) -> bool:
@@ -293,20 +302,24 @@ def is_final(record: Measured) -> bool:
 
 
 def completed(results: Results | None) -> frozenset[str]:
-    """Return the ids of samples that are not measured again: final ones, and those that a substitute replaced.
+    """Return the ids of samples that are not measured again: final ones, and unavailable ones that a campaign left behind.
 
     An adaptive campaign that continued without an unavailable machine does not return to it.
     """
     if results is None:
         return frozenset()
     abandoned = _abandoned(results.spec)
-    ended = [one for one in own_records(results.spec.samples) if is_final(one) or one.id in abandoned]
-    return frozenset(name for one in ended for name in (one.id, one.substitute_for) if name is not None)
+    return frozenset(one.id for one in results.spec.samples if is_final(one) or one.id in abandoned)
 
 
-def own_records(records: Iterable[Measured]) -> list[Measured]:
-    """Return the records of machines themselves, without those of parts of machines."""
-    return [one for one in records if one.nested_in is None]
+def free_failures(results: Results | None) -> frozenset[str]:
+    """Return the ids of samples that failed and cost nothing: the next bench measures them again, whatever the reason was.
+
+    None of an adaptive campaign, which decided by them.
+    """
+    if results is None or results.spec.sampling is not None:
+        return frozenset()
+    return frozenset(one.id for one in results.spec.samples if one.state == "failed" and not one.spent)
 
 
 def _abandoned(body: ResultsBody) -> set[str]:
@@ -316,24 +329,18 @@ def _abandoned(body: ResultsBody) -> set[str]:
         return set()
     before = sampling.batches if sampling.stop_reason is not None else sampling.batches[:-1]
     requested = {sample.id for batch in before for sample in batch.samples}
-    return {one.id for one in body.samples if one.reason in UNAVAILABLE and (one.substitute_for or one.id) in requested}
+    return {one.id for one in body.samples if one.reason in UNAVAILABLE and one.id in requested}
 
 
-def _checksum(results: Results) -> str:
-    """Return the digest over all fields but those that are None, so that an optional field added later keeps it valid."""
-    written = results.model_dump(mode="json", include={"metadata", "spec"}, exclude_none=True)
-    return digest.of_value([written["metadata"], written["spec"]])
-
-
-def other_servers(records: Sequence[Measured]) -> list[str]:
-    """Return a sentence for each instance type that was measured on servers with different CPUs."""
+def other_servers(records: Sequence[Measured]) -> list[Warned]:
+    """Return a warning for each instance type that was measured on servers with different CPUs."""
     cpus: dict[TypeKey, dict[str, None]] = {}
-    for one in own_records(records):
+    for one in records:
         if one.server is not None:
             seen = filter(None, (one.server.cpu, one.server.changed_to))
             cpus.setdefault(one.machine.type_key, {}).update(dict.fromkeys(seen))
     return [
-        f"{instance} is not one kind of machine: it was measured on {' and on '.join(seen)}"
+        warned(mixed_servers, machine=instance, cpus=list(seen))
         for (_, instance, *_), seen in cpus.items()
         if len(seen) > 1
     ]

@@ -5,9 +5,9 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
+from fogspec.agent.intervals import QUANTILES
 from fogspec.results.schema import LatencySummary
 
-QUANTILES = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
 # A quantile is reported if on average one request lies beyond it, a mean from the first request on.
 NEEDED = {"mean": 1, "p50": 2, "p95": 20, "p99": 100}
 

@@ -34,7 +34,7 @@ ELSEWHERE = (
     "additional_setup_commands",
     "additional_run_commands",
 )
-# The constraints of the paper, as keywords: `max_latency`, `min_cpu`, `alpha`, `num_steps`.
+# Constraints as keywords: `max_latency`, `min_cpu`, `alpha`, `num_steps`.
 CONSTRAINT = re.compile(r"((min|max)_?\w+|alpha|latency|time|cost|(num_?)?steps|gpus?|machine_?types?|constraints)")
 RESPAWN_DELAY_S = 2.0
 
@@ -42,7 +42,7 @@ RESPAWN_DELAY_S = 2.0
 class SkyLaunchDescription(LaunchDescriptionEntity):  # type: ignore[misc]
     """Nodes that run in the cloud; the robot's own nodes are in the LaunchDescription.
 
-    `constraint` is the paper's, also as keywords; `fogspec init --from-launch` makes a spec of it, and the spec decides.
+    `constraint` is the paper's, or keywords; `fogspec init --from-launch` makes a spec of it, and the spec decides.
     `manifest` is the path of compiled/NAME/manifest.yaml; without it FOGSPEC_MANIFEST, else the manifest in a folder
     `compiled` beside or above the launch file whose cloud nodes are these. Raises ValueError when there is none, or when it
     deploys other nodes; TypeError for a keyword that neither FogROS2 nor fogspec has.

@@ -59,11 +59,11 @@ def read(path: Path) -> Pinned:
         spec = document["spec"]
         if document["kind"] != "DeploymentManifest":
             raise KeyError("kind")
-        digests = {one["path"]: one["digest"] for one in spec["files"]}
+        digests = {one["path"]: one["digest"] for one in document["pins"]["files"]}
         link = path.parent / "link" / "link.sh" if "link/link.sh" in digests else None
         folder = str(path.resolve().parent / "link")
         environment = {
-            str(key): str(value).replace("@LINK@", folder) for key, value in spec["robot_environment"].items()
+            str(key): str(value).replace("@LINK@", folder) for key, value in spec.get("robot_environment", {}).items()
         }
         pinned = Pinned(
             name=document["metadata"]["name"],

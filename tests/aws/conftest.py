@@ -1,7 +1,6 @@
 """One account for all tests here, and one bench that several look at."""
 
 import os
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,32 +9,23 @@ import pytest
 
 from fogspec.backends.skypilot.client import Client
 from tests.aws.site import AwsSite, Instance, until
+from tests.slurm.abandoned import ABANDONED, Abandoned
 from tests.slurm.site import Bench
 from tests.tools import apart
 from tests.tools.aws import engine
 from tests.tools.aws.__main__ import missing
 from tests.tools.slurm.engine import start
 
-ABANDONED = "fogspec-abandoned"
 TYPES = ("c6i.large", "m6i.large", "c6i.xlarge")
 
 
 @dataclass
-class Abandoned:
-    """A machine that nothing looks after, and the client that started it."""
-
-    site: AwsSite
-    client: Client
-    request: str
-
-
-@dataclass
 class Benched:
-    """A project whose application was measured: in so many seconds, what was left right afterwards, and EC2's list."""
+    """A project whose application was measured: how many machines at once, what was left right afterwards, and EC2's list."""
 
     site: AwsSite
     spec: str
-    took_s: float
+    at_once: int
     left: list[str]
     instances: list[Instance]
 
@@ -70,21 +60,11 @@ def abandoned(account: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     """A machine that runs a compiled task which hangs, with a lifetime of a minute."""
     site = AwsSite(account, tmp_path_factory.mktemp("abandoned") / "project", prefix=ABANDONED)
     site.compile(site.write("hangs", ["c6i.xlarge"]))
-    task = site.task("hangs", "c6i.xlarge")
-    task["resources"]["autostop"]["idle_minutes"] = 1
-    task["run"] = "sleep 3600"
-    before, given = dict(os.environ), engine.environment(account)
     with Client() as client:
-        try:
-            os.environ.clear()
-            os.environ.update(given)
-            client.ready()
-        finally:
-            os.environ.clear()
-            os.environ.update(before)
-        asked = client.call("launch", 300, task=task, name=ABANDONED, root=str(site.project))
+        machine = Abandoned(site, client, engine.environment(account), site.task("hangs", "c6i.xlarge"))
+        machine.start()
         until(lambda: site.jobs())
-        yield Abandoned(site, client, asked["request"])
+        yield machine
 
 
 @pytest.fixture(scope="session")
@@ -92,7 +72,7 @@ def silent(account: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     """A bench whose machine is up and never answers SSH."""
     site = AwsSite(account, tmp_path_factory.mktemp("silent") / "project")
     spec = site.write("silent", ["m6i.xlarge"])
-    site.edit(spec, "setup_timeout: 20min", "setup_timeout: 10s")
+    site.edit(spec, "ready_timeout: 20min", "ready_timeout: 10s")
     site.edit(spec, "duration: 1min", "duration: 20s")  # so that it is over before SkyPilot gives up by itself
     site.prefix = site.machine("silent")
     engine.ask("/_fault", action="boot", match=site.prefix, how="silent")
@@ -118,9 +98,8 @@ def benched(account: Path, tmp_path_factory: pytest.TempPathFactory) -> Benched:
     site.edit(spec, "alpha: 0.5", "alpha: 0")
     site.edit(spec, "cpus: 1..128", "cpus: 2..4")
     site.compile(spec)
-    begun = time.monotonic()
-    assert site.bench(spec).ended() == 0
-    took_s = time.monotonic() - begun
+    bench = site.bench(spec)
+    assert bench.ended() == 0
     left, instances = site.left(), site.instances()
     site.compile(spec)
-    return Benched(site, spec, took_s, left, instances)
+    return Benched(site, spec, bench.at_once, left, instances)

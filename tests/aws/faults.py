@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.bench.journal import Journal
-from fogspec.results.schema import Results, is_final
-from fogspec.spec.loader import read_document
+from fogspec.results.io import read_results_folder
+from fogspec.results.schema import is_final
 from tests.aws.site import AwsSite
 from tests.slurm import breaking
 from tests.tools import apart
@@ -113,7 +113,7 @@ class Life:
         """Measure with faults until nothing is left to measure."""
         spec = self.site.write(self.name, list(MACHINES), steps=40)
         self.site.edit(spec, "budget: $10", f"budget: ${BUDGET_USD}")
-        self.site.edit(spec, "setup_timeout: 20min", "setup_timeout: 10min")
+        self.site.edit(spec, "ready_timeout: 20min", "ready_timeout: 10min")
         self.site.prefix = self.site.machine(self.name)
         self.site.compile(spec)
         kills = self.drawn()
@@ -132,7 +132,7 @@ class Life:
 
     def left(self) -> list[str]:
         """Samples that the next bench measures: those that failed for a reason that passes."""
-        results = read_document(self.site.project / "results" / f"{self.name}.yaml", Results).spec
+        results = read_results_folder(self.site.project / "results" / self.name).spec
         return [one.id for one in results.samples if not is_final(one)]
 
     def drawn(self) -> list[Kill]:
@@ -207,7 +207,7 @@ def judge(life: Life) -> Judged:
     """EC2's word against fogspec's."""
     site, found = life.site, Judged()
     found.never["machines leaked"] += len(site.left(120.0))
-    results = read_document(site.project / "results" / f"{life.name}.yaml", Results).spec
+    results = read_results_folder(site.project / "results" / life.name).spec
     journal = site.project / ".fogspec" / life.name / "journal.jsonl"
     book = Journal(journal).state
     found.billed_usd, found.booked_usd = site.bill(), max(results.spent, book.spent_usd)
@@ -295,7 +295,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def table(struck: collections.Counter[str]) -> str:
-    """What was met how often, for docs/explanation/reliability.md."""
+    """What was met how often, for docs/reference/support.md."""
     names = [*(one.name for one in KINDS), *KILLS]
     return "\n".join(["| fault | met |", "|--|--|", *(f"| {name} | {struck[name]} |" for name in names)])
 

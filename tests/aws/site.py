@@ -58,14 +58,14 @@ class AwsSite(site.Site):
 
     def machine(self, name: str, instance: str = "") -> str:
         """What the names of an application's machines begin with, or of those that measure one instance type."""
-        prefix = owner_of(Layout.of(self.project / "specs" / f"{name}.yaml", name)).prefix
+        prefix = owner_of(Layout.of(self.spec(name), name)).prefix
         return f"{prefix}aws-{shapes.REGION}-{instance.replace('.', '-')}" if instance else prefix
 
     def write(self, name: str, machines: list[str], steps: int = 20, work: str = WORK) -> str:
         """A spec, whose path is returned, and its workload."""
         path = super().write(name, machines, steps, work)
         self.edit(path, "slurm/fogtest", f"aws/{shapes.REGION}")
-        self.edit(path, "setup_timeout: 3min", "setup_timeout: 20min")  # however busy this machine is
+        self.edit(path, "ready_timeout: 3min", "ready_timeout: 20min")  # however busy this machine is
         return path
 
     def edit(self, path: str, old: str, new: str) -> None:
@@ -126,7 +126,7 @@ def _instance(one: dict[str, Any]) -> Instance:
     return Instance(one["InstanceId"], name, shape.name, state, spot, lived_s, max(lived_s, LEAST_S) * price / 3600)
 
 
-def until(true: Callable[[], Any], patience_s: float = 300.0) -> Any:
+def until(true: Callable[[], Any], patience_s: float = 1200.0) -> Any:
     """What it says once it says something."""
     end = time.monotonic() + patience_s
     while not (found := true()):

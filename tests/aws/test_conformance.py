@@ -1,4 +1,4 @@
-"""`fogspec conformance` through SkyPilot's own AWS provisioner, as anyone with an account starts it."""
+"""`fogspec-lab conformance` through SkyPilot's own AWS provisioner, as anyone with an account starts it."""
 
 import json
 import os
@@ -10,11 +10,12 @@ from tests.aws.site import AwsSite
 from tests.tools.aws import cloud, shapes
 
 
+@pytest.mark.rare
 @pytest.mark.timeout(3600)
 def test_every_step_passes_and_ec2_has_nothing_left(site: AwsSite) -> None:
     site.project.mkdir(parents=True)
     words = ("conformance", "--infra", f"aws/{shapes.REGION}", "--max", "$2", "--yes", "--out", "report.json")
-    said = site.run(*words, patience_s=3500)
+    said = site.run(*words, patience_s=3500, program="fogspec_lab")
     assert "at most $" in said.stderr
     report = json.loads((site.project / "report.json").read_text())
     assert [step["state"] for step in report["steps"]] == ["ok"] * len(report["steps"]), report["steps"]

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.results.schema import Results
-from fogspec.spec.loader import read_document
+from fogspec.results.io import read_results_folder
 from tests.aws.site import AwsSite, until
 from tests.aws.test_line import deployed, status
 from tests.support.registries import PASSWORD, USER
@@ -74,8 +73,9 @@ def site(account: Path, registry: Images, tmp_path_factory: pytest.TempPathFacto
     return site
 
 
+@pytest.mark.rare
 def test_an_image_of_a_private_registry_from_the_lock_to_the_end(site: ContainerSite, registry: Images) -> None:
-    spec, manifest = "specs/life.yaml", "compiled/life/manifest.yaml"
+    spec, manifest = "specs/life/life.yaml", "compiled/life/manifest.yaml"
     first = registry.push("1")
     site.run("lock", spec)
     site.compile(spec)
@@ -85,12 +85,12 @@ def test_an_image_of_a_private_registry_from_the_lock_to_the_end(site: Container
     assert bench.ended() == 0, (site.project / "bench.log").read_text()
     (record,) = site.results("life").values()
     assert (record.state, record.requests >= 20) == ("ok", True)
-    assert read_document(site.project / "results" / "life.yaml", Results).spec.pins["image"] == first
+    assert read_results_folder(site.project / "results" / "life").spec.inputs["image"] == first
     assert site.left() == []
 
     site.compile(spec)
     assert f"{registry.name}@{first}" in (site.project / manifest).read_text()
-    site.run("verify", manifest)
+    site.run("check", spec)
     site.run("apply", manifest, "--yes")
     (machine,) = deployed(site)
     assert (machine["state"], machine["image"]) == ("serving", f"{registry.name}@{first}")

@@ -15,6 +15,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("code", [*REFUSED])
 def test_a_refused_launch_is_told_in_awss_words_and_costs_nothing(site: AwsSite, code: str) -> None:
     reason, message = REFUSED[code]
@@ -26,13 +27,14 @@ def test_a_refused_launch_is_told_in_awss_words_and_costs_nothing(site: AwsSite,
     said = (site.project / "bench.log").read_text() + str(bench.events)
     assert ended != 0
     assert f"{code}: {message}" in said
-    if (site.project / "results" / f"{name}.yaml").exists():
+    if (site.project / "results" / name).exists():
         (record,) = site.results(name).values()
         assert (record.state, record.reason, record.spent) == ("failed", reason, 0)
     assert site.instances() == []
     assert site.left() == []
 
 
+@pytest.mark.rare
 def test_a_price_that_rose_starts_nothing(site: AwsSite) -> None:
     site.compile(spec := site.write("dearer", ["m6i.xlarge"]))
     prices = site.cluster / "sky" / ".sky" / "catalogs" / "v8" / "aws" / "vms.csv"
@@ -49,6 +51,7 @@ def test_a_price_that_rose_starts_nothing(site: AwsSite) -> None:
     assert site.instances() == []
 
 
+@pytest.mark.rare
 def test_machines_that_are_ended_while_they_begin_keep_no_other_from_beginning(site: AwsSite) -> None:
     ec2 = engine.client()
     image = ec2.describe_images()["Images"][0]["ImageId"]

@@ -3,11 +3,9 @@
 import json
 from typing import Any
 
-import pytest
 from ruamel.yaml import YAML
 
-from fogspec.results.schema import Results
-from fogspec.spec.loader import read_document
+from fogspec.results.io import read_results_folder
 from tests.aws.conftest import TYPES, Benched
 from tests.aws.site import AwsSite
 from tests.tools.aws import engine, shapes
@@ -31,15 +29,14 @@ def test_several_types_at_once_from_the_plan_to_the_manifest(benched: Benched) -
         shape = shapes.BY_NAME[name]
         assert one.requests >= 20
         assert one.latency is not None
-        assert one.latency.mean == pytest.approx(0.02 + 0.4 / shape.cpus, rel=0.5), name
+        assert one.latency.mean >= 0.99 * (0.02 + 0.4 / shape.cpus), name
         assert one.machine.price == shape.price
-    # Two and one after each other would take two thirds of the sum.
-    assert benched.took_s < 0.6 * sum(one.duration for one in records.values()), "they ran at the same time"
+    assert benched.at_once == len(TYPES)
 
 
 def test_what_ec2_bills_is_within_the_budget_and_what_was_booked(benched: Benched) -> None:
     site = benched.site
-    results = read_document(site.project / "results" / "life.yaml", Results).spec
+    results = read_results_folder(site.project / "results" / "life").spec
     assert sorted(one.type for one in benched.instances) == sorted(TYPES), "one machine each, and no other"
     billed = sum(one.usd for one in benched.instances)
     assert billed <= 10.0

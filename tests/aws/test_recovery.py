@@ -3,9 +3,11 @@
 import collections
 from typing import Any
 
+import pytest
+
+from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import Results
-from fogspec.spec.loader import read_document
+from fogspec.results.io import read_results_folder
 from tests.aws.site import AwsSite, until
 from tests.slurm.site import Bench, recorded
 from tests.tools.aws import engine
@@ -68,7 +70,7 @@ NO_CAPACITY = "We currently do not have sufficient capacity in the Availability 
 
 def within_what_is_booked(site: AwsSite, name: str, budget_usd: float = 10.0) -> bool:
     """Whether EC2 bills no more than the results say, and these no more than the budget."""
-    booked = read_document(site.project / "results" / f"{name}.yaml", Results).spec.spent
+    booked = read_results_folder(site.project / "results" / name).spec.spent
     return site.bill() <= booked * 1.02 and booked <= budget_usd
 
 
@@ -98,6 +100,7 @@ def test_spot_machines_that_fail_are_replaced_and_what_is_refused_for_a_while_is
     assert site.left() == []
 
 
+@pytest.mark.rare
 def test_a_deployment_falls_back_is_replaced_and_is_gone_in_the_end(site: AwsSite) -> None:
     spec = site.write("serves", ["c6i.large", "m6i.large"])
     site.edit(spec, "alpha: 0.5", "alpha: 0")
@@ -131,6 +134,7 @@ def test_a_deployment_falls_back_is_replaced_and_is_gone_in_the_end(site: AwsSit
     assert site.left() == []
 
 
+@pytest.mark.rare
 def test_a_bench_outlasts_an_api_that_hangs_and_credentials_that_expire(site: AwsSite) -> None:
     refused, late, unseen = types = ("c6i.large", "m6i.large", "c6i.xlarge")
     spec = site.write("outage", list(types), steps=40, work=WAITS)
@@ -167,6 +171,7 @@ def test_a_bench_outlasts_an_api_that_hangs_and_credentials_that_expire(site: Aw
     assert site.left() == []
 
 
+@pytest.mark.rare
 def test_a_machine_that_never_answers_is_ended_in_time_and_paid(silent: tuple[AwsSite, Bench]) -> None:
     site, bench = silent
     assert bench.ended() == 1, "no sample could be measured"

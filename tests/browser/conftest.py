@@ -9,6 +9,14 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+LONGEST_MS = 600_000  # bounds a hang: playwright's own 30 s pass on a busy computer
+
+
+def new_page(chromium: Any, **more: Any) -> Any:
+    """A page in a context of its own, which waits for as long as it takes."""
+    page = chromium.new_page(**more)
+    page.set_default_timeout(LONGEST_MS)
+    return page
 
 
 @dataclass
@@ -21,7 +29,7 @@ class Browser:
 
     def open(self, path: Path, width: int = 1000, **more: Any) -> Any:
         """A page from a file."""
-        page = self.chromium.new_page(viewport={"width": width, "height": 900}, **more)
+        page = new_page(self.chromium, viewport={"width": width, "height": 900}, **more)
         page.on("console", lambda message: self.complaints.append(message.text))
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("dialog", lambda dialog: self.complaints.append(dialog.message))
@@ -40,7 +48,7 @@ def chromium() -> Iterator[Any]:
 
     with sync_playwright() as playwright:
         # Root, as in containers, has no sandbox; the pages are our own.
-        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"], timeout=LONGEST_MS)
         yield browser
         browser.close()
 
@@ -59,5 +67,5 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The specs and the paper's measurements in an empty folder."""
     folder = tmp_path_factory.mktemp("checkout")
     shutil.copytree(ROOT / "specs", folder / "specs")
-    shutil.copytree(ROOT / "results", folder / "results", ignore=shutil.ignore_patterns("lidar*", "planner*"))
+    shutil.copytree(ROOT / "results", folder / "results", ignore=shutil.ignore_patterns("planner*"))
     return folder

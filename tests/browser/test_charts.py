@@ -1,13 +1,11 @@
 """The charts in a real browser: with its fonts too, no text touches a mark, a limit, another text or the edge."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from fogspec.spec.schema import Application
 from tests.browser.conftest import ROOT
-from tests.browser.test_report import compiled, loaded, measured_here, written_catalog
+from tests.browser.test_report import compiled, loaded, measured_here, rented, written_catalog
 
 # Boxes of everything in the picture, in its own units; a text's is a little smaller than its line.
 TOUCHING = """() => {
@@ -17,7 +15,7 @@ TOUCHING = """() => {
         return {words: node.textContent, left: box.x, right: box.x + box.width, top: box.y + box.height * .2,
                 bottom: box.y + box.height * .82};
     });
-    const marks = [...svg.querySelectorAll('.mark')].map((node) => {
+    const marks = [...svg.querySelectorAll('.mark > *')].map((node) => {
         const box = node.getBBox();
         return {words: 'mark', left: box.x, right: box.x + box.width, top: box.y, bottom: box.y + box.height};
     });
@@ -58,7 +56,7 @@ def test_nothing_touches_in_the_papers_charts(browser, path):
 
 
 def test_hostile_names_touch_nothing_either(browser, checkout, tmp_path):
-    catalog = tmp_path / "aws.csv"
+    catalog = checkout / "aws.csv"
     written_catalog(catalog, [(name, 2 ** (i + 2), 2 ** (i + 3), 0.15 * (i + 1), "") for i, name in enumerate(NAMES)])
     made = compiled(loaded(checkout, "vslam-recorded"), str(catalog))
     for path in (made.layout.picture, made.layout.latencies):
@@ -68,10 +66,7 @@ def test_hostile_names_touch_nothing_either(browser, checkout, tmp_path):
 
 
 def test_a_metric_measured_on_one_host_has_charts_too(browser, checkout, tmp_path):
-    one = loaded(checkout, "planner-local")
-    document = one.application.model_dump(mode="json", exclude_unset=True)
-    document["spec"]["objective"]["metric"] = "path_length"
-    one = replace(one, application=Application.model_validate(document))
+    one = rented(loaded(checkout, "cubicles-planner"))
     measured_here(one)
     made = compiled(one)
     assert made.layout.metric_picture in made.files

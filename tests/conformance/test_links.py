@@ -15,11 +15,12 @@ from fogspec.compile.launch_files import launch_files, link_script
 from fogspec.compile.links import LINKS
 from fogspec.compile.links.wireguard import addresses, interface
 from fogspec.compile.links.zenoh import common_name, router
-from fogspec.spec.graph_names import exposed
-from fogspec.spec.schema import Application
+from fogspec.language.graph_names import exposed
+from fogspec.language.schema import Application
+from fogspec.language.warned import sentence
 from tests.unit.compile.test_tasks import application
 
-PASSING = {"topics": ["/tf"], "services": ["/plan"], "actions": ["/navigate"]}
+PASSING = {"expose": {"/tf": "topic", "/plan": "service", "/navigate": "action"}}
 SIDES = ("cloud", "robot")
 
 
@@ -181,7 +182,7 @@ def test_the_command_that_opens_the_udp_port_is_one_that_a_shell_reads_as_it_is_
         assert (run.returncode, run.stderr) == (0, "")
         assert run.stdout.strip().endswith(expected)
         assert infra.partition("/")[2] in said or not infra.startswith("aws")
-        assert "fogspec apply says the command" in link.notes(app, infra.partition("/")[0])[0]
+        assert "fogspec apply says the command" in sentence(link.warnings(app, infra.partition("/")[0])[0])
     assert link.opening(app, "lambda/us-east-1", "203.0.113.7").endswith("SkyPilot opens TCP ports only")
     assert link.opening(app, "local", "127.0.0.1") is None
 

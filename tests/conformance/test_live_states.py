@@ -1,7 +1,4 @@
-"""What every place of live state must do: one suite over the folder of a clone, refs of a git repository, and objects.
-
-`tests/object_store` runs it over a bucket as well.
-"""
+"""What every place of live state must do: one suite over the folder of a clone and refs of a git repository."""
 
 import contextlib
 import subprocess
@@ -19,12 +16,10 @@ from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import Busy, FogspecError, Refused
 from fogspec.base.git import Ended
 from fogspec.base.layout import Layout
-from fogspec.base.locks import application_lock
 from fogspec.catalog.machine import Machine
-from fogspec.deploy import shared_state
+from fogspec.deploy import shared_state, state
 from fogspec.deploy.git_store import GitStore
-from fogspec.deploy.object_store import FsspecObjects, ObjectStore
-from fogspec.deploy.schema import DeployedMachine
+from fogspec.deploy.schema import DeployedMachine, DeploymentBody
 from fogspec.deploy.shared_state import LEASE_S, SharedRecord, holding, key_of, store_of
 from fogspec.deploy.state import DeploymentState
 from fogspec.deploy.stores import Overtaken, Store, Stored, StoreUnavailable
@@ -71,10 +66,7 @@ class Project:
     @contextlib.contextmanager
     def held(self, layout: Layout | None = None) -> Iterator[DeploymentState]:
         layout = layout or self.one
-        with (
-            application_lock(layout, "apply of tiny"),
-            holding(layout, "apply of tiny", self.times, self.said.append) as record,
-        ):
+        with holding(layout, "apply of tiny", self.times, self.said.append) as record:
             yield DeploymentState.read(layout, self.times, record)
 
     def seen(self) -> DeploymentState:
@@ -98,10 +90,6 @@ class Project:
         if self.kind == "folder":
             self.one.live.write_text(self.one.live.read_text()[:-40] + "]")
             return
-        if self.kind != "git":
-            store, key = self.store(), key_of(owner_of(self.one))
-            store.write(key, b"spec: [", store.read(key).version, "by hand")
-            return
         ref = f"refs/fogspec/state/{key_of(owner_of(self.one))}"
         blob = subprocess.run(
             ["git", "hash-object", "-w", "--stdin"], cwd=self.remote, input=b"spec: [", check=True, capture_output=True
@@ -113,23 +101,17 @@ class Project:
         git("update-ref", ref, commit, folder=self.remote)
 
 
-@pytest.fixture(params=["folder", "git", "objects"])
+@pytest.fixture(params=["folder", "git"])
 def project(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     return made(request.param, tmp_path, monkeypatch)
 
 
-@pytest.fixture(params=["git", "objects"])
-def shared(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
-    return made(request.param, tmp_path, monkeypatch)
-
-
 @pytest.fixture
-def in_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     return made("git", tmp_path, monkeypatch)
 
 
 def made(kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
-    """Make the clones; a `kind` that is no other one is a bucket's URL."""
     monkeypatch.delenv("FOGSPEC_STATE", raising=False)
     shared_state._store.cache_clear()
     monkeypatch.setattr(shared_state, "KEPT_S", -1.0)
@@ -140,13 +122,10 @@ def made(kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
         git("remote", "add", "origin", str(remote), folder=folder / name)
         (folder / name / "specs").mkdir()
         layouts.append(Layout.of(folder / name / "specs" / "tiny.yaml", "tiny"))
-        if kind not in ("folder", "objects"):
+        if kind != "folder":
             (folder / name / "fogspec.yaml").write_text(
                 f"apiVersion: fogspec.dev/v1alpha1\nkind: Project\nspec: {{state: '{kind}'}}\n"
             )
-    if kind == "objects":
-        (folder / "objects").mkdir()
-        monkeypatch.setenv("FOGSPEC_STATE", f"file://{folder}/objects")
     return Project(kind, layouts[0], layouts[0] if kind == "folder" else layouts[1], remote)
 
 
@@ -196,15 +175,53 @@ def test_records_of_others_machines_are_kept_and_refused(project: Project) -> No
         seen.check_owned()
 
 
-def test_clearing_leaves_nothing(project: Project) -> None:
+def test_clearing_leaves_the_history_alone(project: Project) -> None:
     with project.held() as live:
         live.put(project.machine())
+        project.times.now += 2.0
         live.gone(project.machine().name)
-        assert list(live.clear())
+        live.layout.files.write(live.layout.last_words, b"it")
+        assert list(live.clear()) == [str(live.layout.last_words)]
         assert list(live.clear()) == []
-    assert (project.seen().machines, project.seen().total_usd()) == ([], 0.0)
+    seen = project.seen()
+    assert (seen.machines, seen.total_usd()) == ([], 0.0)
+    assert [(act.did, act.name, act.spent) for act in seen.history] == [
+        ("started", project.machine().name, None),
+        ("ended", project.machine().name, 2.0),
+    ]
+    assert seen.history[1].by.date == "2001-09-09T01:46:42+00:00"
+
+
+def test_clearing_without_a_history_leaves_nothing(project: Project) -> None:
+    with project.held() as live:
+        live.history = []
+        live.layout.files.write(live.layout.live, b"x")
+        assert str(live.layout.live) in list(live.clear())
+        assert list(live.clear()) == []
     assert git("for-each-ref", folder=project.remote) == ""
     assert project.kind == "folder" or project.store().read_all() == {}
+
+
+def test_the_history_has_the_latest_acts_and_counts_generations_on(
+    project: Project, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    most = 6
+    monkeypatch.setattr(state, "MOST_ACTS", most)
+    for number in range(most):
+        with project.held() as live:
+            by = live.applied("a" * 40)
+            live.verb = "apply"
+            live.put(project.machine(f"{number:06}", applied=by))
+            live.put(project.machine(f"{number:06}", applied=by, state="serving"))
+            live.gone(project.machine(f"{number:06}").name)
+            list(live.clear())
+    acts = project.seen().history
+    assert len(acts) == most
+    assert [(act.verb, act.did, act.by.generation) for act in acts[-3:]] == [
+        ("apply", "ended", most - 1),
+        ("apply", "started", most),
+        ("apply", "ended", most),
+    ]
 
 
 def test_what_is_damaged_is_said_with_its_place_and_a_way_on(project: Project) -> None:
@@ -217,7 +234,7 @@ def test_what_is_damaged_is_said_with_its_place_and_a_way_on(project: Project) -
     place = project.one.live if project.kind == "folder" else project.store().path(key_of(owner_of(project.one)))
     assert first.span.path == str(place)
     assert "fogspec down tiny" in str(first.fix)
-    assert "fogspec adopt tiny" in str(first.fix)
+    assert "fogspec apply tiny --adopt" in str(first.fix)
 
 
 def test_a_write_that_fails_changes_nothing(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,8 +244,7 @@ def test_a_write_that_fails_changes_nothing(project: Project, monkeypatch: pytes
     with project.held() as live:
         live.put(project.machine())
         with monkeypatch.context() as broken:
-            broken.setattr(project_files, "_put", fails)
-            broken.setattr(FsspecObjects, "create", fails)
+            broken.setattr(project_files, "_replace", fails)
             broken.setattr(GitStore, "_commit", lambda *_: (_ for _ in ()).throw(StoreUnavailable("it", "away")))
             with pytest.raises(FogspecError):
                 live.put(project.machine(state="serving"))
@@ -277,10 +293,10 @@ def test_a_lease_that_is_not_renewed_ends_by_the_clock_of_who_waits(shared: Proj
     assert LEASE_S <= shared.times.now < 2 * LEASE_S
     assert "apply of tiny on ci-7 has not been heard of for 60 s: taken over" in shared.said
     with pytest.raises(Busy, match="another command took over its state"):
-        first.save([shared.machine()], 0.0, {})
+        first.save(DeploymentBody(machines=[shared.machine()]), {})
     first.renew()
     first.give_back()
-    second.save([shared.machine("000002")], 0.0, {})
+    second.save(DeploymentBody(machines=[shared.machine("000002")]), {})
     assert [one.name for one in shared.seen().machines] == [shared.machine("000002").name]
 
 
@@ -293,7 +309,7 @@ def test_a_lease_that_is_renewed_holds_even_if_its_date_is_long_past(shared: Pro
     with pytest.raises(Busy, match="must wait: apply of tiny on ci-7 has not ended"):
         taken(shared, shared.other)
     assert shared.times.now < LEASE_S
-    first.save([shared.machine()], 0.0, {})
+    first.save(DeploymentBody(machines=[shared.machine()]), {})
 
 
 def test_a_lease_that_is_given_back_is_taken(shared: Project) -> None:
@@ -302,7 +318,7 @@ def test_a_lease_that_is_given_back_is_taken(shared: Project) -> None:
     shared.times.waits.append(first.give_back)
     second = taken(shared, shared.other)
     assert shared.times.now < LEASE_S
-    second.save([shared.machine()], 0.0, {})
+    second.save(DeploymentBody(machines=[shared.machine()]), {})
 
 
 def test_the_lease_of_a_process_that_ended_here_is_taken_at_once(shared: Project) -> None:
@@ -344,8 +360,8 @@ def test_an_answer_that_is_lost_is_no_second_writer(shared: Project, monkeypatch
         return version
 
     monkeypatch.setattr(kind, "write", lost)
-    record.save([shared.machine()], 0.0, {})
-    record.save([shared.machine(state="serving")], 0.0, {})
+    record.save(DeploymentBody(machines=[shared.machine()]), {})
+    record.save(DeploymentBody(machines=[shared.machine(state="serving")]), {})
     assert [one.state for one in shared.seen().machines] == ["serving"]
 
 
@@ -364,8 +380,7 @@ def test_of_two_writes_one_arrives(shared: Project) -> None:
     assert other.read_all() == {}
 
 
-def test_a_commit_without_the_file_is_damaged_not_empty(in_git: Project) -> None:
-    shared = in_git
+def test_a_commit_without_the_file_is_damaged_not_empty(shared: Project) -> None:
     who = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
     tree = git("mktree", "--missing", folder=shared.remote)
     commit = git(*who, "commit-tree", "-m", "a", tree, folder=shared.remote)
@@ -416,7 +431,7 @@ def test_a_record_without_content_is_damaged_not_gone(shared: Project) -> None:
         shared.seen()
 
 
-def test_who_was_cut_off_for_long_does_not_write_even_where_its_number_is_free_again(shared: Project) -> None:
+def test_who_was_cut_off_for_long_does_not_write_even_where_there_is_no_record_again(shared: Project) -> None:
     slow, other = shared.store(), shared.store(shared.other)
     first = slow.write("tiny-x", b"a: 1\n", None, "first")
     version = other.read("tiny-x").version
@@ -441,8 +456,7 @@ def test_who_was_cut_off_for_long_does_not_write_even_where_its_number_is_free_a
 
 
 def test_of_many_at_once_one_arrives_each_time(shared: Project) -> None:
-    stores = [ObjectStore(one.url, one._objects) if isinstance(one := shared.store(), ObjectStore) else
-              GitStore(f"file://{shared.remote}", shared.one.root, shared.one.root) for _ in range(4)]  # fmt: skip
+    stores = [GitStore(f"file://{shared.remote}", shared.one.root, shared.one.root) for _ in range(4)]
     version: str | None = None
     for turn in range(3):
 

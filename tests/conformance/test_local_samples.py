@@ -20,6 +20,7 @@ from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus
 from fogspec.catalog.machine import Machine
 from tests.support.agent import AGENT
+from tests.support.jobs import job_of
 
 RUN = """exec python3 "$FOGSPEC_AGENT" sample --out "$FOGSPEC_OUT" \\
   --after 600 --startup 120 --warmup 1 --steps {steps} --process {argv}
@@ -44,10 +45,10 @@ def job(folder: Path, script: str = PROBED, steps: int = 5, cpus: float = 1, mem
     task = {"run": RUN.format(steps=steps, argv=f"'{argv}'"), "workdir": ".", "file_mounts": mounts} | task
     name = f"{OWNER.prefix}test-{os.getpid()}-{time.monotonic_ns()}"
     directory = folder / "attempts" / name
-    return Job(name=name, owner=OWNER, machine=machine, task=task, root=folder, directory=directory, lifetime_s=900.0)
+    return job_of(folder, task, name=name, owner=OWNER, machine=machine, directory=directory, lifetime_s=900.0)
 
 
-def until(backend: LocalSamples, asked: Job, what, patience_s: float = 120.0) -> SampleStatus:
+def until(backend: LocalSamples, asked: Job, what, patience_s: float = 1200.0) -> SampleStatus:
     end = time.monotonic() + patience_s
     while not what(progress := backend.poll(asked)):
         assert time.monotonic() < end, progress
@@ -131,7 +132,7 @@ def scanned(word: str) -> list[int]:
 # Each ends once it has started the next, in a session of its own and without the job's name; all end after two minutes.
 CHAIN = """
 import os, signal, sys, time
-end_s = time.monotonic() + 120
+end_s = time.monotonic() + 1200
 beats = os.open("beats", os.O_WRONLY | os.O_APPEND)
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP): signal.signal(number, signal.SIG_IGN)
 while time.monotonic() < end_s:
@@ -175,7 +176,7 @@ def is_locked(path: Path) -> bool:
 
 def end_chains(word: str, lock: Path) -> None:
     """Kill what outlived its sample: it would slow down every other test."""
-    until_s = time.monotonic() + 150
+    until_s = time.monotonic() + 600
     while is_locked(lock) and time.monotonic() < until_s:
         for pid in sorted(scanned(word), reverse=True):
             with contextlib.suppress(ProcessLookupError):
@@ -260,7 +261,7 @@ def test_chains_are_ended_by_the_jobs_name_alone(tmp_path, monkeypatch, kind, by
     lock, starter = tmp_path / "lock", kind()
     starter.start(asked)
     try:
-        until_s = time.monotonic() + 120
+        until_s = time.monotonic() + 1200
         while (tmp_path / "beats").stat().st_size <= 30:
             assert time.monotonic() < until_s
             time.sleep(0.05)
@@ -297,7 +298,7 @@ def killed_controller(tmp_path: Path, asked: Job) -> None:
     import pickle
 
     (tmp_path / "job").write_bytes(pickle.dumps(asked))
-    ended = subprocess.run([sys.executable, "-c", CONTROLLER, str(tmp_path / "job")], timeout=60)
+    ended = subprocess.run([sys.executable, "-c", CONTROLLER, str(tmp_path / "job")], timeout=600)
     assert ended.returncode == -9
 
 
@@ -316,6 +317,19 @@ def test_a_sample_of_a_killed_controller_can_be_ended_by_name(tmp_path, backend)
     backend.stop(asked)
     assert processes.marked(MARK, mark_of(asked)) == []
     assert backend.poll(asked).reason == "interrupted"
+
+
+def test_what_ignores_its_signal_is_killed_also_when_all_the_time_for_it_has_passed(monkeypatch):
+    monkeypatch.setattr(processes, "KILL_S", 0.0)
+    word = str(time.monotonic_ns())
+    ignores = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('up', flush=True); signal.pause()"
+    environment = {**os.environ, "FOGSPEC_TEST": word}
+    with subprocess.Popen([sys.executable, "-c", ignores], env=environment, stdout=subprocess.PIPE) as started:
+        started.stdout.readline()
+        try:
+            assert processes.end(lambda: set(processes.marked("FOGSPEC_TEST", word)), 0.0) == []
+        finally:
+            started.kill()
 
 
 def test_a_sample_that_was_never_started_or_lost_everything_is_lost(tmp_path, backend):

@@ -12,15 +12,14 @@ import pytest
 from ruamel.yaml import YAML
 
 from fogspec.backends.skypilot import secrets_file
-from fogspec.compile.tasks import AGENT_FILE
-from fogspec.spec.lockfile import REGISTRY_LOGIN
+from fogspec.language.lockfile import REGISTRY_LOGIN
 from tests.containers import engine
 from tests.containers.engine import Podman
 from tests.ros.benching import NODES
 from tests.tools.aws import images
 from tests.tools.slurm import nodes, ros
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.slow
 IMAGE = "localhost/team/nodes"
 SECRET = "a-key-of-the-team-5e1c"
 SPEC: dict[str, Any] = {
@@ -34,7 +33,7 @@ SPEC: dict[str, Any] = {
         "benchmark": {
             "machines": ["c6i.large"],
             "warmup": 1,
-            "setup_timeout": "3min",
+            "ready_timeout": "3min",
             "budget": "$1",
             "stop": {"requests": 20, "duration": "1min"},
         },
@@ -93,8 +92,8 @@ def sample(podman: Podman, project: Path, spec: dict[str, Any], *options: str) -
     with podman.running(IMAGE, "-v", f"{opt}:/opt/ros:ro", *options):
         podman("cp", f"{project}/specs/.", f"{engine.NAME}:/root/sky_workdir")
         podman.inside("mkdir -p ~/.fogspec")
-        agent = project / task["file_mounts"][AGENT_FILE]
-        podman("cp", str(agent), f"{engine.NAME}:{AGENT_FILE.replace('~', '/root')}")
+        for there, here in task["file_mounts"].items():
+            podman("cp", str(project / here), f"{engine.NAME}:{there.replace('~', '/root')}")
         podman("cp", str(secret), f"{engine.NAME}:{secrets_file.THERE.replace('~', '/root')}")
         assert SECRET not in podman("inspect", engine.NAME) + podman("image", "inspect", IMAGE)
         given = ["-e", "SKYPILOT_TASK_ID=1", *(word for name in REGISTRY_LOGIN for word in ("-e", f"{name}=login"))]

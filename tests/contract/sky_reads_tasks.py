@@ -1,5 +1,6 @@
 """Reads tasks as SkyPilot does, in a process of its own: one line of JSON a task. `python sky_reads_tasks.py TASK...`."""
 
+import copy
 import json
 import sys
 
@@ -22,7 +23,8 @@ for path in sys.argv[1:]:
         for error in resources_validator.iter_errors(data["resources"])
     ]
     secrets = dict.fromkeys(data.get("secrets", {}), "x")
-    task = sky.Task.from_yaml(path)
+    given = [(name, "x") for name in data.get("envs", {})]  # set at launch
+    task = sky.Task.from_yaml_config(copy.deepcopy(data), given)
     task.update_secrets(secrets)
     task.validate()
     (one,) = task.resources

@@ -78,7 +78,7 @@ def test_the_calls_and_exceptions_are_there(python: str, tmp_path: Path) -> None
         str(Path(__file__).with_name("sky_has_calls.py")),
         os.environ | ALONE | {"HOME": str(tmp_path)},
     )
-    ended = subprocess.run([python, script], capture_output=True, text=True, timeout=280, env=environment)
+    ended = subprocess.run([python, script], capture_output=True, text=True, timeout=1200, env=environment)
     assert ended.returncode == 0, ended.stderr[-2000:]
     said = json.loads(ended.stdout.splitlines()[-1])
     assert said["missing"] == []

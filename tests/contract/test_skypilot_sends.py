@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.spec.tree import Tree
+from fogspec.language.tree import Tree
 
 SENT = """
 import json, sys, zipfile
@@ -23,7 +23,7 @@ for folder in folders:
 
 def sent_of(archive: Path, *folders: Path) -> list[tuple[list[str], set[str]]]:
     words = [sys.executable, "-c", SENT, str(archive), *map(str, folders)]
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=600)
     assert ended.returncode == 0, ended.stderr[-2000:]
     said = map(json.loads, ended.stdout.splitlines()[-len(folders) :])
     return [(excluded, {name.partition("/")[2] for name in names}) for excluded, names in said]

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from fogspec.catalog.sources import load_catalog
+from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
-from fogspec.spec.loader import read_document
 from tests.support.forking import forked
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,10 +54,11 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("sky")
     project, tables = base / "project", base / "home" / ".sky" / "catalogs" / "v8"
     for folder in ("specs", "results"):
-        shutil.copytree(ROOT / folder, project / folder, ignore=shutil.ignore_patterns("lidar*"))
-    (project / "specs" / "everywhere.yaml").write_text(EVERYWHERE)
-    (project / "specs" / "my ws" / "src" / "p").mkdir(parents=True)
-    (project / "specs" / "my ws" / "src" / "p" / "package.xml").write_text("<package><name>p</name></package>")
+        shutil.copytree(ROOT / folder, project / folder)
+    own = project / "specs" / "everywhere"
+    (own / "my ws" / "src" / "p").mkdir(parents=True)
+    (own / "everywhere.yaml").write_text(EVERYWHERE)
+    (own / "my ws" / "src" / "p" / "package.xml").write_text("<package><name>p</name></package>")
     for cloud, text in (("gcp", GCP), ("azure", AZURE), ("slurm", SLURM), ("kubernetes", KUBERNETES),
                         ("aws", snapshot())):  # fmt: skip
         (tables / cloud).mkdir(parents=True)
@@ -69,7 +70,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (tables / "common" / "accelerators.csv").write_text("AcceleratorName,Clouds\nT4,\"['AWS', 'GCP', 'Azure']\"\n")
     environment = {"HOME": str(base / "home"), "XDG_CACHE_HOME": str(base / "cache")}
     for spec, more in [(f"specs/{name}.yaml", []) for name in SPECS] + [
-        ("specs/planner-local.yaml", []), ("specs/everywhere.yaml", ["--catalog", "skypilot"])
+        ("specs/everywhere/everywhere.yaml", ["--catalog", "skypilot"])
     ]:  # fmt: skip
         ended = forked(project, ["compile", spec, *more], environment)
         assert ended.returncode == 0, ended.stderr
@@ -103,7 +104,7 @@ def understood(request: pytest.FixtureRequest, project: Path) -> dict[str, dict]
                                 "SKYPILOT_DISABLE_USAGE_COLLECTION": "1"}  # fmt: skip
     environment.pop("SKY_RUNTIME_DIR", None)
     ended = subprocess.run([request.param, str(Path(__file__).with_name("sky_reads_tasks.py")), *tasks], cwd=project,
-                           env=environment, capture_output=True, text=True, timeout=200)  # fmt: skip
+                           env=environment, capture_output=True, text=True, timeout=1200)  # fmt: skip
     assert ended.returncode == 0, ended.stderr[-3000:]
     lines = [json.loads(line) for line in ended.stdout.splitlines() if line.startswith("{")]
     assert len(lines) == len(tasks)
@@ -120,13 +121,14 @@ def test_skypilot_finds_the_machine_that_was_planned(project: Path, understood: 
     for path in sorted(project.glob("compiled/*/plan.yaml")):
         plan = read_document(path, Plan)
         for sample in plan.spec.samples:
-            machine, one = sample.machine, understood[f"compiled/{plan.metadata.name}/tasks/{sample.id}.sky.yaml"]
+            machine = sample.machine
+            if machine.infra == "local":
+                assert sample.task is None
+                continue
+            one = understood[f"compiled/{plan.metadata.name}/tasks/{sample.id}.sky.yaml"]
             assert one["name"] == plan.metadata.name
             assert one["autostop"] == [one["autostop"][0], True, "none"]
             assert one["labels"]["fogspec-sample"] == sample.id
-            if machine.infra == "local":
-                assert one["instance"] is None
-                continue
             seen.add(machine.infra.split("/")[0])
             assert one["infra"] == machine.infra
             shaped = machine.infra.startswith(("slurm", "kubernetes"))
@@ -168,7 +170,8 @@ def test_slurm_gets_no_image_and_the_plan_says_so(project: Path, understood: dic
     assert slurm
     assert all(one["image"] is None for one in slurm)
     assert any(one["image"] for path, one in understood.items() if "azure" in path)
-    assert "image ros:jazzy is left out in slurm" in (project / "compiled/everywhere/plan.yaml").read_text()
+    plan = read_document(project / "compiled/everywhere/plan.yaml", Plan)
+    assert {"code": "left_out", "what": "image", "cloud": "slurm", "image": "ros:jazzy"} in plan.spec.notes
 
 
 def test_no_job_gets_credentials_of_the_api_server(understood: dict[str, dict]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.base.diagnostics import Diagnostic
-from fogspec.spec.loader import check_text
+from fogspec.language.loader import check_text
 from tests.damage.specs import Mutant, mutants
 
 ROOT = Path(__file__).resolve().parents[2]

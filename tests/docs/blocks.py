@@ -4,7 +4,7 @@
   any text in a line.
 - `sh`: commands; what they print is not shown.
 - Any other block with `title="a/path"` is a file that the reader writes.
-- `title="not run by CI: REASON"` says to the reader, and to the tests, that nobody checks this block, and why.
+- `<!-- not run: REASON -->` on the line before says to the tests, and not to the reader, that this block is not run, and why.
 - `title="your figures will differ"` says that numbers in the output depend on the machine.
 """
 
@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-NOT_RUN = "not run by CI: "
 DIFFERS = "your figures will differ"
 FENCE = re.compile(r"^(?P<indent> *)(?P<ticks>`{3,})(?P<language>[\w-]*)[ ]*(?P<rest>.*)$")
 TITLE = re.compile(r'title="([^"]*)"')
+NOT_RUN = re.compile(r" *<!-- not run: (.*) -->")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,7 @@ class Block:
     title: str
     text: str
     indent: str = ""
+    not_run: str = ""
 
     @property
     def commands(self) -> bool:
@@ -39,12 +40,12 @@ class Block:
     @property
     def run(self) -> bool:
         """Whether the tests run it."""
-        return self.commands and not self.title.startswith(NOT_RUN)
+        return self.commands and not self.not_run
 
     @property
     def file(self) -> str:
         """The file that a reader writes it to, if any."""
-        return "" if self.commands or self.title.startswith(NOT_RUN) else self.title
+        return "" if self.commands else self.title
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +79,11 @@ def blocks(page: Path) -> list[Block]:
         if end is None:
             raise ValueError(f"{page}:{start}: a block is not closed")
         title = TITLE.search(opened["rest"])
-        indent = opened["indent"]
+        indent, why = opened["indent"], NOT_RUN.fullmatch(lines[number - 1])
         text = "\n".join(line.removeprefix(indent) for line in lines[start:end])
-        found.append(Block(page, start + 1, opened["language"], title[1] if title else "", text, indent))
+        found.append(
+            Block(page, start + 1, opened["language"], title[1] if title else "", text, indent, why[1] if why else "")
+        )
         number = end + 1
     return found
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from tests.docs.blocks import DIFFERS, ROOT, Step, blocks, steps
+from tests.support.loaded import programs
 
 COPIED = (
     "specs",
@@ -23,12 +24,16 @@ COPIED = (
     "tests/cases/graph",
     "docs/examples",
 )
-MACHINE_DEPENDENT = ("lidar-odometry*", "planner-local*", "__pycache__")
+MACHINE_DEPENDENT = ("__pycache__",)
+AUTHOR = ("-c", "user.name=you", "-c", "user.email=you@example.org")
 BEGINS, ENDS = "\x1e", "\x1f"
-LONGEST_S = 240
+LONGEST_S = 1200
 NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 # What a bench warns of on a busy computer.
-BUSY = re.compile(r"warning: load [\d.]+ on \d+ CPUs: .*")
+BUSY = re.compile(
+    r"^(?:warning: load [\d.]+ on \d+ CPUs: .*\n|[! ]*warning: (?:sample \S+:\s+)?contended: .*\n(?:    (?! |warning: ).*\n)*)",
+    re.MULTILINE,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,28 +48,33 @@ class Ran:
 def run(
     page: Path,
     folder: Path,
-    inside: Callable[[list[str]], list[str]] = lambda words: words,
+    inside: Callable[[list[str]], list[str]] | None = None,
     variables: Mapping[str, str] = NO_VARIABLES,
     longest_s: float = LONGEST_S,
 ) -> list[Ran]:
     """Run a page in `folder`; raises AssertionError when its shell ended early.
 
     `inside` makes of a command the one that runs it somewhere else, such as in a network of its own; `variables` are added to
-    the environment.
+    the environment. Here each `fogspec` begins with everything loaded.
     """
     here = folder / "checkout"
     for name in COPIED:
         if (ROOT / name).is_dir():
-            shutil.copytree(ROOT / name, here / name, ignore=shutil.ignore_patterns(*MACHINE_DEPENDENT[2:]))
+            shutil.copytree(ROOT / name, here / name, ignore=shutil.ignore_patterns(*MACHINE_DEPENDENT[1:]))
     for kind in ("compiled", "results"):
-        for pattern in MACHINE_DEPENDENT[:2]:
+        for pattern in MACHINE_DEPENDENT[:1]:
             for path in (here / kind).glob(pattern):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
+    for words in (("init", "--quiet"), ("add", "--all"), (*AUTHOR, "commit", "--quiet", "--message", "a checkout")):
+        subprocess.run(["git", *words], cwd=here, check=True)
     (folder / "home").mkdir()
     script = folder / "page.sh"
+    command = ["bash", "--noprofile", "--norc", str(script)]
     asked = _script(page, script)
     environment = {
-        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+        "PATH": os.pathsep.join(
+            [*([] if inside else [str(programs())]), str(Path(sys.executable).parent), os.environ["PATH"]]
+        ),
         "HOME": str(folder / "home"),
         "LANG": "C.UTF-8",
         "COLUMNS": "120",
@@ -72,12 +82,12 @@ def run(
     } | dict(variables)
     try:
         ended = subprocess.run(
-            inside(["bash", "--noprofile", "--norc", str(script)]), cwd=here, env=environment, timeout=longest_s,
+            inside(command) if inside else command, cwd=here, env=environment, timeout=longest_s,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
     finally:
         for live in here.glob(".fogspec/*/deployment.yaml"):
-            subprocess.run(["fogspec", "down", live.parent.name], cwd=here, env=environment, timeout=60)
+            subprocess.run(["fogspec", "down", live.parent.name], cwd=here, env=environment, timeout=600)
     said = ended.stdout.replace(environment["HOME"], "/home/you")
     found = re.findall(rf"{BEGINS}(\d+)\n(.*?)\n?{ENDS}(\d+)\n", said, re.DOTALL)
     assert len(found) == len(asked), f"{page.name} ended after {len(found)} of {len(asked)} commands:\n{ended.stdout}"
@@ -86,7 +96,7 @@ def run(
 
 def _printed(text: str) -> list[str]:
     """The lines, without what depends on what else runs on this machine."""
-    return [line for line in text.splitlines() if not BUSY.fullmatch(line)]
+    return BUSY.sub("", f"{text}\n").removesuffix("\n").replace(" ok, contended: ", " ok: ").splitlines()
 
 
 def _script(page: Path, path: Path) -> list[Step]:

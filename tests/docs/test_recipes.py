@@ -35,7 +35,7 @@ class Copy:
     def __init__(self, folder: Path) -> None:
         self.package, self.project = folder / "source", folder / "project"
         ignored = shutil.ignore_patterns("__pycache__")
-        for name in ("fogspec", "schemas", "templates", "specs"):
+        for name in ("fogspec", "schemas", "templates", "specs", "lab"):
             shutil.copytree(ROOT / name, self.package / name, ignore=ignored)
         (self.project / "specs").mkdir(parents=True)
         (self.project / "specs" / "work.py").touch()
@@ -48,15 +48,16 @@ class Copy:
         (self.package / name).write_text(text, "utf-8")
         self.changed.add(name)
 
-    def run(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """`fogspec WORDS` of the copy, in the project."""
-        program = f"import sys; sys.path.insert(0, {str(self.package)!r}); from fogspec.__main__ import main; main()"
+    def run(self, *words: str, of: str = "fogspec") -> subprocess.CompletedProcess[str]:
+        """`fogspec WORDS` of the copy, in the project, or those of its lab."""
+        folders = [str(self.package), str(self.package / "lab")]
+        program = f"import sys; sys.path[:0] = {folders!r}; from {of}.__main__ import main; main()"
         command = [sys.executable, "-P", "-c", program, *words]
-        return subprocess.run(command, cwd=self.project, capture_output=True, text=True, timeout=240)
+        return subprocess.run(command, cwd=self.project, capture_output=True, text=True, timeout=1200)
 
-    def done(self, *words: str) -> str:
+    def done(self, *words: str, of: str = "fogspec") -> str:
         """What it prints; it must succeed."""
-        ended = self.run(*words)
+        ended = self.run(*words, of=of)
         assert ended.returncode == 0, ended.stdout + ended.stderr
         return ended.stdout
 
@@ -96,7 +97,7 @@ def test_a_latency_family_is_added_by_its_recipe(tmp_path: Path) -> None:
         rows.writerow(["instance_type", "latency_s"])
         rows.writerows([name, 20 - 2 * math.sqrt(vcpus)] for name, vcpus in shapes.items())
     copy.done("compile", spec)
-    copy.done("bench", spec, "--runner", "replay", "--from", "sweep.csv", "--yes")
+    copy.done("replay", spec, "--from", "sweep.csv", "--yes", of="fogspec_lab")
     copy.done("compile", spec)
     models = copy.project / "compiled" / "app" / "models.yaml"
     assert "sqrt" not in models.read_text("utf-8")

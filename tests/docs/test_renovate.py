@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from fogspec.base.yaml.writer import yaml_text
-from fogspec.spec.loader import load
-from fogspec.spec.lock_io import lock_text
-from fogspec.spec.lockfile import CatalogPin, ImagePin, Lock, LockBody, Pins, image_of
+from fogspec.language.loader import load
+from fogspec.language.lock_io import lock_text
+from fogspec.language.lockfile import CatalogPin, ImagePin, Pins, image_of
 
 ROOT = Path(__file__).resolve().parents[2]
 DIGEST = f"sha256:{'0123456789abcdef' * 4}"
@@ -64,8 +64,8 @@ def test_parts_of_a_name_in_a_spec_and_in_a_lock(name: str, digest: str) -> None
         catalog=CatalogPin(origin="snapshot", source="s", revision="1", date="2025-01-01", digest=DIGEST),
         image=ImagePin(image=f"{name}{digest}", digest=DIGEST),
     )
-    text = lock_text(Lock(spec=LockBody(applications={"arm": pins, "base": pins.model_copy(update={"image": None})})))
-    (found,) = matches(locks, "fogspec.lock", text)
+    text = lock_text(pins)
+    (found,) = matches(locks, "robots/specs/arm/arm.lock", text)
     assert found == {"depName": parts.name, "currentValue": parts.tag, "currentDigest": DIGEST}
-    assert matches(locks, "specs/fogspec.lock.yaml", text) == []
+    assert matches(locks, "robots/poetry.lock", text) == []
     assert matches(specs, "compiled/arm/manifest.yaml", yaml_text({"image": name}, "fogspec compile")) == []

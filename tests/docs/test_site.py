@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from fogspec.spec.field_docs import pages as field_pages
-from fogspec.spec.schema import Application
+from fogspec.language.field_docs import pages as field_pages
+from fogspec.language.schema import Application
 from tests.docs import reference
 from tests.docs.blocks import ROOT, pages
 from tests.support.site import site  # noqa: F401
@@ -25,7 +25,7 @@ def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
 
 def test_every_page_is_in_the_search(site: Path) -> None:
     index = (site / "search" / "search_index.json").read_text("utf-8")
-    for name in ("tutorial.html", "howto/spot.html", "reference/verbs.html", "explanation/cost.html"):
+    for name in ("tutorial.html", "howto/prices.html", "reference/verbs.html", "explanation/cost.html"):
         assert name in index
 
 
@@ -36,11 +36,26 @@ def test_generated_pages_are_what_the_code_writes() -> None:
 
 def test_the_page_of_fields_says_what_explain_says() -> None:
     shown = (ROOT / "docs/reference/fields.md").read_text("utf-8")
+    plain = shown.replace("\\", "").replace("&lt;", "<")
+    rows = {
+        found[1].replace("[]", ""): found[2] for found in re.finditer(r"^\| \**`(.+?)`\** \| (.*)", plain, re.MULTILINE)
+    }
+    same = [
+        (path, found[1]) for path, row in rows.items() if (found := re.search(r"fields as in `(.+?)(?:\[\])?`", row))
+    ]
     for page in field_pages(Application):
-        part = shown.partition(f"## `{page.path}`\n")[2].partition("\n## ")[0]
-        plain = part.replace("\\", "").replace("&lt;", "<")
-        for said in (page.meaning, page.type, page.limits, page.unit, page.default):
-            assert str(said).replace("\\", "") in plain, f"{page.path}: {said}"
+        name = page.path.replace("[]", "")
+        [row] = {rows[path] for path in rows if path == name} or {
+            rows[name.replace(path, first, 1)] for path, first in same if name.startswith(path)
+        }
+        for said in (
+            page.meaning,
+            page.type,
+            page.limits,
+            "" if page.default in ("not set", "{}", "[]") else page.default,
+        ):
+            assert said.replace("\\", "") in row, f"{page.path}: {said}"
+        assert page.unit in plain
 
 
 def test_files_that_pages_name_are_there() -> None:
@@ -48,6 +63,16 @@ def test_files_that_pages_name_are_there() -> None:
     missing = [f"{page.name}: {name}" for page in pages() for name in IN_CODE.findall(page.read_text("utf-8"))
                if not made.match(name) and not (ROOT / name).exists()]  # fmt: skip
     assert not missing
+
+
+def test_decisions_are_named_beside_code_only_and_are_there() -> None:
+    there = {path.name[:4] for path in (ROOT / "docs/adr").glob("[0-9]*.md")}
+    rooms = [path for room in ("fogspec", "lab", "probe", "tests") for path in (ROOT / room).rglob("*.py")]
+    lost = [f"{path.relative_to(ROOT)}: {one}" for path in [ROOT / "CONTRIBUTING.md", *(ROOT / "docs/adr").glob("*.md"), *rooms]
+            for one in re.findall(r"\bADR (\d{4})", path.read_text("utf-8")) if one not in there]  # fmt: skip
+    assert not lost
+    users = [page for page in pages() if page.is_relative_to(ROOT / "docs") or page.name == "README.md"]
+    assert not [page.name for page in users if re.search(r"\bADR \d", page.read_text("utf-8"))]
 
 
 def test_no_page_names_a_machine_of_ours() -> None:

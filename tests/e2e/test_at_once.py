@@ -13,8 +13,6 @@ from tests.e2e.test_no_access import AT, WORK, bench, results, sources_missing
 from tests.support.fake_sky import Cloud, SimulatedClient
 from tests.support.running import CATALOG, Shell, shell, spec  # noqa: F401
 
-MACHINES = 13
-
 
 class Together(Cloud):
     """A cloud where no machine is up before so many were requested, that remembers how many there were at a time."""
@@ -37,12 +35,6 @@ def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Together]:
         raise sources_missing()
 
     monkeypatch.setattr(sources, "load_catalog", _Shop(none))
-    names = [f"m{number}.large" for number in range(MACHINES)]
-    shell.write("offers.csv", CATALOG + "".join(f"{one},,,2,4,0.1{at:02},,r1,\n" for at, one in enumerate(names)))
-    shell.write("specs/work.py", WORK)
-    stop = "warmup: 0, stop: {requests: 5, duration: 1min}, setup_timeout: 10min"
-    shell.write("specs/demo.yaml", spec(benchmark=f"{{budget: $50, machines: [{', '.join(names)}], {stop}}}"))
-    shell("compile", "specs/demo.yaml", *AT)
     made = Together(shell.folder.parent / "cloud")
     monkeypatch.setattr(backend.SkyPilotSamples, "poll_s", 0.05)
     monkeypatch.setattr(backend, "LAUNCH_POLL_S", 0.05)
@@ -52,12 +44,23 @@ def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Together]:
         made.end(name)
 
 
+def listed(shell: Shell, count: int) -> list[str]:
+    """Write a spec that lists so many machines, and return their names."""
+    names = [f"m{number}.large" for number in range(count)]
+    shell.write("offers.csv", CATALOG + "".join(f"{one},,,2,4,0.1{at:02},,r1,\n" for at, one in enumerate(names)))
+    shell.write("specs/work.py", WORK)
+    stop = "warmup: 0, stop: {requests: 5, duration: 1min}, ready_timeout: 10min"
+    shell.write("specs/demo.yaml", spec(benchmark=f"{{budget: $50, machines: [{', '.join(names)}], {stop}}}"))
+    return names
+
+
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.parametrize(("words", "wanted"), [((), 8), (("--at-once", "12"), 12), (("--at-once", "3"), 3)])
 def test_so_many_machines_run_at_once(shell: Shell, cloud: Together, words: tuple[str, ...], wanted: int) -> None:
+    names = listed(shell, wanted + 1)
+    shell("compile", "specs/demo.yaml", *AT)
     cloud.wanted = wanted
     said = bench(shell, *words)
     assert cloud.most == wanted, "no machine was up before so many were requested, and there were never more"
     assert f"{wanted} machines at once: at most $" in said.err
-    assert [one["state"] for one in results(shell)["samples"]] == ["ok"] * MACHINES
+    assert [one["state"] for one in results(shell)["samples"]] == ["ok"] * len(names)

@@ -6,12 +6,13 @@ import shutil
 import pytest
 
 from tests.conftest import ROOT
+from tests.support.results import document, first
 from tests.support.scenes import SPEC, WORK, Scene, tree
 
 FIRST = "local-1cpu-1gib"
 SAMPLE = ("--only", FIRST)
 # A short time only for what ends by it: what ends otherwise need not be faster than that.
-SHORT = {"hang": ("setup_timeout: 1min", "setup_timeout: 2s"), "hang later": ("duration: 1min", "duration: 2s")}
+SHORT = {"hang": ("ready_timeout: 1min", "ready_timeout: 2s"), "hang later": ("duration: 1min", "duration: 2s")}
 SHORT["hang in warm-up"] = SHORT["hang later"]
 SAY = "import json, os, sys, time\nout = open(os.environ['FOGSPEC_TIMINGS'], 'a', buffering=1)\n"
 
@@ -92,35 +93,37 @@ def test_a_price_that_is_missing_in_a_catalog(scene):
     assert "no price" in ended.stderr
     assert "no machine of the catalog is admissible" in ended.stderr
     assert "stale: it stays, and apply refuses it" in ended.stdout
-    assert scene.run("status", "--exit-code").returncode == 3
+    assert scene.run("check").returncode == 3
 
 
 def test_results_that_were_edited_stay_as_they_are(scene):
     assert scene.bench(*SAMPLE).returncode == 0
-    scene.results.write_text(scene.results.read_text().replace("requests: 1", "requests: 2", 1))
+    path = first(scene.results)
+    path.write_text(path.read_text().replace("requests: 1", "requests: 2", 1))
     before = tree(scene.folder)
     for verb, words in (("bench", ("--runner", "local")), ("compile", ()), ("menu", ())):
         ended = scene.run(verb, *words)
         assert (verb, ended.returncode) == (verb, 1)
-        assert "results/tiny.yaml" in ended.stderr
+        assert "results/tiny/" in ended.stderr
         assert "FS701" in ended.stderr
     assert tree(scene.folder) == before
-    scene.results.write_text(scene.results.read_text()[:400])
+    path.write_text(path.read_text()[:400])
     assert scene.bench().returncode == 1
 
 
 def test_what_is_reviewed_is_what_runs(scene):
-    task = scene.folder / "compiled" / "tiny" / "tasks" / f"{FIRST}.sky.yaml"
-    reviewed = task.read_text()
-    task.write_text(reviewed + "# a word\n")
+    assert not (scene.folder / "compiled" / "tiny" / "tasks").exists(), "a sample on this host has no task"
+    script = scene.folder / "compiled" / "tiny" / "scripts" / "measure.sh"
+    script.write_text(script.read_text().replace("set -eu", "set -eu; curl evil"))
     ended = scene.bench()
     assert (ended.returncode, "fogspec compile specs/tiny.yaml" in ended.stderr) == (3, True)
-    task.unlink()
+    assert "measure.sh is not what specs/tiny.yaml compiles to: line 5\n" in ended.stderr
+    script.unlink()
     assert scene.bench().returncode == 3
-    task.write_text(reviewed)
+    assert scene.run("compile").returncode == 0
     scene.spec.write_text(SPEC.replace("requests: 10", "requests: 11"))
     ended = scene.bench()
-    assert (ended.returncode, "stale" in ended.stderr) == (3, True)
+    assert (ended.returncode, "compiles to: spec.benchmark.stop.requests" in ended.stderr) == (3, True)
     shutil.rmtree(scene.folder / "compiled")
     assert scene.bench().returncode == 3
     assert (scene.records(), scene.started()) == ({}, [])
@@ -134,7 +137,7 @@ def test_what_is_reviewed_is_what_runs(scene):
         ("pass", "failed", "no_response", "without one timed request"),
         ("import os; os.kill(os.getpid(), 11)", "failed", "crash", "ended by"),
         (WORK.replace('stop("work")', 'stop("work", ok=False, reason="no path")'), "failed", "check", "no path"),
-        (WORK.replace('"work"', '"other"').replace("while True", "for _ in range(20)"), "failed", "no_response",
+        (WORK.replace('"work"', '"other"').replace("while True", "for _ in range(20)"), "failed", "not_reported",
          "only 'other'"),
         (SAY + "out.write('garbage\\n' * 50 + '{\"latency_s\": -1, \"ok\": true}\\n')", "failed", "no_response", "timings: 51"),
         (SAY + "for _ in range(3):\n  print(json.dumps({'name': 'work', 'latency_s': 1e-2, 'ok': True}), file=out)\n"
@@ -239,19 +242,19 @@ def test_a_clouds_machines_cannot_be_measured_here(clouds):
 def test_a_replay_of_what_is_no_recording(clouds, tmp_path):
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("a: 1\n")
-    assert clouds.run("bench", "--runner", "replay", "--from", str(wrong)).returncode == 1
-    assert clouds.run("bench", "--runner", "replay", "--from", str(tmp_path / "none.yaml")).returncode in (1, 2)
+    assert clouds.run("replay", "--from", str(wrong)).returncode == 1
+    assert clouds.run("replay", "--from", str(tmp_path / "none.yaml")).returncode in (1, 2)
     assert not clouds.results.exists()
 
 
 def test_a_replay_has_the_same_records_and_the_same_choice(clouds):
-    recorded = ROOT / "results" / "grasp-planning-recorded.yaml"
-    ended = clouds.run("bench", "--runner", "replay", "--from", str(recorded))
+    recorded = ROOT / "results" / "grasp-planning-recorded"
+    ended = clouds.run("replay", "--from", str(recorded))
     assert ended.returncode == 0, ended.stderr
-    then, now = (clouds.document(path)["spec"] for path in (recorded, clouds.results))
+    then, now = (document(path) for path in (recorded, clouds.results))
     by_id = {record["id"]: record for record in then["samples"]}
     planned = clouds.document(clouds.folder / "compiled" / clouds.name / "plan.yaml")["spec"]["samples"]
-    assert now["samples"] == [by_id[sample["id"]] for sample in planned]
+    assert {one["id"]: one for one in now["samples"]} == {one["id"]: by_id[one["id"]] for one in planned}
     assert now["spent"] == then["spent"]
     compiled = clouds.folder / "compiled" / clouds.name
     assert clouds.run("compile").returncode == 0

@@ -1,5 +1,6 @@
 """What a measured workload may do to whoever measures it: nothing. And secrets stay where they are."""
 
+import contextlib
 import gzip
 import json
 import os
@@ -69,13 +70,16 @@ def test_a_secret_is_in_no_argv_and_in_nobody_elses_output(tmp_path, monkeypatch
     try:
         until(lambda: scene.requests() >= 3)
         alive = scene.alive()
-        commands = [Path(f"/proc/{pid}/cmdline").read_bytes() for pid in [*alive, bench.pid]]
+        commands = []
+        for pid in [*alive, bench.pid]:
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+                commands.append(Path(f"/proc/{pid}/cmdline").read_bytes())
         known = [words for pid, words in environments() if pid in alive]
         assert any(f"MAP_PASSWORD={SECRET}".encode() in words for words in known), "the workload has it"
         assert not [words for words in commands if SECRET.encode() in words]
     finally:
         bench.send_signal(signal.SIGINT)
-        out, err = bench.communicate(timeout=240)
+        out, err = bench.communicate(timeout=1200)
     assert SECRET not in out + err
 
 
@@ -144,7 +148,7 @@ def test_agent_and_bench_open_no_port(tmp_path):
         assert not {pid: found for pid, found in sockets.items() if found}
     finally:
         bench.send_signal(signal.SIGINT)
-        bench.communicate(timeout=240)
+        bench.communicate(timeout=1200)
 
 
 def sockets_of(pid: int) -> list[str]:
@@ -170,4 +174,4 @@ def test_an_edited_or_missing_agent_is_refused(tmp_path):
     agent.unlink()
     missing = scene.bench()
     assert (missing.returncode, scene.records()) == (3, {})
-    assert "compiled/agent.pyz: cannot be read: No such file or directory" in missing.stderr
+    assert "compiled/agent.pyz: is missing, or cannot be read" in missing.stderr

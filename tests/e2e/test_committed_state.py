@@ -1,13 +1,19 @@
-"""Live state that came with the checkout: nothing is paid or ended by it, and nothing is said from it."""
+"""Live state that git tracks: nothing is paid or ended by it, nothing is said from it, and it hides no machine."""
 
+import os
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
+from fogspec.backends import registry
 from tests.e2e.test_hostile_folder import CLOUD
+from tests.support.deployed import Deployed, app, tiny  # noqa: F401
+from tests.support.fake_sky import Cloud, Machine, beside
 from tests.support.files import write_yaml
-from tests.support.running import Shell, measure, project, shell  # noqa: F401
+from tests.support.running import Shell, chosen, project, shell  # noqa: F401
 
 WHO = [
     "-c",
@@ -26,16 +32,18 @@ def git(folder: Path, *words: str) -> None:
 
 
 @pytest.fixture
-def committed(shell: Shell) -> Shell:
-    """A project with a live state that names somebody's cloud machine."""
-    project(shell)
-    measure(shell)
-    shell("compile", "specs/demo.yaml", "--catalog", "offers.csv")
+def committed(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Shell:
+    """A project with a live state that names somebody's cloud machine, which runs."""
+    cloud = Cloud(shell.folder.parent / "cloud", machines={SOMEBODYS: Machine(shell.folder.parent, 0.0)})
+    monkeypatch.setattr(registry, "deployment_backend", beside(registry.deployment_backend, cloud))
+    monkeypatch.setattr(Cloud, "end", lambda *_: pytest.fail("somebody's machine was ended"))
+    chosen(shell)
     state = {**CLOUD, "metadata": {"name": "demo"}}
     write_yaml(shell.folder / ".fogspec/demo/deployment.yaml", state, "a test")
     return shell
 
 
+SOMEBODYS = "fogspec-tiny-01234567-abcdef"
 SPENDING = [("bench", "specs/demo.yaml", "--runner", "local"), ("down", "demo"), ("down", "specs/demo.yaml")]
 
 
@@ -45,10 +53,12 @@ def refused(shell: Shell) -> None:
     for words in SPENDING:
         ended = shell(*words, code=5)
         assert "git tracks it: what runs is a record of this computer" in ended.err
-        assert "git rm -r --cached .fogspec" in ended.err
-    for verb in ("status", "diff"):
-        ended = shell(verb, "specs/demo.yaml", "--catalog", "offers.csv")
-        assert ended.err.count("ignored: git tracks it") == 1
+        assert "git rm -r -f --cached .fogspec" in ended.err
+    for words in (["status", "demo"], ["diff", "demo"], ["logs", "demo"]):
+        ended = shell(*words, code=5)
+        assert ".fogspec" in ended.err
+        assert "git tracks it" in ended.err
+        assert "fogspec down demo ends what runs" in ended.err
         assert "fogspec-tiny" not in ended.out
     assert state.read_bytes() == before
     assert [path.name for path in state.parent.iterdir() if path.name != ".git"] == ["deployment.yaml"]
@@ -89,4 +99,51 @@ def test_other_state_is_read(committed: Shell, how: str, monkeypatch: pytest.Mon
     if how == "no git":
         monkeypatch.setenv("PATH", "/nowhere")
     for verb in ("status", "diff"):
-        assert "git tracks it" not in committed(verb, "specs/demo.yaml", "--catalog", "offers.csv", code=None).err
+        assert "git tracks it" not in committed(verb, "specs/demo.yaml", code=None).err
+
+
+def test_a_project_made_by_hand_keeps_its_live_state_out_of_git(tiny: Deployed) -> None:
+    git(tiny.folder, "init", "-q")
+    tiny.apply()
+    git(tiny.folder, "add", "-A")
+    staged = subprocess.run(["git", "ls-files"], cwd=tiny.folder, check=True, capture_output=True, text=True).stdout
+    assert "specs/tiny.yaml" in staged
+    assert ".fogspec" not in staged
+    assert "  running   Synced, " in tiny("status").stdout
+    tiny("down", "tiny")
+    assert (tiny.machines(), tiny.left()) == ([], [])
+
+
+def test_down_ends_what_runs_here_though_git_tracks_its_record(tiny: Deployed) -> None:
+    git(tiny.folder, "init", "-q")
+    tiny.apply()
+    git(tiny.folder, "add", "-f", ".fogspec")
+    said = tiny("status", code=5)
+    assert ".fogspec/tiny/" in said.stderr
+    assert "git tracks it" in said.stderr
+    assert "nothing" not in said.stdout
+    ended = tiny("down", "tiny", code=5)
+    assert tiny.alive() == []
+    assert "git rm -r -f --cached .fogspec" in ended.stderr
+    git(tiny.folder, "rm", "-rfq", "--cached", ".fogspec")
+    tiny("down", "tiny")
+    assert tiny.left() == []
+
+
+def test_a_committed_record_ends_nothing_of_another_clone(app: Callable[..., Deployed]) -> None:
+    here, other = app(), app()
+    for one in (here, other):
+        git(one.folder, "init", "-q")
+        git(one.folder, "remote", "add", "origin", "https://example.org/robot.git")
+    other.apply()
+    record = YAML(typ="safe", pure=True).load(other.state / "deployment.yaml")
+    record["spec"]["machines"][0]["place"] = {"host": os.uname().nodename, "root": str(other.folder)}
+    here.state.mkdir(parents=True)
+    write_yaml(here.state / "deployment.yaml", record, "a test")
+    git(here.folder, "add", "-f", ".fogspec")
+    before = here.machines()
+    assert before[0]["place"]["root"] == str(other.folder)
+    here("down", "tiny", code=5)
+    assert other.alive()
+    assert other.status()["sync"] == "Synced"
+    assert here.machines() == before

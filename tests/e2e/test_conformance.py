@@ -1,4 +1,4 @@
-"""`fogspec conformance` on this host, interrupted, without access, and what it refuses before it starts anything."""
+"""`fogspec-lab conformance` on this host, interrupted, without access, and what it refuses before it starts anything."""
 
 import json
 import os
@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.deploy import conformance
+from fogspec_lab import conformance
 
-WORDS = [sys.executable, "-m", "fogspec", "conformance"]
+WORDS = [sys.executable, "-m", "fogspec_lab", "conformance"]
 
 
 @dataclass
@@ -34,7 +34,7 @@ class Place:
 
     def __call__(self, *words: str, code: int = 0) -> "subprocess.CompletedProcess[str]":
         ended = subprocess.run([*WORDS, *words], cwd=self.folder / "here", env=self.environment, capture_output=True,
-                               text=True, timeout=400, stdin=subprocess.DEVNULL)  # fmt: skip
+                               text=True, timeout=1200, stdin=subprocess.DEVNULL)  # fmt: skip
         assert ended.returncode == code, ended
         assert "Traceback" not in ended.stderr
         return ended
@@ -57,12 +57,15 @@ def place(tmp_path: Path) -> Iterator[Place]:
     yield found
     for project in found.projects():
         subprocess.run(
-            [*WORDS[:-1], "down", "conformance"], cwd=project, env=found.environment, timeout=120, check=False
+            [sys.executable, "-m", "fogspec", "down", "conformance"],
+            cwd=project,
+            env=found.environment,
+            timeout=600,
+            check=False,
         )
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_every_step_passes_on_this_host(place: Place) -> None:
     said = place("-o", "json")
     report = json.loads(said.stdout)
@@ -77,7 +80,6 @@ def test_every_step_passes_on_this_host(place: Place) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_an_interrupt_tears_down_what_was_deployed(place: Place) -> None:
     running = subprocess.Popen([*WORDS, "--out", "conformance.json"], cwd=place.folder / "here", env=place.environment,
                                stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)  # fmt: skip
@@ -87,7 +89,7 @@ def test_an_interrupt_tears_down_what_was_deployed(place: Place) -> None:
             running.send_signal(signal.SIGINT)
             break
     rest = running.stderr.read()
-    assert running.wait(200) == 130, rest
+    assert running.wait(1200) == 130, rest
     states = place.states()
     assert (states["apply"], states["down"], states["nothing left"], states["update"]) == ("ok", "ok", "ok", "not run")
     assert place.report()["left"] is False
@@ -95,7 +97,6 @@ def test_an_interrupt_tears_down_what_was_deployed(place: Place) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)
 def test_an_engine_that_cannot_be_reached_costs_nothing(place: Place) -> None:
     pytest.importorskip("sky")
     said = place("--infra", "aws/us-east-1", "--catalog", "snapshot", "--yes", "--out", "conformance.json", code=6)
@@ -115,13 +116,13 @@ def test_a_step_that_fails_is_named_and_what_ran_is_torn_down(tmp_path: Path, mo
 
     def command(*words: str) -> str:
         ran.append(words[0])
-        if words[0] == "doctor":
-            raise conformance.Failed("fogspec doctor ended with 1: no access")
+        if "--dry-run" in words:
+            raise conformance.Failed("fogspec bench ended with 1: no access")
         return json.dumps({"ended": 0, "spent_usd": 0.0, "left": []})
 
     monkeypatch.setattr(exercise, "_command", command)
     outcome = exercise.run()
-    assert ran == ["compile", "doctor"], "nothing was started, so nothing is torn down"
+    assert ran == ["compile", "bench"], "nothing was started, so nothing is torn down"
     assert not outcome.passed
     assert "failed: access" in outcome.as_markdown()
 

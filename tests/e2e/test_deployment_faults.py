@@ -86,12 +86,13 @@ def test_a_damaged_live_state_hides_nothing(tiny: Deployed, monkeypatch: pytest.
         registry, "deployment_backend", beside(registry.deployment_backend, Cloud(tiny.folder / "cloud"))
     )
     assert faulty.run(tiny, "apply", MANIFEST, "--yes") == 0
+    (name,) = tiny.names()
     (tiny.state / "deployment.yaml").write_text("machines: [")
     assert "machines are found by their names" in tiny("down", "tiny").stderr
     kept = tiny.state / "deployment.yaml.unreadable-1"
     assert kept.read_text() == "machines: [", "no record is deleted that could not be read"
     kept.unlink()
-    tiny.state.rmdir()
+    assert f" down ended {name}, found by its name" in tiny("status", "-v").stdout
     assert faulty.left(tiny).nothing
 
 

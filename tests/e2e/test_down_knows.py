@@ -10,14 +10,13 @@ from pathlib import Path
 import pytest
 
 from fogspec.backends import registry
-from fogspec.backends.skypilot.backend import SkyPilotDeployments
 from fogspec.base.errors import CloudError
 from fogspec.base.layout import Layout
 from fogspec.deploy.engines import engines_of
-from tests.e2e.test_deployment_skypilot import AT, MANIFEST, WORK
 from tests.support.deployed import Deployed, app  # noqa: F401
-from tests.support.fake_sky import Cloud, beside
-from tests.support.running import Shell, measure, project, shell  # noqa: F401
+from tests.support.deployed_cloud import MANIFEST, cloud  # noqa: F401
+from tests.support.fake_sky import Cloud
+from tests.support.running import Shell, shell  # noqa: F401
 from tests.support.scenes import HALTING, Scene
 
 MARKERS = "<<<<<<< HEAD\n"
@@ -58,23 +57,9 @@ def damaged(folder: Path) -> None:
         (folder / name).unlink()
 
 
-@pytest.fixture
-def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cloud]:
-    project(shell)
-    shell.write("specs/work.py", WORK)
-    measure(shell)
-    shell("compile", "specs/demo.yaml", *AT)
-    made = Cloud(shell.folder.parent / "cloud")
-    monkeypatch.setattr(SkyPilotDeployments, "poll_s", 0.05)
-    monkeypatch.setattr(registry, "deployment_backend", beside(registry.deployment_backend, made))
-    yield made
-    for name in list(made.machines):
-        made.end(name)
-
-
 @pytest.mark.parametrize("damage", [conflicts, without_compiled, only_committed, damaged])
 def test_what_cannot_be_read_hides_no_machine(shell: Shell, cloud: Cloud, damage: Damage) -> None:
-    shell("apply", MANIFEST, *AT, "--yes")
+    shell("apply", MANIFEST, "--yes")
     damage(shell.folder)
     assert "1 ended" in shell("down", "demo").out
     assert cloud.machines == {}
@@ -86,7 +71,7 @@ def test_what_cannot_be_read_hides_no_machine(shell: Shell, cloud: Cloud, damage
 def test_without_skypilot_nothing_is_said_to_be_gone(
     shell: Shell, cloud: Cloud, damage: Damage, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
-    shell("apply", MANIFEST, *AT, "--yes")
+    shell("apply", MANIFEST, "--yes")
     damage(shell.folder)
     before = {path: path.read_bytes() for path in (shell.folder / ".fogspec").rglob("*.yaml")}
 
@@ -106,7 +91,7 @@ def test_without_skypilot_nothing_is_said_to_be_gone(
 
 
 def until(done: Callable[[], object]) -> None:
-    end = time.monotonic() + 120
+    end = time.monotonic() + 1200
     while not done():
         assert time.monotonic() < end
         time.sleep(0.05)
@@ -126,7 +111,7 @@ def hang_up(process: "subprocess.Popen[str]") -> int:
         assert pipe is not None
         pipe.close()
     process.send_signal(signal.SIGHUP)
-    return process.wait(120)
+    return process.wait(600)
 
 
 def test_a_closed_terminal_ends_a_bench_and_its_machines(tmp_path: Path) -> None:
@@ -170,5 +155,5 @@ def test_down_goes_on_when_its_terminal_is_closed(app: Callable[..., Deployed]) 
     os.close(write)
     until(lambda: not tiny.alive())
     down.send_signal(signal.SIGHUP)
-    down.wait(120)
+    down.wait(600)
     assert (tiny.alive(), tiny.names()) == ([], [])

@@ -4,19 +4,18 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from fogspec.backends import registry
 from fogspec.backends.naming import OWNER_LABEL
-from fogspec.backends.skypilot.backend import SkyPilotDeployments
-from tests.e2e.test_deployment_skypilot import AT, MANIFEST, WORK
 from tests.support import deployed
 from tests.support.deployed import Deployed, app  # noqa: F401
-from tests.support.fake_sky import Cloud, SimulatedClient
-from tests.support.running import Shell, measure, project, shell  # noqa: F401
+from tests.support.deployed_cloud import MANIFEST
+from tests.support.deployed_cloud import cloud as plain  # noqa: F401
+from tests.support.fake_sky import Cloud
+from tests.support.running import Shell, shell  # noqa: F401
 
 ORIGIN = "https://forge.test/lab/robots.git"
 
@@ -26,7 +25,7 @@ def journal(one: Deployed, name: str) -> bytes:
     machine = {"infra": "local", "instance": "1cpu-1gib", "cpus": 1, "memory": "1GiB", "price": "$0.02/h"}
     sample = {"id": "local-1cpu-1gib", "reason": "", "machine": machine}
     entry = {"do": "start", "name": name, "runner": "local", "application": "x", "sample": sample, "at_s": 0.0,
-             "price_usd_per_hour": 0.02, "lifetime_s": 60.0, "boot": "b", "substitute_for": None}  # fmt: skip
+             "price_usd_per_hour": 0.02, "lifetime_s": 60.0, "paid_s": 90.0, "at_unix_s": 1.0, "boot": "b"}  # fmt: skip
     one.state.mkdir(parents=True, exist_ok=True)
     (one.state / "journal.jsonl").write_text(json.dumps(entry) + "\n")
     return (one.state / "journal.jsonl").read_bytes()
@@ -70,19 +69,10 @@ def test_what_is_the_applications_is_ended_beside_a_foreign_record(app: Callable
 
 
 @pytest.fixture
-def cloud(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cloud]:
-    project(shell)
-    shell.write("specs/work.py", WORK)
-    measure(shell)
-    shell("compile", "specs/demo.yaml", *AT)
+def cloud(shell: Shell, plain: Cloud) -> Cloud:
     subprocess.run(["git", "init", "-q"], cwd=shell.folder, check=True)
     subprocess.run(["git", "remote", "add", "origin", ORIGIN], cwd=shell.folder, check=True)
-    made = Cloud(shell.folder.parent / "cloud")
-    monkeypatch.setattr(SkyPilotDeployments, "poll_s", 0.05)
-    monkeypatch.setattr(registry, "deployment_backend", lambda _infra: SkyPilotDeployments(SimulatedClient(made)))
-    yield made
-    for name in list(made.machines):
-        made.end(name)
+    return plain
 
 
 def clone(shell: Shell, name: str, origin: str) -> Shell:
@@ -93,7 +83,7 @@ def clone(shell: Shell, name: str, origin: str) -> Shell:
 
 
 def test_a_fresh_clone_finds_what_runs_and_a_fork_does_not(shell: Shell, cloud: Cloud) -> None:
-    shell("apply", MANIFEST, *AT, "--yes")
+    shell("apply", MANIFEST, "--yes")
     (name,) = cloud.machines
     assert cloud.machines[name].labels["fogspec-application"] == "demo"
     assert len(cloud.machines[name].labels[OWNER_LABEL]) == 52
@@ -103,13 +93,13 @@ def test_a_fresh_clone_finds_what_runs_and_a_fork_does_not(shell: Shell, cloud: 
     assert name in fork("down", "demo", code=5).err
     assert list(cloud.machines) == [name]
     again = clone(shell, "again", "git@forge.test:lab/robots")
-    assert name in again("apply", MANIFEST, *AT, "--yes", code=5).err
+    assert name in again("apply", MANIFEST, "--yes", code=5).err
     assert "1 ended" in again("down", "demo").out
     assert cloud.machines == {}
 
 
 def test_a_name_with_anothers_label_is_left_alone(shell: Shell, cloud: Cloud) -> None:
-    shell("apply", MANIFEST, *AT, "--yes")
+    shell("apply", MANIFEST, "--yes")
     (name,) = cloud.machines
     cloud.machines[name].labels = {**cloud.machines[name].labels, OWNER_LABEL: "a" * 52}
     assert "nothing runs" in clone(shell, "again", ORIGIN)("down", "demo").out
@@ -117,7 +107,7 @@ def test_a_name_with_anothers_label_is_left_alone(shell: Shell, cloud: Cloud) ->
 
 
 def test_a_committed_file_does_not_forge_an_origin(shell: Shell, cloud: Cloud) -> None:
-    shell("apply", MANIFEST, *AT, "--yes")
+    shell("apply", MANIFEST, "--yes")
     fork = clone(shell, "fork", "https://forge.test/fork/robots.git")
     for place in (".gitconfig", "specs/config", "config", ".gitmodules"):
         fork.write(place, f'[remote "origin"]\n\turl = {ORIGIN}\n')

@@ -12,7 +12,7 @@ from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, SystemWallClock
 from tests.support.deployed import Deployed, app, tiny  # noqa: F401
 from tests.support.fake_sky import Cloud, beside
-from tests.support.running import Shell, measure, project, shell  # noqa: F401
+from tests.support.running import Shell, chosen, measure, project, shell  # noqa: F401
 
 AT = ("--catalog", "offers.csv")
 MANIFEST = "compiled/demo/manifest.yaml"
@@ -24,16 +24,16 @@ READ_BY = {
         ["lock", "specs/demo.yaml", *AT],
     ],
     "offers.csv": [["compile", "specs/demo.yaml", *AT], ["apply", MANIFEST, "--dry-run", "--prices", "offers.csv"]],
-    "results/demo.yaml": [
+    "results/demo/aws-r1-a-small.yaml": [
         ["compile", "specs/demo.yaml", *AT],
         ["bench", "demo", "--runner", "local"],
-        ["report", "demo", *AT],
+        ["report", "demo"],
     ],
-    "compiled/demo/plan.yaml": [["bench", "demo", "--runner", "local"], ["status", *AT]],
-    "compiled/demo/models.yaml": [["verify", MANIFEST, *AT], ["status", *AT]],
-    MANIFEST: [["apply", MANIFEST, "--dry-run", *AT], ["attest", MANIFEST, *AT]],
-    "fogspec.lock": [["status"], ["compile", "specs/demo.yaml"]],
-    LIVE: [["status", *AT], ["diff", *AT]],
+    "compiled/demo/plan.yaml": [["bench", "demo", "--runner", "local"], ["status"]],
+    "compiled/demo/models.yaml": [["check"], ["status"]],
+    MANIFEST: [["apply", MANIFEST, "--dry-run"], ["check"]],
+    "specs/demo.lock": [["status"], ["compile", "specs/demo.yaml"]],
+    LIVE: [["status"], ["diff"]],
 }
 MADE_AGAIN = ("compiled/demo/plan.yaml", "compiled/demo/models.yaml")
 GARBAGE = {
@@ -121,3 +121,24 @@ def test_nothing_is_written_over_what_is_no_file(whole: Shell) -> None:
     said = whole("report", "demo", "--out", "null", code=1).err
     assert said.startswith("error: null: it is a link, which may lead out of the project: not followed\n")
     assert device.is_symlink()
+
+
+@pytest.mark.parametrize("path", ["plan", "models", "menu", "manifest"])
+@pytest.mark.parametrize(
+    "verb", ["validate", "compile", "explain", "bench", "check", "status", "lock", "report", "diff"]
+)
+def test_a_file_of_another_kind_is_one_error_that_says_what_to_name(shell: Shell, path: str, verb: str) -> None:
+    chosen(shell)
+    ended = shell(verb, f"compiled/demo/{path}.yaml", code=None)
+    assert ended.code in (1, 3)
+    assert "kind must be Application, not " in ended.err
+    assert "give the name of its application in place of the file: demo\n\n1 error in 1 file" in ended.err
+
+
+def test_a_spec_in_place_of_a_manifest_is_one_error_and_so_is_a_manifest_in_place_of_a_spec(shell: Shell) -> None:
+    chosen(shell)
+    said = shell("apply", "specs/demo.yaml", "--dry-run", code=1).err
+    assert "kind must be DeploymentManifest, not Application" in said
+    assert "give the name of its application in place of the file: demo\n\n1 error in 1 file" in said
+    for verb in ("down", "logs"):
+        assert "fogspec down demo\n" in shell(verb, MANIFEST, code=1).err

@@ -24,30 +24,31 @@ def token(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_nodes_print_is_shown_without_secrets_and_what_runs_is_listed(app: Callable[..., Deployed]) -> None:
     one = app(PRINTS)
     assert "nothing runs" in one("logs", "tiny", code=1).stderr
-    assert "nothing runs" in one("ps").stdout
+    assert "running" not in one("status").stdout
     one.apply()
     said = one("logs", "tiny").stdout.splitlines()
     assert said[0] == "[sh] loading the map"
     assert "swordfish" not in "".join(said)
     assert "=== fogspec" not in "".join(said)
-    (listed,) = json.loads(one("ps", "-o", "json").stdout)
-    assert (listed["application"], listed["answers"], listed["has_spec"]) == ("tiny", "ready", True)
-    shown = one("ps").stdout
-    assert one.names()[0][-7:] in shown
-    assert re.search(r"  [\d.]+ m?s  \$", shown), "the uptime stays on its line"
+    (listed,) = json.loads(one("status", "-o", "json").stdout)
+    assert (listed["name"], listed["deployment"]["sync"], listed["has_spec"]) == ("tiny", "Synced", True)
+    shown = one("status").stdout
+    assert one.names()[0] in shown
+    assert re.search(r" in local at 127\.0\.0\.1, up [^,]+, \$0\.02/h, \$0\.00 so far\n", shown)
     spec = one.folder / "specs/tiny.yaml"
     whole = spec.read_text()
     spec.write_text(whole.replace("latency:", "latencyy:"))
-    said = one("ps")
-    assert "(no spec)" not in said.stdout, "its spec has a mistake, and is there"
-    assert "fogspec down" not in said.stdout + said.stderr
-    assert json.loads(one("ps", "-o", "json").stdout)[0]["has_spec"] is None
+    said = one("status", code=1)
+    assert "tiny (not all specs can be read: fogspec validate)\n  running   OutOfSync, " in said.stdout
+    assert "latencyy" in said.stderr
+    assert "fogspec down" not in said.stdout + said.stderr, "its spec has a mistake, and is there"
+    assert json.loads(one("status", "-o", "json", code=1).stdout)[0]["has_spec"] is None
     spec.write_text(whole)
     shutil.rmtree(one.folder / "specs")
-    assert "tiny (no spec)" in one("ps").stdout, "what was deleted still runs"
+    assert "tiny (no spec)" in one("status").stdout, "what was deleted still runs"
     one("down", "tiny")
     assert one.left() == []
-    assert "nothing runs" in one("ps").stdout
+    assert "no machine in the live state" in one("status", code=1).stderr
 
 
 def test_the_last_words_of_a_start_that_never_got_ready_are_kept(app: Callable[..., Deployed]) -> None:

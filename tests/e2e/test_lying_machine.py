@@ -30,7 +30,7 @@ def test_a_latency_that_overflows_costs_one_sample_and_no_more(tmp_path: Path) -
     records = scene.records()
     assert (records[SMALL]["state"], records[SMALL]["reason"]) == ("failed", "out_of_range")
     assert "latency_s is 1e+200s, and must be between 0s and 1e+06s" in records[SMALL]["detail"]
-    assert (scene.folder / "results" / records[SMALL]["timings"]["path"]).is_file(), "the raw record is kept"
+    assert (scene.results / "timings" / f"{SMALL}.jsonl.gz").is_file(), "the raw record is kept"
     assert records[LARGE]["state"] == "ok"
     assert scene.run("compile").returncode in (0, 4)
     assert scene.bench().returncode == 0

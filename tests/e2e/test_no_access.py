@@ -5,7 +5,6 @@ import json
 from collections.abc import Iterator
 
 import pytest
-from ruamel.yaml import YAML
 
 from fogspec.backends import registry
 from fogspec.backends.protocol import Unreachable
@@ -14,6 +13,7 @@ from fogspec.backends.skypilot.errors import CloudProblem
 from fogspec.bench import attempt
 from fogspec.catalog import sources
 from tests.e2e.test_bench_money import _Shop
+from tests.support import results as measured_files
 from tests.support.fake_sky import Cloud, SimulatedClient
 from tests.support.running import Ended, Shell, measure, project, shell, spec  # noqa: F401
 
@@ -52,11 +52,11 @@ def sources_missing() -> Exception:
 
 
 def bench(shell: Shell, *words: str, code: int = 0) -> Ended:
-    return shell("bench", "specs/demo.yaml", "--runner", "skypilot", *AT, "--yes", *words, code=code)
+    return shell("bench", "specs/demo.yaml", "--runner", "skypilot", "--yes", *words, code=code)
 
 
 def results(shell: Shell) -> dict:
-    return YAML(typ="safe", pure=True).load(shell.read("results/demo.yaml"))["spec"]
+    return measured_files.document(shell.folder / "results/demo")
 
 
 def test_without_access_nothing_is_started_recorded_or_paid(shell: Shell, cloud: Cloud) -> None:
@@ -67,7 +67,7 @@ def test_without_access_nothing_is_started_recorded_or_paid(shell: Shell, cloud:
     assert cloud.machines == {}
     assert not (shell.folder / "results").exists()
     cloud.without_access = ()
-    assert "4 of 4 samples to measure" in bench(shell, "--dry-run").out + bench(shell, "--dry-run").err
+    assert "4 of 4 samples to measure" in bench(shell, "--dry-run").err
 
 
 def test_an_api_server_that_does_not_answer_costs_nothing(shell: Shell, cloud: Cloud) -> None:
@@ -142,7 +142,7 @@ def test_a_failed_sample_never_replaces_a_measured_one(shell: Shell, cloud: Clou
     cloud.fails = lambda op, _words: CloudProblem("image", "manifest unknown") if op == "launched" else None
     bench(shell, "--only", before[0]["id"])
     assert results(shell)["samples"] == before
-    assert (shell.folder / "results" / before[0]["timings"]["path"]).is_file()
+    assert (shell.folder / f"results/demo/timings/{before[0]['id']}.jsonl.gz").is_file()
 
 
 def test_a_dry_run_needs_no_skypilot(shell: Shell, cloud: Cloud, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +151,9 @@ def test_a_dry_run_needs_no_skypilot(shell: Shell, cloud: Cloud, monkeypatch: py
 
     monkeypatch.setattr(client.importlib.metadata, "version", missing)
     monkeypatch.setattr(registry, "sample_backend", lambda _: backend.SkyPilotSamples)
-    assert "at most $" in bench(shell, "--dry-run").err
+    shown = bench(shell, "--dry-run", code=1)
+    assert "at most $" in shown.err
+    assert "problem      SkyPilot   SkyPilot is not installed here" in shown.out
     assert "pip install 'fogspec[sky]'" in bench(shell, code=2).err
     assert not (shell.folder / "results").exists()
 
@@ -164,11 +166,11 @@ def test_an_apply_without_access_starts_nothing(shell: Shell, cloud: Cloud, when
         cloud.without_access = ("aws",)
     else:
         cloud.fails = lambda op, _words: DENIED if op == "launch" else None
-    said = shell("apply", "compiled/demo/manifest.yaml", *AT, "--yes", code=6)
+    said = shell("apply", "compiled/demo/manifest.yaml", "--yes", code=6)
     assert "SkyPilot cannot start a machine" in said.err
     assert "sky check" in said.err
     assert cloud.machines == {}
-    live = json.loads(shell("status", *AT, "-o", "json").out)[0]["deployment"]
+    live = json.loads(shell("status", "-o", "json").out)[0]["deployment"]
     assert live is None or live["machine"] is None
 
 
@@ -222,7 +224,7 @@ def test_a_context_or_cluster_that_is_not_configured_starts_no_machine(
     assert f"sky check {name}" in said
     assert cloud.machines == {}
     assert not (shell.folder / "results").exists()
-    checked = shell("doctor", "demo", *AT, code=1).out
+    checked = shell("bench", "demo", "--dry-run", code=1).out
     assert f"problem      access     spec.infra: SkyPilot has no {place}" in checked
     cloud.known = (*known, place)
-    assert "SkyPilot has access" in shell("doctor", "demo", *AT, code=None).out
+    assert "SkyPilot has access" in shell("bench", "demo", "--dry-run").out

@@ -12,22 +12,20 @@ import pytest
 
 from fogspec.base.units import dollars
 from fogspec.catalog import sources
+from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
-from fogspec.spec.loader import read_document
 from tests.e2e.test_bench_money import _Shop
 from tests.e2e.test_no_access import sources_missing
 from tests.support.running import CATALOG, Shell, measure, shell, spec  # noqa: F401
 
 AT = ("--catalog", "offers.csv")
-STOP = "stop: {requests: 20, duration: 1min}, setup_timeout: 1min"
+STOP = "stop: {requests: 20, duration: 1min}, ready_timeout: 1min"
 SPECS = {
     "grid": (f"{{budget: $5, sampler: grid, {STOP}}}", 4),
     "list": (f"{{budget: $5, machines: [a.small, b.large], {STOP}}}", 2),
     "adaptive": (f"{{budget: $5, sampler: adaptive, {STOP}}}", 3),
     "servers": (f"{{budget: $5, sampler: adaptive, servers: 2, {STOP}}}", 3),
-    "nested": (f"{{budget: $5, machines: [a.large, b.large], shapes: nested, {STOP}}}", 2),
-    "nested and adaptive": (f"{{budget: $5, sampler: adaptive, shapes: nested, {STOP}}}", 3),
-    "long": ("{budget: $5, sampler: grid, stop: {requests: 900, duration: 25min}, setup_timeout: 40min}", 4),
+    "long": ("{budget: $5, sampler: grid, stop: {requests: 900, duration: 25min}, ready_timeout: 40min}", 4),
 }
 
 
@@ -41,13 +39,13 @@ def no_prices_of_skypilot(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def prices(shell: Shell) -> tuple[str, str, str, float, float]:
     """What compile, bench and diff say, then what JSON of compile and diff says."""
-    compiled = shell("compile", "specs/demo.yaml", *AT, code=None).out  # exits with 7 while samples are left
-    bench = shell("bench", "specs/demo.yaml", "--runner", "skypilot", "--dry-run", *AT).err
-    diff = shell("diff", "specs/demo.yaml", *AT).out
+    compiled = shell("compile", "specs/demo.yaml", *AT, "-v", code=None).out  # exits with 7 while samples are left
+    bench = shell("bench", "specs/demo.yaml", "--runner", "skypilot", "--dry-run").err
+    diff = shell("diff", "specs/demo.yaml").out
     told = json.loads(shell("compile", "specs/demo.yaml", *AT, "-o", "json", code=None).out)[0]["estimate_usd"][
         "at_most"
     ]
-    due = json.loads(shell("diff", "specs/demo.yaml", *AT, "-o", "json").out)[0]["measuring_usd_at_most"]
+    due = json.loads(shell("diff", "specs/demo.yaml", "-o", "json").out)["applications"][0]["measuring_usd_at_most"]
     (plan,) = re.findall(r"^  plan .*?at most (\$[0-9.]+)", compiled, re.MULTILINE)
     (offered,) = re.findall(r"samples to measure.*?at most (\$[0-9.]+)", bench)
     (measuring,) = re.findall(r"to measure first.*?at most (\$[0-9.]+)", diff)
@@ -84,9 +82,10 @@ def test_what_is_left_has_one_price_too(shell: Shell, name: str) -> None:
     assert bench == diff == dollars(due)
     if name == "grid":
         measure(shell)
-        bench = shell("bench", "specs/demo.yaml", "--runner", "skypilot", "--dry-run", *AT).err
+        bench = shell("bench", "specs/demo.yaml", "--runner", "skypilot", "--dry-run").err
         assert "0 of 4 samples to measure: at most $0.00" in bench
-        assert json.loads(shell("diff", "specs/demo.yaml", *AT, "-o", "json").out)[0]["measuring_usd_at_most"] == 0
+        (due,) = json.loads(shell("diff", "specs/demo.yaml", "-o", "json").out)["applications"]
+        assert due["measuring_usd_at_most"] == 0
 
 
 def test_the_price_of_machines_at_once_is_for_people(shell: Shell) -> None:
@@ -94,7 +93,7 @@ def test_the_price_of_machines_at_once_is_for_people(shell: Shell) -> None:
     shell.write("specs/work.py", "print('work')\n")
     shell.write("specs/demo.yaml", spec(benchmark=f"{{budget: $5, machines: [a.small, a.large], {STOP}}}"))
     shell("compile", "specs/demo.yaml", *AT)
-    said = shell("bench", "specs/demo.yaml", "--runner", "skypilot", "--dry-run", *AT).err
+    said = shell("bench", "specs/demo.yaml", "--runner", "skypilot", "--dry-run").err
     assert "2 machines at once: at most $0.938/h together" in said
 
 
@@ -120,12 +119,13 @@ def test_a_dry_run_needs_no_skypilot(shell: Shell, python: Path, tmp_path: Path)
     env = {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin", **kept}
 
     def fogspec(*words: str) -> "subprocess.CompletedProcess[str]":
-        argv = [str(python), "-m", "fogspec", *words, "specs/demo.yaml", *AT]
+        argv = [str(python), "-m", "fogspec", *words, "specs/demo.yaml"]
         return subprocess.run(argv, cwd=shell.folder, env=env, capture_output=True, text=True)
 
-    assert fogspec("compile").returncode == 0
+    assert fogspec("compile", *AT).returncode == 0
     said = fogspec("bench", "--runner", "skypilot", "--dry-run")
-    assert said.returncode == 0, said.stderr
+    assert said.returncode == 1, said.stderr
+    assert "problem      SkyPilot   SkyPilot is not installed here" in said.stdout
     assert "4 of 4 samples to measure: at most $" in said.stderr
     assert said.stdout.count("/h, at most $") == 4
     said = fogspec("bench", "--runner", "skypilot", "--yes")

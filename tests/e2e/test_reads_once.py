@@ -19,9 +19,9 @@ import pytest
 
 from fogspec.base import project_files
 from fogspec.base.yaml import reader
+from fogspec.language.loader import SourceFile
 from fogspec.model import fit as model_fit
 from fogspec.numerics.surrogate import Space
-from fogspec.spec.loader import SourceFile
 from tests.support.running import Shell, shell  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -119,19 +119,21 @@ def _key(space: Space, samples: Any) -> str:
 def commands(spec: str) -> list[tuple[str, ...]]:
     found = [
         ("compile", spec),
-        ("compile", spec, "--check"),
         ("menu", spec, "--alpha", "0.3"),
         ("explain", spec),
         ("explain", spec, "-o", "json"),
         ("report", spec),
         ("status", spec),
         ("diff", spec),
-        ("review", "HEAD", spec),
+        ("diff", "--since", "HEAD", spec),
+        ("check", spec),
+        ("check", spec, "-o", "statement"),
         ("bench", spec, "--dry-run"),
     ]
     for name in MANIFESTS[spec]:
-        manifest = f"compiled/{name}/manifest.yaml"
-        found += [("verify", manifest), ("attest", manifest), ("apply", manifest, "--dry-run")]
+        found += [("apply", f"compiled/{name}/manifest.yaml", "--dry-run"), ("apply", name, "--dry-run")]
+        # A name leads to no path: the spec is found among those of the project, then loaded.
+        found += [(verb, name) for verb in ("menu", "status", "check", "diff")]
     return found
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -13,12 +14,13 @@ import pytest
 
 from fogspec.backends import registry
 from fogspec.backends.local.backend import LocalDeployments
+from fogspec.base.errors import NotInstalled
 from fogspec.deploy import git_store, shared_state
 from fogspec.deploy.git_store import GitStore
 from tests.support.deployed import Deployed, app  # noqa: F401
 from tests.support.fake_sky import Cloud, beside
 from tests.support.forking import forked
-from tests.support.scenes import until
+from tests.support.scenes import tell, until
 
 PROJECT = "apiVersion: fogspec.dev/v1alpha1\nkind: Project\nspec: {state: git}\n"
 REF = "refs/fogspec/state/"
@@ -38,14 +40,29 @@ class Team:
     first: Deployed
     clones: list[Deployed]
 
-    def clone(self) -> Deployed:
+    def clone(self, *options: str) -> Deployed:
         folder = self.remote.parent / f"clone-{len(self.clones)}"
-        git("clone", "-q", str(self.remote), str(folder), folder=self.remote.parent)
+        git("clone", "-q", *options, f"file://{self.remote}", str(folder), folder=self.remote.parent)
+        git("config", "user.name", "a", folder=folder)
         self.clones.append(Deployed(folder))
         return self.clones[-1]
 
+    def merge(self, limit: str) -> str:
+        """Commit and push another limit from the first clone; return the commit."""
+        spec = self.first.folder / "specs/tiny.yaml"
+        spec.write_text(re.sub(r"latency: \w+", f"latency: {limit}", spec.read_text()))
+        self.first("compile", "specs/tiny.yaml")
+        git("commit", "-qam", limit, folder=self.first.folder)
+        git("push", "-q", "origin", "HEAD:master", folder=self.first.folder)
+        return git("rev-parse", "HEAD", folder=self.first.folder)
+
     def refs(self) -> list[str]:
         return git("for-each-ref", "--format=%(refname)", REF, folder=self.remote).split()
+
+    def held(self) -> list[str]:
+        """Those of a record that names a machine, or that a command holds; what has only a history is of what is over."""
+        texts = {ref: git("show", f"{ref}:state.yaml", folder=self.remote) for ref in self.refs()}
+        return [ref for ref, text in texts.items() if not ("  machines: []" in text and "  lease: null" in text)]
 
     def record(self) -> str:
         (ref,) = self.refs()
@@ -78,8 +95,8 @@ def team(app: Callable[..., Deployed], tmp_path: Path) -> Iterator[Team]:
     git("init", "-q", "--bare", str(remote), folder=tmp_path)
     (first.folder / "fogspec.yaml").write_text(PROJECT)
     (first.folder / ".gitignore").write_text(".fogspec/\n")
-    for words in (["init", "-q"], ["add", "."], ["commit", "-qm", "all"], ["remote", "add", "origin", str(remote)],
-                  ["push", "-q", "origin", "HEAD:master"]):  # fmt: skip
+    for words in (["init", "-q"], ["config", "user.name", "a"], ["add", "."], ["commit", "-qm", "all"],
+                  ["remote", "add", "origin", str(remote)], ["push", "-q", "origin", "HEAD:master"]):  # fmt: skip
         git(*words, folder=first.folder)
     git("symbolic-ref", "HEAD", "refs/heads/master", folder=remote)
     made = Team(remote, first, [])
@@ -93,10 +110,9 @@ def test_a_fresh_clone_sees_updates_and_ends_what_another_started(team: Team) ->
     assert not (team.first.state / "deployment.yaml").exists()
     assert "lease: null" in team.record()
     other = team.clone()
-    live = other.status()
+    live = other.judged()
     assert (live["sync"], live["health"]) == ("Synced", "Healthy")
-    (name,) = [one["name"] for one in live["machines"]]
-    assert name in other("ps", "-o", "json").stdout
+    assert len(live["machines"]) == 1
     assert "no changes" in other.apply().stdout
     other.change("latency: 1s", "latency: 2s")
     other("compile", "specs/tiny.yaml")
@@ -105,8 +121,77 @@ def test_a_fresh_clone_sees_updates_and_ends_what_another_started(team: Team) ->
     assert team.first.alive(), "without downtime"
     down = other("down", "tiny")
     assert "1 ended" in down.stdout
-    assert (team.refs(), team.alive()) == ([], 0)
+    assert (team.held(), team.alive()) == ([], 0)
     assert team.first.status() is None
+    said = team.clone()("status", "-v").stdout
+    assert re.findall(r" (apply|down) by .+ (started|kept|ended) local/", said) == [
+        ("apply", "started"),
+        ("apply", "kept"),
+        ("down", "ended"),
+    ]
+
+
+def test_a_late_job_does_not_bring_an_older_commit_back(team: Team, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GITHUB_TRIGGERING_ACTOR", "ada\x1b[31m")
+    late, shallow = team.clone(), team.clone("--depth=1")
+    before = git("rev-parse", "HEAD", folder=late.folder)
+    commit = team.merge("2s")
+    team.first.apply()
+    first = team.first.status()["machines"][0]["applied"]
+    assert (first["commit"], first["generation"]) == (commit, 1)
+    by = f"commit {commit[:12]}, applied {first['date']} by ada\\x1b[31m, generation 1"
+    assert by in team.first("status").stdout
+    git("fetch", "-q", folder=late.folder)
+    for words in (["--yes"], ["--dry-run"]):
+        said = late("apply", "tiny", *words, code=5).stderr
+        assert f"commit {before[:12]} is older than the one that runs" in said
+        assert by in said
+        assert "git pull" in said
+        assert "fogspec apply tiny --older" in said
+    # In a clone without history the commit that runs is not known, or not known to be later.
+    for fetch in (["--depth=1", "origin", "master"], ["--unshallow"]):
+        said = shallow.apply(code=5).stderr
+        assert f"commit {before[:12]} may be older than the one that runs" in said
+        assert "git fetch --unshallow" in said
+        git("fetch", "-q", *fetch, folder=shallow.folder)
+    assert "is older than the one that runs" in shallow.apply(code=5).stderr
+    assert team.first.status()["machines"][0]["applied"] == first
+
+    assert "the machine stays, under the new manifest" in late.apply("--older").stdout
+    accepted = late.status()["machines"][0]["applied"]
+    assert (accepted["commit"], accepted["generation"]) == (before, 2)
+    git("pull", "-q", "--ff-only", "origin", "master", folder=late.folder)
+    late.apply()
+    assert "no changes" in late.apply().stdout
+    assert late.status()["machines"][0]["applied"]["generation"] == 3
+    git("commit", "-q", "--allow-empty", "-m", "docs", folder=team.first.folder)
+    assert "no changes" in team.first.apply().stdout
+    assert team.first.status()["machines"][0]["applied"]["commit"] == git("rev-parse", "HEAD", folder=team.first.folder)
+    late.apply(code=5)
+    git("checkout", "-q", "-b", "hotfix", folder=late.folder)
+    git("commit", "-q", "--allow-empty", "-m", "another branch", folder=late.folder)
+    git("fetch", "-q", str(team.first.folder), "HEAD", folder=late.folder)
+    assert "no changes" in late.apply().stdout
+    late("down", "tiny")
+    assert (team.alive(), team.held()) == (0, [])
+
+
+def test_a_clone_of_depth_one_deploys_a_newer_commit_once_it_has_the_history(team: Team) -> None:
+    team.first.apply()
+    team.merge("2s")
+    shallow = team.clone("--depth=1")
+    assert "git fetch --unshallow" in shallow.apply(code=5).stderr
+    git("fetch", "-q", "--unshallow", folder=shallow.folder)
+    assert "the machine stays, under the new manifest" in shallow.apply().stdout
+    shallow.kill()
+    team.first.kill()
+    until(lambda: not team.alive())
+    before = shallow.status()["machines"][0]["applied"]
+    behind = team.clone()
+    git("reset", "-q", "--soft", "HEAD~1", folder=behind.folder)
+    behind("watch", "tiny", "--once", "--yes")
+    assert (team.alive(), behind.status()["machines"][0]["applied"]) == (1, before), "a restart is of what was applied"
+    behind("down", "tiny")
 
 
 def test_a_replaced_machine_of_another_clone_ends_after_the_new_one_answers(team: Team) -> None:
@@ -117,7 +202,7 @@ def test_a_replaced_machine_of_another_clone_ends_after_the_new_one_answers(team
     until(lambda: not team.first.alive())
     assert other.status()["health"] == "Missing"
     assert f"{old}: gone" in other.apply().stderr
-    assert other.status()["health"] == "Healthy"
+    assert other.judged()["health"] == "Healthy"
     assert (bool(team.first.alive()), bool(other.alive())) == (False, True)
     assert "nothing is left" in team.first("down", "tiny").stdout
     assert team.alive() == 0
@@ -126,7 +211,7 @@ def test_a_replaced_machine_of_another_clone_ends_after_the_new_one_answers(team
 def test_what_runs_without_a_spec_is_in_status_and_in_the_gate(team: Team) -> None:
     team.first.apply()
     other = team.clone()
-    for name in ("specs/tiny.yaml", "specs/work.py"):
+    for name in ("specs/tiny.yaml", "specs/tiny.lock", "specs/work.py"):
         (other.folder / name).unlink()
     shutil.rmtree(other.folder / "compiled/tiny")
     shutil.rmtree(other.folder / "results")
@@ -137,12 +222,12 @@ def test_what_runs_without_a_spec_is_in_status_and_in_the_gate(team: Team) -> No
     other("lock", "--catalog", "hosts.csv")
     other("compile")
     said = other("status").stdout
-    assert "tiny: no spec has an application of this name, and fogspec-" in said
-    assert "tiny" in other("status", "--exit-code", code=3).stderr
-    assert "FAIL  tiny: no spec has an application of this name" in other("ci", code=3).stdout
-    assert [one["has_spec"] for one in json.loads(other("ps", "-o", "json").stdout)] == [False]
+    assert re.search(r"^tiny \(no spec\) .* OutOfSync, ", said, re.MULTILINE)
+    assert said.endswith("next: fogspec down tiny\n")
+    assert "FAIL  tiny: no spec has an application of this name" in other("check", code=3).stdout
+    assert [one["has_spec"] for one in json.loads(other("status", "-o", "json").stdout)] == [True, False]
     assert "1 ended" in other("down", "tiny").stdout
-    assert "tiny" not in other("ci", code=None).stdout
+    assert "tiny" not in other("check", code=None).stdout
 
 
 def test_two_at_once_start_one_machine(team: Team) -> None:
@@ -157,7 +242,7 @@ def test_two_at_once_start_one_machine(team: Team) -> None:
     assert team.alive() == 1
     assert len(team.clones[0].status()["machines"]) == 1
     team.first("down", "tiny")
-    assert (team.alive(), team.refs()) == (0, [])
+    assert (team.alive(), team.held()) == (0, [])
 
 
 def steps() -> tuple[tuple[object, str], ...]:
@@ -192,10 +277,10 @@ def test_killed_between_two_steps(team: Team, at: int, before: bool) -> None:
     forked(team.first.folder, ["apply", "compiled/tiny/manifest.yaml", "--yes"], first=put)
     other = team.clone()
     other.apply()
-    assert other.status()["health"] == "Healthy"
+    assert other.judged()["health"] == "Healthy"
     assert len(other.status()["machines"]) == 1
     other("down", "tiny")
-    assert (team.alive(), team.refs()) == (0, [])
+    assert (team.alive(), team.held()) == (0, [])
 
 
 def test_a_store_away_starts_nothing_and_loses_nothing(team: Team) -> None:
@@ -216,16 +301,15 @@ def test_a_store_away_starts_nothing_and_loses_nothing(team: Team) -> None:
     assert "tiny: the manifest is what compile would write" in found.stdout
     assert "no contact" in found.stderr
     assert "what runs is not known; restarted" in team.first("watch", "--once", "--yes", code=6).stderr
-    team.first("ps", code=6)
     team.first("down", "tiny", code=6)
     assert team.alive() == 1
-    assert "apply deploys what is committed" in team.first("ci").stderr
+    assert "apply deploys what is committed" in team.first("check").stderr
     assert "1 ended" in team.first("down", "tiny", env={"FOGSPEC_STATE": "folder"}).stdout
     away.rename(team.remote)
     assert team.first.status()["health"] == "Missing"
     assert "next: fogspec apply compiled/tiny/manifest.yaml" in team.first("status").stdout
     team.first("down", "tiny")
-    assert team.refs() == []
+    assert team.held() == []
 
 
 def test_a_store_that_goes_away_in_the_middle(team: Team) -> None:
@@ -262,14 +346,15 @@ def test_a_damaged_record_is_said_kept_and_no_machine_is_lost(
     team.first.apply()
     whole = team.record()
     team.put(whole[: len(whole) // 2])
-    for words in (["status"], ["apply", "tiny", "--yes"], ["ps"], ["ps", "-o", "json"]):
+    for words in (["status"], ["apply", "tiny", "--yes"], ["status", "-o", "json"]):
         said = team.first(*words, code=1)
         assert REF in said.stderr + said.stdout, said
         assert "nothing runs" not in said.stderr + said.stdout
     assert "  running   unknown\n" in team.first("status", code=1).stdout
-    assert 'fogspec_deployment{application="tiny"}' not in team.first("status", "-o", "openmetrics", code=1).stdout
+    team.first("watch", "tiny", "--once", "--max-restarts", "0", code=6)
+    assert "fogspec_deployment" not in (team.first.state.parent / "metrics.prom").read_text()
     assert team.alive() == 1
-    adopted = team.first("adopt", "tiny")
+    adopted = team.first("apply", "tiny", "--adopt")
     assert "taken over, 1cpu-1gib in local" in adopted.stdout
     assert "apply has nothing to do" in adopted.stdout
     (kept,) = team.first.state.glob("deployment.yaml.unreadable-*")
@@ -277,33 +362,85 @@ def test_a_damaged_record_is_said_kept_and_no_machine_is_lost(
     assert "no changes" in team.first.apply().stdout
     team.put(whole[: len(whole) // 2])
     team.first("down", "tiny")
-    assert (team.alive(), team.refs()) == (0, [])
+    assert (team.alive(), team.held()) == (0, [])
+
+
+def without_skypilot() -> None:
+    host = registry.deployment_backend
+
+    def absent(infra: str) -> object:
+        if infra != "local":
+            raise NotInstalled("SkyPilot is not installed here")
+        return host(infra)
+
+    registry.deployment_backend = absent  # type: ignore[assignment]
+
+
+def test_a_damaged_record_stays_until_there_is_a_new_one(team: Team) -> None:
+    team.first.apply()
+    team.put("{")
+    (state,) = team.first.state.glob("deployed/*/out/state.json")
+    whole, pids = state.read_text(), team.first.alive()
+    tell(pids, signal.SIGSTOP)
+    state.write_text('{"state": "starting"}')
+    ended = forked(team.first.folder, ["apply", "tiny", "--adopt"], first=without_skypilot)
+    assert (ended.returncode, team.record()) == (5, "{"), ended
+    state.write_text(whole)
+    tell(pids, signal.SIGCONT)
+    ended = forked(team.first.folder, ["apply", "tiny", "--adopt"], first=without_skypilot)
+    assert ended.returncode == 0, ended
+    assert "taken over, 1cpu-1gib in local" in ended.stdout
+    assert "cannot be read" in ended.stderr
+    assert team.clone().judged()["health"] == "Healthy"
+
+
+def test_down_keeps_a_damaged_record_of_what_may_run(team: Team) -> None:
+    team.first.apply()
+    team.put("{")
+    ended = forked(team.first.folder, ["down", "tiny"], first=without_skypilot)
+    assert (ended.returncode, team.alive(), team.record()) == (6, 0, "{"), ended
+    assert "SkyPilot is not installed here" in ended.stderr
+
+
+def test_a_record_says_where_an_application_without_spec_runs(team: Team) -> None:
+    team.first.apply()
+    for words in (["rm", "-rq", "specs", "compiled", "results"], ["commit", "-qm", "gone"]):
+        git(*words, folder=team.first.folder)
+    ended = forked(team.first.folder, ["down", "tiny"], first=without_skypilot)
+    assert (ended.returncode, team.alive(), team.held()) == (0, 0, []), ended
 
 
 def test_a_record_of_another_repository_is_refused(team: Team) -> None:
     team.first.apply()
     team.put(team.record().replace("repository: ", "repository: other").replace("owner: ", "owner: a"))
-    for words in (["apply", "tiny", "--yes"], ["down", "tiny"], ["adopt", "tiny"]):
+    for words in (["apply", "tiny", "--yes"], ["down", "tiny"], ["apply", "tiny", "--adopt"]):
         said = team.first(*words, code=5).stderr
         assert "is the state of tiny of other" in said, said
     assert team.alive() == 1
     git("update-ref", "-d", team.refs()[0], folder=team.remote)
-    team.first("adopt")
-    assert team.first.status()["health"] == "Healthy"
+    team.first("apply", "tiny", "--adopt")
+    assert team.first.judged()["health"] == "Healthy"
     team.first("down", "tiny")
     assert team.alive() == 0
 
 
 def test_adopt_takes_over_what_is_on_no_record(team: Team) -> None:
     team.first.apply()
+    before = team.first.status()["machines"][0]["applied"]
     git("update-ref", "-d", team.refs()[0], folder=team.remote)
     said = team.first.apply(code=5).stderr
-    assert "fogspec adopt tiny takes it over" in said
-    team.first("adopt", "tiny")
-    live = team.clone().status()
+    assert "fogspec apply tiny --adopt takes it over" in said
+    alive = team.first.alive()
+    taken = team.first("apply", "tiny", "--adopt").stdout
+    assert "tiny: nothing was started or ended\nnext: fogspec status specs/tiny.yaml\n" in taken
+    assert team.first.alive() == alive
+    live = team.clone().judged()
+    now = live["machines"][0]["applied"]
+    assert before["commit"] is not None
+    assert {**now, "date": None} == {**before, "date": None}, "the record of an apply"
     assert (live["sync"], live["health"]) == ("Synced", "Healthy")
-    assert "nothing runs that is not in its live state" in team.first("adopt", "tiny").stdout
-    (only,) = json.loads(team.first("adopt", "-o", "json").stdout)
+    assert "nothing runs that is not in its live state" in team.first("apply", "tiny", "--adopt").stdout
+    only = json.loads(team.first("apply", "tiny", "--adopt", "-o", "json").stdout)
     assert (only["name"], only["adopted"], only["left"]) == ("tiny", [], [])
 
 
@@ -313,7 +450,7 @@ def test_adopt_finds_the_manifest_that_was_committed_before(team: Team) -> None:
     team.first.change("latency: 1s", "latency: 2s")
     team.first("compile", "specs/tiny.yaml")
     git("commit", "-qam", "other limit", folder=team.first.folder)
-    assert "apply has nothing to do" in team.first("adopt", "tiny").stdout
+    assert "apply has nothing to do" in team.first("apply", "tiny", "--adopt").stdout
     assert team.first.status()["sync"] == "OutOfSync"
     assert "the machine stays, under the new manifest" in team.first.apply().stdout
     git("update-ref", "-d", team.refs()[0], folder=team.remote)
@@ -325,47 +462,45 @@ def test_adopt_refuses_what_does_not_answer(team: Team) -> None:
     team.first.apply()
     git("update-ref", "-d", team.refs()[0], folder=team.remote)
     (state,) = team.first.state.glob("deployed/*/out/state.json")
-    for pid in team.first.alive():
-        os.kill(pid, signal.SIGSTOP)
+    tell(team.first.alive(), signal.SIGSTOP)
     state.write_text('{"state": "starting"}')
-    said = team.first("adopt", "tiny", code=5).stderr
+    said = team.first("apply", "tiny", "--adopt", code=5).stderr
     assert "1 machine was not taken over" in said
     assert "its nodes do not answer, it is starting" in said
-    for pid in team.first.alive():
-        os.kill(pid, signal.SIGCONT)
+    tell(team.first.alive(), signal.SIGCONT)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (PROJECT.replace("git}", "git+https://user:secret@example.org/a.git}"), "fogspec.yaml:3:"),
-        (PROJECT.replace("git}", "git+file:///tmp/a.git}"), "fogspec.yaml:3:"),
-        (PROJECT.replace("git}", "s3}"), "fogspec.yaml:3:"),
-        (PROJECT.replace("git}", "'file:///tmp/a'}"), "fogspec.yaml:3:"),
-        (PROJECT.replace("git}", "'s3://user:secret@bucket/a'}"), "fogspec.yaml:3:"),
-        (PROJECT.replace("git}", "'simplecache::s3://bucket/a'}"), "fogspec.yaml:3:"),
-        (PROJECT.replace("git}", "'s3://bucket/../other'}"), "fogspec.yaml:3:"),
-        (PROJECT.replace("git}", "'az://bucket@account.example.org/a'}"), "fogspec.yaml:3:"),
-        (PROJECT.replace("state:", "stat:"), "fogspec.yaml:3:"),
+def test_a_wrong_setting_is_located(team: Team) -> None:
+    at = "fogspec.yaml:3:"
+    for text, said in (
+        (PROJECT.replace("git}", "git+https://user:secret@example.org/a.git}"), at),
+        (PROJECT.replace("git}", "git+file:///tmp/a.git}"), at),
+        (PROJECT.replace("git}", "s3}"), at),
+        (PROJECT.replace("git}", "'file:///tmp/a'}"), at),
+        (PROJECT.replace("git}", "'s3://bucket/a'}"), "write folder, git, git+https://host/path or git+ssh://"),
+        (PROJECT.replace("state:", "stat:"), at),
         ("{", "fogspec.yaml:1:"),
         ("", "fogspec.yaml"),
-    ],
-)
-def test_a_wrong_setting_is_located(team: Team, text: str, said: str) -> None:
-    (team.first.folder / "fogspec.yaml").write_text(text)
-    for words in (["apply", "tiny", "--yes"], ["status"], ["down", "tiny"], ["ps"], ["adopt"], ["ci"]):
-        ended = team.first(*words, code=1)
-        assert said in ended.stderr, ended
-    assert team.alive() == 0
+    ):
+        (team.first.folder / "fogspec.yaml").write_text(text)
+        for words in (
+            ["apply", "tiny", "--yes"],
+            ["status"],
+            ["down", "tiny"],
+            ["apply", "tiny", "--adopt"],
+            ["check"],
+        ):
+            ended = team.first(*words, code=1)
+            assert said in ended.stderr, (text, ended)
+        assert team.alive() == 0
 
 
 def test_git_without_origin_says_what_to_do(team: Team) -> None:
     git("remote", "remove", "origin", folder=team.first.folder)
     assert "git remote add origin URL" in team.first.apply(code=1).stderr
-    assert (
-        "write folder, git, git+URL, or s3://BUCKET/PREFIX"
-        in team.first.apply(code=1, env={"FOGSPEC_STATE": "s3:"}).stderr
-    )
+    for other in ("s3://bucket/a", f"file://{team.remote}"):
+        said = team.first.apply(code=1, env={"FOGSPEC_STATE": other}).stderr
+        assert "write folder, git or git+URL" in said
 
 
 def test_another_repository_has_the_state(team: Team, tmp_path: Path) -> None:
@@ -384,12 +519,101 @@ def test_hooks_and_programs_of_a_prepared_remote_do_not_run(team: Team, tmp_path
         hook.write_text(f"#!/bin/sh\ntouch {mark}-{name}\n")
         hook.chmod(0o755)
     for name in ("core.sshCommand", "core.fsmonitor", "core.alternateRefsCommand", "uploadpack.packObjectsHook"):
-        for folder in (team.remote, team.first.folder):
-            git("config", name, f"touch {mark}-{name}; false", folder=folder)
+        git("config", name, f"touch {mark}-{name}; false", folder=team.first.folder)
     team.first.apply()
     team.first.status()
     team.first("down", "tiny")
     assert list(tmp_path.glob("ran*")) == []
+
+
+def test_a_remote_that_checks_a_record_out_through_its_filter_is_refused(team: Team, tmp_path: Path) -> None:
+    mark, tree = tmp_path / "ran", tmp_path / "tree"
+    tree.mkdir()
+    team.first.apply()
+    (ref,) = team.refs()
+    team.first("down", "tiny")
+    for name, value in (("core.bare", "false"), ("core.worktree", str(tree)), ("filter.x.smudge", f"touch {mark}; cat"),
+                        ("receive.denyCurrentBranch", "updateInstead")):  # fmt: skip
+        git("config", name, value, folder=team.remote)
+    (team.remote / "info").mkdir(exist_ok=True)
+    (team.remote / "info/attributes").write_text("* filter=x\n")
+    git("--git-dir=.", "symbolic-ref", "HEAD", ref, folder=team.remote)
+    for words in (["apply", "tiny", "--yes"], ["status"], ["down", "tiny"]):
+        ended = team.first(*words, code=5)
+        assert f"{team.remote}/config: core.bare = false" in ended.stderr, ended
+        assert "nothing runs" not in ended.stdout
+    assert (team.alive(), team.held(), mark.exists()) == (0, [], False)
+
+
+def test_a_remote_on_this_host_with_a_setting_that_runs_something_is_refused(team: Team) -> None:
+    config = team.remote / "config"
+    plain = config.read_text()
+    for name, value in (
+        ("core.worktree", "/nowhere"), ("core.bare", "false"), ("core.hooksPath", "hooks"), ("core.fsmonitor", "x"),
+        ("core.alternateRefsCommand", "x"), ("core.attributesFile", "x"), ("receive.denyCurrentBranch", "updateInstead"),
+        ("receive.procReceiveRefs", "refs"), ("uploadpack.packObjectsHook", "x"), ("gc.recentObjectsHook", "x"),
+        ("filter.a.b.smudge", "x"), ("include.path", "x"), ("includeIf.gitdir:/.path", "x"), ("remote.a.uploadpack", "x"),
+        ("extensions.worktreeConfig", "true"), ("alias.receive-pack", "!x"),
+    ):  # fmt: skip
+        git("config", "--file", str(config), name, value, folder=team.first.folder)
+        said = team.first("status", code=5).stderr
+        found = re.search(f"{re.escape(str(config))}: (\\S+) = (.*): ", said)
+        assert found is not None, said
+        assert (found[1].lower(), found[2]) == (name.lower(), value)
+        assert ("git clone --mirror" if name == "core.bare" else f"git config --file {config} --unset-all") in said
+        config.write_text(plain)
+    config.write_text(f"{plain}[core]\n\tbare = false\n\tbare\n")
+    assert "core.bare = false" in team.first("status", code=5).stderr, "each of several values"
+    config.write_text(f'{plain}[core]\n\tx = "a\\n\\u001bb{"c" * 999}"\n'.replace("\\u001b", "\x1b"))
+    said = team.first("status", code=5).stderr.splitlines()[0]
+    assert f"{config}: core.x = a\\n\\x1bb" in said, "text stays text"
+    assert len(said) < 500
+    config.write_text(f"{plain}[core\n")
+    assert "no contact: fatal: bad config line" in team.first("status", code=6).stderr
+    config.write_text(plain)
+    # Also by way of a branch: git follows each of them.
+    git("symbolic-ref", "refs/heads/way", f"{REF}tiny", folder=team.remote)
+    git("symbolic-ref", "HEAD", "refs/heads/way", folder=team.remote)
+    said = team.first("status", code=5).stderr
+    assert f"{team.remote}/HEAD: names a record" in said
+    assert f"git --git-dir={team.remote} symbolic-ref HEAD refs/heads/main" in said
+    git("symbolic-ref", "HEAD", "refs/heads/main", folder=team.remote)
+    (team.remote / "commondir").write_text(".\n")
+    assert f"{team.remote}: points to another repository" in team.first("status", code=5).stderr
+
+
+def test_a_clone_with_files_as_remote_is_refused_wherever_git_finds_it(team: Team) -> None:
+    clone = team.clone().folder
+    for at, folder in ((clone, clone / ".git"), (clone.with_suffix(".part"), clone / ".git")):
+        git("remote", "set-url", "origin", str(at), folder=team.first.folder)
+        if at != clone:
+            clone.rename(at.with_suffix(".part.git"))
+            folder = at.with_suffix(".part.git") / ".git"
+        said = team.first.apply(code=5).stderr
+        assert f"{folder}/config: core.bare = false" in said
+    subprocess.run(
+        said.partition("make a bare one: ")[2].splitlines()[0], shell=True, cwd=team.first.folder, check=True
+    )
+    assert "runs on" in team.first.apply().stdout
+    assert "1 ended" in team.first("down", "tiny").stdout
+
+
+def test_a_bare_repository_as_a_team_shares_it_is_taken(team: Team) -> None:
+    shutil.rmtree(team.remote)
+    git("init", "-q", "--bare", "--shared", str(team.remote), folder=team.first.folder)
+    for name, value in (
+        ("core.logAllRefUpdates", "true"), ("core.compression", "9"), ("receive.denyCurrentBranch", "refuse"),
+        ("receive.denyDeletes", "false"), ("receive.fsckObjects", "true"), ("transfer.fsckObjects", "true"),
+        ("gc.auto", "0"), ("gc.pruneExpire", "now"), ("user.name", "a"), ("user.email", "a@example.org"),
+        ("remote.origin.url", "https://example.org/a.git"), ("remote.origin.fetch", "+refs/*:refs/*"),
+        ("remote.origin.mirror", "true"), ("uploadpack.allowAnySHA1InWant", "true"), ("http.receivepack", "true"),
+        ("pack.threads", "1"),
+    ):  # fmt: skip
+        git("config", name, value, folder=team.remote)
+    team.first.apply()
+    assert team.first.judged()["health"] == "Healthy"
+    assert "1 ended" in team.first("down", "tiny").stdout
+    assert (team.alive(), team.held()) == (0, [])
 
 
 def test_the_module_names_what_the_refs_are() -> None:

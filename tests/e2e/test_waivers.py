@@ -7,8 +7,12 @@ from collections.abc import Callable
 import pytest
 from ruamel.yaml import YAML
 
-from tests.e2e.test_ci import AT, MANIFEST, VERBS, codes, git
-from tests.support.running import Shell, measure, project, shell  # noqa: F401
+from fogspec.base import digest
+from fogspec.results.io import read_results_folder
+from fogspec_lab import cli as lab
+from tests.e2e.test_check import AT, MANIFEST, VERBS, codes, git
+from tests.support import results as measured_files
+from tests.support.running import Shell, copied, measure, project, shell  # noqa: F401
 
 NODE = (
     '[{cmd: [python3, work.py], env: {LOG: info, "a.b": one}}, '
@@ -16,17 +20,28 @@ NODE = (
 )
 
 
+def committed(shell: Shell, files: dict[str, str]) -> None:
+    """A committed application that is locked, measured, compiled, and has environment, parameters and these files."""
+
+    def fill(made: Shell) -> None:
+        for name, text in files.items():
+            made.write(name, text)
+        project(made, cloud=NODE, ros="{distro: jazzy}")
+        made("lock", *AT)
+        made("compile", *AT)
+        measure(made)
+        made("compile", *AT)
+        git(made, "init", "-q")
+        git(made, "add", "-A")
+        git(made, "commit", "-qm", "all")
+
+    copied(shell, f"a repository whose nodes have parameters {files}", fill)
+
+
 @pytest.fixture
 def measured(shell: Shell) -> Shell:
-    """A committed application that is locked, measured, compiled, and has environment and parameters."""
-    project(shell, cloud=NODE, ros="{distro: jazzy}")
-    shell("lock", *AT)
-    shell("compile", *AT)
-    measure(shell)
-    shell("compile", *AT)
-    git(shell, "init", "-q")
-    git(shell, "add", "-A")
-    git(shell, "commit", "-qm", "all")
+    """That application."""
+    committed(shell, {})
     return shell
 
 
@@ -37,13 +52,13 @@ def change(shell: Shell, old: str, new: str) -> None:
 
 
 def state(shell: Shell) -> dict:
-    found: dict = json.loads(shell("status", *AT, "-o", "json").out)[0]
+    found: dict = json.loads(shell("status", "-o", "json").out)[0]
     return found | {stage["name"]: stage for stage in found["stages"]}
 
 
 def pasted(shell: Shell, reason: str = "it only prints more") -> None:
     """What status prints, pasted into the spec by its user, with the reason."""
-    said = shell("status", *AT).out
+    said = shell("status").out
     block = said[said.index("    spec:\n      benchmark:\n") :]
     block = block[: block.index("\n  spent")].replace('reason: ""', f"reason: {reason}")
     waivers = YAML(typ="safe", pure=True).load(block)["spec"]["benchmark"]["waivers"]
@@ -70,7 +85,7 @@ CHANGES: dict[str, Callable[[Shell], object]] = {
     "an item of a list": lambda shell: change(shell, "[1.5, 2.5]", "[1.5, 3.5]"),
     "a longer list": lambda shell: change(shell, "[1.5, 2.5]", "[1.5, 2.5, 3.5]"),
     "a word of a command": lambda shell: change(shell, "work.py]", "./work.py]"),
-    "a prefix": lambda shell: change(shell, "{package: p", "{package: p, prefix: nice"),
+    "a prefix": lambda shell: change(shell, "{package: p", "{package: p, launch: {prefix: nice}"),
     "a secret": lambda shell: change(shell, "  infra:", "  secrets: [TOKEN]\n  infra:"),
     "a comment in a script": lambda shell: shell.write("specs/work.py", "print('work')  # works\n"),
     "a new file": lambda shell: shell.write("specs/notes.md", "more\n"),
@@ -81,15 +96,8 @@ CHANGES: dict[str, Callable[[Shell], object]] = {
 
 @pytest.mark.parametrize("what", CHANGES)
 def test_what_status_prints_is_pasted_and_the_results_count_for_every_verb(shell: Shell, what: str) -> None:
-    shell.write("specs/work.txt", "text\n")
-    project(shell, cloud=NODE, ros="{distro: jazzy}")
-    shell("lock", *AT)
-    shell("compile", *AT)
-    measure(shell)
-    shell("compile", *AT)
-    git(shell, "init", "-q")
-    git(shell, "add", "-A")
-    git(shell, "commit", "-qm", "all")
+    shell.monkeypatch.setenv("TOKEN", "x")  # apply --dry-run requires it
+    committed(shell, {"specs/work.txt": "text\n"})
     CHANGES[what](shell)
     shell("lock", *AT)
     shell("compile", *AT)
@@ -102,13 +110,14 @@ def test_what_status_prints_is_pasted_and_the_results_count_for_every_verb(shell
     found = state(shell)
     assert (found["results"]["state"], found["to_measure"], found["waivers"]) == ("fresh", 0, [])
     assert any("waived: " in text and "it only prints more" in text for text in found["results"]["notes"])
-    carried = YAML(typ="safe", pure=True).load(shell.read(MANIFEST))["provenance"]["carried"]
+    carried = YAML(typ="safe", pure=True).load(shell.read(MANIFEST))["evidence"]["carried"]
     assert [len(one["samples"]) for one in carried] == [4]
     assert carried[0]["waivers"][0]["reason"] == "it only prints more"
-    for verb in ("menu", "explain", "review"):
-        words = ("HEAD",) if verb == "review" else ("demo",)
-        assert "4 of 4 samples measured before changes that the spec waives: " in shell(verb, *words, *AT).out
-    shell("report", "demo", *AT)
+    if what != "several":
+        return
+    for words in (("menu", "demo"), ("explain", "demo"), ("diff", "--since", "HEAD", "--markdown")):
+        assert "4 of 4 samples measured before changes that the spec waives: " in " ".join(shell(*words).out.split())
+    shell("report", "demo")
     assert "changes that the spec waives" in shell.read("compiled/demo/report.html")
 
 
@@ -160,28 +169,11 @@ def test_what_defines_the_figures_is_not_waived(measured: Shell, old: str, new: 
     measured("compile", *AT)
     found = state(measured)
     assert (found["results"]["state"], found["waivers"]) == ("stale", [])
-    assert "to keep the results" not in measured("status", *AT).out
+    assert "to keep the results" not in measured("status").out
     field = "spec.probe.callback" if "callback" in old else "spec.benchmark.warmup"
     change(measured, "sampler: grid}", f'sampler: grid, waivers: [{{change: {field}, old: 1, new: 2, reason: "no"}}]}}')
     said = measured("validate", code=1)
     assert "FS550" in said.err + said.out
-
-
-def test_results_that_do_not_say_what_was_measured_are_waived_too(measured: Shell) -> None:
-    from fogspec.results.schema import Results, with_checksum
-    from fogspec.spec.loader import read_document
-    from tests.support.files import write_yaml
-
-    path = measured.folder / "results/demo.yaml"
-    results = read_document(path, Results)
-    older = with_checksum(results.metadata, results.spec.model_copy(update={"measured": None}))
-    write_yaml(path, older.model_dump(mode="json", exclude_none=True), "a test")
-    change(measured, "{LOG: info", "{LOG: debug")
-    found = state(measured)
-    assert (found["results"]["reasons"], found["waivers"]) == (["spec.cloud changed"], [])
-    waiver = json.dumps({"change": "spec.cloud[0].env.LOG", "old": "info", "new": "debug", "reason": "log"})
-    change(measured, "sampler: grid}", f"sampler: grid, waivers: [{waiver}]}}")
-    assert state(measured)["results"]["state"] == "fresh"
 
 
 def test_a_bench_after_a_waiver_records_it_and_measures_only_what_is_missing(shell: Shell) -> None:
@@ -193,36 +185,26 @@ def test_a_bench_after_a_waiver_records_it_and_measures_only_what_is_missing(she
     pasted(shell)
     shell("compile", *AT, code=None)
     assert state(shell)["to_measure"] == 1
-    before = YAML(typ="safe", pure=True).load(shell.read("results/demo.yaml"))["spec"]
+    before = measured_files.document(shell.folder / "results/demo")
     table = "instance_type,latency_s\n" + "".join(
         f"{name},1\n" for name in ("a.small", "a.large", "b.small", "b.large")
     )
     shell.write("sweep.csv", table)
-    shell("bench", "demo", "--runner", "replay", "--from", "sweep.csv", code=5)  # results of another runner
-    text = shell.read("results/demo.yaml").replace("runner: local", "runner: replay")
-    shell.write("results/demo.yaml", text)
-    resealed(shell)
-    shell("bench", "demo", "--runner", "replay", "--from", "sweep.csv")
-    after = YAML(typ="safe", pure=True).load(shell.read("results/demo.yaml"))["spec"]
+    shell("replay", "demo", "--from", "sweep.csv", code=5, run=lab.main)  # results of another runner
+    body = read_results_folder(shell.folder / "results/demo").spec
+    measured_files.write(shell.folder / "results/demo", body.model_copy(update={"runner": "replay"}))
+    shell("replay", "demo", "--from", "sweep.csv", run=lab.main)
+    after = measured_files.document(shell.folder / "results/demo")
     assert len(after["samples"]) == 4
     assert [one["samples"] for one in after["carried"]] == [[one["id"] for one in before["samples"]]]
-    assert after["carried"][0]["application"] == before["application"] != after["application"]
+    assert after["carried"][0]["inputs"] == digest.of_value(before["inputs"])
+    assert before["inputs"] != after["inputs"]
     shell("compile", *AT)
-    assert "3 of 4 samples measured before" in shell("menu", "demo", *AT).out
+    assert "3 of 4 samples measured before" in shell("menu", "demo").out
     change(shell, re.search(r", waivers: \[.*\]", shell.read("specs/demo.yaml"))[0], "")  # type: ignore[index]
     shell("compile", *AT)
     assert state(shell)["results"]["state"] == "fresh", "it is in the results now"
     first = before["samples"][0]["id"]
-    shell("bench", "demo", "--runner", "replay", "--from", "sweep.csv", "--only", first)
-    after = YAML(typ="safe", pure=True).load(shell.read("results/demo.yaml"))["spec"]
+    shell("replay", "demo", "--from", "sweep.csv", "--only", first, run=lab.main)
+    after = measured_files.document(shell.folder / "results/demo")
     assert first not in after["carried"][0]["samples"], "it was measured again"
-
-
-def resealed(shell: Shell) -> None:
-    from fogspec.results.schema import Results, with_checksum
-    from fogspec.spec.loader import read_document
-    from tests.support.files import write_yaml
-
-    results = read_document(shell.folder / "results/demo.yaml", Results)
-    results = with_checksum(results.metadata, results.spec)
-    write_yaml(shell.folder / "results/demo.yaml", results.model_dump(mode="json", exclude_none=True), "a test")

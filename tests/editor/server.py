@@ -9,7 +9,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 SERVER = HERE / "node_modules" / "yaml-language-server" / "bin" / "yaml-language-server"
-PATIENCE_S = 60.0
+PATIENCE_S = 600.0
 
 
 class Server:

@@ -55,7 +55,7 @@ def test_hover_and_completion_come_from_the_fields_own_words(server: Server) -> 
     server.mistakes(path, text)
     row = text.split("\n").index("    ")
     offered = {one["label"]: one for one in server.at("completion", path, row, 4)["items"]}
-    assert {"metric", "scale", "billing", "rate"} <= set(offered)
-    assert "only the seconds of a request are paid" in str(offered["billing"]["documentation"])
+    assert {"metric", "scale", "load", "transfer"} <= set(offered)
+    assert "only the seconds of a request are paid" in str(offered["load"]["documentation"])
     cost = next(i for i, line in enumerate(text.split("\n")) if line.strip().startswith("cost:"))
     assert "upper bound on the cost of one request" in str(server.at("hover", path, cost, 5))

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.orphans import adopt_orphans
-from fogspec.bench.types import CampaignConfig
+from fogspec.bench.types import CampaignConfig, SampleTask
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import Commitment
 from fogspec.plan.schema import Sample
@@ -22,6 +22,7 @@ from tests.faults.simulation import (
     VirtualClock,
     World,
 )
+from tests.support.jobs import WORK
 
 COMMITMENT = Commitment(measuring_s=AFTER_S, setup_s=SETUP_S)
 
@@ -36,27 +37,9 @@ def samples(count: int) -> list[Sample]:
     ]  # fmt: skip
 
 
-def others(name: str) -> list[Sample]:
-    """Machines that may take a sample's place: one in another region, then a neighbour that costs a little more."""
-    dear = 0.1 * (int(name.removeprefix("s")) + 1)
-    return [
-        Sample(
-            id=f"{name}-{infra}{n}", reason="",
-            machine=Machine(infra=infra, instance=f"{name}o", cpus="2", memory="4GiB", price=f"${dear * more:.3f}/h"),
-        )
-        for n, (infra, more) in enumerate((("elsewhere", 1.0), ("sim", 1.3), ("sim", 1.6)))
-    ]  # fmt: skip
-
-
-def place(sample: str) -> str:
-    """The sample of the plan that a machine was measured for."""
-    return sample.partition("-")[0]
-
-
 def measured(world: World) -> set[str]:
-    """The ids of samples that were measured, or in whose place another machine was."""
-    done = [one for one in world.disk["samples"].values() if is_final(one)]
-    return {name for one in done for name in (one.id, one.substitute_for) if name}
+    """The ids of samples that were measured."""
+    return {one.id for one in world.disk["samples"].values() if is_final(one)}
 
 
 def bench(world: World, budget_usd: float | None, count: int, check: Callable[[World], None]) -> int:
@@ -85,9 +68,8 @@ def campaign_of(world: World, controller: int, budget: float | None, check: Call
     journal = MortalJournal(world.folder / "journal.jsonl", world, controller)
     config = CampaignConfig(
         owner=OWNER, measured="a", rules=RULES, budget_usd=budget,
-        commitment=COMMITMENT, task=lambda _sample: {}, root=world.folder,
+        commitment=COMMITMENT, task=lambda _sample: SampleTask(WORK, {}), root=world.folder,
         attempts=world.folder / "attempts", token=f"{controller}x{os.urandom(2).hex()}",
-        substitutes=lambda name: [one for one in others(name) if one.id not in measured(world)],
     )  # fmt: skip
     return Campaign(
         config=config, backend=FaultyBackend(world, controller), journal=journal, sink=SimulatedSink(world, controller),

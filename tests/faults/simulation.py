@@ -15,6 +15,7 @@ from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus, Unreachable
 from fogspec.bench.journal import Journal
 from fogspec.plan.commitment import machine_s
+from fogspec.plan.schema import Sample
 from fogspec.results.requests import RecordRules
 from fogspec.results.schema import Measured, is_final
 
@@ -322,7 +323,7 @@ class SimulatedSink:
         self.world.step(self.controller, "keep timings")
         return record
 
-    def paid(self, spent_usd: float) -> None:
+    def paid(self, sample: Sample, spent_usd: float) -> None:
         self.world.step(self.controller, "before paid")
         self.world.disk = {**self.world.disk, "spent": spent_usd}
 

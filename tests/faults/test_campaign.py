@@ -15,7 +15,7 @@ def test_benches_with_faults_and_a_kill_at_every_step():
     assert tally["benches"] >= 60
     assert tally["kills"] >= 100
     assert tally["samples finished"] >= 100
-    assert tally["machines in another's place"] >= 10
+    assert tally["samples without a machine"] >= 10
     assert tally["benches that lost their journal"] >= 6
     assert tally.billed_usd >= tally.true_usd
     assert tally.billed_usd < 1.6 * tally.true_usd, "and not absurdly more"
@@ -82,11 +82,11 @@ def test_a_machine_that_ended_by_itself_while_nobody_looked_is_not_billed_for_th
 
 
 def test_an_adaptive_campaign_killed_at_a_write_ends_as_if_nobody_had():
-    """Every ninth write; `make faults` takes them all."""
-    tally = batches.main(every=9)
+    """Every fifth write, three of them between the files of one batch; `make faults` takes them all."""
+    tally = batches.main(every=5)
     assert tally["ended differently"] == 0
     assert tally["batches"] >= 3
-    assert tally["machines in another's place"] >= 2
+    assert tally["samples without a machine"] >= 2
     assert tally["adaptive benches"] >= 6
 
 

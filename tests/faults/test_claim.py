@@ -12,9 +12,10 @@ from fogspec.bench.campaign import Campaign
 from fogspec.bench.claim import ClaimingBackend
 from fogspec.bench.journal import Journal
 from fogspec.bench.orphans import adopt_orphans
-from fogspec.bench.types import CampaignConfig
+from fogspec.bench.types import CampaignConfig, SampleTask
 from tests.faults.controllers import COMMITMENT, samples
 from tests.faults.simulation import OWNER, RULES, FaultyBackend, SimulatedSink, VirtualClock, World
+from tests.support.jobs import WORK
 
 TOKENS = ("0aaaaaaa", "1bbbbbbb")
 HANGS_S = 120.0  # it only bounds hangs
@@ -76,8 +77,8 @@ def campaign_of(world: Shared, me: int) -> Campaign:
     folder.mkdir()
     journal, clock = Journal(folder / "journal.jsonl", sync=lambda _: None), VirtualClock(world, me)
     config = CampaignConfig(
-        owner=OWNER, measured="a", rules=RULES, budget_usd=None, commitment=COMMITMENT, task=lambda _sample: {},
-        root=folder, attempts=folder / "attempts", token=TOKENS[me],
+        owner=OWNER, measured="a", rules=RULES, budget_usd=None, commitment=COMMITMENT,
+        task=lambda _sample: SampleTask(WORK, {}), root=folder, attempts=folder / "attempts", token=TOKENS[me],
     )  # fmt: skip
     claim = ClaimingBackend(
         FaultyBackend(world, me), owner=OWNER, directory=config.attempts, token=TOKENS[me],

@@ -22,9 +22,9 @@ from pathlib import Path
 from tests.faults import deployments
 from tests.support.deployed import MANIFEST, SPEC, Deployed
 
-PATIENCE_S = 120.0
+PATIENCE_S = 1200.0
 INTERVAL = "1s"
-RESPAWN = SPEC.replace("[python3, work.py]", "[python3, work.py]\n      respawn: on_failure")
+RESPAWN = SPEC.replace("[python3, work.py]", "[python3, work.py]\n      launch: {respawn: on_failure}")
 
 
 def nodes(deployed: Deployed) -> list[int]:

@@ -1,4 +1,4 @@
-"""Forty mistakes of a new user, through the command line: what is printed, and whether its first fix is right.
+"""Forty-six mistakes of a new user, through the command line: what is printed, and whether its first fix is right.
 
 Each case changes a valid spec, or runs a wrong command. `mistakes.txt` holds what is printed, to be read like a user;
 FOGSPEC_REWRITE=1 writes it again. The first fix is applied literally, and the command is run again.
@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.cli import main
+from fogspec.language.loader import check_text
 
 HERE = Path(__file__).parent
 SPEC = "specs/stitch.yaml"
@@ -40,6 +41,7 @@ spec:
     budget: $5
     stop: {duration: 1min}
 """
+ROS = "  ros: {distro: jazzy}\n"
 MERGED = "<<<<<<< HEAD\n    alpha: 0.7\n=======\n    alpha: 0.5\n>>>>>>> main\n"
 
 
@@ -60,11 +62,20 @@ MISTAKES = (
     Mistake("a name with capitals and an underscore", "name: stitch", "name: Stitch_App"),
     Mistake("a misspelt key", "latency: 500ms", "latancy: 500ms"),
     Mistake("a latency without its unit", "latency: 500ms", "latency: 0.5"),
+    Mistake("a latency that may be in milliseconds", "latency: 500ms", "latency: 2000", fixed=False),
     Mistake("another spelling of a unit", "latency: 500ms", "latency: 500msec"),
     Mistake("a negative latency", "latency: 500ms", "latency: -500ms"),
     Mistake("a cost of nothing in particular", "$0.001/request", "$0.001"),
     Mistake("a cost without currency and unit", "$0.001/request", "0.001"),
     Mistake("a range of memory with a dash", "2GiB..64GiB", "2G-64G"),
+    Mistake("a memory size in GB", "memory: 2GiB..64GiB", "memory: 16GB.."),
+    Mistake("a GPU with the size of its memory", "memory: 2GiB..64GiB", "gpus: [A100-40GB]"),
+    Mistake("a timeout among what ends a sample", "stop: {duration: 1min}", "stop: {timeout: 10s}", fixed=False),
+    Mistake(
+        "node in place of executable",
+        "    - cmd: [python3, stitch.py]\n",
+        "    - {package: stitch, node: stitch}\n" + ROS,
+    ),
     Mistake("a range from the larger to the smaller value", "2GiB..64GiB", "64GiB..2GiB"),
     Mistake("a region after a colon", "aws/us-east-1", "aws:us-east-1"),
     Mistake("a region as the portal shows it", "aws/us-east-1", "azure/East US"),
@@ -81,11 +92,18 @@ MISTAKES = (
     Mistake("a line that is not indented", "  name: stitch", "name: stitch"),
     Mistake("a field in the wrong section", "  objective:\n    alpha: 0.7\n", "  alpha: 0.7\n"),
     Mistake("a GPU by its maker's name", "memory: 2GiB..64GiB", "gpus: [none, Tesla T4]"),
+    Mistake("the machines that may be chosen under another name", "memory: 2GiB..64GiB", "machines: [c6i.large]"),
     Mistake("a shape of this host with a dash", "budget: $5", "budget: $5\n    machines: [local-2cpu-4gb]"),
     Mistake("no budget", "    budget: $5\n", ""),
     Mistake("a region that does not exist", "aws/us-east-1", "aws/us-east-11"),
-    Mistake("a request without its response", "callback: register", "request: /image"),
-    Mistake("two kinds of probe", "callback: register", "callback: register\n    service: /plan"),
+    Mistake(
+        "a request without its response", "  probe:\n    callback: register", f"{ROS}  probe:\n    request: /image"
+    ),
+    Mistake(
+        "two kinds of probe",
+        "  probe:\n    callback: register",
+        f"{ROS}  probe:\n    callback: register\n    service: /plan",
+    ),
     Mistake("a budget without its currency", "budget: $5", "budget: 5"),
     Mistake("a misspelt choice", "budget: $5", "budget: $5\n    sampler: gird"),
     Mistake("a limit that outlasts a sample", "latency: 500ms", "latency: 5min"),
@@ -185,8 +203,10 @@ def is_right(mistake: Mistake, said: str, root: Path, capsys: pytest.CaptureFixt
         return run(command, capsys)[0] == 0
     text, overlay = repaired((root / SPEC).read_text("utf-8"), first)
     (root / SPEC).write_text(text, "utf-8")
-    (root / "overlay.yaml").write_text(overlay, "utf-8")
-    code, then = run([*command, *(["-f", "overlay.yaml"] if overlay else [])], capsys)
+    if overlay:
+        left = check_text(text.encode(), SPEC, (overlay.encode(), "overlay.yaml"))[1]
+        return not any(one.severity == "error" for one in left)
+    code, then = run(command, capsys)
     return code == 0 and str(first["code"]) not in then
 
 
@@ -227,6 +247,6 @@ def test_the_first_fix_is_right(
     assert is_right(mistake, said, root, capsys) == mistake.fixed, said
 
 
-def test_at_least_38_of_40_fixes_are_right() -> None:
-    assert len(MISTAKES) == 40
-    assert sum(one.fixed for one in MISTAKES) >= 38
+def test_a_single_fix_is_right_for_all_but_four_of_46() -> None:
+    assert len(MISTAKES) == 46
+    assert sum(one.fixed for one in MISTAKES) >= 42

@@ -9,15 +9,14 @@ from hypothesis import strategies as st
 from fogspec.catalog.machine import Machine
 from fogspec.catalog.table import Catalog
 from fogspec.choice import choose as choice
-from fogspec.model.fit import Models, fit
+from fogspec.language.schema import Application
+from fogspec.model.fit import Fitted, fit
 from fogspec.model.predict import predict
-from fogspec.plan.schema import PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
-from fogspec.spec.schema import Application
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody, results_of
 from tests.bench_choice import application, offers
 
 
-def measured(scale: float = 1.0, hurt: float = 0.0) -> Models:
+def measured(scale: float = 1.0, hurt: float = 0.0) -> Fitted:
     """Nine samples of a workload that halves with every doubling, and loses `hurt` a vCPU."""
     records = [
         Measured(id=f"s{c:g}-{m:g}", machine=Machine(infra="aws/r", instance=f"s{c:g}-{m:g}", cpus=c, memory=m, price=0.1),
@@ -25,8 +24,8 @@ def measured(scale: float = 1.0, hurt: float = 0.0) -> Models:
                  duration=9.0, spent=0.0)
         for c in (2.0, 16.0, 128.0) for m in (2 * c, 4 * c, 8 * c)
     ]  # fmt: skip
-    body = ResultsBody(application="", plan=None, runner="x", spent=0.0, samples=records)
-    return fit(application(), with_checksum(PlanMetadata(name="made-up"), body))
+    body = ResultsBody(inputs={}, runner="x", samples=records)
+    return fit(application(), results_of(body))
 
 
 MODELS = measured()
@@ -47,7 +46,7 @@ def among(seed: int, count: int = 60) -> Catalog:
     return offers(count, seed)
 
 
-def choose(app: Application, models: Models, catalog: Catalog) -> choice.Choice:
+def choose(app: Application, models: Fitted, catalog: Catalog) -> choice.Choice:
     return choice.choose(app, predict(models, catalog, ["latency"]))
 
 
@@ -91,8 +90,6 @@ def test_a_tighter_limit_never_gives_a_better_score(seed, latency, wider, cost, 
     tight, loose = (choose(with_limits(x, cost, alpha), MODELS, among(seed)) for x in (latency, latency * wider))
     if tight.chosen is not None:
         assert loose.chosen is not None
-        assert loose.meets_confidence or not tight.meets_confidence
-    if tight.chosen is not None and tight.meets_confidence == loose.meets_confidence:
         assert tight.objective[tight.chosen] >= loose.objective[loose.chosen] * (1 - 1e-9)
 
 
@@ -146,8 +143,8 @@ def test_less_confidence_never_gives_a_worse_score(seed, latency, cost, alpha, o
         for app, c in zip(apps, (low, high), strict=True)
     ]  # fmt: skip
     less, more = (choose(app, MODELS, among(seed)) for app in apps)
-    if more.meets_confidence:
-        assert less.meets_confidence
+    if more.chosen is not None:
+        assert less.chosen is not None
         assert less.objective[less.chosen] <= more.objective[more.chosen] * (1 + 1e-9)
         assert (more.probability(more.chosen) or 0) >= high - 1e-6
 

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,13 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from fogspec.base import digest
 from fogspec.catalog.machine import Machine
 from fogspec.cli import main
+from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
-from fogspec.spec import fingerprints
-from fogspec.spec.loader import load, read_document
-from tests.support.files import write_yaml
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody
+from fogspec_lab import cli as lab
+from tests.support.results import write
 from tests.support.running import CATALOG, spec
 
 NAN = re.compile(r"(?<![\w.$/-])[-+]?(nan|inf|infinity)\b(?! in )", re.IGNORECASE)
@@ -80,7 +80,7 @@ def worlds(draw: st.DrawFn) -> dict[str, Any]:
     ]))  # fmt: skip
     parts = {"hardware": "{cpus: 2..32}", "constraints": limits,
              "objective": f"{{alpha: {draw(st.sampled_from([0, 0.5, 1]))}}}",
-             "benchmark": "{budget: $100000000, stop: {requests: 20, duration: 1min}, setup_timeout: 1min}"}  # fmt: skip
+             "benchmark": "{budget: $100000000, stop: {requests: 20, duration: 1min}, ready_timeout: 1min}"}  # fmt: skip
     if metric == "objective":
         parts |= {"metrics": "{size: {callback: size}}", "objective": "{alpha: 0.5, metric: size}"}
     if metric == "limit":
@@ -94,14 +94,16 @@ class Folder:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def __call__(self, *words: str, codes: tuple[int, ...] = ANSWERS) -> str:
+    def __call__(
+        self, *words: str, codes: tuple[int, ...] = ANSWERS, run: Callable[[Sequence[str]], None] = main
+    ) -> str:
         out, err = io.StringIO(), io.StringIO()
         before = os.getcwd()
         os.chdir(self.path)
         try:
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 try:
-                    main(words)
+                    run(words)
                     code: Any = 0
                 except SystemExit as ended:
                     code = ended.code
@@ -125,15 +127,9 @@ def measured(folder: Folder, figures: list[dict[str, Any]]) -> None:
         Measured(id=sample.id, measured_on="test", **one)
         for sample, one in zip(plan.spec.samples, figures, strict=False)
     ]
-    application = load([str(folder.path / "specs/demo.yaml")])[0].application
-    body = ResultsBody(
-        application=fingerprints.measured_digest(application),
-        plan=digest.of_bytes((folder.path / "compiled/demo/plan.yaml").read_bytes()),
-        pins=plan.spec.pins or None, field_digests=plan.spec.application.field_digests, runner="skypilot",
-        spent=min(sum(one.spent for one in samples), 1e9), samples=samples,
-    )  # fmt: skip
-    results = with_checksum(plan.metadata, body)
-    write_yaml(folder.path / "results/demo.yaml", results.model_dump(mode="json", exclude_none=True), "a test")
+    paid = {one.id: min(one.spent, 1e9 / len(samples)) for one in samples}
+    body = ResultsBody(inputs=plan.spec.inputs, runner="skypilot", samples=samples, paid=paid)
+    write(folder.path / "results/demo", body)
 
 
 # An example is a dozen commands, so that searching for a smaller one would take minutes.
@@ -159,14 +155,20 @@ def check(world: dict[str, Any], data: st.DataObject) -> None:
         folder("compile", "specs/demo.yaml", *at)
         folder.git("add", "-A")
         folder.git("-c", "user.name=t", "-c", "user.email=t@example.org", "commit", "-qm", "one")
-        folder("compile", "specs/demo.yaml", *at, "--check")
+        folder("check", "specs/demo.yaml")
         json.loads(folder("compile", "specs/demo.yaml", *at, "-o", "json"))
-        for verb in (["menu", "demo"], ["explain", "demo"], ["report", "demo"], ["status"], ["review", "HEAD"]):
-            folder(*verb, *at)
+        for verb in (
+            ["menu", "demo"],
+            ["explain", "demo"],
+            ["report", "demo"],
+            ["status"],
+            ["diff", "--since", "HEAD"],
+        ):
+            folder(*verb)
         for verb in (["menu", "demo"], ["explain", "specs/demo.yaml"], ["status"]):
-            json.loads(folder(*verb, *at, "-o", "json"))
+            json.loads(folder(*verb, "-o", "json"))
         if (folder.path / "compiled/demo/manifest.yaml").is_file():
-            folder("verify", "compiled/demo/manifest.yaml", *at)
+            folder("check")
         for path in (folder.path / "compiled/demo").iterdir():
             if path.is_file() and path.suffix in (".yaml", ".svg"):
                 wrong = NAN.search(text := path.read_text())
@@ -177,4 +179,4 @@ def check(world: dict[str, Any], data: st.DataObject) -> None:
             for row in world["catalog"].splitlines()[1:]
         ]
         (folder.path / "sweep.csv").write_text("\n".join([*sweep, ""]))
-        folder("evaluate", "specs/demo.yaml", "--sweep", "sweep.csv", *at, codes=(0, 2))
+        folder("evaluate", "specs/demo.yaml", "--sweep", "sweep.csv", *at, codes=(0, 2), run=lab.main)

@@ -13,13 +13,14 @@ from fogspec.base.units import Range
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import plain
 from fogspec.base.yaml.writer import block, flow, yaml_text
-from fogspec.spec.loader import check_text
-from fogspec.spec.render import render_document
-from fogspec.spec.schema import (
+from fogspec.language.loader import check_text
+from fogspec.language.render import render_document
+from fogspec.language.schema import (
     Application,
     Benchmark,
     Constraints,
     Hardware,
+    Load,
     Metadata,
     Node,
     Objective,
@@ -29,7 +30,7 @@ from fogspec.spec.schema import (
     Spec,
     Stop,
 )
-from fogspec.spec.validate import validate
+from fogspec.language.validate import validate
 
 ROOT = Path(__file__).resolve().parents[2]
 SCHEMA = jsonschema.Draft202012Validator(json.loads((ROOT / "schemas" / "Application.json").read_text("utf-8")))
@@ -74,8 +75,10 @@ def applications(draw: st.DrawFn) -> Application:
         cloud=[node], ros=Ros(setup=draw(st.lists(texts, max_size=2))), probe=Probe(callback="plan"), infra=["aws"],
         constraints=Constraints(latency=optional(short), cost=optional(positive), price=optional(positive)),
         objective=Objective(alpha=draw(st.floats(0, 1)), scale=Scale(latency=optional(positive), cost=optional(positive)),
-                            billing="provisioned", rate=draw(positive)),
-        hardware=Hardware(cpus=optional(ranges(positive)), memory=optional(ranges(positive))),
+                            load=Load(rate=draw(positive))),
+        hardware=Hardware(
+            spot=draw(st.booleans() | positive), cpus=optional(ranges(positive)), memory=optional(ranges(positive)),
+        ),
         benchmark=Benchmark(
             budget=draw(positive), min_success_rate=draw(positive),
             stop=Stop(requests=optional(st.integers(2, 10**6)), precision=optional(positive)),

@@ -1,6 +1,7 @@
 """`fogspec compile` and `fogspec bench --runner local` of a spec with real ROS 2 nodes, inside a network of its own."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from tests.ros.namespaces import PYTHON, Net
+from tests.support.forking import Ended, forked
+from tests.support.results import document
 
 NODES = Path(__file__).parent / "nodes"
 FOGSPEC = Path(sys.executable).with_name("fogspec")
@@ -22,11 +25,12 @@ def node(name: str, *words: Any) -> dict[str, list[str]]:
 def write_spec(net: Net, spec: dict[str, Any]) -> Path:
     """A spec of one sample on one CPU of this machine; `spec` is merged into it."""
     benchmark = {
-        "machines": ["local/1cpu-1gib"], "warmup": 2, "setup_timeout": "60s", "stop": {"requests": 25, "duration": "60s"},
+        "machines": ["local/1cpu-1gib"], "warmup": 2, "ready_timeout": "10min",
+        "stop": {"requests": 25, "duration": "60s"},
     } | spec.pop("benchmark", {})  # fmt: skip
     whole = {
         "apiVersion": "fogspec.dev/v1alpha1", "kind": "Application", "metadata": {"name": "robot"},
-        "spec": {"infra": ["aws/us-east-1"], "hardware": {"cpus": "1..2"}, "benchmark": benchmark, **spec},
+        "spec": {"infra": ["aws/us-east-1"], "hardware": {"cpus": "1..2"}, "benchmark": benchmark, "ros": {}, **spec},
     }  # fmt: skip
     path = net.folder / "specs" / "robot.yaml"
     path.parent.mkdir(exist_ok=True)
@@ -35,15 +39,28 @@ def write_spec(net: Net, spec: dict[str, Any]) -> Path:
     return path
 
 
-def bench(net: Net, spec: dict[str, Any], timeout_s: float = 240.0) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def fogspec(net: Net, words: list[str], patience_s: float = 1200.0, **extra: str) -> Ended:
+    """Run fogspec to its end inside, with ROS 2's distribution and these environment variables, but without another start."""
+    environment = net.environment(ROS_DISTRO="jazzy", **extra)
+
+    def inside() -> None:
+        os.environ.clear()
+        os.environ.update(environment)
+        net.enter()
+
+    return forked(net.folder, words, first=inside, patience_s=patience_s)
+
+
+def bench(
+    net: Net, spec: dict[str, Any], timeout_s: float = 1200.0, **extra: str
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Compile and measure; returns the sample's record and its raw timings."""
     path = write_spec(net, spec)
     for words in (["compile", str(path)], ["bench", str(path), "--runner", "local", "--yes"]):
-        ended = net.run([str(FOGSPEC), *words], timeout_s)
+        ended = fogspec(net, words, timeout_s, **extra)
         assert ended.returncode in ((0,) if words[0] == "compile" else (0, 1, 4, 6)), ended.stdout + ended.stderr
         assert "Traceback" not in ended.stderr, ended.stderr
-    results = YAML(typ="safe").load(net.folder / "results" / "robot.yaml")
-    return results["spec"]["samples"][0], timings(net)
+    return document(net.folder / "results" / "robot")["samples"][0], timings(net)
 
 
 def timings(net: Net) -> list[dict[str, Any]]:

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fogspec.spec.graph_import.observed import Observed, read_observed
-from fogspec.spec.graph_import.offers import timed_calls
-from fogspec.spec.graph_import.pairs import Pair, find_pairs
+from fogspec.importers.graph.observed import Observed, read_observed
+from fogspec.importers.graph.offers import timed_calls
+from fogspec.importers.graph.pairs import Pair, find_pairs
 from tests.ros.namespaces import Net, lacking, network
 from tests.ros.quoting import host
 from tests.support.agent import AGENT
@@ -152,7 +152,7 @@ def observe(net: Net, graph: list[dict[str, Any]], seconds: float) -> tuple[Obse
     while "ready" not in robot.said():
         assert robot.popen.poll() is None, robot.said()
         time.sleep(0.1)
-    watched = net.run(["python3", str(AGENT), "watch", "--for", str(seconds), "--out", str(out)], seconds + 40)
+    watched = net.run(["python3", str(AGENT), "watch", "--for", str(seconds), "--out", str(out)], seconds + 600)
     assert watched.returncode == 0, watched.stderr + robot.said()
     robot.stop()
     assert out.exists(), watched.stderr

@@ -17,7 +17,7 @@ from fogspec.base.layout import Layout
 from fogspec.compile.launch_files import launch_files
 from fogspec.compile.links import link_of, port_of
 from fogspec.compile.links.wireguard import interface
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
 from tests.ros.namespaces import Net, Process
 
 ADDRESS = {"robot": "10.77.0.1", "cloud": "10.77.0.2"}
@@ -49,7 +49,7 @@ def application(link: str, name: str | None = None) -> Application:
     spec = {
         "cloud": [{"package": "arm", "executable": "planner"}], "ros": {"distro": "jazzy"}, "infra": ["aws/us-east-1"],
         "probe": {"request": "/image", "response": "/pose"},
-        "connectivity": {"link": link, "services": ["/plan"], "actions": ["/navigate"]},
+        "connectivity": {"link": link, "expose": {"/plan": "service", "/navigate": "action"}},
     }  # fmt: skip
     metadata = {"name": name or f"arm-{os.getpid()}-{next(_numbers)}"}
     return Application.model_validate(
@@ -81,14 +81,14 @@ class Joined:
                        check=True)  # fmt: skip
         for side, net in nets.items():
             for words in (["addr", "add", f"{ADDRESS[side]}/24", "dev", "cable"], ["link", "set", "cable", "up"]):
-                net.run(["ip", *words], 10).check_returncode()
+                net.run(["ip", *words], 600).check_returncode()
 
     def firewall(self) -> None:
         """From now on nothing passes the cable but new connections to the link's port."""
         rules = self.folder / "rules.nft"
         rules.write_text(RULES.format(protocol=link_of(self.app).protocol, port=port_of(self.app)))
         for net in self.nets.values():
-            net.run(["nft", "-f", str(rules)], 10).check_returncode()
+            net.run(["nft", "-f", str(rules)], 600).check_returncode()
 
     def keys(self, side: str, home: str | None = None) -> Path:
         """The folder of one end's keys; `home` is another computer's, for whoever is not meant to join."""
@@ -104,7 +104,7 @@ class Joined:
         net = self.nets[side]
         links = net.environment(FOGSPEC_LINKS=str(self.folder / (home or side)))
         words = net.command(self.words(side, verb, *more))
-        return subprocess.run(words, input=said, text=True, capture_output=True, timeout=60, env=links)
+        return subprocess.run(words, input=said, text=True, capture_output=True, timeout=600, env=links)
 
     def exchange(self) -> None:
         """Each end makes its key; public halves travel, and nothing else does."""
@@ -134,7 +134,7 @@ class Joined:
         return {key: value.replace("@LINK@", str(self.layout.link)) for key, value in found.items()}
 
 
-def until(done, patience_s: float = 120.0) -> bool:
+def until(done, patience_s: float = 1200.0) -> bool:
     """Whether it comes true in time."""
     end = time.monotonic() + patience_s
     while time.monotonic() < end:
@@ -158,5 +158,7 @@ def joined(folder: Path, link: str, app: Application | None = None) -> Iterator[
     finally:
         for side, net in nets.items():
             # A tunnel's program ends with its interface, and holds the namespace as long as it runs.
-            net.run(["ip", "link", "delete", interface(app.metadata.name, "cloud" if side == "cloud" else "robot")], 10)
+            net.run(
+                ["ip", "link", "delete", interface(app.metadata.name, "cloud" if side == "cloud" else "robot")], 600
+            )
             net.close()

@@ -22,7 +22,7 @@ from typing import Any
 from fogspec.base.layout import Layout
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.compile.launch_files import launch_files, robot_launch
-from fogspec.spec.loader import load
+from fogspec.language.loader import load
 
 ROOT = Path(__file__).resolve().parents[2]
 FACTS = ROOT / "tests" / "golden" / "launch_facts.json"
@@ -105,10 +105,10 @@ def project(folder: Path) -> dict[str, tuple[Path, int]]:
     (pinned / "link" / "link.sh").write_text(LINK)
     body = {
         "instance": "m6i.large", "infra": "aws/us-east-1", "robot_environment": {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"},
-        "files": [{"path": "link/link.sh", "digest": f"sha256:{hashlib.sha256(LINK.encode()).hexdigest()}"}],
         "cloud": [{"package": PACKAGE, "executable": "planner"}],
     }  # fmt: skip
-    manifest = {"kind": "DeploymentManifest", "metadata": {"name": "arm"}, "spec": body}
+    pins = {"files": [{"path": "link/link.sh", "digest": f"sha256:{hashlib.sha256(LINK.encode()).hexdigest()}"}]}
+    manifest = {"kind": "DeploymentManifest", "metadata": {"name": "arm"}, "spec": body, "pins": pins}
     (pinned / "manifest.yaml").write_text(yaml_text(manifest, "fogspec compile"))
     forms = {"built": "client", "returned": "sky, client"}
     for name, returned in forms.items():

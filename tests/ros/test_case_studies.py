@@ -7,17 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ruamel.yaml import YAML
 
-from tests.ros.benching import FOGSPEC
-from tests.ros.namespaces import LEAKED, PYTHON, ROOT, Net
+from tests.ros.benching import fogspec
+from tests.ros.namespaces import LEAKED, PYTHON, ROOT, Net, undisturbed
+from tests.support.results import document
 from tests.tools import ros_prefix
 
 pytestmark = pytest.mark.slow
 PACKAGES = ("grasp_planning", "motion_planning", "visual_slam")
-# Fewer requests and less work than in the specs: what is tested is that each is measured and judged.
-CHANGES = {
-    "vslam": [("requests: 130", "requests: 15")],
+# Fewer requests and less work than in the specs: what is tested is that each is measured and judged. Frames of visual SLAM take
+# so little time that fifteen are over before DDS has matched the subscription to a metric.
+CHANGES: dict[str, list[tuple[str, str]]] = {
+    "vslam": [],
     "grasp-planning": [("requests: 20", "requests: 4"), ("warmup: 2", "warmup: 1"), ("samples: 64", "samples: 8")],
     "motion-planning": [("requests: 8", "requests: 3"), ("planners: 4", "planners: 2")],
 }
@@ -32,7 +33,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     environment = {key: value for key, value in os.environ.items() if key not in LEAKED}
     environment["PATH"] = os.pathsep.join([str(PYTHON.parent), os.environ.get("PATH", os.defpath)])
     words = ["colcon", "build", "--merge-install", "--event-handlers", "desktop_notification-"]
-    built = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=280)
+    built = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=1200)
     assert built.returncode == 0, built.stdout + built.stderr
     ros_prefix.write(PYTHON.parents[1], str(PYTHON.parents[1]))
     return folder
@@ -44,7 +45,7 @@ def test_the_packages_own_tests_pass(package: str, tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key not in LEAKED}
     environment |= {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     words = [str(PYTHON), "-m", "pytest", "-q", "-c", os.devnull, "-p", "no:cacheprovider", str(folder / "test")]
-    ended = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=280)
+    ended = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=1200)
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
@@ -61,15 +62,15 @@ def measured(net: Net, workspace: Path, name: str) -> list[dict[str, Any]]:
     (specs / f"{name}.yaml").write_text(text, "utf-8")
     found = []
     for verb in (["compile"], ["bench", "--runner", "local", "--yes"]):
-        words = [str(FOGSPEC), verb[0], f"specs/{name}.yaml", *verb[1:]]
-        ended = net.run(words, 280, ROS_DISTRO="jazzy")
+        ended = fogspec(net, [verb[0], f"specs/{name}.yaml", *verb[1:]], 1800)
         assert ended.returncode == 0, ended.stdout + ended.stderr
-    for path in sorted((net.folder / "results").glob("*.yaml")):
-        found += YAML(typ="safe").load(path)["spec"]["samples"]
+    for path in sorted((net.folder / "results").iterdir()):
+        found += document(path)["samples"]
     return found
 
 
 @pytest.mark.parametrize("name", CHANGES)
+@undisturbed
 def test_a_case_study_is_measured_with_its_success_condition(net: Net, workspace: Path, name: str) -> None:
     [sample] = measured(net, workspace, name)
     assert (sample["state"], sample["failed_requests"]) == ("ok", 0), sample

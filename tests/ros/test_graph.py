@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT
+from tests.ros.benching import fogspec
 from tests.ros.graphs import GRAPHS, NODES, observe, score, source, ticker, worker
-from tests.ros.namespaces import PYTHON, Net
+from tests.ros.namespaces import PYTHON, Net, undisturbed
 from tests.support.agent import AGENT
 
-FOGSPEC = [str(ROOT / ".venv" / "bin" / "fogspec")] if (ROOT / ".venv").is_dir() else [sys.executable, "-m", "fogspec"]
 
-
+@undisturbed
 def test_what_exists_is_found_among_decoys_and_nothing_else(net: Net) -> None:
     graph = [
         source("/raw", "image", 10),
@@ -30,7 +30,7 @@ def test_what_exists_is_found_among_decoys_and_nothing_else(net: Net) -> None:
     seen, truth = observe(net, graph, 8.0)
     found = score(seen, truth, expected)
     # Pairs without a stamp are told by their order in time, which a busy machine disturbs: then they are not proposed.
-    # Times are judged on the runs that are kept, by tests/unit/spec/test_graph_import.py.
+    # Times are judged on the runs that are kept, by tests/unit/language/test_graph_import.py.
     assert found.wrong == set()
     assert found.right in (expected, expected - {("/raw", "/rgb")})
     assert {one.match for one in found.found} <= {"stamp", "order"}
@@ -53,10 +53,10 @@ def test_from_a_robot_that_runs_to_a_spec_that_compiles(net: Net) -> None:
     while not Path(truth).exists() or not Path(truth).stat().st_size:
         assert camera.popen.poll() is None, camera.said()
         time.sleep(0.1)
-    made = net.run([*FOGSPEC, "init", "arm", "--from-graph", "--watch", "5s", "--record", "3s"], 120)
+    made = fogspec(net, ["init", "arm", "--from-graph", "--watch", "5s", "--record", "3s"])
     assert made.returncode == 0, made.stderr
     assert "by stamp, p50 " in made.stdout
-    written = (net.folder / "specs" / "arm.yaml").read_text()
+    written = (net.folder / "specs/arm/arm.yaml").read_text()
     for line in (
         "package: my_robot",
         "executable: detector",
@@ -67,20 +67,20 @@ def test_from_a_robot_that_runs_to_a_spec_that_compiles(net: Net) -> None:
     ):
         assert line in written, line
     assert "hunter2" not in written + made.stdout + made.stderr
-    package = net.folder / "specs/ros2_ws/src/my_robot/package.xml"
+    package = net.folder / "specs/arm/ros2_ws/src/my_robot/package.xml"
     package.parent.mkdir(parents=True)
     package.write_text("<package><name>my_robot</name></package>")
-    planned = net.run([*FOGSPEC, "compile", "specs/arm.yaml", "--catalog", "snapshot"], 120)
+    planned = fogspec(net, ["compile", "specs/arm/arm.yaml", "--catalog", "snapshot"])
     assert planned.returncode == 0, planned.stderr
     read = "import sys; from pathlib import Path; from fogspec.agent.bag import messages as of; "
     read += "print(len(list(of(Path(sys.argv[1])))))"
-    count = net.run([sys.executable, "-c", read, str(net.folder / "specs/data/arm")], 60, PYTHONPATH=str(ROOT))
-    assert int(count.stdout) >= 20, count.stderr
+    count = net.run([sys.executable, "-c", read, str(net.folder / "specs/arm/data/arm")], 600, PYTHONPATH=str(ROOT))
+    assert int(count.stdout) >= 5, count.stderr
     # The robot's camera goes away, and the rest of the robot with it.
     camera.stop()
-    again = net.run([*FOGSPEC, "init", "other", "--from-graph", "--watch", "3s", "--record", "2s"], 120)
+    again = fogspec(net, ["init", "other", "--from-graph", "--watch", "3s", "--record", "2s"])
     assert "no request and response were found" in again.stderr
-    assert not (net.folder / "specs" / "data" / "other").exists()
+    assert not (net.folder / "specs/other/data").exists()
 
 
 LOOKS = """\
@@ -113,14 +113,14 @@ def test_a_node_that_starts_during_the_watch_is_seen(net: Net) -> None:
         assert looks.popen.poll() is None, looks.said()
         time.sleep(0.1)
     net.python("late", program, json.dumps([worker("/rgb", "/pose", 0.01)]), truth)
-    assert looks.popen.wait(200) == 0, looks.said()
+    assert looks.popen.wait(1200) == 0, looks.said()
     assert looks.said() == f"first\nthen /worker_pose {program}\n"
 
 
 @pytest.mark.parametrize("words", [("--watch", "2s")])
 def test_without_a_robot_nothing_is_written(words: tuple[str, ...], net: Net) -> None:
     before = sorted(net.folder.iterdir())
-    ended = net.run([*FOGSPEC, "init", "arm", "--from-graph", *words], 60)
+    ended = fogspec(net, ["init", "arm", "--from-graph", *words])
     assert ended.returncode == 1
     assert "no node of a robot is visible" in ended.stderr
     assert [path for path in sorted(net.folder.iterdir()) if path not in before and path.name != "ros-log"] == []

@@ -1,4 +1,4 @@
-"""From `fogspec keys` and `fogspec apply` to a robot that calls the planner through the tunnel, and `fogspec down`."""
+"""From the robot's key and `fogspec apply` to a robot that calls the planner through the tunnel, and `fogspec down`."""
 
 import json
 import shutil
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.spec.loader import load
+from fogspec.language.loader import load
 from tests.ros.joined import ADDRESS, Joined, joined, missing
 from tests.ros.namespaces import PYTHON, ROOT
 from tests.support.deployed import MANIFEST, SPEC, Deployed
@@ -20,7 +20,7 @@ CLIENT = [str(PYTHON), NODE, "ask", "10", "20"]
 LINKED = SPEC.replace(
     "  probe:",
     f"    - cmd: [sh, -c, {json.dumps(PLANNER)}]\n  robot:\n    - cmd: {json.dumps(CLIENT)}\n"
-    "  connectivity: {link: wireguard, services: [/plan]}\n  probe:",
+    "  connectivity: {link: wireguard, expose: {/plan: service}}\n  probe:",
 )
 pytestmark = pytest.mark.skipif(missing("wireguard") is not None, reason=str(missing("wireguard")))
 
@@ -39,7 +39,7 @@ def fogspec(both: Joined, side: str, app: Deployed, *words: str) -> "subprocess.
         *words,
     ]
     links = {"FOGSPEC_LINKS": str(both.folder / side), "PYTHONPATH": str(ROOT)}
-    return both.nets[side].run(there, 120, **links)
+    return both.nets[side].run(there, 600, **links)
 
 
 def test_apply_joins_the_robot_to_what_it_started_and_down_parts_them(tmp_path: Path) -> None:
@@ -49,9 +49,10 @@ def test_apply_joins_the_robot_to_what_it_started_and_down_parts_them(tmp_path: 
         both.firewall()
         refused = fogspec(both, "cloud", app, "apply", MANIFEST, "--yes")
         assert refused.returncode == 5, refused
-        assert "fogspec keys" in refused.stderr
+        assert "link.sh robot keys" in refused.stderr
 
-        keys = fogspec(both, "robot", app, "keys", "specs/tiny.yaml")
+        script = str(app.folder / "compiled" / "tiny" / "link" / "link.sh")
+        keys = both.nets["robot"].run(["bash", script, "robot", "keys"], 600, FOGSPEC_LINKS=str(both.folder / "robot"))
         assert keys.returncode == 0, keys
         mine = both.keys("cloud").parent / "robot"
         mine.mkdir(parents=True)
@@ -67,7 +68,7 @@ def test_apply_joins_the_robot_to_what_it_started_and_down_parts_them(tmp_path: 
 
             launch = str(app.folder / "compiled" / "tiny" / "robot.launch.py")
             words = [sys.executable, "-m", "tests.ros.playing", launch]
-            played = both.nets["robot"].run(words, 90, FOGSPEC_LINKS=str(tmp_path / "robot"), PYTHONPATH=str(ROOT))
+            played = both.nets["robot"].run(words, 600, FOGSPEC_LINKS=str(tmp_path / "robot"), PYTHONPATH=str(ROOT))
             assert played.returncode == 0, played
             took = json.loads(next(line for line in played.stdout.splitlines() if line.startswith("[")))
             assert len(took) == 10
@@ -75,5 +76,5 @@ def test_apply_joins_the_robot_to_what_it_started_and_down_parts_them(tmp_path: 
             down = fogspec(both, "cloud", app, "down", "tiny")
         assert down.returncode == 0, down
         assert app.alive() == []
-        assert "fogc-" not in both.nets["cloud"].run(["ip", "-brief", "link"], 10).stdout
+        assert "fogc-" not in both.nets["cloud"].run(["ip", "-brief", "link"], 600).stdout
         assert not (mine / "peer").exists()

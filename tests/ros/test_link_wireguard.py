@@ -40,7 +40,7 @@ def test_without_the_tunnel_the_cable_lets_no_ros_pass(tmp_path: Path) -> None:
 
 def asked(both: Joined, patience_s: float, **environment: str) -> list[float]:
     words = [str(PYTHON), NODE, "ask", "5", str(patience_s)]
-    run = both.nets["robot"].run(words, 60, **environment)
+    run = both.nets["robot"].run(words, 600, **environment)
     assert run.returncode == 0, run.stderr
     return list(json.loads(run.stdout.splitlines()[-1]))
 

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import stat
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,8 +42,11 @@ def ends(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Joined]:
 
 
 def said(both: Joined, side: str, *words: str, node: str = NODE) -> Any:
-    """What a short-lived node at one end prints; None while it cannot even reach its router."""
-    run = both.nets[side].run([str(PYTHON), node, *words], 40)
+    """What a short-lived node at one end prints; None while it cannot even reach its router, or hangs on the way to it."""
+    try:
+        run = both.nets[side].run([str(PYTHON), node, *words], 120)
+    except subprocess.TimeoutExpired:
+        return None
     return json.loads(run.stdout.splitlines()[-1]) if run.returncode == 0 else None
 
 
@@ -64,7 +68,11 @@ def test_what_another_implementation_of_rmw_zenoh_says_passes_and_is_kept_back_t
         assert until(lambda: "up" in served.said()), served.said()
         everything = ["/plan", "/pose", "/secret", "/secret_pose"]
         assert until(lambda: said(ends, "cloud", "look", node=STRANGER) == everything), "at its own end all is there"
-        assert said(ends, "robot", "look", node=STRANGER) == ["/plan", "/pose"]
+        passed: set[str] = set()
+        assert until(
+            lambda: passed.update(said(ends, "robot", "look", node=STRANGER) or []) or passed >= {"/plan", "/pose"}
+        )
+        assert passed == {"/plan", "/pose"}
     finally:
         served.stop()
 

@@ -13,8 +13,9 @@ import pytest
 
 from fogspec.base.templates import render
 from fogspec.compile.tasks import ros_environment
-from fogspec.spec.loader import load
+from fogspec.language.loader import load
 from tests.ros.namespaces import PYTHON, ROOT
+from tests.support.jobs import GENERATED
 
 APT_GET = """\
 [ "$1" = install ] || exit 0
@@ -90,10 +91,10 @@ def test_colcon_builds_and_rosdep_resolves_the_workspace(tmp_path: Path) -> None
         (tools / name).chmod(0o755)
     (ros / "jazzy" / "setup.bash").write_text("export ROS_DISTRO=jazzy")
     [one] = load([folder / "vslam.yaml"])
-    script = render("setup_ros2.sh.j2", **ros_environment(one.application.spec))
+    script = render("setup.sh.j2", **GENERATED, **ros_environment(one.application.spec))
     script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:{PYTHON.parent}:")
     given = {"PATH": "/usr/bin:/bin", "HOME": str(home), **index(tmp_path / "index")}
-    ended = subprocess.run(["bash", "-c", script], cwd=folder, env=given, capture_output=True, text=True, timeout=280)
+    ended = subprocess.run(["bash", "-c", script], cwd=folder, env=given, capture_output=True, text=True, timeout=1200)
     assert ended.returncode == 0, (ended.stdout + ended.stderr)[-3000:]
     assert "3 packages finished" in ended.stdout
     for package, executable in (

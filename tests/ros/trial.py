@@ -81,7 +81,7 @@ def run(
     while not (net.folder / "preload.jsonl").exists() and client.popen.poll() is None:
         cpu_s = {name: -cpu_of(process.popen.pid) for name, process in started.items()}
         time.sleep(0.05)
-    client.popen.wait(60)
+    client.popen.wait(600)
     cpu_s = {name: cpu_s[name] + cpu_of(process.popen.pid) for name, process in started.items()}
     for process in [*started.values(), server]:
         process.stop()
@@ -100,7 +100,7 @@ def compiled(folder: Path) -> Path:
         *(f"-I{one}" for one in sorted((ros / "include").iterdir())), str(NODES / "busy.c"), "-o", str(program),
         f"-L{ros / 'lib'}", "-Wl,--allow-shlib-undefined", *(f"-l{name}" for name in libraries),
     ]  # fmt: skip
-    subprocess.run(["cc", "-O2", "-rdynamic", "-Wall", "-Wextra", "-Werror", *words], check=True, timeout=120)
+    subprocess.run(["cc", "-O2", "-rdynamic", "-Wall", "-Wextra", "-Werror", *words], check=True, timeout=600)
     return program
 
 

@@ -2,7 +2,6 @@
 
 import os
 import secrets
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +10,13 @@ import pytest
 
 from fogspec.backends.skypilot.client import Client
 from tests.slurm import robot
+from tests.slurm.abandoned import ABANDONED, Abandoned
 from tests.slurm.looking import Looking
 from tests.slurm.site import Site
 from tests.tools import apart
 from tests.tools.slurm import engine
 from tests.tools.slurm.__main__ import missing
 
-ABANDONED = "fogspec-abandoned"
 SECRET = f"hunter2-{secrets.token_hex(8)}"  # of this run: what another one left in a shared folder is not found
 # Tells its secret in a log, and in the record of the first request, which is not counted.
 TELLS = """\
@@ -29,31 +28,12 @@ SHAPES = {"2CPU--4GB": 0.085, "2CPU--16GB": 0.126, "16CPU--32GB": 0.68, "64CPU--
 
 
 @dataclass
-class Abandoned:
-    """A machine with a lifetime of a minute, and who asked for it."""
-
-    client: Client
-    request: str
-    was_up: bool = False
-
-    def up(self, patience_s: float = 900.0) -> None:
-        """Wait until it was there; to be asked before a test ends the API server that knows."""
-        end = time.monotonic() + patience_s
-        while not self.was_up:
-            self.was_up = self.client.call("launched", 60, request=self.request, name=ABANDONED) is not None
-            assert time.monotonic() < end
-            time.sleep(1)
-        # A worker that a test ends would start again in the user's own environment.
-        self.client.close()
-
-
-@dataclass
 class Benched:
-    """A project whose application was measured: in so many seconds, what was left afterwards, and what others saw of it."""
+    """A project whose application was measured: how many machines at once, what was left, and what others saw of it."""
 
     site: Site
     spec: str
-    took_s: float
+    at_once: int
     left: list[str]
     seen: Looking
 
@@ -86,20 +66,10 @@ def abandoned(cluster: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     """A machine that runs a compiled task which hangs; it is started beside what else is tested."""
     site = Site(cluster, tmp_path_factory.mktemp("abandoned"))
     site.compile(site.write("hangs", ["4CPU--16GB--T4:1"]))
-    task = site.task("hangs", "4CPU--16GB--T4:1")
-    task["resources"]["autostop"]["idle_minutes"] = 1
-    task["run"] = "sleep 3600"
-    before, given = dict(os.environ), engine.environment(cluster)
     with Client() as client:
-        try:
-            os.environ.clear()
-            os.environ.update(given)
-            client.ready()
-        finally:
-            os.environ.clear()
-            os.environ.update(before)
-        asked = client.call("launch", 120, task=task, name=ABANDONED, root=str(site.project))
-        yield Abandoned(client, asked["request"])
+        machine = Abandoned(site, client, engine.environment(cluster), site.task("hangs", "4CPU--16GB--T4:1"))
+        machine.start()
+        yield machine
 
 
 @pytest.fixture(scope="session")
@@ -113,11 +83,10 @@ def benched(cluster: Path, abandoned: Abandoned, tmp_path_factory: pytest.TempPa
     robot.write(site, spec, TELLS)
     os.environ["MAP_PASSWORD"] = SECRET
     site.compile(spec)
-    begun = time.monotonic()
     with Looking(SECRET) as seen:
-        assert site.bench(spec).ended() == 0
-    took_s = time.monotonic() - begun
+        bench = site.bench(spec)
+        assert bench.ended() == 0
     abandoned.up()
     left = site.left(spare=ABANDONED)
     site.compile(spec)
-    return Benched(site, spec, took_s, left, seen)
+    return Benched(site, spec, bench.at_once, left, seen)

@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fogspec.bench.journal import Journal
-from fogspec.results.schema import Results, is_final
-from fogspec.spec.loader import read_document
+from fogspec.results.io import read_results_folder
+from fogspec.results.schema import is_final
 from tests.slurm import breaking
 from tests.slurm.site import Site
 from tests.tools import apart
@@ -101,7 +101,7 @@ class Storm:
     def written(self, name: str, steps: int) -> str:
         """The spec, and workloads that fail as the nodes' faults say."""
         spec = self.site.write(name, list(MACHINES.values()), steps, WORK)
-        (self.site.project / "specs" / "faults.json").write_text(json.dumps(self.nodes))
+        (self.site.spec(name).parent / "faults.json").write_text(json.dumps(self.nodes))
         return spec
 
     @property
@@ -154,7 +154,7 @@ def judge(
     """What must never happen, and what became of the samples."""
     tally: collections.Counter[str] = collections.Counter()
     tally["machines leaked"] += len(site.left(spare=spare))
-    results = read_document(site.project / "results" / f"{name}.yaml", Results).spec
+    results = read_results_folder(site.project / "results" / name).spec
     journal = site.project / ".fogspec" / name / "journal.jsonl"
     book = Journal(journal).state
     tally["budgets exceeded"] += max(results.spent, book.spent_usd) > budget_usd

@@ -29,7 +29,7 @@ def _figures(site: Site, shapes: Sequence[str]) -> None:
     print(f"load of this computer before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} CPUs")
     begun = time.monotonic()
     spec = site.write("warm", list(shapes[:1]))
-    while "SkyPilot has access" not in site.run("doctor", spec, *site.at, code=None).stdout:
+    while "SkyPilot has access" not in site.run("bench", spec, "--dry-run", code=None).stdout:
         if time.monotonic() > begun + STARTS_S:
             raise SystemExit("SkyPilot's API server did not start")
     print(f"SkyPilot's API server started, and asked for access, after {time.monotonic() - begun:.1f} s")
@@ -74,7 +74,7 @@ def _applied(site: Site, shape: str, runs: int = 3) -> None:
 def _shares(site: Site, spec: str) -> tuple[float, float, float, float]:
     """Seconds until SkyPilot is asked, to the job, to the first answered request, and until `apply` has ended."""
     begun = time.time()
-    words = site._argv(("apply", "compiled/served/manifest.yaml", *site.at, "--yes", "-o", "json"))
+    words = site._argv(("apply", "compiled/served/manifest.yaml", "--yes", "-o", "json"))
     with subprocess.Popen(words, cwd=site.project, env=site._env(), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                           text=True) as apply:  # fmt: skip
         assert apply.stderr is not None
@@ -87,7 +87,7 @@ def _shares(site: Site, spec: str) -> tuple[float, float, float, float]:
     started = float(
         subprocess.run(queue, env=site._env(), capture_output=True, text=True, check=True).stdout.splitlines()[-1]
     )
-    live = json.loads(site.run("status", spec, *site.at, "-o", "json").stdout)[0]["deployment"]
+    live = json.loads(site.run("status", spec, "-o", "json").stdout)[0]["deployment"]
     site.run("down", "served")
     answered = started + live["ready_s"]
     return asked - begun, started - asked, live["ready_s"], ended - answered

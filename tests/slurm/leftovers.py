@@ -9,7 +9,7 @@ from tests.slurm.site import Site
 from tests.tools.slurm import engine, login
 
 MARK = "FOGSPEC_TEST_LIFE"
-PATIENCE_S = 40.0
+PATIENCE_S = 300.0
 KINDS = ("jobs", "clusters", "processes", "commands", "files", "keys")
 # SkyPilot makes them and forgets them where Slurm itself has ended the job: nobody else can know whose they are.
 SKYPILOTS = "SkyPilot's folders on the cluster"

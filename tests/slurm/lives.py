@@ -55,22 +55,22 @@ class Life:
         self.chance = random.Random(f"life {self.seed}")
         self.project, self.folder = self.site.project, self.site.project.parent.parent
         self.log, self.ballast = self.folder / "said.log", self.project.parent / "ballast"
-        self.manifest, self.at = f"compiled/{self.name}/manifest.yaml", ("--catalog", self.site.prices)
+        self.manifest = f"compiled/{self.name}/manifest.yaml"
 
     def run(self) -> None:
         """Apply, whatever a user does next, down."""
         self.begin()
         faults = drawn(self.seed, self.chance)
-        if self.command("apply", self.manifest, *self.at, "--yes", faults=faults["apply"]) == 0:
+        if self.command("apply", self.manifest, "--yes", faults=faults["apply"]) == 0:
             self.look()
         for act in self.chance.choices(("apply", "status", "diff"), k=self.chance.randint(0, 2)):
-            words = (self.manifest, *self.at, "--yes") if act == "apply" else (self.spec, *self.at)
+            words = (self.manifest, "--yes") if act == "apply" else (self.spec,)
             self.command(act, *words)
         if faults["change"] or self.chance.random() < 0.3:
             path = self.project / self.spec
             path.write_text(path.read_text().replace("alpha: 0", "alpha: 1"))
-            self.command("compile", self.spec, *self.at)
-            self.command("apply", self.manifest, *self.at, "--yes", faults=faults["change"])
+            self.command("compile", self.spec, *self.site.at)
+            self.command("apply", self.manifest, "--yes", faults=faults["change"])
         self.end(faults["down"])
 
     def begin(self) -> None:
@@ -93,7 +93,7 @@ class Life:
         recorded(self.site, self.name)
         self.site.compile(self.spec)
         if linked:
-            self.site.run("keys", self.spec)
+            self.site.keys(self.name)
         self.expected, self.keys = leftovers.tree(self.project), leftovers.tree(self.site.links(self.name))
 
     def command(self, *words: str, folder: Path | None = None, faults: Sequence[Fault] = ()) -> int:

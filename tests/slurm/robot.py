@@ -16,7 +16,7 @@ LINKED = """\
   robot:
     - cmd: [python3, ask.py]
   ros: {distro: jazzy}
-  connectivity: {link: zenoh, services: [/plan]}
+  connectivity: {link: zenoh, expose: {/plan: service}}
 """
 # While it is measured it works by itself; where the link is, it waits for requests, as a planner does.
 PLANNER = """\
@@ -56,21 +56,11 @@ ASK = """\
 import json
 import time
 
-import zenoh
 from over_zenoh import asked, session
 
 REQUESTS = 20
 
-
-def patient():
-    while True:
-        try:
-            return session()
-        except zenoh.ZError:
-            time.sleep(0.5)
-
-
-with patient() as here:
+with session() as here:
     while asked(here, "plan", 2.0) != [b"planned"]:
         time.sleep(0.2)
     took = []
@@ -114,11 +104,12 @@ class Robot:
         self.net = Net(folder, own_memory=True)
         network.attach(self.net.holder, "robot", network.ROBOT)
         (folder / "rules.nft").write_text(RULES.format(cable=network.CABLE, port=port))
-        self.net.run(["nft", "-f", str(folder / "rules.nft")], 10).check_returncode()
+        self.net.run(["nft", "-f", str(folder / "rules.nft")], 600).check_returncode()
 
-    def make_keys(self, spec: str, name: str) -> None:
+    def make_keys(self, name: str) -> None:
         """On the robot; the public half goes to where `apply` runs."""
-        self._run("fogspec", "keys", spec).check_returncode()
+        words = ["bash", str(self.site.project / "compiled" / name / "link" / "link.sh"), "robot", "keys"]
+        self.net.run(words, 120, FOGSPEC_LINKS=str(self.links)).check_returncode()
         mine = self.site.links(name)
         mine.mkdir(parents=True)
         shutil.copy(self.links / name / "robot" / "public", mine)

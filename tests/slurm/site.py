@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,11 +15,11 @@ from typing import Any, ClassVar
 
 from ruamel.yaml import YAML
 
+from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
-from fogspec.spec import fingerprints
-from fogspec.spec.loader import load, read_document
-from tests.support.files import write_yaml
+from fogspec.results.io import read_results_folder
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody
+from tests.support.results import write
 from tests.tools.slurm import daemons, engine, login
 
 SPEC = """\
@@ -36,7 +37,7 @@ spec:
   benchmark:
     budget: $10
     machines: [{machines}]
-    setup_timeout: 3min
+    ready_timeout: 3min
     warmup: 1
     stop: {{requests: {steps}, duration: 1min}}
 """
@@ -63,7 +64,7 @@ class Bench:
     process: "subprocess.Popen[str]"
     events: list[dict[str, Any]] = field(default_factory=list)
 
-    def until(self, wanted: Callable[[dict[str, Any]], bool], patience_s: float = 900.0) -> dict[str, Any]:
+    def until(self, wanted: Callable[[dict[str, Any]], bool], patience_s: float = 1200.0) -> dict[str, Any]:
         """The first event from now on that is wanted."""
         end = time.monotonic() + patience_s
         for event in self.lines():
@@ -85,6 +86,12 @@ class Bench:
             pass
         return self.process.wait()
 
+    @property
+    def at_once(self) -> int:
+        """How many samples had started before the first of them ended."""
+        seen = [event["event"] for event in self.events if event.get("event") in ("starts", "ends")]
+        return seen.index("ends")
+
     def kill(self) -> None:
         """As a power cut would."""
         self.process.send_signal(signal.SIGKILL)
@@ -101,36 +108,41 @@ class Site:
 
     def write(self, name: str, machines: list[str], steps: int = 20, work: str = WORK) -> str:
         """A spec, whose path is returned, and its workload."""
-        (self.project / "specs").mkdir(parents=True, exist_ok=True)
-        (self.project / "specs" / "work.py").write_text(work)
-        path = f"specs/{name}.yaml"
-        text = SPEC.format(name=name, machines=", ".join(machines), steps=steps)
-        (self.project / path).write_text(text)
-        return path
+        path = self.spec(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        (path.parent / "work.py").write_text(work)
+        path.write_text(SPEC.format(name=name, machines=", ".join(machines), steps=steps))
+        return str(path.relative_to(self.project))
+
+    def spec(self, name: str) -> Path:
+        """Where an application's spec is."""
+        return self.project / "specs" / name / f"{name}.yaml"
 
     def run(
-        self, *words: str, code: int | None = 0, patience_s: float | None = None
+        self, *words: str, code: int | None = 0, patience_s: float | None = None, program: str = "fogspec"
     ) -> "subprocess.CompletedProcess[str]":
-        """fogspec's command line."""
-        ended = subprocess.run(self._argv(words), cwd=self.project, env=self._env(), capture_output=True, text=True,
+        """A command line, by default fogspec's."""
+        ended = subprocess.run(self._argv(words, program), cwd=self.project, env=self._env(), capture_output=True, text=True,
                                timeout=patience_s or self.patience_s)  # fmt: skip
         assert code is None or ended.returncode == code, f"{words}: {ended.returncode}\n{ended.stdout}\n{ended.stderr}"
         return ended
 
     def compile(self, spec: str) -> None:
-        """Compile with the cluster's prices."""
+        """Compile with the cluster's prices, which the project has a copy of."""
+        if self.at:
+            shutil.copy(self.cluster / "catalog.csv", self.project / "prices.csv")
         self.run("compile", spec, *self.at)
 
     def bench(self, spec: str, *words: str, log: Path | None = None) -> Bench:
         """Start a bench on the cluster; its events go to `log` where one is given."""
-        argv = self._argv(("bench", spec, "--runner", "skypilot", "--yes", *self.at, "-o", "json", *words))
+        argv = self._argv(("bench", spec, "--runner", "skypilot", "--yes", "-o", "json", *words))
         with open(self.project / "bench.log", "ab") as said, open(log or os.devnull, "ab") as events:
             out = subprocess.PIPE if log is None else events
             return Bench(subprocess.Popen(argv, cwd=self.project, env=self._env(), stdout=out, stderr=said, text=True))
 
     def results(self, name: str) -> dict[str, Measured]:
         """The records by instance type."""
-        body = read_document(self.project / "results" / f"{name}.yaml", Results).spec
+        body = read_results_folder(self.project / "results" / name).spec
         return {one.machine.instance: one for one in body.samples}
 
     def task(self, name: str, instance: str) -> dict[str, Any]:
@@ -144,12 +156,12 @@ class Site:
     @property
     def at(self) -> tuple[str, ...]:
         """Where the prices are."""
-        return ("--catalog", self.prices)
+        return ("--catalog", "prices.csv")
 
-    @property
-    def prices(self) -> str:
-        """The catalog."""
-        return str(self.cluster / "catalog.csv")
+    def keys(self, name: str) -> None:
+        """Make the key of the robot's end on the computer that applies."""
+        script = self.project / "compiled" / name / "link" / "link.sh"
+        subprocess.run(["bash", str(script), "robot", "keys"], check=True, capture_output=True, env=self._env())
 
     def links(self, name: str) -> Path:
         """Where an application's link has its public halves on the computer that applies."""
@@ -168,7 +180,7 @@ class Site:
             if name.startswith(prefix):
                 daemons.run(self.cluster, "scancel", number)
 
-    def left(self, patience_s: float = 120.0, spare: str | None = None) -> list[str]:
+    def left(self, patience_s: float = 1200.0, spare: str | None = None) -> list[str]:
         """What still runs or is still known, when it has had time to end, without names that begin with `spare`."""
         end = time.monotonic() + patience_s
         while (found := self._running(spare)) and time.monotonic() < end:
@@ -184,8 +196,8 @@ class Site:
         jobs = self.jobs()
         return _others(jobs, spare) or ([] if jobs else login.processes())
 
-    def _argv(self, words: tuple[str, ...]) -> list[str]:
-        return [sys.executable, "-m", "fogspec", *words]
+    def _argv(self, words: tuple[str, ...], program: str = "fogspec") -> list[str]:
+        return [sys.executable, "-m", program, *words]
 
     def _env(self) -> dict[str, str]:
         return engine.environment(self.cluster) | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -198,16 +210,12 @@ def _others(names: list[str], spare: str | None) -> list[str]:
 def recorded(site: Site, name: str) -> None:
     """Results as an earlier bench of `WORK` left them."""
     plan = read_document(site.project / "compiled" / name / "plan.yaml", Plan)
-    application = load([str(site.project / "specs" / f"{name}.yaml")])[0].application
     records = [
         Measured(id=one.id, machine=one.machine, measured_on="a test", state="ok", requests=20, duration=60.0,
                  latency=LatencySummary(mean=0.02 + 0.4 / one.machine.cpus), spent=0.001)
         for one in plan.spec.samples
     ]  # fmt: skip
     body = ResultsBody(
-        application=fingerprints.measured_digest(application), plan=None, pins=None,
-        field_digests=plan.spec.application.field_digests,
-        runner="skypilot", source="a test", spent=0.001, samples=records,
+        inputs=plan.spec.inputs, runner="skypilot", source="a test", samples=records,
     )  # fmt: skip
-    results = with_checksum(plan.metadata, body)
-    write_yaml(site.project / "results" / f"{name}.yaml", results.model_dump(mode="json", exclude_none=True), "a test")
+    write(site.project / "results" / name, body)

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from tests.slurm.conftest import ABANDONED, Benched
+from tests.slurm.abandoned import ABANDONED
+from tests.slurm.conftest import Benched
 from tests.slurm.robot import Robot
 from tests.slurm.site import Site, recorded
 
@@ -24,7 +25,7 @@ def manifest(name: str) -> str:
 
 
 def status(site: Site, spec: str) -> dict[str, Any]:
-    return dict(json.loads(site.run("status", spec, "--catalog", site.prices, "-o", "json").stdout)[0]["deployment"])
+    return dict(json.loads(site.run("status", spec, "-o", "json").stdout)[0]["deployment"])
 
 
 def machines(site: Site, name: str) -> list[dict[str, Any]]:
@@ -32,7 +33,7 @@ def machines(site: Site, name: str) -> list[dict[str, Any]]:
     return list(YAML(typ="safe").load(path)["spec"]["machines"]) if path.exists() else []
 
 
-def observed(site: Site, spec: str, patience_s: float = 900.0) -> dict[str, Any]:
+def observed(site: Site, spec: str, patience_s: float = 1200.0) -> dict[str, Any]:
     """The status once something was observed."""
     end = time.monotonic() + patience_s
     while True:
@@ -51,31 +52,32 @@ def robot(benched: Benched, tmp_path: Path) -> Iterator[Robot]:
 
 
 def test_from_measurements_to_a_robot_that_is_served_and_back(benched: Benched, robot: Robot) -> None:
-    site, spec, at = benched.site, benched.spec, ("--catalog", benched.site.prices)
-    assert "fogspec keys" in site.run("apply", manifest("life"), *at, "--yes", code=5).stderr
-    robot.make_keys(spec, "life")
-    said = site.run("apply", manifest("life"), *at, "--yes")
+    site, spec = benched.site, benched.spec
+    assert "link.sh robot keys" in site.run("apply", manifest("life"), "--yes", code=5).stderr
+    robot.make_keys("life")
+    said = site.run("apply", manifest("life"), "--yes")
     assert "/month" in said.stderr
     assert str(site.links("life") / "peer") in said.stderr, "what to copy to the robot is said"
     (first,) = machines(site, "life")
     assert (first["state"], first["machine"]["instance"]) == ("serving", SMALL)
     assert first["name"] in site.jobs()
-    assert "no changes" in site.run("apply", manifest("life"), *at, "--yes").stdout
+    assert "no changes" in site.run("apply", manifest("life"), "--yes").stdout
 
     robot.take("life")
     slow = robot.plays("life")
     live = observed(site, spec)
-    assert (live["sync"], live["health"], live["spent_usd"] > 0) == ("Synced", "Healthy", True)
+    assert (live["sync"], live["spent_usd"] > 0) == ("Synced", True)
+    assert live["health"] in ("NotJudged", "Healthy")
     assert live["observed"]["p50_s"] < median(slow), "what the robot sees has the way in it"
 
     path = site.project / spec
     path.write_text(path.read_text().replace("alpha: 0", "alpha: 1"))
-    differs = site.run("diff", spec, *at, "--exit-code", code=3).stdout
+    differs = site.run("diff", spec).stdout
     assert f"{SMALL} in slurm/fogtest" in differs
     assert "no benchmark needed" in differs
-    site.run("apply", manifest("life"), *at, "--yes", code=3)
+    site.run("apply", manifest("life"), "--yes", code=3)
     site.compile(spec)
-    site.run("apply", manifest("life"), *at, "--yes")
+    site.run("apply", manifest("life"), "--yes")
     assert site.jobs(ABANDONED) == [one["name"] for one in machines(site, "life")], "the old machine is gone"
     (second,) = machines(site, "life")
     assert second["machine"]["instance"] != SMALL
@@ -84,7 +86,7 @@ def test_from_measurements_to_a_robot_that_is_served_and_back(benched: Benched, 
 
     assert "nothing is left" in site.run("down", "life").stdout
     assert site.left(spare=ABANDONED) == []
-    assert not (site.project / ".fogspec" / "life" / "deployment.yaml").exists()
+    assert machines(site, "life") == []
     assert not (site.links("life") / "peer").exists()
 
 
@@ -95,10 +97,10 @@ def test_an_apply_that_was_killed_leaves_nothing_after_down(site: Site) -> None:
     recorded(site, "killed-apply")
     site.compile(spec)
     applying = subprocess.Popen(
-        site._argv(("apply", manifest("killed-apply"), "--catalog", site.prices, "--yes")), cwd=site.project,
+        site._argv(("apply", manifest("killed-apply"), "--yes")), cwd=site.project,
         env=site._env(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    end = time.monotonic() + 200
+    end = time.monotonic() + 1200
     while not [name for name in site.jobs() if name.startswith("fogspec-") and "-killed-apply-" in name]:
         assert time.monotonic() < end
         assert applying.poll() is None

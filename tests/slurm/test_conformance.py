@@ -1,4 +1,4 @@
-"""`fogspec conformance` on a real SkyPilot over a real Slurm."""
+"""`fogspec-lab conformance` on a real SkyPilot over a real Slurm."""
 
 import json
 import os
@@ -6,15 +6,25 @@ import shutil
 
 import pytest
 
-from tests.slurm.conftest import ABANDONED
+from tests.slurm.abandoned import ABANDONED
 from tests.slurm.site import Site
 
 
+@pytest.mark.rare
 @pytest.mark.timeout(1800)
 def test_every_step_passes_and_nothing_is_left(site: Site) -> None:
     site.project.mkdir(parents=True)
-    words = ("conformance", "--infra", "slurm/fogtest", "--max", "$2", *site.at, "--yes")
-    said = site.run(*words, "--out", "report.json", patience_s=1500)
+    words = (
+        "conformance",
+        "--infra",
+        "slurm/fogtest",
+        "--max",
+        "$2",
+        "--catalog",
+        str(site.cluster / "catalog.csv"),
+        "--yes",
+    )
+    said = site.run(*words, "--out", "report.json", patience_s=1500, program="fogspec_lab")
     assert "at most $" in said.stderr
     report = json.loads((site.project / "report.json").read_text())
     assert [step["state"] for step in report["steps"]] == ["ok"] * len(report["steps"])

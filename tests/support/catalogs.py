@@ -5,14 +5,14 @@ from typing import Any
 
 from fogspec.catalog.sources.parse import read
 from fogspec.catalog.table import About, Catalog
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
 
 HEAD = "InstanceType,AcceleratorName,AcceleratorCount,vCPUs,MemoryGiB,Price,SpotPrice,Region,AvailabilityZone"
 PAPER_HARDWARE = {
     "cpus": "2..64",
     "memory": "4GiB..512GiB",
     "memory_per_cpu": "2GiB..8GiB",
-    "machines": {"allow": ["c6i.*", "m6i.*", "r6i.*"]},
+    "allow": ["c6i.*", "m6i.*", "r6i.*"],
 }
 
 

@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 
 from tests.support.forking import Ended, forked
 from tests.support.once import once
-from tests.support.scenes import environments
+from tests.support.scenes import environments, until
 
 SPEC = """\
 apiVersion: fogspec.dev/v1alpha1
@@ -33,12 +33,12 @@ spec:
   benchmark:
     machines: [local/1cpu-1gib, local/2cpu-1gib]
     warmup: 1
-    setup_timeout: 1min
+    ready_timeout: 1min
     stop: {requests: 10, duration: 1min}
 """
 # What is timed follows a clock of the script's own, so that no prediction, limit or drift depends on this host's speed.
 WORK = """\
-import itertools, os, time
+import os, signal, sys, time
 import fogspec_probe
 
 class Clock:
@@ -49,11 +49,12 @@ class Clock:
 
 clock = fogspec_probe.time = Clock()
 took_s = float(os.environ.get("ROS_TOOK_S", "0.01"))
-for number in itertools.count():
+for number in range(int(os.environ.get("ROS_REQUESTS", sys.maxsize))):
     fogspec_probe.start("work")
     time.sleep(took_s)
     clock.now_s += took_s * (0.9 + 0.05 * (number % 5))
     fogspec_probe.stop("work")
+signal.pause()
 """
 HOSTS = """\
 Cloud,InstanceType,vCPUs,MemoryGiB,Price,Region
@@ -70,14 +71,15 @@ class Deployed:
     folder: Path
 
     @classmethod
-    def made(cls, folder: Path, spec: str = SPEC, hosts: str = HOSTS) -> "Deployed":
-        """Measured by a real bench once for each spec, then copied."""
+    def made(cls, folder: Path, spec: str = SPEC, hosts: str | None = HOSTS) -> "Deployed":
+        """Measured by a real bench once for each spec, then copied; without a list of hosts, shapes have no price."""
 
         def measured(place: Path) -> None:
             for name, text in (("specs/tiny.yaml", spec), ("specs/work.py", WORK), ("hosts.csv", hosts)):
-                (place / name).parent.mkdir(exist_ok=True)
-                (place / name).write_text(text)
-            for words in (["lock", "--catalog", "hosts.csv"], ["compile", "specs/tiny.yaml"],
+                if text is not None:
+                    (place / name).parent.mkdir(exist_ok=True)
+                    (place / name).write_text(text)
+            for words in (["lock", *([] if hosts is None else ["--catalog", "hosts.csv"])], ["compile", "specs/tiny.yaml"],
                           ["bench", "specs/tiny.yaml", "--runner", "local"], ["compile", "specs/tiny.yaml"]):  # fmt: skip
                 cls(place)(*words)
             shutil.rmtree(place / ".fogspec")
@@ -125,14 +127,26 @@ class Deployed:
     def status(self) -> dict[str, Any]:
         return json.loads(self("status", "-o", "json").stdout)[0]["deployment"]
 
+    def judged(self) -> dict[str, Any]:
+        """The status once there were enough requests to judge, and contact."""
+        seen: list[dict[str, Any]] = []
+
+        def is_judged() -> bool:
+            seen.append(self.status())
+            return seen[-1]["health"] not in ("NotJudged", "Progressing", "Unknown")
+
+        until(is_judged, pause_s=0.5)
+        return seen[-1]
+
     def alive(self) -> list[int]:
         """Living processes whose output is below this application's state, whoever started them."""
         mark = f"FOGSPEC_OUT={self.state}{os.sep}".encode()
         return [pid for pid, words in environments() if any(word.startswith(mark) for word in words)]
 
     def left(self) -> list[str]:
-        """Files of live state that are there though nothing runs."""
-        return [str(path) for path in self.state.rglob("*")] if self.state.exists() else []
+        """Files of live state that are there though nothing runs; its record stays, with the history alone."""
+        record = [self.state / "deployment.yaml"] if not self.machines() else []
+        return [str(path) for path in self.state.rglob("*") if path not in record]
 
     def kill(self) -> None:
         for pid in self.alive():
@@ -144,7 +158,7 @@ def app(tmp_path: Path) -> Iterator[Callable[..., Deployed]]:
     """Makes applications; whatever runs of them when the test is over is ended."""
     made: list[Deployed] = []
 
-    def make(spec: str = SPEC, hosts: str = HOSTS) -> Deployed:
+    def make(spec: str = SPEC, hosts: str | None = HOSTS) -> Deployed:
         made.append(Deployed.made(tmp_path / f"app-{len(made)}", spec, hosts))
         return made[-1]
 

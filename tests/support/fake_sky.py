@@ -44,10 +44,19 @@ class Cloud:
     refused: dict[str, CloudProblem] = field(default_factory=dict)
     without_access: tuple[str, ...] = ()
     known: tuple[str, ...] = ()
+    closed: int = 0
+    served: bool = True  # SkyPilot's API server runs before anything asks for it
+    servers_ended: int = 0
     fails: Callable[[str, Mapping[str, Any]], Exception | None] = lambda _op, _words: None
 
     def denied(self, clouds: Sequence[str]) -> list[str]:
         return [one for one in clouds if one in self.without_access]
+
+    def serves(self) -> bool:
+        return self.served
+
+    def end_server(self) -> None:
+        self.servers_ended += 1
 
     def infras(self) -> list[str]:
         return list(self.known)
@@ -181,3 +190,6 @@ class SimulatedClient:
 
     def call(self, op: str, timeout_s: float, **words: Any) -> Any:
         return result(self.begin(op, **words), timeout_s, op)
+
+    def close(self) -> None:
+        self.cloud.closed += 1

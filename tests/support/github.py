@@ -27,7 +27,8 @@ class GitHub:
     """What it holds, what it was asked, and how it misbehaves.
 
     `refused` are tokens that may only read; the first `failing` requests are answered with 502; after the next listing,
-    `meanwhile` is called, as if another job of the same pull request did something.
+    `meanwhile` is called, as if another job of the same pull request did something. Its repositories are private: `fetched`
+    are the requests to them, each answered with 401.
     """
 
     comments: list[Comment] = field(default_factory=list)
@@ -36,6 +37,7 @@ class GitHub:
     failing: int = 0
     address: str = ""
     meanwhile: Any = None
+    fetched: list[str] = field(default_factory=list)
 
     def environment(self, token: str = "bot") -> dict[str, str]:
         """What GitHub gives a job of this repository."""
@@ -103,6 +105,13 @@ def serving() -> Iterator[GitHub]:
     class Handler(BaseHTTPRequestHandler):
         def _do(self) -> None:
             content = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+            if ".git/" in self.path:
+                github.fetched.append(self.path)
+                self.send_response(401)
+                self.send_header("WWW-Authenticate", 'Basic realm="GitHub"')
+                self.send_header("Content-Length", "0")
+                self.end_headers()
+                return
             token = (self.headers.get("Authorization") or "").removeprefix("Bearer ")
             status, data = github.answer(self.command, self.path, token, json.loads(content) if content else None)
             answer = b"" if data is None else json.dumps(data).encode()

@@ -1,17 +1,21 @@
 """What a spec's nodes start, in the words in which `tests/cases/launch/golden.json` has what the real launch started."""
 
 import json
+import re
 import shlex
 from pathlib import Path
 from typing import Any
 
-from fogspec.base.yaml.reader11 import read11
+import yaml
+
 from fogspec.compile.tasks import _flat
-from fogspec.spec.launch_import.found import SHARE
-from fogspec.spec.launch_import.parameters import applies_to
-from fogspec.spec.schema import ComposableNode, Node
+from fogspec.importers.launch.sandboxed.parameters import applies_to
+from fogspec.language.launch_text import has_allowed
+from fogspec.language.schema import ComposableNode, Node
 
 Facts = list[dict[str, Any]]
+
+SHARE = re.compile(r"\$\(find-pkg-share ([A-Za-z0-9_.-]+)\)")
 
 
 def facts_of(nodes: list[Node], written: dict[str, str], shares: dict[str, Path]) -> Facts:
@@ -34,11 +38,10 @@ def _fact(node: Node, written: dict[str, str], shares: dict[str, Path]) -> dict[
         text = _text(path, written, shares)
         if text is None:
             files.append(path)
-        elif node.allow_substs and path in written:
-            ((_, content),) = read11(text).items()
-            values |= dict(_flat(content["ros__parameters"]))
+        elif has_allowed(node) and path in written and (own := of_one(yaml.safe_load(text))) is not None:
+            values |= dict(_flat(own))
         else:
-            files.append(json.dumps(read11(text), sort_keys=True))
+            files.append(json.dumps(yaml.safe_load(text), sort_keys=True))
     values |= dict(_flat(node.parameters))
     fact = _node(f"<{node.package}>/{node.executable}", node.arguments, node, node.name, files, values)
     if node.composable_node_descriptions:
@@ -52,9 +55,12 @@ def _node(
 ) -> dict[str, Any]:
     plain = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
     ros = [word for word in arguments[len(plain) :] if word not in ("--ros-args", "--")]
+    given = [ros[i + 1].partition(":=")[::2] for i, word in enumerate(ros) if word == "-r"]
+    ros = [word for i, word in enumerate(ros) if "-r" not in ros[max(0, i - 1) : i + 1]]
     fact = {
         "kind": "node", "executable": program, "arguments": plain, "ros_arguments": ros, "env": node.env,
-        "prefix": shlex.split(node.prefix or ""), "remappings": _pairs(node.remappings), "files": files, "values": values,
+        "prefix": shlex.split(node.launch.prefix or ""), "remappings": _pairs(dict(given) | node.remappings), "files": files,
+        "values": values,
     }  # fmt: skip
     return fact | {key: value for key, value in (("name", name), ("namespace", node.namespace)) if value}
 
@@ -63,7 +69,7 @@ def _component(node: ComposableNode, written: dict[str, str], shares: dict[str, 
     values: dict[str, Any] = {}
     full = f"{node.namespace or ''}/{node.name}"
     for path in node.parameter_files:
-        for section, content in read11(_text(path, written, shares) or "{}").items():
+        for section, content in yaml.safe_load(_text(path, written, shares) or "{}").items():
             if applies_to(section, full):
                 values |= dict(_flat(content["ros__parameters"]))
     values |= dict(_flat(node.parameters))
@@ -76,6 +82,12 @@ def _component(node: ComposableNode, written: dict[str, str], shares: dict[str, 
 
 def _pairs(remappings: dict[str, str]) -> list[list[str]]:
     return [list(pair) for pair in sorted(remappings.items())]
+
+
+def of_one(sections: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the parameters of a file with one section, as launch writes it for one node; None of another file."""
+    (only, *others) = sections.values()
+    return None if others else only.get("ros__parameters")
 
 
 def _text(path: str, written: dict[str, str], shares: dict[str, Path]) -> str | None:

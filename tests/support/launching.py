@@ -84,7 +84,9 @@ def recorder() -> Iterator[None]:
         "launch_ros.parameter_descriptions": {
             name: type(name, (Entity,), {}) for name in ("ParameterFile", "ParameterValue")
         },
-        "launch_ros.substitutions": {"FindPackageShare": type("FindPackageShare", (Entity,), {})},
+        "launch_ros.substitutions": {
+            name: type(name, (Entity,), {}) for name in ("FindPackagePrefix", "FindPackageShare")
+        },
         "launch.substitutions": {name: type(name, (Entity,), {}) for name in ("Command", "EnvironmentVariable")},
     }
     for name, content in names.items():

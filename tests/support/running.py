@@ -1,19 +1,26 @@
 """Running the command line on files, in this process, as a user would in a shell."""
 
+import functools
+import json
 import os
-from dataclasses import dataclass
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+from ruamel.yaml import YAML
 
-from fogspec.base import digest
-from fogspec.cli import main
+from fogspec.backends.protocol import Unreachable
+from fogspec.backends.skypilot.client import Client
+from fogspec.cli import ALWAYS, ENDS, main
+from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
-from fogspec.results.standing import measured_values
-from fogspec.spec import fingerprints
-from fogspec.spec.loader import load, read_document
-from tests.support.files import write_yaml
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody
+from tests.support.once import once
+from tests.support.results import write
 
 
 @dataclass
@@ -39,33 +46,95 @@ class Shell:
         path.write_text(text, encoding="utf-8")
         return path
 
+    def neighbour(self, name: str, text: str) -> str:
+        """Write a spec and its workload into a directory of their own; return the path of the spec."""
+        self.write(f"specs/{name}/work.py", "print('work')\n")
+        path = f"specs/{name}/{name}.yaml"
+        self.write(path, text)
+        return path
+
     def read(self, name: str) -> str:
         return (self.folder / name).read_text(encoding="utf-8")
 
-    def __call__(self, *words: str, code: int | None = 0) -> Ended:
+    def __call__(self, *words: str, code: int | None = 0, run: Callable[[Sequence[str]], None] = main) -> Ended:
+        """Run a command line, by default of fogspec."""
         self.capsys.readouterr()
         before = os.getcwd()
         os.chdir(self.folder)
         try:
             with pytest.raises(SystemExit) as ended:
-                main(words)
+                run(words)
         finally:
             os.chdir(before)
         said = self.capsys.readouterr()
         found = Ended(int(ended.value.code or 0), said.out, said.err)
         assert code is None or found.code == code, f"{words}: {found}"
+        if run is main and words and words[0] in ENDS:
+            assert found.code in (*ALWAYS, *ENDS[words[0]]), f"{words[0]} --help does not name {found.code}: {words}"
         return found
+
+    def judged(self, *words: str, code: int | None = None) -> Ended:
+        """The same of a verb that judges; of `diff`, which reports, 3 is the code where it reports what is not approved."""
+        found = self(*words, code=None)
+        if words[0] == "diff" and not found.code:
+            listed = json.loads(self(*words, "-o", "json").out)["applications"]
+            edited = [sample for one in listed for sample in one["samples"] if sample["how"] == "edited"]
+            found.code = 3 if edited or any(one["running"] or not one["fresh"] for one in listed) else 0
+        assert code is None or found.code == code, f"{words}: {found}"
+        return found
+
+
+PARSE = YAML.parse
+
+
+@functools.lru_cache(1000)
+def _events(text: str) -> tuple[Any, ...]:
+    return tuple(PARSE(YAML(typ="safe", pure=True), text))
+
+
+def _parsed(yaml: YAML, text: str) -> Iterator[Any]:
+    """Yield the events of a text, which follow from it alone, and take ruamel.yaml a third of a command's time.
+
+    Commands of one test, and tests of one worker, read the same files again and again, and each command would be a process that
+    parses them. What is long, wrong or never ends is parsed as it is read.
+    """
+    if len(text) < 100_000:
+        try:
+            found = _events(text)
+        except Exception:
+            pass
+        else:
+            yield from found
+            return
+    yield from PARSE(yaml, text)
+
+
+def _unanswered(client: Client, _op: str, **_arguments: Any) -> Future[Any]:
+    """Answer as SkyPilot does where no API server may be started, as in tests, but without its process, which takes seconds."""
+    _ = client.version
+    call = Future[Any]()
+    call.set_exception(Unreachable("no API server runs here, and none may be started"))
+    return call
 
 
 @pytest.fixture
 def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Shell:
-    """An empty folder, with a cache of its own, no docker configuration and none of SkyPilot's catalogs."""
+    """An empty folder, with a cache of its own, no docker configuration, none of SkyPilot's catalogs and no answer of it."""
+    monkeypatch.setattr(Client, "begin", _unanswered)
+    monkeypatch.setattr(YAML, "parse", _parsed)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("SKY_RUNTIME_DIR", str(tmp_path / "sky"))
     monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path / "docker"))
+    monkeypatch.delenv("CI", raising=False)  # where tests run in CI, a project without a commit is deployed as well
     folder = tmp_path / "project"
     folder.mkdir()
     return Shell(folder, monkeypatch, capsys)
+
+
+def copied(shell: Shell, key: str, fill: Callable[[Shell], None]) -> None:
+    """Fill the folder with what `fill` writes, which is made once for all tests that ask for it by this key."""
+    made = once(key, lambda folder: fill(replace(shell, folder=folder)))
+    shutil.copytree(made, shell.folder, symlinks=True, dirs_exist_ok=True)
 
 
 CATALOG = """InstanceType,AcceleratorName,AcceleratorCount,vCPUs,MemoryGiB,Price,SpotPrice,Region,AvailabilityZone
@@ -89,26 +158,46 @@ def spec(name: str = "demo", **parts: str) -> str:
         "objective": "{alpha: 0.5}",
         "hardware": "{cpus: 2..8}",
         "infra": "[aws/r1]",
-        "benchmark": "{budget: $5, stop: {requests: 20, duration: 1min}, setup_timeout: 1min}",
+        "benchmark": "{budget: $5, stop: {requests: 20, duration: 1min}, ready_timeout: 1min}",
         **parts,
     }
+    body.setdefault("library", "none")  # machines are made up, and each case has a model of its own
     if "sampler" not in body["benchmark"]:
         body["benchmark"] = body["benchmark"].removesuffix("}") + ", sampler: grid}"
     head = f"apiVersion: fogspec.dev/v1alpha1\nkind: Application\nmetadata: {{name: {name}}}\nspec:\n"
     return head + "".join(f"  {key}: {value}\n" for key, value in body.items())
 
 
-def project(shell: Shell, **parts: str) -> None:
-    """A spec, its workload and a catalog, compiled."""
-    shell.write("offers.csv", CATALOG)
-    shell.write("specs/work.py", "print('work')\n")
-    shell.write("specs/demo.yaml", spec(**parts))
-    shell("compile", "specs/demo.yaml", "--catalog", "offers.csv")
+def project(shell: Shell, work: str = "print('work')\n", **parts: str) -> None:
+    """A spec, its workload and a catalog, compiled; once for all tests that begin with the same in an empty folder."""
+
+    def fill(made: Shell) -> None:
+        made.write("offers.csv", CATALOG)
+        made.write("specs/work.py", work)
+        made.write("specs/demo.yaml", spec(**parts))
+        made("compile", "specs/demo.yaml", "--catalog", "offers.csv")
+
+    if any(shell.folder.iterdir()):
+        fill(shell)
+    else:
+        copied(shell, f"a project: {work} {sorted(parts.items())}", fill)
 
 
-def measure(shell: Shell, only: int | None = None) -> None:
+def chosen(shell: Shell) -> None:
+    """The usual project, measured, with its manifest."""
+
+    def fill(made: Shell) -> None:
+        project(made)
+        measure(made)
+        made("compile", "specs/demo.yaml", "--catalog", "offers.csv")
+
+    copied(shell, "a project with its manifest", fill)
+
+
+def measure(shell: Shell, only: int | None = None, name: str = "demo") -> None:
     """Results for the plan's samples, as a bench would write them, with latencies that follow from the machines."""
-    plan = read_document(shell.folder / "compiled/demo/plan.yaml", Plan)
+    path = shell.folder / f"compiled/{name}/plan.yaml"
+    plan = read_document(path, Plan)
     body = plan.spec
     records = [
         Measured(
@@ -117,11 +206,4 @@ def measure(shell: Shell, only: int | None = None) -> None:
         )
         for one in body.samples[:only]
     ]  # fmt: skip
-    results = with_checksum(plan.metadata, ResultsBody(
-        application=fingerprints.measured_digest(load([str(shell.folder / "specs/demo.yaml")])[0].application),
-        plan=digest.of_bytes((shell.folder / "compiled/demo/plan.yaml").read_bytes()), pins=body.pins or None,
-        field_digests=body.application.field_digests, runner="local",
-        measured=measured_values(load([str(shell.folder / "specs/demo.yaml")])[0].application),
-        spent=round(sum(one.spent for one in records), 6), samples=records,
-    ))  # fmt: skip
-    write_yaml(shell.folder / "results/demo.yaml", results.model_dump(mode="json", exclude_none=True), "a test")
+    write(shell.folder / f"results/{name}", ResultsBody(inputs=body.inputs, runner="local", samples=records))

@@ -1,19 +1,24 @@
 """A tiny application in a folder of its own, and the command line on it, as a user has both."""
 
+import contextlib
 import json
 import os
 import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 
+from fogspec.cli import main
+from fogspec_lab import cli as lab
 from tests.support.forking import Ended, forked
 from tests.support.once import once
+from tests.support.results import document
 
 SPEC = """\
 apiVersion: fogspec.dev/v1alpha1
@@ -23,13 +28,13 @@ spec:
   cloud:
     - cmd: [python3, work.py]
   probe: {callback: work}
-  constraints: {latency: 1s, cost: $1/request}
-  hardware: {cpus: 1..4, memory: 1GiB..16GiB, machines: {allow: [c6i.*, m6i.*, c7i.*]}}
+  constraints: {latency: 1s, cost: $1/request, confidence: none}
+  hardware: {cpus: 1..4, memory: 1GiB..16GiB, allow: [c6i.*, m6i.*, c7i.*]}
   infra: [aws/us-east-1]
   benchmark:
     machines: [local/1cpu-1gib, local/2cpu-1gib]
     warmup: 1
-    setup_timeout: 1min
+    ready_timeout: 1min
     stop: {requests: 10, duration: 1min}
 """
 WORK = """\
@@ -47,7 +52,7 @@ import fogspec_probe
 count = 0
 while True:
     fogspec_probe.start("work")
-    while count == 3 and not os.path.exists("../../../../../specs/go"):  # from its copy of the folder
+    while count == 3 and not os.path.exists("../../../../../go"):  # from its copy of the folder
         time.sleep(0.01)
     time.sleep(0.01)
     fogspec_probe.stop("work")
@@ -64,17 +69,16 @@ class Scene:
 
     @classmethod
     def made(cls, folder: Path, work: str = WORK, spec: str = SPEC) -> "Scene":
-        """Spec, compiled, and workload; what was compiled before is copied, for it is the same in every folder."""
+        """Spec and workload, compiled; what was compiled before is copied, for it is the same in every folder."""
 
         def compiled(place: Path) -> None:
             first = cls(place)
             (place / "specs").mkdir()
             first.spec.write_text(spec)
-            (place / "specs" / "work.py").touch()
+            (place / "specs" / "work.py").write_text(work)
             assert first.run("compile").returncode == 0
 
-        shutil.copytree(once(f"scene {spec}", compiled), folder)
-        (folder / "specs" / "work.py").write_text(work)
+        shutil.copytree(once(f"scene {spec} {work}", compiled), folder)
         return cls(folder)
 
     @property
@@ -83,14 +87,15 @@ class Scene:
 
     @property
     def results(self) -> Path:
-        return self.folder / "results" / f"{self.name}.yaml"
+        return self.folder / "results" / self.name
 
     def command(self, verb: str, *words: str) -> list[str]:
         return [sys.executable, "-m", "fogspec", verb, f"specs/{self.name}.yaml", *words]
 
     def run(self, verb: str, *words: str) -> Ended:
         """Run to the end; no command may ever show a traceback or leave half-written files."""
-        ended = forked(self.folder, [verb, f"specs/{self.name}.yaml", *words], patience_s=240)
+        run = lab.main if verb in lab.COMMANDS else main
+        ended = forked(self.folder, [verb, f"specs/{self.name}.yaml", *words], patience_s=1200, run=run)
         assert "Traceback" not in ended.stdout + ended.stderr
         assert not [path for path in self.folder.rglob(".*.yaml.*") if path.is_file()]
         return ended
@@ -105,10 +110,10 @@ class Scene:
         return subprocess.Popen(words, cwd=self.folder, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
 
     def records(self) -> dict[str, dict[str, Any]]:
-        """What the results file says, by sample."""
+        """What the results say, by sample."""
         if not self.results.exists():
             return {}
-        return {record["id"]: record for record in self.document(self.results)["spec"]["samples"]}
+        return {record["id"]: record for record in document(self.results)["samples"]}
 
     def document(self, path: Path) -> Any:
         return YAML(typ="safe", pure=True).load(path)
@@ -158,9 +163,16 @@ def environments() -> list[tuple[int, list[bytes]]]:
     return found
 
 
-def until(true: Any, patience_s: float = 120.0) -> None:
-    """Wait until a condition holds; the patience only bounds hangs."""
+def tell(pids: Iterable[int], number: int) -> None:
+    """Send a signal to processes, of which some may have ended meanwhile."""
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, number)
+
+
+def until(true: Any, patience_s: float = 1200.0, pause_s: float = 0.05) -> None:
+    """Wait until a condition holds; the patience only bounds hangs, and the pause between looks what they cost."""
     end = time.monotonic() + patience_s
     while not true():
         assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.02)
+        time.sleep(pause_s)

@@ -18,7 +18,7 @@ def site() -> Path:
     def build(folder: Path) -> None:
         built = subprocess.run(
             [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
-            cwd=ROOT, capture_output=True, text=True, timeout=280, check=False,
+            cwd=ROOT, capture_output=True, text=True, timeout=1200, check=False,
             env={"PATH": "/usr/bin:/bin", "NO_MKDOCS_2_WARNING": "1"},
         )  # fmt: skip
         assert built.returncode == 0, built.stdout + built.stderr

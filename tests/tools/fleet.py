@@ -13,13 +13,11 @@ import sys
 import time
 from pathlib import Path
 
-from fogspec.base import digest
 from fogspec.cli import main
+from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
-from fogspec.results.schema import LatencySummary, Measured, ResultsBody, with_checksum
-from fogspec.spec import fingerprints
-from fogspec.spec.loader import load, read_document
-from tests.support.files import write_yaml
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody
+from tests.support.results import write
 
 SPEC = """apiVersion: fogspec.dev/v1alpha1
 kind: Application
@@ -32,9 +30,9 @@ spec:
   objective: {{alpha: {alpha}}}
   hardware: {{cpus: 2..32, memory: 4GiB..128GiB}}
   infra: [aws/us-east-1]
-  benchmark: {{budget: $5, sampler: grid, stop: {{requests: 20, duration: 1min}}, setup_timeout: 1min}}
+  benchmark: {{budget: $5, sampler: grid, stop: {{requests: 20, duration: 1min}}, ready_timeout: 1min}}
 """
-VERBS = (("ci",), ("ci", "--since", "HEAD"), ("status",), ("review", "HEAD"))
+VERBS = (("check",), ("check", "--since", "HEAD"), ("status",), ("diff", "--since", "HEAD"))
 
 
 def measure(name: str) -> None:
@@ -55,17 +53,7 @@ def measure(name: str) -> None:
         )
         for one in body.samples
     ]
-    results = ResultsBody(
-        application=fingerprints.measured_digest(load([f"specs/{name}.yaml"])[0].application),
-        plan=digest.of_bytes(path.read_bytes()),
-        pins=body.pins or None,
-        field_digests=body.application.field_digests,
-        runner="skypilot",
-        spent=round(sum(one.spent for one in records), 6),
-        samples=records,
-    )
-    whole = with_checksum(plan.metadata, results)
-    write_yaml(Path("results", f"{name}.yaml"), whole.model_dump(mode="json", exclude_none=True), "a test")
+    write(Path("results", name), ResultsBody(inputs=body.inputs, runner="skypilot", samples=records))
 
 
 def fogspec(*words: str) -> int:
@@ -86,12 +74,13 @@ def git(*words: str) -> None:
 def make(applications: int) -> None:
     """Write the repository into the working directory."""
     names = [f"app{number:03}" for number in range(applications)]
-    for folder in ("specs", "results"):
-        Path(folder).mkdir()
-    Path("specs/work.py").write_text("print('work')\n")
+    Path("results").mkdir()
     for number, name in enumerate(names):
         text = SPEC.format(name=name, number=number, alpha=0.2 + 0.6 * number / applications)
-        Path(f"specs/{name}.yaml").write_text(text)
+        folder = Path("specs", name)
+        folder.mkdir(parents=True)
+        (folder / "work.py").write_text("print('work')\n")
+        (folder / f"{name}.yaml").write_text(text)
     for words in (("lock", "--catalog", "snapshot"), ("compile",)):
         assert fogspec(*words) == 0, words
     for name in names:
@@ -121,7 +110,7 @@ def run(folder: str, applications: str = "300") -> None:
     try:
         for what, changed in (("nothing changed", 0), ("one changed", 1), ("all changed", int(applications))):
             for number in range(changed):
-                path = Path(f"specs/app{number:03}.yaml")
+                path = Path(f"specs/app{number:03}/app{number:03}.yaml")
                 path.write_text(path.read_text().replace("latency: 4s", "latency: 3s"))
             for words in VERBS:
                 timed(what, *words)

@@ -20,7 +20,7 @@ from fogspec.base.layout import Layout
 from fogspec.catalog.sources import load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.results.io import read_results
-from tools.generated import write_or_check
+from fogspec_lab.generated import write_or_check
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tests" / "data" / "suite"

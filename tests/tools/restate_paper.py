@@ -1,4 +1,4 @@
-"""Restates the paper's own measurements as results files: `python -m tests.tools.restate_paper PAPER_FOLDER`.
+"""Restates the paper's own measurements as results: `python -m tests.tools.restate_paper PAPER_FOLDER`.
 
 PAPER_FOLDER holds `measured.csv`, the sampled runs that the authors published with their code (KeplerC/FogROS2-sky,
 Apache-2.0, branch feature/gpu_mem_cpu_optimization, 2023-09), as one table. Figures are restated, nothing is added: a
@@ -9,14 +9,14 @@ import csv
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 from fogspec.base.layout import Layout
 from fogspec.catalog.machine import Gpu, Machine
-from fogspec.plan.schema import PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, with_checksum
-from fogspec.spec import fingerprints
-from fogspec.spec.loader import load
-from tests.support.files import write_yaml
+from fogspec.language.fingerprints import measured_record
+from fogspec.language.loader import load
+from fogspec.results.schema import LatencySummary, Measured, ResultsBody
+from tests.support.results import write
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECS = ("grasp-planning-recorded", "vslam-recorded", "motion-planning-recorded")
@@ -34,28 +34,24 @@ SOURCE = (
 
 
 def main(folder: Path) -> None:
-    """Write one results file for each of the paper's applications."""
+    """Write the results of each of the paper's applications."""
     with open(folder / "measured.csv", encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     specs = [ROOT / "specs" / f"{name}.yaml" for name in SPECS]
     applications = {one.application.metadata.name: one for one in load(specs)}
     for app, name in APPLICATIONS.items():
         loaded = applications[name]
-        results = restated(name, fingerprints.measured_digest(loaded.application), [r for r in rows if r["app"] == app])
+        body = restated(measured_record(loaded.application), [r for r in rows if r["app"] == app])
         layout = Layout.of(ROOT / "specs" / Path(loaded.path).name, name)
         made = "python -m tests.tools.restate_paper PAPER_FOLDER"
-        write_yaml(layout.results, results.model_dump(mode="json", exclude_none=True), made)
-        print(f"{layout.relative(layout.results)}: {len(results.spec.samples)} samples")
+        write(layout.results, body, made)
+        print(f"{layout.relative(layout.results)}: {len(body.samples)} samples")
 
 
-def restated(name: str, application_digest: str, rows: list[dict[str, str]]) -> Results:
+def restated(inputs: dict[str, Any], rows: list[dict[str, str]]) -> ResultsBody:
     """The rows of one application as results."""
     samples = [_record(row) for row in sorted(rows, key=lambda r: (r["gpu"], float(r["vcpus"]), r["instance"]))]
-    body = ResultsBody(
-        application=application_digest, plan=None, runner="recorded", source=SOURCE,
-        spent=round(sum(s.spent for s in samples), 6), samples=samples,
-    )  # fmt: skip
-    return with_checksum(PlanMetadata(name=name), body)
+    return ResultsBody(inputs=inputs, runner="recorded", source=SOURCE, samples=samples)
 
 
 def _record(row: dict[str, str]) -> Measured:

@@ -16,13 +16,15 @@ ROS2 = """\
 #!/bin/sh
 case "$1" in
   run)
+    prefix=
+    if [ "$2" = --prefix ]; then prefix=$3; shift 2; fi
     [ "$#" -ge 3 ] || exit 2
     package=$2 executable=$3
     shift 3
     IFS=:
-    for prefix in $AMENT_PREFIX_PATH; do
-      program=$prefix/lib/$package/$executable
-      if [ -x "$program" ]; then exec "$program" "$@"; fi
+    for folder in $AMENT_PREFIX_PATH; do
+      program=$folder/lib/$package/$executable
+      if [ -x "$program" ]; then unset IFS; exec $prefix "$program" "$@"; fi
     done
     echo "no package $package with an executable $executable is in $AMENT_PREFIX_PATH" >&2
     exit 1

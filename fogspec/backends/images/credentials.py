@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from fogspec.base import child
 from fogspec.base.errors import InvalidInput
-from fogspec.spec.lockfile import REGISTRY_LOGIN, image_of
+from fogspec.language.lockfile import REGISTRY_LOGIN, image_of
 
 DOCKER_HUB_KEYS = ("https://index.docker.io/v1/", "index.docker.io", "docker.io", "registry-1.docker.io")
 HELPER_TIMEOUT_S = 30.0

@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 
 from fogspec.backends.images.credentials import Credentials, credentials, credentials_of_machines
 from fogspec.base.errors import CloudError, InvalidInput
-from fogspec.spec.lockfile import DOCKER_HUB, REGISTRY_LOGIN, Image, image_of
+from fogspec.language.lockfile import DOCKER_HUB, REGISTRY_LOGIN, Image, image_of
 
 ACCEPT = ", ".join((
     "application/vnd.oci.image.index.v1+json", "application/vnd.docker.distribution.manifest.list.v2+json",

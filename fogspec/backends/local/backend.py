@@ -1,8 +1,8 @@
-"""Jobs on this host: the task's run script in a session of its own, limited to the machine's CPUs and memory.
+"""Jobs on this host: the work's script in a session of its own, limited to the machine's CPUs and memory.
 
 Every process of a job has the job's name and directory in its environment, so any process can find and stop all of them; both
-must match, so that a copy of a name in another checkout leads to no process. The task's
-`setup` is not run: this host is used as its owner set it up.
+must match, so that a copy of a name in another checkout leads to no process. Nothing is set up: this host is used as its
+owner set it up.
 """
 
 import contextlib
@@ -22,9 +22,10 @@ from fogspec.agent.shared_memory import SharedMemory
 from fogspec.backends import agent_state
 from fogspec.backends.local import environment, limits, processes
 from fogspec.backends.naming import Owner
-from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable
+from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable, Work
 from fogspec.backends.task_check import check_sources
-from fogspec.base import child
+from fogspec.base import child, host
+from fogspec.base.layout import MOST_BYTES
 from fogspec.base.project_files import LinkedPath
 from fogspec.base.text import count
 from fogspec.catalog.machine import Machine
@@ -52,7 +53,7 @@ class LocalBackend:
     no_accelerators: ClassVar[str]
 
     def __init__(self) -> None:
-        self._capacity = limits.host_capacity()
+        self._capacity = host.capacity()
 
     def start(self, job: Job) -> None:
         """Start the run script; raise LaunchRefused if this host is too small or a secret is not in the environment."""
@@ -67,7 +68,7 @@ class LocalBackend:
         if left := processes.end(find, GRACE_S + limits.KILL_S, lambda: [*map(limits.end_group, groups)]):
             raise Unreachable(f"processes {', '.join(map(str, left))} do not end")
 
-    def check_access(self, places: Collection[str]) -> None:
+    def check_access(self, places: Collection[str], briefly: bool = False) -> None:
         """Do nothing: this host is here."""
 
     def list(self, owner: Owner, directory: Path) -> Sequence[str]:
@@ -81,19 +82,21 @@ class LocalBackend:
         return sorted(found)
 
     def _launch(self, job: Job) -> limits.LimitedProcess:
-        machine = self._fitting(job.machine)
+        machine, work = self._fitting(job.machine), job.work
+        if work is None:
+            raise LookupError(f"{job.name} has nothing to run")
         check_sources(job)
-        given = self._environment(job)
+        given = self._environment(job, work)
         try:
             job.files.make_folder(job.directory / "out")
-            script = job.directory / "run.sh"
-            job.files.write(script, str(job.task.get("run") or "").encode())
+            script = job.directory / "run.sh"  # a copy, which no later compile changes while it runs
+            job.files.write(script, job.files.read(job.root / work.mounts[work.script], MOST_BYTES))
             with job.files.append(job.directory / "run.log") as log:
                 started = limits.start(
-                    ["bash", str(script.absolute())],
+                    ["bash", str(script.absolute()), *work.arguments],
                     cpus=max(1, math.ceil(machine.cpus)),
                     memory_gib=machine.memory,
-                    cwd=self._workdir(job),
+                    cwd=self._workdir(job, work),
                     env=given,
                     log=log,
                     name=group_of(job),
@@ -104,9 +107,11 @@ class LocalBackend:
             raise LaunchRefused("setup", f"cannot be started: {problem}") from problem
         return started
 
-    def _workdir(self, job: Job) -> Path:
+    def _workdir(self, job: Job, work: Work) -> Path:
         """Return the directory that the job runs in."""
-        return job.root / str(job.launched.get("workdir") or ".")
+        if work.workdir is None:
+            return job.root
+        return job.root / work.workdir if job.tree is None else job.tree.absolute()
 
     def _fitting(self, machine: Machine | None) -> Machine:
         """Return the machine; raise LaunchRefused if this host cannot stand in for it."""
@@ -120,19 +125,17 @@ class LocalBackend:
             raise LaunchRefused("capacity", f"needs {machine.cpus:g} CPUs and {machine.memory:g} GiB; {here}")
         return machine
 
-    def _environment(self, job: Job) -> dict[str, str]:
-        secrets = _mapping(job.task.get("secrets"))
-        if missing := [name for name in secrets if name not in os.environ]:
+    def _environment(self, job: Job, work: Work) -> dict[str, str]:
+        if missing := [name for name in work.secrets if name not in os.environ]:
             raise LaunchRefused("setup", f"the environment does not have {', '.join(sorted(missing))}")
-        shell = environment.passed(child.environment(), secrets)
-        task = {key: str(value) for key, value in _mapping(job.task.get("envs")).items()}
-        given = processes.equipped({**shell, **task}, job.directory / "out")
-        mounts = _mapping(job.task.get("file_mounts"))
+        shell = environment.passed(child.environment(), work.secrets)
+        set_at_launch = {key: value for key, value in work.envs.items() if value is not None}
+        given = processes.equipped({**shell, **set_at_launch}, job.directory / "out")
         for target, variable, folder in MOUNTED:
-            if target in mounts:
-                given[variable] = os.path.abspath(job.root / str(mounts[target]) / folder)
-        if "workdir" in job.task:
-            given[BUILT] = os.path.abspath(job.root / str(job.task["workdir"]))
+            if target in work.mounts:
+                given[variable] = os.path.abspath(job.root / work.mounts[target] / folder)
+        if work.workdir is not None:
+            given[BUILT] = os.path.abspath(job.root / work.workdir)
         if job.labels:
             given[LABELS] = json.dumps(dict(job.labels))
         return {**given, MARK: mark_of(job)}
@@ -161,15 +164,15 @@ class LocalSamples(LocalBackend):
         kept_back = len(shell) - len(environment.passed(shell))
         self.notes = (
             f"samples run on this host: CPUs by affinity, memory {memory}",
-            f"kept from the nodes: {count(kept_back, 'variable')} of your environment; to pass one on, name it in "
+            f"withheld from the nodes: {count(kept_back, 'variable')} of your environment; to pass one on, name it in "
             "spec.secrets or give it a value in the node's env",
             *_busy(os.getloadavg()[0], os.cpu_count() or 1),
         )
 
-    def _workdir(self, job: Job) -> Path:
+    def _workdir(self, job: Job, work: Work) -> Path:
         """Return a copy of the snapshot: as on machines, no sample finds what another one wrote there."""
-        place, copy = super()._workdir(job), job.directory / WORK
-        if job.tree is None or "workdir" not in job.task:
+        place, copy = super()._workdir(job, work), job.directory / WORK
+        if job.tree is None or work.workdir is None:
             return place
         job.files.make_folder(copy)
         shutil.copytree(place, copy, symlinks=True, dirs_exist_ok=True)
@@ -218,7 +221,6 @@ class LocalSamples(LocalBackend):
             waited_s=outcome.waited_s,
             server=outcome.server,
             resources=outcome.resources,
-            parts=agent_state.part_statuses(job),
         )
 
     def stop(self, job: Job) -> None:
@@ -271,6 +273,9 @@ class LocalDeployments(LocalBackend):
 
     poll_s = 0.1
     no_accelerators = "this host has no accelerators known to fogspec"
+
+    def close(self) -> None:
+        """Nothing runs for it."""
 
     def poll(self, job: Job) -> DeploymentStatus:
         """Return the supervisor's report while the job has processes."""

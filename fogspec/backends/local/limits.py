@@ -21,9 +21,8 @@ from pathlib import Path
 from typing import BinaryIO, Literal
 
 import fogspec
-from fogspec.base import child
+from fogspec.base import child, host
 
-CGROUPS = Path("/sys/fs/cgroup")
 MemoryBy = Literal["cgroup", "namespace", "rlimit"]
 MEMORY_TEXT = {
     "cgroup": "by cgroup",
@@ -161,23 +160,9 @@ def pick_cpus(count: int) -> tuple[int, ...]:
     return tuple(sorted(sorted(usable, key=lambda cpu: (turn[cpu], cpu))[:count]))
 
 
-def host_capacity() -> tuple[int, float]:
-    """Return the most CPUs and GiB that a job can have on this host, within limits of containers and slices."""
-    cpus = float(len(os.sched_getaffinity(0)))
-    memory_bytes: float = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    for folder in _limiting(""):
-        cpus = min(cpus, _share(*_text(folder / "cpu.max").partition(" ")[::2]))
-        memory_bytes = min(memory_bytes, _bytes(folder / "memory.max"))
-    for folder in _limiting("cpu"):
-        cpus = min(cpus, _share(_text(folder / "cpu.cfs_quota_us"), _text(folder / "cpu.cfs_period_us")))
-    for folder in _limiting("memory"):
-        memory_bytes = min(memory_bytes, _bytes(folder / "memory.limit_in_bytes"))
-    return max(1, math.floor(cpus)), memory_bytes / 2**30
-
-
 def groups(name: str) -> list[Path]:
     """Return the cgroups that `start` made under this name, by whatever process."""
-    return [Path(at, name) for at, below, _ in os.walk(_version_2()) if name in below]
+    return [Path(at, name) for at, below, _ in os.walk(host.version_2()) if name in below]
 
 
 def end_group(group: Path) -> None:
@@ -202,35 +187,8 @@ def memory_by() -> MemoryBy:
     return "namespace" if has_namespaces() else "rlimit"
 
 
-def _own(controller: str) -> str | None:
-    """Return this process's cgroup of a version 1 controller, or with "" that of version 2; None if there is none."""
-    rows = (line.split(":", 2) for line in _text(Path("/proc/self/cgroup")).splitlines())
-    return next((path.strip("/") for _, names, path in rows if controller in names.split(",")), None)
-
-
-def _limiting(controller: str) -> list[Path]:
-    """Return the directories whose limits hold for this process: its cgroup and all above, up to the visible root."""
-    root, own = CGROUPS / controller if controller else _version_2(), _own(controller)
-    return [] if own is None else [root / own, *(root / own).parents[: len(Path(own).parts)]]
-
-
-def _version_2() -> Path:
-    """Return where version 2 is mounted: on hybrid hosts beside the controllers of version 1."""
-    hybrid = CGROUPS / "unified"
-    return hybrid if (hybrid / "cgroup.procs").is_file() else CGROUPS
-
-
-def _share(quota: str, period: str) -> float:
-    return int(quota) / int(period) if quota.isdigit() and period.isdigit() else math.inf
-
-
-def _bytes(path: Path) -> float:
-    limit = _text(path)
-    return int(limit) if limit.isdigit() else math.inf
-
-
 def _core(cpu: int) -> str:
-    return _text(Path(f"/sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list")) or str(cpu)
+    return host.text(Path(f"/sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list")) or str(cpu)
 
 
 def _new_group(name: str, limit_bytes: int) -> tuple[Path | None, bool]:
@@ -240,7 +198,7 @@ def _new_group(name: str, limit_bytes: int) -> tuple[Path | None, bool]:
     with limits below it. Without a memory controller it is there to end its processes.
     """
     # Moving a process requires write access to the common ancestor of both cgroups.
-    possible = [above / name for above in _limiting("")[:2] if os.access(above / "cgroup.procs", os.W_OK)]
+    possible = [above / name for above in host.limiting("")[:2] if os.access(above / "cgroup.procs", os.W_OK)]
     for group in possible:
         with contextlib.suppress(OSError):
             group.mkdir()
@@ -268,12 +226,5 @@ def _limit(group: Path, limit_bytes: int) -> None:
 
 
 def _events(group: Path | None) -> dict[str, int]:
-    rows = (line.split() for line in _text(group / "memory.events").splitlines()) if group else ()
+    rows = (line.split() for line in host.text(group / "memory.events").splitlines()) if group else ()
     return {row[0]: int(row[1]) for row in rows if len(row) == 2 and row[1].isdigit()}
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="ascii", errors="replace").strip()
-    except OSError:
-        return ""

@@ -91,8 +91,10 @@ def end(find: Find, grace_s: float, force: Callable[[], object] = lambda: None) 
 
 def _killed(find: Find) -> list[int]:
     """Kill until nothing is found; all are stopped before the first is killed: others may start again what is killed."""
-    until_s, stopped = time.monotonic() + KILL_S, set[int]()
-    while (left := _rechecked(find)) and time.monotonic() < until_s:
+    until_s, stopped, tries = time.monotonic() + KILL_S, set[int](), 0
+    # A few tries whatever the time: the computer may have stood still.
+    while (left := _rechecked(find)) and (time.monotonic() < until_s or tries < CHECKS):
+        tries += 1
         if new := left - stopped:
             stopped |= send(new, signal.SIGSTOP)
             continue

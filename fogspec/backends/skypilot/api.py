@@ -22,6 +22,7 @@ from fogspec.base.project_files import ProjectFiles
 
 PREFIX = "fogspec-"
 LAUNCHES = ("launch", "sky.launch")
+SYSTEM = "skypilot-system"  # the user of the API server's own requests
 UNFINISHED = ("PENDING", "RUNNING")
 SETTLE_S = 5.0  # for a launch request that is still in flight
 
@@ -30,6 +31,24 @@ def hello() -> dict[str, Any]:
     """Return SkyPilot's version; a local API server is started if none runs."""
     sky.get(sky.status([PREFIX + "none"]))
     return {"version": sky.__version__}
+
+
+def serves() -> bool:
+    """Return whether an API server runs, also one that does not answer; none is started."""
+    try:
+        sky.api_info()
+    except Exception as problem:
+        cause: BaseException | None = problem  # that of `requests`, because of that of urllib3, because of the system's
+        while cause is not None and not isinstance(cause, ConnectionRefusedError):
+            cause = cause.__cause__ or cause.__context__
+        return cause is None
+    return True
+
+
+def end_server() -> None:
+    """End the API server on this computer, unless it has requests of others than itself."""
+    if all(one.user_id == SYSTEM for one in sky.api_status(all_status=False)):
+        sky.api_stop()
 
 
 def denied(clouds: Sequence[str]) -> list[str]:
@@ -295,5 +314,20 @@ def _word(status: Any) -> str:
 
 OPERATIONS: Mapping[str, Callable[..., Any]] = {
     one.__name__: one
-    for one in (hello, denied, infras, launch, launched, find, jobs, log, clusters, waiting, end, autostop)
+    for one in (
+        hello,
+        serves,
+        end_server,
+        denied,
+        infras,
+        launch,
+        launched,
+        find,
+        jobs,
+        log,
+        clusters,
+        waiting,
+        end,
+        autostop,
+    )
 }

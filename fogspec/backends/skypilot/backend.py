@@ -18,7 +18,16 @@ from typing import Any
 
 from fogspec.backends import agent_state
 from fogspec.backends.naming import Owner
-from fogspec.backends.protocol import Costs, DeploymentStatus, Job, LaunchRefused, SampleStatus, Unreachable, no_access
+from fogspec.backends.protocol import (
+    Costs,
+    DeploymentStatus,
+    Job,
+    LaunchRefused,
+    NoAnswer,
+    SampleStatus,
+    Unreachable,
+    no_access,
+)
 from fogspec.backends.skypilot import job_outcome, logs, secrets_file
 from fogspec.backends.skypilot.client import Client, result
 from fogspec.backends.skypilot.errors import FORGOTTEN, CloudProblem
@@ -74,17 +83,27 @@ class SkyPilotBackend:
         except (CloudProblem, CloudError) as problem:
             raise Unreachable(str(problem)) from None
 
-    def check_access(self, places: Collection[str]) -> None:
-        """Raise CloudError if SkyPilot does not answer, or has no access to the cloud, context or cluster of a place."""
-        clouds = sorted({cloud_of(place).name for place in places})
+    def close(self) -> None:
+        """End the worker."""
+        self._client.close()
+
+    def check_access(self, places: Collection[str], briefly: bool = False) -> None:
+        """Raise CloudError if SkyPilot does not answer, or has no access to the cloud, context or cluster of a place.
+
+        If `briefly`, an API server that this starts is ended.
+        """
+        clouds, ran = sorted({cloud_of(place).name for place in places}), True
         try:
+            ran = not briefly or self._client.call("serves", CALL_S)
             denied = self._client.call("denied", ACCESS_S, clouds=clouds)
             named = sorted({name for place in places if (name := _pool(place)) is not None})
             known = self._client.call("infras", ACCESS_S) if named and not denied else []
         except (CloudProblem, Unreachable) as problem:
-            raise CloudError(
-                f"SkyPilot does not answer: {problem}", "see what it says itself: sky api status"
-            ) from None
+            raise NoAnswer(f"SkyPilot does not answer: {problem}", "see what it says itself: sky api status") from None
+        finally:
+            if not ran:
+                with contextlib.suppress(CloudProblem, CloudError, Unreachable):
+                    self._client.call("end_server", CALL_S)
         if denied:
             raise no_access(f"it has no access to {', '.join(denied)}", denied)
         for name in named:
@@ -297,7 +316,7 @@ class SkyPilotSamples(SkyPilotBackend):
 
     def _after_follow(self, job: Job, watch: Watch) -> None:
         # Another process cannot tell from the log when it was written.
-        if logs.unpack(job.files, job.directory / LOG, job.directory / "out", job.parts) and watch.own:
+        if logs.unpack(job.files, job.directory / LOG, job.directory / "out") and watch.own:
             record = {"status": "ended", "end_at": time.time()}
             watch.status = job_outcome.final_status(job, record, _launched_s(job))
         else:
@@ -316,7 +335,7 @@ class SkyPilotSamples(SkyPilotBackend):
 
     def _after_log(self, job: Job, watch: Watch) -> None:
         watch.reads += 1
-        if logs.unpack(job.files, job.directory / LOG, job.directory / "out", job.parts) or watch.reads == READS:
+        if logs.unpack(job.files, job.directory / LOG, job.directory / "out") or watch.reads == READS:
             watch.status = job_outcome.final_status(job, watch.record or {}, _launched_s(job))
         else:
             watch.due_s = time.monotonic() + LAUNCH_POLL_S

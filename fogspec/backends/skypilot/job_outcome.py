@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
-from fogspec.backends.agent_state import part_statuses, read_outcome, resource_use, server_facts
+from fogspec.backends.agent_state import read_outcome, resource_use, server_facts
 from fogspec.backends.protocol import Job, SampleStatus
 from fogspec.backends.skypilot import logs
+from fogspec.base.layout import MOST_BYTES
 
 LOG = "run.log"
 ENDED = "ended.json"
@@ -30,11 +31,10 @@ def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> Samp
     detail = outcome.detail
     if outcome.reason == "out_of_memory" and job.machine is not None:
         detail = f"{job.machine.memory:g} GiB were not enough: {detail}"
-    ended_s, measured_s, parts = record.get("end_at"), outcome.measured_s, part_statuses(job)
+    ended_s, measured_s = record.get("end_at"), outcome.measured_s
     setup_s = None
     if ended_s is not None and measured_s is not None:
-        parts_s = sum(one.billed_s or 0.0 for one in parts.values())
-        setup_s = max(0.0, ended_s - launched_s - measured_s - parts_s)
+        setup_s = max(0.0, ended_s - launched_s - measured_s)
     return replace(
         status,
         reason=outcome.reason,
@@ -45,7 +45,6 @@ def final_status(job: Job, record: Mapping[str, Any], launched_s: float) -> Samp
         setup_s=setup_s,
         server=outcome.server,
         resources=outcome.resources,
-        parts=parts,
     )
 
 
@@ -72,7 +71,6 @@ def read_final(job: Job) -> SampleStatus | None:
         "timings": timings if values.get("timings") else None,
         "server": server,
         "resources": resource_use(values.get("resources")),
-        "parts": part_statuses(job),
     }
     return SampleStatus(**{**values, **found})
 
@@ -85,15 +83,14 @@ def write_final(job: Job, status: SampleStatus) -> None:
         "recorded": None,
         "server": server,
         "resources": None if status.resources is None else status.resources.model_dump(mode="json"),
-        "parts": {},
     }
-    save(job, ENDED, {**asdict(replace(status, parts={})), **others})
+    save(job, ENDED, {**asdict(status), **others})
 
 
 def load(job: Job, name: str) -> dict[str, Any] | None:
     """Return the values in a file of the job's directory; None if it has none."""
     with contextlib.suppress(OSError, ValueError):
-        values = json.loads(job.files.read(job.directory / name))
+        values = json.loads(job.files.read(job.directory / name, MOST_BYTES))
         return values if isinstance(values, dict) else None
     return None
 

@@ -7,22 +7,19 @@ import contextlib
 import math
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from fogspec.backends import agent_state
 from fogspec.backends.protocol import Partial
 from fogspec.base.project_files import ProjectFiles
-from fogspec.plan.schema import Part
 
 LOG_LIMIT = 256 * 2**20
 LINE_LIMIT = 2**20
 # SkyPilot's prefix of each line: the task's name and process, in color.
 PREFIX = re.compile(rb"^(?:\x1b\[[0-9;]*m)*\([^()\n]{0,200}pid=\d+[^()\n]{0,100}\)(?:\x1b\[[0-9;]*m)* ?")
-MARKER = re.compile(
-    rb"^=== fogspec (begin|end) ((?:(?:half|quarter|eighth)/)?(?:outcome\.json|timings\.jsonl)) ===\s*$"
-)
+MARKER = re.compile(rb"^=== fogspec (begin|end) (outcome\.json|packages\.txt|timings\.jsonl) ===\s*$")
 TIMINGS = b"timings.jsonl"
 MEASURES = b"=== fogspec measures ==="
 SO_FAR = re.compile(rb"=== fogspec so far: (\d{1,12}) requests(?:, mean ([0-9.e+-]{1,24}) s)? ===")
@@ -31,14 +28,12 @@ OOM = re.compile(rb"oom[-_ ]kill|out of memory", re.IGNORECASE)
 TAIL_BYTES = 16 * 2**10
 
 
-def unpack(files: ProjectFiles, log: Path, folder: Path, parts: Sequence[Part] = ()) -> bool:
+def unpack(files: ProjectFiles, log: Path, folder: Path) -> bool:
     """Write the files in the log to `folder`, the last of each name; return whether the timings are complete.
-
-    With `parts` of the machine those of the last part are meant, which are printed last.
 
     Timings without an end are kept: their lines were measured.
     """
-    part, last = folder / "part", b"/".join([*(one.part.encode() for one in parts[-1:]), TIMINGS])
+    part = folder / "part"
     name, out, whole = b"", None, False
     try:
         for line in _lines(files, log):
@@ -51,12 +46,12 @@ def unpack(files: ProjectFiles, log: Path, folder: Path, parts: Sequence[Part] =
                 out.close()
                 if marker[1] == b"end" and marker[2] == name:
                     files.move(part, folder / name.decode())
-                    whole = name == last
+                    whole = name == TIMINGS
             out, name = (files.create(part), marker[2]) if marker[1] == b"begin" else (None, b"")
     finally:
         if out is not None:
             out.close()
-            if name.endswith(TIMINGS):
+            if name == TIMINGS:
                 files.move(part, folder / name.decode())
         files.remove(part)
     return whole

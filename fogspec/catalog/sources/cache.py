@@ -26,6 +26,7 @@ READERS = (
     "catalog/sources/cache.py",
     "catalog/sources/gcp.py",
     "catalog/sources/parse.py",
+    "catalog/table.py",
 )
 COLUMNS = [field.name for field in fields(Catalog) if field.name != "about"]
 FLAGS = ("spot", "burstable")

@@ -43,5 +43,7 @@ def table(path: str | Path, cloud: str | None, about: About, shown: str | None =
         catalog = cached(raw, name, cloud, lambda: read(decompress(raw, path, MOST_BYTES), name, cloud, empty))
     except OSError as problem:
         raise InvalidInput(f"{path}: the catalog cannot be read: {problem.strerror}") from None
-    found = replace(about, digest=catalog.about.digest, notes=(*about.notes, *catalog.about.notes))
+    read_as = catalog.about
+    notes = (*about.notes, *read_as.notes)
+    found = replace(about, digest=read_as.digest, notes=notes, core_hours=read_as.core_hours)
     return replace(catalog, about=found)

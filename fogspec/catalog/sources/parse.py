@@ -2,7 +2,8 @@
 
 Columns of SkyPilot's catalog schema v8: InstanceType, AcceleratorName, AcceleratorCount, vCPUs, MemoryGiB, GpuInfo,
 Price, SpotPrice, Region, AvailabilityZone, Arch. Also read: Cloud, Family, PhysicalCores, ClockGHz,
-Burstable, GpuMemMiB. Other columns are ignored.
+Burstable, GpuMemMiB. Other columns are ignored. A table of one's own machines may be without the column Price: an hour of a
+machine then costs its vCPUs, in core-hours.
 """
 
 import gc
@@ -21,7 +22,8 @@ from fogspec.base.digest import of_bytes
 from fogspec.catalog.sources import gcp
 from fogspec.catalog.table import About, Catalog, Floats, Strings, strings
 
-REQUIRED = ("InstanceType", "vCPUs", "MemoryGiB", "Price", "Region")
+REQUIRED = ("InstanceType", "vCPUs", "MemoryGiB", "Region")
+CORE_HOURS = "no column Price: costs are core-hours (core-h), and $1 in a spec stands for one"
 GPU_MIB = re.compile(r"SizeInMiB\D{1,20}(\d{1,9})")
 TRUE = ("1", "1.0", "true", "True")
 ARCHITECTURES = {"aarch64": "arm64", "arm": "arm64", "amd64": "x86_64", "x64": "x86_64", "i386": "x86_64"}
@@ -50,12 +52,28 @@ def _read(content: bytes, path: str, cloud: str | None, about: About) -> Catalog
         raise DiagnosticError([Diagnostic("FS401", message, Span(path, 1, 1))])
     machines, spot = _machines(rows, cloud or "", about), rows.numbers("SpotPrice")
     rows.check()
-    notes = [*about.notes, *_left_out(rows, machines, spot)]
+    notes, core_hours = [*about.notes], "Price" not in rows.columns
+    if core_hours:
+        _check_core_hours(rows, machines)
+        machines = replace(machines, price_usd_per_hour=machines.vcpus)
+        notes.append(f"{path}: {CORE_HOURS}")
+    notes += _left_out(rows, machines, spot)
     offers = _priced(*gcp.joined(_unpriced(machines), spot))
     once = offers.merged()
     if repeated := len(offers) - len(once):
         notes.append(f"{path}: {repeated:,} offers are repeated: the highest price of each counts")
-    return replace(once, about=replace(about, digest=digest(content), notes=tuple(notes)))
+    found = replace(about, digest=digest(content), notes=tuple(notes), core_hours=core_hours)
+    return replace(once, about=found)
+
+
+def _check_core_hours(rows: CsvTable, machines: Catalog) -> None:
+    """Raise DiagnosticError unless every machine is one's own, and the column Price is left out and not misspelled."""
+    misspelled = sorted(name for name in rows.columns if "price" in name.lower() or "cost" in name.lower())
+    rented = sorted({cloud for cloud in set(machines.cloud) if cloud_of(cloud).priced})
+    if misspelled or rented:
+        instead = f"it has {misspelled[0]}" if misspelled else f"machines of {rented[0]} have prices"
+        message = f"a catalog needs the column Price, in USD per hour: {instead}"
+        raise DiagnosticError([Diagnostic("FS401", message, Span(rows.path, 1, 1))])
 
 
 def digest(content: bytes) -> str:

@@ -4,7 +4,7 @@ from fogspec.compile.links.none import NoLink
 from fogspec.compile.links.protocol import Link
 from fogspec.compile.links.wireguard import WireGuard
 from fogspec.compile.links.zenoh import Zenoh
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
 
 LINKS: dict[str, Link] = {link.name: link for link in (NoLink(), Zenoh(), WireGuard())}
 

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 from fogspec.compile.links.protocol import LinkEnd
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
+from fogspec.language.warned import Warned
 
 
 class NoLink:
@@ -19,8 +20,8 @@ class NoLink:
         """Return an end without files and environment."""
         return LinkEnd({}, {})
 
-    def notes(self, application: Application, cloud: str) -> Sequence[str]:
-        """Return no notes."""
+    def warnings(self, application: Application, cloud: str) -> Sequence[Warned]:
+        """Return no warnings."""
         return ()
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:

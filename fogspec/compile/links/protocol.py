@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
+from fogspec.language.warned import Warned
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +37,8 @@ class Link(Protocol):
         """Return the files and the environment of one end."""
         ...
 
-    def notes(self, application: Application, cloud: str) -> Sequence[str]:
-        """Return notes for the reviewer about this link on this cloud."""
+    def warnings(self, application: Application, cloud: str) -> Sequence[Warned]:
+        """Return warnings for the reviewer about this link on this cloud."""
         ...
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:

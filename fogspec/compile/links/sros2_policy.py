@@ -6,8 +6,8 @@ A spec does not declare publishers and subscribers, so each node may do both wit
 from collections.abc import Sequence
 
 from fogspec.base.text import xml
-from fogspec.spec.graph_names import exposed
-from fogspec.spec.schema import Application, Node
+from fogspec.language.graph_names import exposed
+from fogspec.language.schema import Application, Node
 
 # Topics that every ROS 2 node uses: its log, its parameters, the clock.
 OF_EVERY_NODE = {"publish": ("rosout", "parameter_events"), "subscribe": ("parameter_events", "clock")}

@@ -10,7 +10,8 @@ from typing import Literal
 
 from fogspec.base.clouds import cloud_of
 from fogspec.compile.links.protocol import LinkEnd
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
+from fogspec.language.warned import Warned, open_port, warned
 
 # Shared address space of RFC 6598, which private networks of homes and data centers rarely use.
 SPACE = ipaddress.IPv4Network("100.64.0.0/10")
@@ -52,13 +53,12 @@ class WireGuard:
         files = {f"{side}.conf": "\n".join(lines) + "\n", f"{side}.fastdds.xml": fast_dds(only)}
         return LinkEnd(files, environment)
 
-    def notes(self, application: Application, cloud: str) -> Sequence[str]:
+    def warnings(self, application: Application, cloud: str) -> Sequence[Warned]:
         """Return the port that the user must open, because SkyPilot opens TCP ports only."""
         if not cloud_of(cloud).on_skypilot:
             return ()
         port = application.spec.connectivity.port or self.port
-        how = "fogspec apply says the command" if cloud_of(cloud).open_udp else f"in the way of {cloud}"
-        return (f"open UDP port {port} of the machine yourself, because SkyPilot opens TCP ports only: {how}",)
+        return (warned(open_port, cloud=cloud, protocol="udp", port=port),)
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:
         """Return a command of the cloud's CLI that opens the port to every address, if it is known."""

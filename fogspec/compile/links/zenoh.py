@@ -13,8 +13,9 @@ from typing import Any, Literal
 
 from fogspec.base.clouds import cloud_of
 from fogspec.compile.links.protocol import LinkEnd
-from fogspec.spec.graph_names import AllowedNames, exposed
-from fogspec.spec.schema import Application
+from fogspec.language.graph_names import AllowedNames, exposed
+from fogspec.language.schema import Application
+from fogspec.language.warned import Warned, open_port, warned
 
 LOCAL = "tcp/127.0.0.1:7447"  # default router address of rmw_zenoh_cpp nodes
 DATA = ["put", "delete", "declare_subscriber"]
@@ -37,11 +38,11 @@ class Zenoh:
         config = router(application, side, application.spec.connectivity.port or self.port)
         return LinkEnd({f"{side}.json5": _text(config)}, {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"})
 
-    def notes(self, application: Application, cloud: str) -> Sequence[str]:
+    def warnings(self, application: Application, cloud: str) -> Sequence[Warned]:
         """Return the port that the user must open, if the cloud does not open ports."""
         if not cloud_of(cloud).opens_ports:
             port = application.spec.connectivity.port or self.port
-            return (f"{cloud} opens no ports: let the robot reach TCP port {port} of the machine yourself",)
+            return (warned(open_port, cloud=cloud, protocol="tcp", port=port),)
         return ()
 
     def opening(self, application: Application, infra: str, address: str) -> str | None:

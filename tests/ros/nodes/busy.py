@@ -1,6 +1,6 @@
 """A node with a known busy time: a service, an action, or a topic that answers another. Writes how long it really took.
 
-busy.py service|action|topic BUSY_S TRUTH_FILE [--depth N] [--die-after N] [--silent] [--fail-every N]
+busy.py service|action|topic BUSY_S TRUTH_FILE [--depth N] [--die-after N] [--silent] [--fail-every N] [--hears TOPIC]
 """
 
 import argparse
@@ -26,6 +26,7 @@ parser.add_argument("--watchers", type=int, default=0, help="answer only once so
 parser.add_argument("--die-after", type=int)
 parser.add_argument("--silent", action="store_true")
 parser.add_argument("--fail-every", type=int)
+parser.add_argument("--hears", action="append", default=[], help="topics that no node publishes")
 options = parser.parse_args()
 rclpy.init()
 node = rclpy.create_node("busy")
@@ -75,5 +76,7 @@ else:
     while publisher.get_subscription_count() < options.watchers:
         time.sleep(0.05)
     node.create_subscription(Imu, "/imu", answer, options.depth)
+    for topic in options.hears:
+        node.create_subscription(Imu, topic, answer, options.depth)
 with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
     rclpy.spin(node)

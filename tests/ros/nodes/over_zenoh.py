@@ -18,10 +18,19 @@ import time
 import zenoh
 
 TYPE = "std_srvs::srv::dds_::Trigger_/RIHS01_eeff2cd6fbfe36a27c4e5fdd3e0ac3e5c1f2f0a49e1c0a1b2c3d4e5f60718293"
+ROUTER = "tcp/127.0.0.1:7447"
 
 
-def session(endpoint: str = "tcp/127.0.0.1:7447") -> zenoh.Session:
-    """A peer that finds its router on loopback, as rmw_zenoh_cpp's default configuration says."""
+def session() -> zenoh.Session:
+    """A peer that waits for its router on loopback, as rmw_zenoh_cpp's default configuration says."""
+    while True:
+        try:
+            return opened(ROUTER)
+        except zenoh.ZError:
+            time.sleep(0.2)
+
+
+def opened(endpoint: str) -> zenoh.Session:
     config = zenoh.Config()
     for key, value in {
         "mode": "peer", "connect/endpoints": [endpoint], "listen/endpoints": ["tcp/localhost:0"],
@@ -114,7 +123,7 @@ def graph(words: list[str]) -> None:
 
 def plain(words: list[str]) -> None:
     try:
-        session(words[0]).close()
+        opened(words[0]).close()
         print(json.dumps("open"))
     except zenoh.ZError:
         print(json.dumps("refused"))

@@ -285,7 +285,7 @@ def confine(name: str, group: str, file: str, value: int) -> Path | None:
     return path
 
 
-def until(true: Callable[[], bool], patience_s: float = 300.0) -> None:
+def until(true: Callable[[], bool], patience_s: float = 1200.0) -> None:
     """Wait for something that takes a moment."""
     end = time.monotonic() + patience_s
     while not true():

@@ -63,5 +63,5 @@ def furnish() -> None:
 def ask(path: str, **said: Any) -> Any:
     """Tell the cloud what is to go wrong, or ask what did."""
     request = urllib.request.Request(ENDPOINT + path, data=json.dumps(said).encode())
-    with urllib.request.urlopen(request, timeout=30) as answer:
+    with urllib.request.urlopen(request, timeout=600) as answer:
         return json.load(answer)

@@ -21,7 +21,6 @@ from typing import Any
 
 from tests.support.registries import HTPASSWD, PASSWORD, USER
 from tests.tools import network
-from tests.tools.aws import cloud
 from tests.tools.slurm import nodes, ros
 
 ROOT = Path(__file__).resolve().parents[3] / "build" / "image" / "root.tar"
@@ -65,13 +64,15 @@ class Images:
             f"auth: {{htpasswd: {{realm: here, path: {self.folder}/htpasswd}}}}\n"
             f"http: {{addr: '{REGISTRY}', tls: {{certificate: {self.certificate}, key: {self.folder}/key.pem}}}}\n"
         )
+        from tests.tools.aws.cloud import until  # with moto, which takes a second that only this needs
+
         told = self.account / "registry.json"
         with open(self.folder / "log", "wb") as log:
             server = subprocess.Popen(
                 ["docker-registry", "serve", str(self.folder / "config.yml")], stdout=log, stderr=log
             )
         try:
-            cloud.until(self._answers)
+            until(self._answers)
             told.write_text(json.dumps({"name": REGISTRY, "certificate": self.certificate.read_text()}))
             yield
         finally:

@@ -23,6 +23,8 @@ ARGUMENT_PAIRS = ("-r", "--remap", "-p", "--param", "--params-file", "--log-leve
 def main() -> None:
     """Answer every question in a child of its own: a launch file is a program, and may do what it likes."""
     _stand_ins()
+    for name, value in {"ROS_DISTRO": "jazzy", "ROS_VERSION": "2", "ROS_PYTHON_VERSION": "3"}.items():
+        os.environ.setdefault(name, value)  # as where ROS 2 is sourced
     for line in sys.stdin:
         read, write = os.pipe()
         if (child := os.fork()) == 0:

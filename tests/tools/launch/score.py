@@ -20,16 +20,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.templates import render
 from fogspec.compile.launch_source import words
-from fogspec.spec.launch_import import read_launch
-from fogspec.spec.launch_import.found import LaunchImport
-from fogspec.spec.launch_import.packages import Packages, package_of
-from fogspec.spec.launch_import.parameters import applies_to
-from fogspec.spec.loader import check_file
-from fogspec.spec.scaffold import first_data, first_text
-from fogspec.spec.schema import Node
+from fogspec.importers.launch import read_launch
+from fogspec.importers.launch.found import LaunchImport
+from fogspec.importers.launch.packages import Packages, package_of
+from fogspec.importers.launch.sandboxed.parameters import applies_to
+from fogspec.importers.scaffold import first_data, first_text
+from fogspec.language.loader import check_file
+from fogspec.language.schema import Node
 
 ORACLE = Path(__file__).with_name("oracle.py")
 NAMES = re.compile(r".*[._]?launch\.(py|xml|ya?ml)$")
@@ -77,7 +79,7 @@ class Oracle:
     def close(self) -> None:
         assert self.child.stdin is not None
         self.child.stdin.close()
-        self.child.wait(60)
+        self.child.wait(600)
 
 
 def score(path: Path, folder: Path, arguments: dict[str, str], oracle: Oracle | None) -> Score:
@@ -227,22 +229,18 @@ def _effect(sequence: list[list[Any]], packages: dict[str, str], node: str | Non
 
 def _content(file: str) -> str:
     """Return a file by what is in it, if it is here: the spec may hold a copy."""
-    from fogspec.base.yaml.reader11 import NotYaml, read11
-
     if file.startswith("{"):
         return file
     try:
-        return json.dumps(read11(Path(file).read_text("utf-8")), sort_keys=True, default=str)
-    except (OSError, ValueError, NotYaml):
+        return json.dumps(yaml.safe_load(Path(file).read_text("utf-8")), sort_keys=True, default=str)
+    except (OSError, ValueError, yaml.YAMLError):
         return file
 
 
 def _names(content: str, node: str | None) -> set[str]:
-    from fogspec.base.yaml.reader11 import NotYaml, read11
-
     try:
-        data = json.loads(content) if content.startswith("{") else read11(Path(content).read_text("utf-8"))
-    except (OSError, ValueError, NotYaml):
+        data = json.loads(content) if content.startswith("{") else yaml.safe_load(Path(content).read_text("utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
         return set()
     names: set[str] = set()
 
@@ -252,7 +250,7 @@ def _names(content: str, node: str | None) -> set[str]:
                 names.add(f"{prefix}{key}")
                 walk(below, section, True, f"{prefix}{key}.")
             elif key == "ros__parameters":
-                walk(below, section, applies_to(section, node), "")
+                walk(below, section, applies_to(section, node or ""), "")
             else:
                 walk(below, f"{section}/{key}", False, "")
 
@@ -316,7 +314,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(one.path, "SILENT" if one.silent else "", one.refused or "", *one.differences, sep="\n    ")
     if options.golden:
         options.golden.write_text(
-            json.dumps({one.path: one.facts for one in scores}, indent=1, sort_keys=True) + "\n", "utf-8"
+            json.dumps({one.path: one.facts for one in scores if one.real is None}, indent=1, sort_keys=True) + "\n",
+            "utf-8",
         )
     if options.json:
         options.json.write_text(json.dumps([vars(one) for one in scores], indent=1), "utf-8")

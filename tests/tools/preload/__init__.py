@@ -50,7 +50,7 @@ def played(node: Path, commands: str, asked: dict[str, str] | None = None) -> tu
         **(asked or ASKED),
     }
     ran = subprocess.run(
-        [node], input=commands, text=True, env=environment, capture_output=True, timeout=60, check=True
+        [node], input=commands, text=True, env=environment, capture_output=True, timeout=600, check=True
     )
     lines = timings.read_text().splitlines() if timings.exists() else []
     return [json.loads(line) for line in lines], ran.stdout
@@ -59,6 +59,6 @@ def played(node: Path, commands: str, asked: dict[str, str] | None = None) -> tu
 def cost_s(node: Path, count: int = 200_000) -> float:
     """Seconds of CPU that the library takes for one request: with it, minus without it."""
     bare = subprocess.run(
-        [node], input=f"loop {count}\n", text=True, capture_output=True, timeout=60, check=True
+        [node], input=f"loop {count}\n", text=True, capture_output=True, timeout=600, check=True
     ).stdout
     return (int(play(node, f"loop {count}\n")[1]) - int(bare)) / 1e9

@@ -115,13 +115,13 @@ def start(folder: Path) -> None:
 def run(folder: Path, *words: str) -> str:
     """What a command prints; raises CalledProcessError with what it said."""
     environment = os.environ | {"SLURM_CONF": str(folder / "slurm.conf")}
-    ended = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=60)
+    ended = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=600)
     if ended.returncode:
         raise SystemExit(f"{' '.join(words)}: {ended.stderr.strip() or ended.stdout.strip()}")
     return ended.stdout
 
 
-def idle(folder: Path, patience_s: float = 60.0) -> None:
+def idle(folder: Path, patience_s: float = 1200.0) -> None:
     """Wait until every node is idle."""
     end = time.monotonic() + patience_s
     while (states := run(folder, "sinfo", "-h", "-N", "-o", "%T").split()) != ["idle"] * len(SHAPES):

@@ -71,12 +71,12 @@ def clusters(folder: Path, refresh: bool = False) -> list[str]:
 def known(environment: dict[str, str], refresh: bool = False) -> list[str]:
     """The same, for the engine of this environment."""
     code = KNOWN % ("FORCE" if refresh else "NONE")
-    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=600)
     names: list[str] = json.loads(ended.stdout.splitlines()[-1])
     return names
 
 
-def start(environment: dict[str, str], patience_s: float = 600.0) -> None:
+def start(environment: dict[str, str], patience_s: float = 1200.0) -> None:
     """Have the API server of this environment running: on a busy host it may take longer than SkyPilot itself waits."""
     end = time.monotonic() + patience_s
     while True:

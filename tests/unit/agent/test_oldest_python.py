@@ -47,10 +47,10 @@ def test_each_module_is_in_the_words_of_python_3_10(module: Path) -> None:
 @pytest.mark.parametrize("python", [*filter(None, (sys.executable, oldest()))], ids=lambda path: Path(path).name)
 def test_each_module_can_be_imported_and_the_probe_times(python: str, tmp_path: Path) -> None:
     names = [path.stem for path in MODULES if path.stem != "__init__"]
-    subprocess.run([python, "-I", "-c", IMPORTS, AGENT, *names], check=True, timeout=120)
+    subprocess.run([python, "-I", "-c", IMPORTS, AGENT, *names], check=True, timeout=600)
     (tmp_path / "fogspec_probe.py").write_bytes((AGENT / "fogspec_probe.py").read_bytes())
     timings = tmp_path / "timings.jsonl"
     environment = {"PATH": "/usr/bin:/bin", "FOGSPEC_TIMINGS": str(timings)}
-    subprocess.run([python, "-I", "-c", TIMED, tmp_path], check=True, timeout=60, env=environment)
+    subprocess.run([python, "-I", "-c", TIMED, tmp_path], check=True, timeout=600, env=environment)
     text = timings.read_text("utf-8")
     assert ('"name": "plan"' in text, '"reason": "lost"' in text) == (True, True)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fogspec.agent.stopping import Timings, interval
+from fogspec.agent.intervals import interval
+from fogspec.agent.stopping import Timings
 
 RUNS = 200
 SHARES = {"p50": 0.5, "p95": 0.95}
@@ -19,7 +20,7 @@ def stopped_at(chance: random.Random, deviation: float, resemblance: float, stat
         noise = resemblance * noise + math.sqrt(1 - resemblance**2) * chance.gauss(0, 1)
         timings.valid.append(math.exp(deviation * noise))
         assert len(timings.valid) < 20_000
-    return interval(timings.valid, statistic)[0]
+    return interval(timings.valid, statistic).value
 
 
 @pytest.mark.slow
@@ -62,6 +63,6 @@ def test_a_latency_below_the_one_that_decides_rarely_seems_above_it(statistic):
 def test_a_latency_that_is_far_above_is_seen_at_once():
     timings = Timings(Path("none"), warmup=0)
     for count in range(1, 11):
-        timings.valid.append(0.5 + 0.01 * count)
+        timings.valid.append(0.5 + 0.01 * (count % 3))
         assert (timings.due() and timings.above(0.3, "mean")) == (count == 10)
     assert not timings.above(0.6, "mean")

@@ -43,7 +43,7 @@ def test_gpus_are_asked_in_a_loop_and_the_program_ends_with_the_sample(tmp_path:
         [str(tmp_path / "absent"), smi(tmp_path, "0, 50, 1024, 4096\\n0, 70, 2048, 4096\\n0, 9")]
     )
     found = resources.Resources(reader)
-    end_s = time.monotonic() + 60
+    end_s = time.monotonic() + 600
     rows: list[resources.GpuRow] = []
     while len(rows) < 2 and time.monotonic() < end_s:
         rows += reader.read()
@@ -61,7 +61,7 @@ def test_gpus_are_asked_in_a_loop_and_the_program_ends_with_the_sample(tmp_path:
 def test_a_program_that_fails_or_is_absent_leaves_no_figures(tmp_path: Path) -> None:
     reader = resources.GpuReader([smi(tmp_path, "No devices were found\\n", "exit 6")])
     assert reader.process is not None
-    reader.process.wait(60)
+    reader.process.wait(600)
     assert reader.read() == []
     reader.close()
     assert resources.Resources(resources.GpuReader([]))._gpu_facts() == {}
@@ -97,6 +97,71 @@ def test_a_window_has_the_mean_and_the_largest_second(monkeypatch: pytest.Monkey
         "window": 2.2, "vcpus": 4.0, "cpu_mean": 2.045, "cpu_max": 3.5, "throttled": 0.5, "memory_peak": 3.0,
         "minor_faults": 7, "major_faults": 0, "swapped": 0.0009766, "received": 0.0,
     }  # fmt: skip
+
+
+STAT = """\
+cpu  9000 9 900 90000 90 90 90 900 5 5
+cpu0 {own} 0 100 5000 10 {irq} 0 {stolen} 0 0
+cpu1 {own} 5 100 5000 10 0 0 0 0 0
+cpu10 7000 0 0 5000 0 0 0 0 0 0
+intr 1 2 3
+"""
+PROCESS = "{pid} (a b) S 1 1 1 0 -1 0 0 0 0 0 {user} {system} 0 0 20 0 9 0 1 2 3 4"
+
+
+def test_what_others_and_the_host_took_is_told_from_the_samples_own_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nine threads that wait for one another are the sample's; the agent, another CPU and interrupts do not count."""
+
+    def outside(own: int, irq: int, stolen: int, agent: int, sample: int) -> float | None:
+        for name, text in (("self", PROCESS.format(pid=6, user=agent, system=0)),
+                           ("7", PROCESS.format(pid=7, user=sample, system=sample))):  # fmt: skip
+            (tmp_path / name).mkdir(exist_ok=True)
+            (tmp_path / name / "stat").write_text(text)
+        (tmp_path / "stat").write_text(STAT.format(own=own, irq=irq, stolen=stolen))
+        return resources.read(0.0).outside_s
+
+    monkeypatch.setattr(resources, "PROC", tmp_path)
+    monkeypatch.setattr(resources.processes, "tree", lambda: {7})
+    monkeypatch.setattr(resources.os, "sysconf", lambda _name: 100)
+    monkeypatch.setattr(resources.os, "sched_getaffinity", lambda _pid: {0, 1})
+    first = outside(1000, 0, 0, 0, 0)
+    assert first is not None
+    assert outside(2000, 500, 0, 100, 950) == pytest.approx(first), (
+        "20 s of two CPUs: 19 of the sample, one of the agent"
+    )
+    assert outside(2000, 500, 50, 100, 800) == pytest.approx(first + 3.5)
+    monkeypatch.setattr(resources.os, "sched_getaffinity", lambda _pid: {0, 3})
+    assert outside(1000, 0, 0, 0, 0) is None, "the machine does not say how busy that CPU is"
+
+
+@pytest.mark.parametrize(
+    ("cpus", "vcpus", "took", "kept"),
+    [
+        (1, 1.0, 0.3, 0.3),
+        (2, 2.0, 0.1, 0.05),
+        (16, 2.0, 14.0, 0.0),  # a quota of two: two CPUs were left
+        (16, 2.0, 15.0, 0.5),
+        (16, 2.0, 40.0, 1.0),
+        (2, 2.0, -0.1, 0.0),  # ticks are rounded
+        (2, 2.0, None, None),
+    ],
+)
+def test_the_fraction_that_others_kept_from_a_sample(
+    monkeypatch: pytest.MonkeyPatch, cpus: int, vcpus: float, took: float | None, kept: float | None
+) -> None:
+    seconds = iter([10.0, 20.0])
+    ends = iter([5.0, None if took is None else 5.0 + 10 * took])
+    monkeypatch.setattr(resources, "read", lambda now_s, _but: reading(now_s, 0.0, outside_s=next(ends)))
+    monkeypatch.setattr(resources, "usable_vcpus", lambda: vcpus)
+    monkeypatch.setattr(resources.os, "sched_getaffinity", lambda _pid: set(range(cpus)))
+    monkeypatch.setattr(resources.time, "monotonic", lambda: next(seconds))
+    found = resources.Resources(resources.GpuReader([]))
+    found.begin()
+    facts = found.end()
+    assert facts is not None
+    assert facts.get("outside") == kept
 
 
 def test_a_window_too_short_for_the_kernels_clock_has_no_facts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +251,7 @@ print(after.cpu_s - before.cpu_s >= 0.45, after.minor_faults - before.minor_faul
       after.resident_bytes >= 2**26, none.resident_bytes)
 """
     environment = {**os.environ, "PYTHONPATH": str(Path(resources.__file__).parents[2])}
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, env=environment)
     assert ended.stdout.split() == ["True", "True", str(then == "stay"), "0"], ended.stderr
 
 

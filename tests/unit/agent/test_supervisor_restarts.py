@@ -1,15 +1,20 @@
 """Which end of a process ends the deployment, and how long a restart waits; times are given, none is waited for."""
 
 import json
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fogspec.agent import supervisor
+from fogspec.agent import processes, supervisor
 from fogspec.agent.supervisor import LONGEST_DELAY_S, MOST_RESTARTS, STEADY_S, Kept, parse
 from fogspec.backends.agent_state import deployment_status
+from tests.support.agent import AGENT
+from tests.unit.agent.test_sample import ENDS, FOLLOWS
 
 
 def kept(respawn: str | None, delay_s: float = 1.0) -> Kept:
@@ -93,3 +98,38 @@ def test_counts_from_a_machine_are_checked() -> None:
     said = {"a": 2, "b\x1b": 1, "c": -1, "d": True, "e": "3", "f": 10**12}
     assert deployment_status(json.dumps({"restarts": said}).encode(), b"", None).restarts == {"a": 2, "b": 1}
     assert deployment_status(b'{"restarts": [1]}', b"", None).restarts == {}
+
+
+def test_a_parameter_that_a_node_lacks_is_in_the_state_and_ends_nothing(tmp_path: Path) -> None:
+    said = "/plan declares no parameter wrok"
+    asks = f"print({said!r}); raise SystemExit(3)"
+    node = f"import pathlib, time\nwhile {said!r} not in pathlib.Path('out/state.json').read_text(): time.sleep(0.01)"
+    words = [word for name, code in (("--asks", asks), ("--process", node))
+             for word in (name, json.dumps([sys.executable, "-c", code]))]  # fmt: skip
+    command = [sys.executable, str(AGENT), "supervisor", "--out", "out", *words]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    reports = [json.loads(line[len("=== fogspec state ") : -len(" ===")]) for line in ended.stdout.splitlines()]
+    assert ("starting", said) in [(one["state"], one["detail"]) for one in reports]
+    assert reports[-1]["detail"].endswith("ended with exit code 0")
+
+
+def test_the_node_that_ended_first_is_the_cause(tmp_path: Path) -> None:
+    given = []
+    for name, script in (("client", FOLLOWS), ("slam", ENDS + "os.kill(os.getpid(), 9)")):
+        argv = [sys.executable, "-c", script, str(tmp_path / "pid")]
+        given += ["--process", json.dumps({"argv": argv, "name": name})]
+    subprocess.run([sys.executable, str(AGENT), "supervisor", "--out", "out", *given], cwd=tmp_path, timeout=600)
+    assert json.loads((tmp_path / "out" / "state.json").read_text())["detail"] == "slam was killed (SIGKILL)"
+
+
+@pytest.mark.parametrize(
+    ("argv", "name"),
+    [
+        (["/usr/bin/python3", "a.py"], "python3"),
+        (["python3", "-m", "fogspec_agent.topics", "--request", "/a"], "fogspec's topics"),
+        (["sh", "-c", 'exec ros2 launch "$HOME/cloud.launch.py"'], "ros2 launch"),
+        (["python3", "-m", "fogspec_agent.preload", "--service", "/a", "--", "/bin/node", "x"], "node"),
+    ],
+)
+def test_a_process_without_a_name_has_that_of_its_program(argv: list[str], name: str) -> None:
+    assert processes.program(argv) == name

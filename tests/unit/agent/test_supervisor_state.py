@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from fogspec.agent.packages import packed
 from fogspec.backends import agent_state
 
 
@@ -20,6 +21,14 @@ def test_the_last_word_counts() -> None:
     )
     live = agent_state.status_in_log(log, "192.0.2.1")
     assert (live.state, live.ready_s, live.address, live.observed) == ("ready", 2.5, "192.0.2.1", True)
+
+
+def test_packages_are_those_of_the_latest_report_that_lists_them() -> None:
+    older, newer = (packed(f"dpkg libc6 {version}\n") for version in ("2.35", "2.39"))
+    log = line(state="ready", packages=older) + line(state="ready", packages=newer) + line(state="ready")
+    assert agent_state.status_in_log(log, None).packages == "dpkg libc6 2.39\n"
+    assert agent_state.status_in_log(line(state="ready"), None).packages is None
+    assert agent_state.status_in_log(line(state="ready", packages="x" * 100), None).packages is None
 
 
 def test_silence() -> None:
@@ -79,3 +88,29 @@ def test_the_name_of_the_node_that_ended_is_written_once(line: str, said: str) -
     state = json.dumps({"state": "ended", "detail": "python3 a.py ended with exit code 1"}).encode()
     status = agent_state.deployment_status(state, b"", None)
     assert agent_state.with_last_line(status, line.encode()).detail == said
+
+
+LAUNCHED = """\
+[INFO] [client-2]: process started with pid [8]
+[slam-1] loading the map
+[slam-1] map is broken
+[client-2] no pose
+[ERROR] [slam-1]: process has died [pid 7, exit code -9, cmd '/ws/lib/visual_slam/slam --ros-args'].
+[INFO] [client-2]: sending signal 'SIGINT' to process[client-2]
+[ERROR] [client-2]: process has died [pid 8, exit code -2, cmd '/ws/lib/visual_slam/client --ros-args'].
+"""
+
+
+@pytest.mark.parametrize(
+    ("detail", "log", "said"),
+    [
+        ("ros2 launch ended with exit code 1", LAUNCHED, "slam was killed (SIGKILL): map is broken"),
+        ("ros2 launch ended with exit code 0", "[b-2]: process has finished cleanly [pid 7]", "b ended with exit code 0"),
+        ("ros2 launch ended with exit code 1", "no such file", "ros2 launch ended with exit code 1: no such file"),
+        # What another process brought down ended after it.
+        ("bash ended with exit code 1", LAUNCHED, f"bash ended with exit code 1: {LAUNCHED.splitlines()[-1]}"),
+    ],
+)  # fmt: skip
+def test_of_the_nodes_of_a_launch_the_one_that_ended_first_is_the_cause(detail: str, log: str, said: str) -> None:
+    status = agent_state.deployment_status(json.dumps({"state": "ended", "detail": detail}).encode(), b"", None)
+    assert agent_state.with_last_line(status, log.encode()).detail == said

@@ -51,7 +51,7 @@ def test_a_label_of_another_owner_outweighs_the_name() -> None:
 def test_no_job_has_the_name_of_another_owners_machine(tmp_path: Path) -> None:
     for name in (OTHERS[0].deployment_name(DIGEST, "0123ab"), *OLD, "Documents", "."):
         with pytest.raises(ForeignMachine, match="not a machine of demo of forge"):
-            Job(name=name, owner=OWNER, task={}, root=tmp_path, directory=tmp_path)
+            Job(name=name, owner=OWNER, root=tmp_path, directory=tmp_path)
 
 
 def test_an_owner_is_named_with_its_environment_where_it_has_one() -> None:

@@ -7,15 +7,17 @@ import json
 import os
 import stat
 import threading
+import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from http.client import HTTPMessage
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from fogspec.backends.images.credentials import credentials
-from fogspec.backends.images.registry import Registry
+from fogspec.backends.images.registry import Registry, _NoCredentialsElsewhere
 from fogspec.base.errors import CloudError, FogspecError, InvalidInput
 
 BODY = b'{"schemaVersion": 2}'
@@ -26,12 +28,16 @@ Answer = tuple[int, dict[str, str], bytes]
 
 @dataclass
 class Server:
-    """An HTTP server on loopback that answers by a function, and keeps every request."""
+    """An HTTP server on loopback that answers by a function, and keeps every request.
+
+    With `drips` set it sends one byte at a time of an answer without end, until the event is set.
+    """
 
     answer: Callable[[Any], Answer] = lambda _request: (200, {}, BODY)
     seen: list[tuple[str, str, str | None, bytes]] = field(default_factory=list)
     accepted: list[str] = field(default_factory=list)
     address: str = ""
+    drips: threading.Event | None = None
 
     @property
     def given(self) -> list[str]:
@@ -56,6 +62,8 @@ def servers() -> Iterator[Callable[[], Server]]:
                 for name, value in {"Content-Length": str(len(content)), **headers}.items():
                     self.send_header(name, value)
                 self.end_headers()
+                while server.drips is not None and not server.drips.wait(0.02):
+                    self.wfile.write(b"x")
                 self.wfile.write(content)
 
             do_GET = do_POST = do
@@ -127,13 +135,43 @@ def test_no_redirect_takes_credentials_to_another_host(servers: Any, docker: Any
     assert other.given == []
 
 
-@pytest.mark.parametrize("location", ["file:///etc/passwd", "ftp://127.0.0.1/x", "gopher://x/", "//"])
-def test_a_redirect_leads_to_no_other_kind_of_place(servers: Any, docker: Any, location: str) -> None:
+@pytest.mark.parametrize(
+    ("location", "said"),
+    [
+        ("file:///etc/passwd", "refuses"),
+        ("ftp://127.0.0.1/x", "not https"),
+        ("http://registry.invalid/v2", "not https"),
+        ("gopher://x/", "refuses"),
+        ("//", None),
+    ],
+)
+def test_a_redirect_leads_to_no_other_kind_of_place(servers: Any, docker: Any, location: str, said: str | None) -> None:
     one = servers()
-    docker({})
-    one.answer = lambda _: (302, {"Location": location}, b"")
-    with pytest.raises(FogspecError):
-        Registry().digest(f"{one.address}/robot:v1")
+    docker(login(one.address))
+    for answer in (
+        lambda _: (302, {"Location": location}, b""),
+        asked_first(lambda _: (307, {"Location": location}, b"")),
+    ):
+        one.answer = answer
+        with pytest.raises(FogspecError, match=said):
+            Registry().digest(f"{one.address}/robot:v1")
+
+
+def test_credentials_stay_with_scheme_host_and_port() -> None:
+    def redirected(other: str) -> urllib.request.Request | None:
+        asked = urllib.request.Request("https://registry.invalid/v2", headers={"Authorization": "Basic abc"})
+        return _NoCredentialsElsewhere().redirect_request(asked, None, 307, "", HTTPMessage(), other)
+
+    with pytest.raises(ValueError, match="not https"):
+        redirected("http://registry.invalid/v2")
+    for other, kept in (
+        ("//registry.invalid:444/v2", False),
+        ("//other.invalid/v2", False),
+        ("//registry.invalid/3", True),
+    ):
+        again = redirected(f"https:{other}")
+        assert again is not None
+        assert again.has_header("Authorization") == kept
 
 
 @pytest.mark.parametrize(
@@ -182,7 +220,7 @@ def test_no_redirect_takes_an_identity_token_elsewhere(servers: Any, docker: Any
     docker({"auths": {one.address: {"identitytoken": "hunter2"}}})
     one.answer = asked_first(lambda _: (200, {}, BODY), f'Bearer realm="http://{tokens.address}/token"')
     tokens.answer = lambda _: (code, {"Location": f"http://{other.address}/token"}, b"")
-    with pytest.raises(FogspecError):
+    with pytest.raises(FogspecError, match="redirects what holds a secret"):
         Registry().digest(f"{one.address}/robot:v1")
     assert not [body for *_, body in other.seen if b"hunter2" in body]
 
@@ -215,8 +253,21 @@ def test_an_answer_longer_than_a_manifest_is_cut_off(servers: Any, docker: Any) 
     one.answer = lambda _: (200, {}, b" " * (4 << 20))
     assert Registry().digest(f"{one.address}/robot:v1").startswith("sha256:")
     one.answer = lambda _: (200, {}, b" " * ((4 << 20) + 1))
-    with pytest.raises(CloudError):
+    with pytest.raises(CloudError, match="longer than a manifest may be"):
         Registry().digest(f"{one.address}/robot:v1")
+
+
+def test_an_answer_of_a_byte_at_a_time_ends(servers: Any, docker: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fogspec.backends.images.registry.DEADLINE_S", 0.5)
+    one = servers()
+    docker({})
+    one.drips = threading.Event()
+    one.answer = lambda _: (200, {"Content-Length": "1000000"}, b"")
+    try:
+        with pytest.raises(CloudError, match=r"it took longer than 0\.5 s to answer"):
+            Registry().digest(f"{one.address}/robot:v1")
+    finally:
+        one.drips.set()
 
 
 def test_a_name_that_is_none_is_asked_nowhere(docker: Any) -> None:
@@ -261,6 +312,9 @@ def of_index(*platforms: tuple[str, str]) -> Callable[[Any], Answer]:
         ),
         (of_index(), ["x86_64"], None),
         (lambda _: (200, {}, BODY), ["x86_64"], None),
+        (lambda _: (200, {}, b"[]"), ["x86_64"], None),
+        (lambda _: (200, {}, b'{"manifests": [1, {"platform": "x"}]}'), ["x86_64"], None),
+        (lambda _: (200, {}, b'{"config": {"digest": "../../x"}}'), ["x86_64"], None),
     ],
 )
 def test_an_image_is_for_the_cpus_that_it_says(
@@ -271,6 +325,8 @@ def test_an_image_is_for_the_cpus_that_it_says(
     one.answer = answer
     if said is None:
         Registry().check(f"{one.address}/robot:v1", wanted)
+        blobs = [path for _, path, *_ in one.seen if "/blobs/" in path]
+        assert all(path.startswith("/v2/robot/blobs/sha256:") for path in blobs), "no name that a registry made up"
     else:
         with pytest.raises(InvalidInput, match=said):
             Registry().check(f"{one.address}/robot:v1", wanted)

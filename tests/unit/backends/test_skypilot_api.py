@@ -42,6 +42,7 @@ class Sky:
     override: Any = None
     configured: Any = None
     enabled: list[str] = field(default_factory=lambda: ["AWS", "Kubernetes"])
+    health: Exception | None = None
     to_find: list[str] = field(default_factory=list)
     when_asleep: Callable[[], object] = lambda: None
 
@@ -55,7 +56,12 @@ class Sky:
 
     def request(self, status: str, name: str = NAME, what: str = "sky.launch", at: float = 1.0) -> SimpleNamespace:
         one = SimpleNamespace(
-            request_id=f"r{len(self.requests)}", cluster_name=name, name=what, created_at=at, status=status
+            request_id=f"r{len(self.requests)}",
+            cluster_name=name,
+            name=what,
+            created_at=at,
+            status=status,
+            user_id="ada",
         )
         self.requests.append(one)
         return one
@@ -63,9 +69,9 @@ class Sky:
     def module(self) -> ModuleType:
         """What `import sky` gives."""
         sky: Any = ModuleType("sky")
-        for name in ("launch", "api_status", "api_cancel", "down", "status"):
+        for name in ("launch", "api_info", "api_status", "api_cancel", "down", "status"):
             setattr(sky, name, getattr(self, name))
-        for name in ("queue", "autostop", "tail_logs"):
+        for name in ("queue", "autostop", "tail_logs", "api_stop"):
             setattr(sky, name, lambda *words, called=name, **more: self.calls.append((called, *words, more)))
         sky.get = lambda value: value
         sky.Task = SimpleNamespace(from_yaml_config=self.from_config)
@@ -76,6 +82,11 @@ class Sky:
         sky.client = SimpleNamespace(sdk=SimpleNamespace(check=self.check, enabled_clouds=self.enabled_clouds))
         sky.provision = SimpleNamespace(query_instances=self.instances, terminate_instances=self.terminated)
         return sky
+
+    def api_info(self) -> None:
+        self.calls.append(("api_info",))
+        if self.health is not None:
+            raise self.health
 
     def enabled_clouds(self) -> list[str]:
         self.calls.append(("enabled_clouds",))
@@ -569,6 +580,34 @@ def test_a_server_that_answers_is_told_by_its_version(api: Any, sky: Sky) -> Non
     api.sky.__version__ = "0.14.1"
     assert api.hello() == {"version": "0.14.1"}
     assert sky.calls[0][:2] == ("status", ["fogspec-none"])
+
+
+def caused(by: Exception) -> Exception:
+    problem = RuntimeError("max retries exceeded")
+    problem.__context__ = by
+    return problem
+
+
+@pytest.mark.parametrize(
+    ("health", "serves"),
+    [(None, True), (TimeoutError(), True), (caused(OSError()), True), (caused(ConnectionRefusedError()), False)],
+)
+def test_a_server_that_may_run_is_not_taken_for_none(
+    api: Any, sky: Sky, health: Exception | None, serves: bool
+) -> None:
+    sky.health = health
+    assert api.serves() is serves
+    assert sky.names() == ["api_info"]
+
+
+def test_a_server_that_others_use_is_not_ended(api: Any, sky: Sky) -> None:
+    sky.request("RUNNING", "", "sky.status-refresh").user_id = "skypilot-system"
+    other = sky.request("RUNNING", "anothers")
+    api.end_server()
+    assert sky.names() == ["api_status"]
+    other.status = "SUCCEEDED"
+    api.end_server()
+    assert sky.names() == ["api_status", "api_status", "api_stop"]
 
 
 # An end that needs nobody

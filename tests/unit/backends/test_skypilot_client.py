@@ -11,7 +11,7 @@ from fogspec.backends.skypilot.client import Client
 from fogspec.base import child
 from fogspec.base.errors import CloudError
 
-PATIENCE_S = 120.0  # it only bounds hangs
+PATIENCE_S = 1200.0  # it only bounds hangs
 WORKERS = {
     "echoes": "import sys, json\nfor line in sys.stdin:\n    q = json.loads(line)\n"
               "    print(json.dumps({'id': q['id'], 'value': q['arguments']}), flush=True)\n",

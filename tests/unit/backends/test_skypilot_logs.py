@@ -30,8 +30,9 @@ def unpacked(folder: Path, log: bytes) -> tuple[bool, dict[str, bytes]]:
 
 
 def test_files_come_back_as_they_were_printed(tmp_path: Path) -> None:
-    log = b"hello\n" + printed("outcome.json", b'{"state": "ok"}\n') + printed("timings.jsonl", TIMING * 3) + b"bye\n"
-    assert unpacked(tmp_path, log) == (True, {"outcome.json": b'{"state": "ok"}\n', "timings.jsonl": TIMING * 3})
+    sent = {"outcome.json": b'{"state": "ok"}\n', "packages.txt": b"dpkg libc6 2.35\n", "timings.jsonl": TIMING * 3}
+    log = b"hello\n" + b"".join(printed(name, content) for name, content in sent.items()) + b"bye\n"
+    assert unpacked(tmp_path, log) == (True, sent)
 
 
 def test_without_prefix_too(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def cloud_of(bed: Bed) -> Cloud:
     return client.cloud
 
 
-def patient(backend: SkyPilotSamples, job: Job, patience_s: float = 120.0) -> tuple[SampleStatus, int]:
+def patient(backend: SkyPilotSamples, job: Job, patience_s: float = 1200.0) -> tuple[SampleStatus, int]:
     """How it ended, and how often nothing was heard of it."""
     end, silent = time.monotonic() + patience_s, 0
     while True:

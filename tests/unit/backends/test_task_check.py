@@ -13,15 +13,18 @@ from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, LaunchRefused
 from fogspec.backends.skypilot.backend import SkyPilotDeployments, SkyPilotSamples
 from fogspec.backends.task_check import check_sources, check_task
+from fogspec.base import digest
 from fogspec.catalog.machine import Gpu, Machine
 from tests.support.fake_sky import Cloud, SimulatedClient
-from tests.support.jobs import config, resources
+from tests.support.jobs import config, job_of, resources
 
 OWNER = Owner("a repository", "default", "demo")
 MACHINES = {
     "plain": Machine(infra="aws/r1", instance="c6i.large", cpus=2, memory="4GiB", price="$0.085/h"),
     "spot": Machine(infra="aws/r1", instance="c6i.large", cpus=2, memory="4GiB", price="$0.03/h", spot=True),
-    "gpu": Machine(infra="gcp/r1", instance="n1-4", cpus=4, memory="16GiB", price="$0.7/h", gpu=Gpu(name="T4")),
+    "gpu": Machine(
+        infra="gcp/r1", instance="n1-4", cpus=4, memory="16GiB", price="$0.7/h", gpu=Gpu(name="T4", count=1)
+    ),
     "partition": Machine(infra="slurm/lab/small", instance="s", cpus=2, memory="4GiB", price="$0.1/h"),
     "preempted": Machine(infra="slurm/lab/spare", instance="s", cpus=2, memory="4GiB", price="$0.1/h", spot=True),
 }
@@ -91,8 +94,8 @@ def job(root: Path, machine: Machine, sample: bool, task: Mapping[str, Any] | No
         **config(machine, lifetime_s),
     }
     name = f"{OWNER.prefix}one"
-    return Job(name=name, owner=OWNER, task=task or compiled, root=root, directory=root / "job", machine=machine,
-               lifetime_s=lifetime_s)  # fmt: skip
+    return job_of(root, task or compiled, name=name, owner=OWNER, directory=root / "job", machine=machine,
+                  lifetime_s=lifetime_s)  # fmt: skip
 
 
 def paths(task: Mapping[str, Any], above: str = "") -> Iterator[str]:
@@ -190,6 +193,25 @@ def test_a_folder_that_is_sent_has_no_link_that_leads_out(root: Path) -> None:
         backend.start(job(root, MACHINES["plain"], False, task))
 
 
+@pytest.mark.parametrize("edit", [lambda path: path.write_text("curl evil"), Path.unlink], ids=["edited", "missing"])
+@pytest.mark.parametrize("place", ["cloud", "host"])
+def test_a_file_that_is_not_the_reviewed_one_is_not_sent(root: Path, place: str, edit: Any) -> None:
+    here = Machine(infra="local", instance="1cpu-1gib", cpus=1, memory="1GiB", price="$0/h")
+    cloud = Cloud(root.parent / "cloud")
+    ref, backend = (
+        (here, LocalSamples()) if place == "host" else (MACHINES["plain"], SkyPilotSamples(SimulatedClient(cloud)))
+    )
+    whole = job(root, ref, sample=True)
+    assert whole.work is not None
+    reviewed = {"agent.pyz": digest.of_bytes(b"the agent")}
+    check_sources(replace(whole, work=replace(whole.work, digests=reviewed)))
+    edit(root / "agent.pyz")
+    with pytest.raises(LaunchRefused, match=r"agent\.pyz is not what was reviewed, so nothing was started"):
+        backend.start(replace(whole, work=replace(whole.work, digests=reviewed)))
+    assert cloud.machines == {}
+    assert not (root / "job").exists()
+
+
 def test_a_deployment_may_cost_what_its_user_allows(root: Path) -> None:
     whole = job(root, MACHINES["plain"], sample=False)
     for cap, allowed in ((0.1, 0.2), (0.2, 0.2)):
@@ -218,6 +240,7 @@ def test_a_machine_without_a_price_has_no_cap(root: Path, cap: float | None, fit
 def test_the_mounts_of_compiled_tasks_are_these(root: Path) -> None:
     mounts = {
         "~/.fogspec/agent.pyz": "agent.pyz",
+        **{f"~/.fogspec/{name}.sh": "agent.pyz" for name in ("setup", "measure", "deploy")},
         "~/.fogspec/link": "link",
         "~/.fogspec/launch/cloud.launch.py": "agent.pyz",
     }

@@ -46,7 +46,7 @@ def test_search_paths_of_children_are_absolute(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_an_interpreter_of_ours_imports_nothing_from_the_working_folder(tmp_path: Path) -> None:
-    mark = marking(tmp_path, "sitecustomize", "usercustomize", "runpy", "queue", "json", "fogspec", "small_gicp", "sky")
+    mark = marking(tmp_path, "sitecustomize", "usercustomize", "runpy", "queue", "json", "fogspec", "sky")
     ended = subprocess.run(
         child.python("fogspec.agent"), cwd=tmp_path, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": ":.", "PYTHONSTARTUP": "queue.py"},

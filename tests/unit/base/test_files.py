@@ -27,14 +27,14 @@ def test_what_is_no_file_is_said_and_not_waited_for(tmp_path: Path, kind: str, m
     monkeypatch.chdir(tmp_path)
     path = made(tmp_path / "one", kind)
     with pytest.raises(OSError, match=f"it is a {kind}, not a file") as wrong:
-        files.read_file(path)
+        files.read_file(path, 9)
     assert (wrong.value.errno, wrong.value.filename) == (errno.EINVAL, str(path))
 
 
 @pytest.mark.parametrize("path", ["/dev/zero", "/dev/null"])
 def test_a_device_is_no_file(path: str) -> None:
     with pytest.raises(OSError, match="it is a device, not a file"):
-        files.read_file(path)
+        files.read_file(path, 9)
 
 
 def test_a_block_device_is_no_file_either() -> None:
@@ -45,13 +45,13 @@ def test_a_block_device_is_no_file_either() -> None:
 def test_reading(tmp_path: Path) -> None:
     path = tmp_path / "one"
     path.write_bytes(b"12345")
-    assert (files.read_file(path), files.read_file(str(path), 2)) == (b"12345", b"12")
+    assert (files.read_file(path, 9), files.read_file(str(path), 2)) == (b"12345", b"12")
     assert files.read_bounded(path, 5) == b"12345"
     with pytest.raises(OSError, match="more than 0 KiB") as wrong:
         files.read_bounded(path, 4)
     assert (wrong.value.errno, wrong.value.filename) == (errno.EFBIG, str(path))
     with pytest.raises(FileNotFoundError):
-        files.read_file(tmp_path / "absent")
+        files.read_file(tmp_path / "absent", 9)
 
 
 def test_unpacking_stops_at_its_limit() -> None:

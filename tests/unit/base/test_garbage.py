@@ -17,7 +17,7 @@ from fogspec.bench.journal import Journal
 from fogspec.catalog.machine import Machine
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, SystemWallClock
-from fogspec.spec.loader import read_plain
+from fogspec.language.loader import read_plain
 from tests.unit.bench.test_journal import whole
 
 VALUES = (

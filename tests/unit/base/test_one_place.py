@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[3] / "fogspec"
+ROOT = Path(__file__).resolve().parents[3]
+PACKAGES = (ROOT / "fogspec", ROOT / "lab" / "fogspec_lab")
 AGENT = "it runs on the machine that is measured, in the folder of its own output, and imports nothing of fogspec's"
 WRITES = {
     "base/project_files.py": "the one place",
@@ -14,20 +15,24 @@ WRITES = {
     "backends/local/launcher.py": "cgroups and maps of user ids, which are the kernel's and named by itself",
     "backends/skypilot/secrets_file.py": "a new file of a machine's launch in the runtime directory, for its owner alone",
     "backends/skypilot/client.py": "what the worker prints, in a file without a name",
+    "base/sandbox.py": "a scratch folder of its own for a sandboxed program, which goes with the call, and the null device",
     "base/git.py": "what git complains of, in a file without a name",
     "backends/skypilot/backend.py": "a folder of its own for a log, which goes with the call",
     "deploy/git_store.py": "a repository of its own for an exchange, which goes with the command",
-    "audit/merge.py": "the tree of a merge, in a folder of its own, which goes with the call",
     "catalog/sources/cache.py": "the user's cache, by names that it made itself",
-    "spec/tree.py": "a snapshot, in a folder that ProjectFiles has just made: each file in it is new",
+    "language/tree.py": "a snapshot, in a folder that ProjectFiles has just made: each file in it is new",
     "backends/local/backend.py": "a sample's copy of that snapshot, in a folder that ProjectFiles has just made",
     "cli/__init__.py": "the null device in place of a closed pipe",
     "cli/init_graph.py": "a temporary directory of its own for the agent and its observations, which goes with the call",
-    "cli/conformance.py": "a temporary project of its own, removed once nothing is left",
-    "deploy/conformance.py": "the log of a bench, in that temporary project",
+    "lab/cli/evaluate.py": "the file of the choices that the user names, a line as each campaign ends",
+    "lab/cli/conformance.py": "a temporary project of its own, removed once nothing is left",
+    "lab/conformance.py": "the log of a bench, in that temporary project",
+    "lab/generated.py": "files of the repository, in its checkout alone",
+    "lab/snapshot.py": "the bundled catalog, in its checkout alone",
     "agent": AGENT,
 }
 STARTS = {
+    "base/sandbox.py": "a sandboxed program: this interpreter, without an environment, in a scratch folder",
     "base/git.py": "git, by base/child.py",
     "backends/skypilot/client.py": "the worker, by base/child.py",
     "backends/local/limits.py": "the launcher, isolated",
@@ -36,7 +41,7 @@ STARTS = {
     "deploy/link.py": "bash, by base/child.py",
     "base/workers.py": "processes of the standard library, with the environment of base/child.py",
     "cli/init_graph.py": "the agent's watcher, by base/child.py",
-    "deploy/conformance.py": "fogspec's own commands, by base/child.py",
+    "lab/conformance.py": "fogspec's own commands, by base/child.py",
     "ros/description.py": "part of the user's own launch on the robot",
     "agent": AGENT,
 }
@@ -51,8 +56,11 @@ PROCESSES = {"Popen", "run", "call", "check_call", "check_output", "getoutput", 
 
 
 def trees() -> Iterator[tuple[str, ast.Module]]:
-    for path in sorted(ROOT.rglob("*.py")):
-        yield path.relative_to(ROOT).as_posix(), ast.parse(path.read_text("utf-8"))
+    """Yield each module with its path in fogspec; one of the lab's as lab/PATH."""
+    for package in PACKAGES:
+        prefix = "" if package.name == "fogspec" else "lab/"
+        for path in sorted(package.rglob("*.py")):
+            yield prefix + path.relative_to(package).as_posix(), ast.parse(path.read_text("utf-8"))
 
 
 def base(call: ast.Call) -> str | None:

@@ -13,13 +13,15 @@ from fogspec.base.project_files import LinkedPath, ProjectFiles, write_output
 
 Act = Callable[[ProjectFiles, Path], object]
 ON_FILES: dict[str, Act] = {
-    "read": lambda files, path: files.read(path),
+    "read": lambda files, path: files.read(path, 1),
     "open": lambda files, path: files.open(path).close(),
     "append": lambda files, path: files.append(path).close(),
     "create": lambda files, path: files.create(path).close(),
     "write": lambda files, path: files.write(path, b"new"),
     "move": lambda files, path: files.move(path, files.root / "other"),
     "move over it": lambda files, path: files.move(files.root / "given", path),
+    "set aside": lambda files, path: files.set_aside(path, files.root / "other"),
+    "set aside over it": lambda files, path: files.set_aside(files.root / "given", path),
     "remove": lambda files, path: files.remove(path),
     "stat": lambda files, path: files.stat(path),
 }
@@ -276,8 +278,10 @@ def test_what_each_method_says_and_leaves(tmp_path: Path) -> None:
         log.seek(0)
         assert log.read() == b"1"
         log.write(b"2")
-    assert files.read(files.root / "e/log", 1) == b"1"
-    assert files.read(files.root / "e/log") == b"12"
+    assert files.head(files.root / "e/log", 1) == b"1"
+    assert files.read(files.root / "e/log", 2) == b"12"
+    with pytest.raises(OSError, match="it has more than"):
+        files.read(files.root / "e/log", 1)
     files.move(files.root / "e/log", files.root / "f/g/log")
     assert (files.root / "f/g/log").read_bytes() == b"12"
 
@@ -327,11 +331,11 @@ def test_no_handle_is_left_open(tmp_path: Path) -> None:
     files.write(tmp_path / "a/b/c/file", b"")
     (tmp_path / "a/b/link").symlink_to(tmp_path)
     for _ in range(5):
-        files.read(tmp_path / "a/b/c/file")
+        files.read(tmp_path / "a/b/c/file", 99)
         with pytest.raises(LinkedPath):
-            files.read(tmp_path / "a/b/link/file")
+            files.read(tmp_path / "a/b/link/file", 99)
         with pytest.raises(FileNotFoundError):
-            files.read(tmp_path / "a/b/missing/file")
+            files.read(tmp_path / "a/b/missing/file", 99)
     assert len(os.listdir("/proc/self/fd")) == before
 
 
@@ -340,4 +344,37 @@ def test_the_component_that_is_a_link_is_the_one_that_is_named(tmp_path: Path) -
     files.write(tmp_path / "a/b/file", b"")
     (tmp_path / "a/link").symlink_to(tmp_path / "a/b")
     with pytest.raises(LinkedPath, match=rf"^{tmp_path}/a/link: it is a link"):
-        files.read(tmp_path / "a/link/c/file")
+        files.read(tmp_path / "a/link/c/file", 99)
+
+
+def test_what_is_set_aside_stays_until_it_is_written_over(tmp_path: Path) -> None:
+    files = project(tmp_path)
+    files.set_aside(files.root / "given", files.root / "new/kept")
+    assert (files.root / "given").read_bytes() == b"given"
+    files.write(files.root / "given", b"other")
+    assert (files.root / "new/kept").read_bytes() == b"given"
+    os.mkfifo(files.root / "pipe")
+    files.set_aside(files.root / "pipe", files.root / "moved")
+    assert sorted(path.name for path in files.root.iterdir()) == ["given", "moved", "new"], (
+        "what cannot be written over moves"
+    )
+
+
+def test_git_ignores_the_folder_of_live_state(tmp_path: Path) -> None:
+    files = project(tmp_path)
+    files.write(files.root / ".fogspec/demo/deployment.yaml", b"live")
+    assert (files.root / ".fogspec/.gitignore").read_bytes() == b"*\n"
+    (files.root / ".fogspec/.gitignore").write_bytes(b"my own\n")
+    files.append(files.root / ".fogspec/demo/log").close()
+    assert (files.root / ".fogspec/.gitignore").read_bytes() == b"my own\n"
+    files.remove_tree(files.root / ".fogspec/demo")
+    assert files.remove_folder(files.root / ".fogspec")
+
+
+def test_what_keeps_live_state_out_of_git_is_written_through_no_link(tmp_path: Path) -> None:
+    files, outside = project(tmp_path), canary(tmp_path)
+    before = fingerprint(outside)
+    (files.root / ".fogspec").mkdir()
+    (files.root / ".fogspec/.gitignore").symlink_to(outside / "new")
+    files.write(files.root / ".fogspec/demo/deployment.yaml", b"live")
+    assert fingerprint(outside) == before

@@ -152,6 +152,11 @@ def test_a_table_shortens_names_that_do_not_fit_in_their_middle() -> None:
         assert name.endswith(end)
         assert len(start) >= len(end) > 15
     assert lines[1].endswith("$0.68/h  measured here twice")
+    assert table([["name"], ["motion-planning-cubicles-recorded"], ["motion-planning-apartment-recorded"]], 18) == [
+        "  name",
+        "  motion-pla…s-recorded",
+        "  motion-pla…t-recorded",
+    ]
     assert table([["name"], ["x" * 30]], 20) == ["  name", f"  {'x' * 9}…{'x' * 8}"]
 
 

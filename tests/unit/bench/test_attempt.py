@@ -50,7 +50,6 @@ def made(machines: int = 0) -> Attempt:
         job=Job(
             name=NAME,
             owner=OWNER,
-            task={},
             root=Path(),
             directory=Path(),
             machine=MACHINE,

@@ -1,17 +1,17 @@
 """What a campaign says and keeps of machines that it cannot reach or end."""
 
-from dataclasses import replace
+import contextlib
 
 import pytest
 
 from fogspec.backends.protocol import LaunchRefused, SampleStatus, Unreachable, no_access
 from fogspec.base.units import dollars
+from fogspec.bench.attempt import STOP_PATIENCE_S
 from fogspec.bench.campaign import Campaign
 from fogspec.bench.progress import FINAL
 from fogspec.bench.types import Event, EventKind, Queued
-from fogspec.results.schema import Measured
 from tests.faults.controllers import COMMITMENT, campaign_of, samples
-from tests.faults.simulation import FaultyBackend, World
+from tests.faults.simulation import FaultyBackend, VirtualClock, World
 
 
 @pytest.fixture
@@ -48,6 +48,51 @@ def test_a_machine_that_never_goes_is_given_up_and_stays_in_the_books(told, monk
     assert ends[0].detail is None, "clouds take a while"
     assert ends[-1].detail == "the cloud does not answer"
     assert world.now > COMMITMENT.paid_s, "not before it must have ended itself"
+
+
+@pytest.mark.parametrize("fault", [False, True])
+def test_a_cloud_that_takes_minutes_to_say_nothing_is_given_up_as_well(told, monkeypatch, fault):
+    campaign, _, world = told
+    asked = []
+
+    def stop(self, job):
+        asked.append(world.now)
+        assert len(asked) < 1000, "it is asked for ever"
+        world.now += 240
+        raise Unreachable("the cloud does not answer")
+
+    def poll(self, job):
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(FaultyBackend, "stop", stop)
+    if fault:
+        monkeypatch.setattr(FaultyBackend, "poll", poll)
+    with pytest.raises(RuntimeError, match="a fault of ours") if fault else contextlib.nullcontext():
+        campaign.run(samples(1))
+    assert len(campaign.left) == 1
+    assert asked[-1] - asked[0] <= STOP_PATIENCE_S + COMMITMENT.paid_s + 600
+
+
+def test_while_its_computer_sleeps_nobody_tries_to_end_a_machine_and_no_patience_is_lost(told, monkeypatch):
+    campaign, _, world = told
+    asked, before, sleep = [], FaultyBackend.stop, VirtualClock.sleep
+
+    def stop(self, job):
+        asked.append(world.now)
+        if len(asked) <= 3:
+            raise Unreachable("its machine is being taken down")
+        before(self, job)
+
+    def asleep(self, seconds):
+        sleep(self, seconds)
+        if len(asked) == 2:
+            world.absent(2 * STOP_PATIENCE_S + COMMITMENT.paid_s)
+
+    monkeypatch.setattr(FaultyBackend, "stop", stop)
+    monkeypatch.setattr(VirtualClock, "sleep", asleep)
+    campaign.run(samples(1))
+    assert campaign.left == []
+    assert len(asked) == 4
 
 
 def test_what_is_reported_of_a_sample(told, monkeypatch):
@@ -88,15 +133,6 @@ def test_samples_that_do_not_fit_are_recorded_with_what_they_would_cost(told):
     assert f"would commit {dollars(each[1])}," in kept["s1"].detail
     assert world.disk["spent"] <= each[0]
     assert len(world.machines) == 1
-
-
-def test_a_machine_in_anothers_place_that_does_not_fit_is_recorded_for_it(told):
-    campaign, _, world = told
-    object.__setattr__(campaign.config, "budget_usd", 0.0)
-    campaign.queue.append(Queued(samples(1)[0], substitute_for="s9"))
-    campaign.run([])
-    kept = world.disk["samples"]["s0"]
-    assert (kept.reason, kept.substitute_for) == ("budget", "s9")
 
 
 def test_machines_that_outlive_their_bill_leave_less_for_the_others(told, monkeypatch):
@@ -292,7 +328,7 @@ def test_where_no_machine_can_be_had_only_one_is_asked_for_and_nothing_is_record
     assert not [one for one in events if one.kind in FINAL]
 
 
-def test_once_access_is_lost_nothing_is_started_again_or_in_its_place(told, monkeypatch):
+def test_once_access_is_lost_nothing_is_started_again(told, monkeypatch):
     campaign, _, world = told
     asked, before = [], FaultyBackend.start
 
@@ -309,49 +345,10 @@ def test_once_access_is_lost_nothing_is_started_again_or_in_its_place(told, monk
 
     monkeypatch.setattr(FaultyBackend, "start", start)
     monkeypatch.setattr(FaultyBackend, "poll", poll)
-    other = samples(4)[3]
-    campaign.config = replace(campaign.config, substitutes=lambda _name: [other])
     campaign.run(samples(3))
     assert campaign.denied == "ExpiredToken"
     assert len(asked) == 3
     assert set(world.disk["samples"]) == {samples(3)[2].id}, "what a retry may still help has no record"
-
-
-def test_parts_of_a_machine_are_put_with_it(told, monkeypatch):
-    campaign, _, world = told
-    record = Measured(
-        id="s0", machine=samples(1)[0].machine, measured_on="sim", state="ok", requests=0, duration="10s", spent="$0.1"
-    )
-    monkeypatch.setattr(Campaign, "_parts", lambda *_: iter([record.model_copy(update={"id": "s0-half"})]))
-    campaign.run(samples(1))
-    assert set(world.disk["samples"]) == {"s0", "s0-half"}
-
-
-@pytest.mark.parametrize(("state", "kept"), [("ok", ["one-half"]), ("failed", [])])
-def test_parts_of_a_machine_that_failed_are_no_measurements(told, monkeypatch, state, kept):
-    campaign, _, _ = told
-    sample = samples(1)[0]
-    campaign.queue += [Queued(sample)]
-    campaign._start_what_fits()
-    (attempt,) = campaign.running.values()
-    put, record = (
-        [],
-        Measured(
-            id=sample.id,
-            machine=sample.machine,
-            measured_on="sim",
-            state=state,
-            requests=0,
-            duration="10s",
-            spent="$0.1",
-        ),
-    )
-    half = record.model_copy(update={"id": "one-half"})
-    monkeypatch.setattr(Campaign, "_parts", lambda *_: iter([half]))
-    monkeypatch.setattr(Campaign, "_write", lambda _self, _started, _record, parts: put.extend(parts))
-    campaign._record(attempt.started, record, SampleStatus(running=False))
-    assert [one.id for one in put] == kept
-    assert [one.id for one in campaign.journal.state.unwritten_parts.get(attempt.started.name, [])] == kept
 
 
 def test_what_a_machine_cost_until_access_was_lost_is_booked(told, monkeypatch):

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 from fogspec.bench.run import without_image
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
 
 
 def application(**ros: str) -> Application:

@@ -45,10 +45,12 @@ def test_the_most_is_every_machine_for_all_of_its_life() -> None:
     ]
 
 
-def test_machines_that_run_together_are_priced_together_where_there_is_more_than_one() -> None:
-    assert list(quote(ONE, TWO, sample("three", 0.5)).together(2)) == ["2 machines at once: at most $4.50/h together"]
-    assert list(quote(ONE, TWO).together(1)) == []
-    assert list(quote(ONE).together(2)) == []
+def test_machines_that_run_together_are_priced_together_and_all_of_them_have_a_longest_time() -> None:
+    three = quote(ONE, TWO, sample("three", 0.5))
+    assert list(three.together(2)) == ["2 machines at once: at most $4.50/h together, for 40 min at most"]
+    assert list(three.together(8)) == ["3 machines at once: at most $5.00/h together, for 20 min at most"]
+    assert list(quote(ONE, TWO).together(1)) == ["1 machine at a time: at most $3.00/h, for 40 min at most"]
+    assert list(quote().together(2)) == []
     assert list(quote(ONE, TWO, costs=Costs.NOTHING).together(2)) == []
 
 

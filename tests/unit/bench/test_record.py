@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import random
 import statistics
 from dataclasses import replace
 from typing import Any
@@ -60,7 +61,7 @@ def test_failed_requests_in_warm_up_are_forgiven_and_later_ones_are_not(tmp_path
 
 def test_other_names_are_said_when_the_one_asked_for_is_missing(tmp_path):
     made = record(tmp_path, *[line(name="wrok")] * 9, line(name="scan"))
-    assert (made.state, made.reason) == ("failed", "no_response")
+    assert (made.state, made.reason) == ("failed", "not_reported")
     assert "no request named 'work' was timed, only 'wrok', 'scan'" in made.detail
     assert record(tmp_path, line(name="scan"), line(), line()).state == "ok"
     assert record(tmp_path, line(name="scan"), line()).state == "timeout", "one request, which is warm-up"
@@ -108,6 +109,15 @@ def test_a_share_of_the_time_may_be_lost_as_of_the_requests(tmp_path):
     made = record(tmp_path, *answered(*(1 + 0.1 * i for i in range(60))), rules=rules, progress=waited)
     assert (made.state, made.requests) == ("ok", 60)
     assert made.detail.startswith("no request was finished in the last 4 s")
+
+
+def test_requests_that_resemble_each_other_count_as_fewer(tmp_path):
+    rows = [line(latency_s=0.5 + 0.1 * (n // 20 % 2)) for n in range(401)]
+    (tmp_path / "alike").mkdir()
+    alike = record(tmp_path / "alike", *rows)
+    apart = record(tmp_path, *random.Random(1).sample(rows, len(rows)))
+    assert alike.requests == apart.requests == 400
+    assert alike.independent < 100 < apart.independent <= 400
 
 
 @pytest.mark.parametrize(("statistic", "needed"), [("p50", 2), ("p95", 20), ("p99", 100)])

@@ -5,14 +5,14 @@ import pytest
 
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job, LaunchRefused
-from fogspec.backends.replay import ReplaySamples
 from fogspec.catalog.machine import Machine
 from fogspec.numerics.observations import observations
 from fogspec.numerics.replicates import after_one_more
 from fogspec.numerics.surrogate import fit
 from fogspec.plan.schema import next_on, replicate, sample_on
-from fogspec.results.io import Recording
 from fogspec.results.schema import LatencySummary, Measured
+from fogspec_lab.recordings import Recording
+from fogspec_lab.replay import ReplaySamples
 from tests.support.machines import amdahl, family
 
 MACHINE = Machine(infra="aws/us-east-1", instance="c6i.large", cpus=2, memory=4, price=0.085)
@@ -51,7 +51,7 @@ def replay_job(folder, nth: int) -> Job:
     owner = Owner("a repository", "default", "a")
     directory = folder / str(nth)
     name = f"{owner.prefix}{nth}"
-    return Job(name=name, owner=owner, task={}, root=folder, directory=directory, machine=MACHINE, replicate=nth)
+    return Job(name=name, owner=owner, root=folder, directory=directory, machine=MACHINE, replicate=nth)
 
 
 def test_a_replay_has_as_many_samples_as_were_recorded(tmp_path):

@@ -1,18 +1,20 @@
-"""The results file while it grows: whole, with a checksum, in the plan's order, and without secrets."""
+"""The files of results while they grow: each whole, with a checksum, and without secrets."""
 
 import gzip
 
 import pytest
 
-from fogspec.agent.redaction import Secrets
 from fogspec.base import digest
 from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.layout import Layout
+from fogspec.base.redaction import register
 from fogspec.bench.results_file import ResultsFile, set_aside
 from fogspec.bench.run import check_same_runner
 from fogspec.catalog.machine import Machine
-from fogspec.results.io import read_results, recordings
-from fogspec.results.schema import LatencySummary, Measured, checksum_ok
+from fogspec.results.io import read_results, timings_path
+from fogspec.results.schema import LatencySummary, Measured
+from fogspec_lab.recordings import recordings
+from tests.support.results import text
 
 MACHINE = Machine(infra="local", instance="1cpu-1gib", cpus=1, memory="1GiB", spot=False, price="$0/h")
 
@@ -28,8 +30,7 @@ def record(name: str, detail: str | None = None) -> Measured:
 
 def results_file(layout: Layout) -> ResultsFile:
     return ResultsFile(
-        layout=layout, application="sha256:a", plan="sha256:p", runner="local", source=None, budget_usd=None,
-        sample_ids=["b", "a"],
+        layout=layout, inputs={"a.py": "sha256:a"}, runner="local", source=None,
     )  # fmt: skip
 
 
@@ -39,32 +40,32 @@ def file(tmp_path):
     return results_file(layout)
 
 
-def test_after_every_record_the_file_is_whole_and_says_the_same_numbers(file):
+def test_after_every_record_its_file_is_whole_and_says_the_same_numbers(file):
     for count, name in enumerate(["a", "x", "b"], 1):
         file.put(record(name), 0.1 * count)
         read = read_results(file.layout)
-        assert checksum_ok(read)
         assert {one.id for one in read.spec.samples} >= {name}
-    assert [one.id for one in read.spec.samples] == ["b", "a", "x"]
+    assert [one.id for one in read.spec.samples] == ["a", "b", "x"]
     assert read == file.results()
-    assert read.spec.samples[0] == record("b")
+    assert read.spec.samples[1] == record("b")
 
 
 def test_going_on_gives_the_same_bytes_as_one_run(file):
     for name in ("a", "b"):
         file.put(record(name), 0.2)
-    before = file.layout.results.read_bytes()
+    before = text(file.layout.results)
     other = results_file(file.layout)
     other.resume(read_results(file.layout))
+    other._written.clear()
     other.write()
-    assert file.layout.results.read_bytes() == before
+    assert text(file.layout.results) == before
 
 
 def test_timings_are_kept_and_named(file, tmp_path):
     raw = tmp_path / "raw.jsonl"
     raw.write_text("{}\n")
-    kept = file.keep(record("a"), raw)
-    packed = (file.layout.results.parent / kept.timings.path).read_bytes()
+    assert file.keep(record("a"), raw).timings is not None
+    packed = timings_path(file.layout.results, "a").read_bytes()
     assert gzip.decompress(packed) == b"{}\n"
     raw.write_text("")
     assert file.keep(record("a"), raw).timings is None
@@ -73,14 +74,18 @@ def test_timings_are_kept_and_named(file, tmp_path):
 
 def test_a_results_folder_that_cannot_be_written_is_said(file):
     file.layout.results.parent.write_text("a file")
-    with pytest.raises(InvalidInput, match=r"results/app\.yaml: cannot be written"):
+    with pytest.raises(InvalidInput, match=r"results/app/a\.yaml: cannot be written"):
         file.put(record("a"), 0.0)
 
 
-def test_secrets_do_not_reach_the_results(file, monkeypatch):
+def test_secrets_do_not_reach_the_results(file, monkeypatch, tmp_path):
     monkeypatch.setenv("MAP_TOKEN", "s3cr3t-value")
-    file.redact = Secrets.of(["MAP_TOKEN", "NOT_SET"]).redact
-    assert file.keep(record("a", "401 for s3cr3t-value"), None).detail == "401 for $MAP_TOKEN"
+    register(["MAP_TOKEN", "NOT_SET"])
+    raw = tmp_path / "raw.jsonl"
+    raw.write_text('{"reason": "401 for s3cr3t-value"}\n')
+    file.keep(record("a"), raw)
+    packed = timings_path(file.layout.results, "a").read_bytes()
+    assert gzip.decompress(packed) == b'{"reason": "401 for $MAP_TOKEN"}\n'
 
 
 def test_older_results_are_set_aside_with_their_timings(file, tmp_path):
@@ -88,13 +93,14 @@ def test_older_results_are_set_aside_with_their_timings(file, tmp_path):
     for number in (1, 2):
         raw.write_text(f"{number}\n")
         file.put(file.keep(record("a"), raw), 0.0)
-        before = file.layout.results.read_bytes()
+        before = text(file.layout.results)
         kept = set_aside(file.layout)
-        assert kept.relative_to(tmp_path).as_posix() == f"results/app.old-{number}/app.yaml"
-        assert kept.read_bytes() == before
+        file._written.clear()
+        assert kept.relative_to(tmp_path).as_posix() == f"results/app.old-{number}"
+        assert text(kept) == before
         (found,), _ = recordings(str(kept))
         assert found.timings is not None
-        assert digest.of_bytes(found.timings.read_bytes()) == found.record.timings.digest
+        assert digest.of_bytes(found.timings.read_bytes()) == found.record.timings
     assert not file.layout.results.exists()
     assert not file.layout.timings.exists()
 
@@ -110,7 +116,7 @@ def test_what_was_measured_stays_when_measuring_it_again_comes_to_nothing(file, 
     file.put(file.keep(broken, raw), 0.3)
     read = read_results(file.layout)
     assert (read.spec.samples, read.spec.spent) == ([first], 0.3)
-    path = file.layout.results.parent / first.timings.path
+    path = timings_path(file.layout.results, "a")
     assert gzip.decompress(path.read_bytes()) == b"first\n"
     crashed = broken.model_copy(update={"reason": "crash"})
     file.put(file.keep(crashed, raw), 0.4)

@@ -5,8 +5,8 @@ import pytest
 from fogspec.catalog.classes import accelerated, burstable, cpu_kind, left_out, platforms
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.sources import load_catalog
+from fogspec.language.schema import Hardware
 from fogspec.plan.design import design
-from fogspec.spec.schema import Hardware, Machines
 from tests.conftest import SHARED
 from tests.support.catalogs import application, table
 
@@ -26,7 +26,7 @@ def test_by_default_machines_are_current_with_a_cpu_of_their_own_and_nothing_els
     assert dict(found.left_out) == {"previous-generation": 2, "burstable": 2}
     assert found.left_out_line() == (
         "left out: 2 previous-generation, 2 burstable; "
-        "include them: spec.hardware.machines.include: [previous-generation, burstable]"
+        "to admit them: spec.hardware.allow: [standard, previous-generation, burstable]"
     )
 
 
@@ -36,15 +36,15 @@ def test_what_other_fields_exclude_is_not_counted_as_left_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("machines", "more"),
+    ("allow", "more"),
     [
-        (Machines(include=["burstable"]), {"t3", "c7i-flex"}),
-        (Machines(include=["previous-generation", "burstable"]), {"t3", "c7i-flex", "m4", "m5"}),
-        (Machines(allow=["m5.*", "t3.*", "f2.*"]), {"m5", "t3"}),
+        (["standard", "burstable"], {"t3", "c7i-flex"}),
+        (["standard", "previous-generation", "burstable"], {"t3", "c7i-flex", "m4", "m5"}),
+        (["standard", "m5.*", "t3.*", "f2.*"], {"m5", "t3"}),
     ],
 )
-def test_one_word_includes_a_class_and_allow_admits_what_it_names(machines: Machines, more: set[str]) -> None:
-    found = set(names(*OFFERS, hardware=Hardware(machines=machines)))
+def test_allow_admits_the_classes_and_names_that_it_lists(allow: list[str], more: set[str]) -> None:
+    found = set(names(*OFFERS, hardware=Hardware(allow=allow)))
     assert found - set(names(*OFFERS)) == more
     assert "f2" not in found, "no accelerator is no accelerator"
 

@@ -7,7 +7,7 @@ from fogspec.base.units import Range
 from fogspec.catalog.filters import filter_offers, gpu_type, matches_gpu, matches_infra, matches_names
 from fogspec.catalog.machine import Gpu
 from fogspec.catalog.table import About, Catalog, strings
-from fogspec.spec.schema import Hardware, Machines
+from fogspec.language.schema import Hardware
 from tests.support.catalogs import table
 from tests.support.relative import work_of
 
@@ -40,8 +40,8 @@ def names(catalog: Catalog) -> list[str]:
         (Hardware(spot=True), ["aws/us-east-1"], ["c6i.large", "c6i.large", "m6i.large"]),
         (Hardware(memory_per_cpu=Range(4, 8)), ["aws"], ["m6i.large"]),
         (Hardware(memory=Range(None, 4)), ["aws/us-east-1"], ["c6i.large"]),
-        (Hardware(machines=Machines(allow=["c6i.*"])), ["aws/us-east-1"], ["c6i.large"]),
-        (Hardware(machines=Machines(deny=["c6?.*", "m*"])), ["aws/us-east-1"], ["c6i.large"]),
+        (Hardware(allow=["c6i.*"]), ["aws/us-east-1"], ["c6i.large"]),
+        (Hardware(deny=["c6?.*", "m*"]), ["aws/us-east-1"], ["c6i.large"]),
     ],
 )  # fmt: skip
 def test_what_is_admitted(hardware: Hardware, infra: list[str], left: list[str]) -> None:
@@ -59,7 +59,7 @@ def test_the_funnel_counts_what_each_filter_removed() -> None:
 
 
 def test_zones_merge_at_their_highest_price_unless_named() -> None:
-    catalog, spot = table(*OFFERS), Hardware(spot=True, machines=Machines(allow=["c6i.*"]))
+    catalog, spot = table(*OFFERS), Hardware(spot=True, allow=["c6i.*"])
     merged = filter_offers(catalog, spot, ["aws/us-east-1"]).offers
     assert merged.price_usd_per_hour.tolist() == [0.085, 0.04]
     assert set(merged.zone) == {""}
@@ -98,6 +98,6 @@ def test_fifty_thousand_offers_are_little_work() -> None:
         spot=np.zeros(n, dtype=np.bool_), arch=strings(["x86_64"] * n), physical_cores=vcpus / 2,
         clock_ghz=np.full(n, 3.0), burstable=np.zeros(n, dtype=np.bool_),
     )  # fmt: skip
-    wanted = Hardware(cpus=Range(2, 64), machines=Machines(deny=["c1.*"]))
+    wanted = Hardware(cpus=Range(2, 64), deny=["c1.*"])
     assert filter_offers(catalog, wanted, ["aws"]).funnel.admitted > 30_000
     assert work_of(lambda: filter_offers(catalog, wanted, ["aws"]), 3) < 60

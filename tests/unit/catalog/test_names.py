@@ -16,13 +16,13 @@ spec:
   cloud: [{{ cmd: [plan] }}]
   probe: {{ callback: plan }}
   infra: [{infra}]
-  hardware: {{ machines: {{ allow: [{allow}] }} }}
+  hardware: {{ allow: [{allow}] }}
   benchmark: {{ budget: $2.50, machines: [{machines}] }}
 """
 TABLE = "InstanceType,AcceleratorName,vCPUs,MemoryGiB,Price,Region,AvailabilityZone\n"
 
 
-def said(shell: Shell, infra: str, allow: str = "", machines: str = "") -> list[str]:
+def said(shell: Shell, infra: str, allow: str = "standard", machines: str = "") -> list[str]:
     shell.write("specs/arm.yaml", SPEC.format(infra=infra, allow=allow, machines=machines))
     lines = shell("validate").err.splitlines()
     return [
@@ -59,7 +59,7 @@ def test_a_misspelt_region_is_said_with_the_nearest_name(shell: Shell, infra: st
     ],
 )
 def test_what_may_be_right_is_not_called_a_slip(shell: Shell, infra: str) -> None:
-    assert said(shell, infra, "anything" if not infra.startswith("aws") else "") == []
+    assert said(shell, infra, "anything" if not infra.startswith("aws") else "standard") == []
 
 
 def test_a_zone_is_one_of_its_region(shell: Shell) -> None:
@@ -117,5 +117,5 @@ def test_a_changed_digit_is_another_family() -> None:
 
 
 def test_compile_says_which_place_it_has_no_machine_in(shell: Shell) -> None:
-    shell.write("specs/arm.yaml", SPEC.format(infra="aws/us-eest-1, aws/us-east-1", allow="", machines=""))
+    shell.write("specs/arm.yaml", SPEC.format(infra="aws/us-eest-1, aws/us-east-1", allow="standard", machines=""))
     assert "the catalog has no machine in aws/us-eest-1; did you mean aws/us-west-1" in shell("compile").err

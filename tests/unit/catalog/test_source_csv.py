@@ -24,7 +24,14 @@ def load(tmp_path: Path, content: bytes, name: str = "aws.csv") -> object:
     ("content", "line", "column", "says"),
     [
         (b"", 1, 1, "empty"),
-        (b"InstanceType,vCPUs,MemoryGiB,Region\n", 1, 1, "missing: Price"),
+        (b"InstanceType,MemoryGiB,Price\n", 1, 1, "missing: vCPUs, Region"),
+        (b"InstanceType,vCPUs,MemoryGiB,Region\nc6i.large,2,4,us-east-1\n", 1, 1, "machines of aws have prices"),
+        (
+            b"Cloud,InstanceType,vCPUs,MemoryGiB,price,Region\nslurm,s,2,4,1,lab\n",
+            1,
+            1,
+            "Price, in USD per hour: it has price",
+        ),
         (f"{HEAD}\n".encode(), 1, 1, "at least one row"),
         (f"{HEAD},Price\n".encode(), 1, 1, "a column must stand once: Price"),
         (f"{HEAD}\n{GOOD}\nc6i.xlarge,,,four,8,0.17,,us-east-1,\n".encode(), 3, 14, "vCPUs must be a number"),
@@ -42,6 +49,15 @@ def test_a_wrong_file_is_located(tmp_path: Path, content: bytes, line: int, colu
     assert (found.span.line, found.span.column) == (line, column)
     assert found.span.path.endswith("aws.csv")
     assert says in found.message
+
+
+def test_own_machines_without_a_column_of_prices_cost_core_hours(tmp_path: Path) -> None:
+    content = b"Cloud,InstanceType,vCPUs,MemoryGiB,Region\nslurm,s,2,4,lab\nslurm,l,64,128,lab\nslurm,m,16,32,lab\n"
+    found = load(tmp_path, content, "lab.csv")
+    assert found.price_usd_per_hour.tolist() == found.vcpus.tolist() == [64, 16, 2]  # type: ignore[attr-defined]
+    assert found.about.core_hours  # type: ignore[attr-defined]
+    [note] = found.about.notes  # type: ignore[attr-defined]
+    assert note.endswith("lab.csv: no column Price: costs are core-hours (core-h), and $1 in a spec stands for one")
 
 
 def test_all_mistakes_are_told_at_once_in_order(tmp_path: Path) -> None:

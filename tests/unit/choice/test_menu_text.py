@@ -32,4 +32,4 @@ def test_a_missed_limit_says_by_how_much(
 
 
 def test_a_small_probability_is_not_zero() -> None:
-    assert [shown_probability(one) for one in (0.0, 0.001, 0.324)] == ["0.00", "less than 0.01", "0.32"]
+    assert [shown_probability(one) for one in (0.0, 0.001, 0.324)] == ["less than 0.01", "less than 0.01", "0.32"]

@@ -7,11 +7,11 @@ from fogspec.catalog.sources import load_catalog
 from fogspec.catalog.table import Catalog
 from fogspec.choice.choose import choose
 from fogspec.choice.next_samples import best_next_sample, next_samples
+from fogspec.language.schema import Application
 from fogspec.model.fit import partition
 from fogspec.model.predict import predict_from
 from fogspec.numerics.acquisition import Policy
 from fogspec.results.schema import LatencySummary, Measured
-from fogspec.spec.schema import Application
 from tests.bench_choice import application
 
 
@@ -199,7 +199,7 @@ def test_above_the_latency_that_decides_a_machine_is_no_choice_and_below_it_may_
     above = choice.decided_above_s(rows)
     assert above is not None
     best, rule = choice.best, choice.rule
-    worst = float(choice.latency.posterior.quantile(0.95)[choice.latency.type_index[best]])
+    worst = float(choice.latency.distribution.on_measured_server.quantile(0.95)[choice.latency.type_index[best]])
     least = rule.take(np.array([best])).value(np.array([worst]), choice.scale)[0]
     for factor, decided in ((1.001, True), (0.999, False)):
         latency_s = above * factor

@@ -1,18 +1,20 @@
-"""validate, config and explain as a user calls them."""
+"""validate and explain as a user calls them."""
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 from fogspec.base.yaml import reader
 from fogspec.base.yaml.positions import plain
 from fogspec.cli import main
-from fogspec.spec.field_docs import pages
-from fogspec.spec.schema import Application
+from fogspec.language.field_docs import pages
+from fogspec.language.schema import Application
 
 ROOT = Path(__file__).resolve().parents[3]
 GRASP = str(ROOT / "specs" / "grasp-planning-recorded.yaml")
@@ -23,6 +25,15 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
         main(arguments)
     out = capsys.readouterr()
     return int(end.value.code or 0), out.out, out.err
+
+
+reader_of_yaml = YAML(typ="safe", pure=True)
+
+
+def written(name: str, text: str) -> None:
+    path = Path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
 
 
 VALID = "2 applications in 2 files valid: n12, n16\nnext: fogspec compile\n"
@@ -71,7 +82,7 @@ def test_validate_prints_json_also_when_all_is_well(capsys: pytest.CaptureFixtur
 
 OVERLAY = """\
 spec:
-  cloud: [{ name: planner, parameters: { gain: 2.0 } }, { name: extra, package: c, executable: d }]
+  robot: [{ name: camera, parameters: { gain: 2.0 } }, { name: extra, package: c, executable: d }]
   constraints: { latency: 1.5s, cost: null }
   hardware: { gpus: [none] }
 """
@@ -80,7 +91,8 @@ apiVersion: fogspec.dev/v1alpha1
 kind: Application
 metadata: { name: arm }
 spec:
-  cloud: [{ name: planner, package: a, executable: b, parameters: { model: m, gain: 1.0 } }]
+  cloud: [{ name: planner, package: a, executable: b }]
+  robot: [{ name: camera, package: a, executable: e, parameters: { model: m, gain: 1.0 } }]
   ros: { distro: jazzy }
   probe: { callback: plan }
   constraints: { latency: 2s, cost: $1/request }
@@ -90,52 +102,56 @@ spec:
 """
 
 
-def test_config_merges_maps_named_lists_by_name_and_replaces_other_lists(
+def test_an_environment_merges_maps_named_lists_by_name_and_replaces_other_lists(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("base.yaml").write_text(NAMED)
-    Path("prod.yaml").write_text(OVERLAY)
-    code, out, _ = said(capsys, "config", "base.yaml", "-f", "prod.yaml", "-o", "json")
-    assert code == 0
-    spec = json.loads(out)[0]["spec"]
-    assert [node["name"] for node in spec["cloud"]] == ["planner", "extra"]
-    assert spec["cloud"][0]["parameters"] == {"model": "m", "gain": 2.0}
+    written("specs/arm.yaml", NAMED)
+    written("environments/prod.yaml", OVERLAY)
+    code, out, err = said(capsys, "validate", "arm@prod", "-o", "yaml")
+    assert (code, "error" in err) == (0, False)
+    spec = reader_of_yaml.load(out)["spec"]
+    assert [node["name"] for node in spec["robot"]] == ["camera", "extra"]
+    assert spec["robot"][0]["parameters"] == {"model": "m", "gain": 2.0}
     assert spec["constraints"]["latency"] == "1.5s"
     assert "cost" not in spec["constraints"]
     assert spec["hardware"]["gpus"] == ["none"]
     assert spec["benchmark"]["stop"] == {"requests": 200, "duration": "5min"}
-    code, out, _ = said(capsys, "config", "base.yaml", "-f", "prod.yaml", "--origins")
     lines = {" ".join(line.split()) for line in out.splitlines()}
     assert {
-        "latency: 1.5s # prod.yaml:3",
-        "model: m # base.yaml:5",
-        "gain: 2.0 # prod.yaml:2",
+        "latency: 1.5s # environments/prod.yaml:3",
+        "model: m # specs/arm.yaml:6",
+        "gain: 2.0 # environments/prod.yaml:2",
         "duration: 5min # default",
     } <= lines
-    Path("again.yaml").write_text(out)
-    assert said(capsys, "validate", "again.yaml")[0] == 0
+    written("again/specs/arm.yaml", out)
+    code, again, _ = said(capsys, "validate", "again/specs/arm.yaml", "-o", "yaml")
+    assert code == 0
+    assert reader_of_yaml.load(again)["spec"] == spec, "what it prints reads as the same spec"
 
 
 def test_an_overlay_may_be_meant_for_one_application(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("two.yaml").write_text(NAMED + "---\n" + NAMED.replace("name: arm", "name: leg"))
-    Path("leg.yaml").write_text("metadata: { name: leg }\nspec: { objective: { alpha: 0.9 } }\n")
-    _, out, _ = said(capsys, "config", "two.yaml", "-f", "leg.yaml", "-o", "json")
-    assert [one["spec"]["objective"]["alpha"] for one in json.loads(out)] == [0.5, 0.9]
+    written("specs/arm/arm.yaml", NAMED)
+    written("specs/leg/leg.yaml", NAMED.replace("name: arm", "name: leg"))
+    written("environments/far.yaml", "metadata: { name: leg }\nspec: { objective: { alpha: 0.9 } }\n")
+    _, out, _ = said(capsys, "validate", "-o", "yaml")
+    assert [one["spec"]["objective"]["alpha"] for one in reader_of_yaml.load_all(out)] == [0.5, 0.5]
+    _, out, _ = said(capsys, "validate", "leg@far", "-o", "yaml")
+    assert reader_of_yaml.load(out)["spec"]["objective"]["alpha"] == 0.9
 
 
 def test_a_mistake_in_an_overlay_is_located_in_the_overlay(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("base.yaml").write_text(NAMED)
-    Path("prod.yaml").write_text("spec:\n  constraints: { latency: 2 }\n")
-    code, _, err = said(capsys, "config", "base.yaml", "-f", "prod.yaml")
-    assert code == 1
-    assert "--> prod.yaml:2:27" in err
+    written("specs/arm.yaml", NAMED)
+    written("environments/prod.yaml", "spec:\n  constraints: { latency: 2 }\n")
+    code, out, err = said(capsys, "validate", "arm@prod", "-o", "yaml")
+    assert (code, out) == (1, "")
+    assert "--> environments/prod.yaml:2:27" in err
 
 
 @pytest.mark.parametrize("page", pages(Application), ids=lambda page: page.path)
@@ -157,6 +173,24 @@ def test_explain_says_where_a_file_sets_a_field(capsys: pytest.CaptureFixture[st
     assert f"set at   {GRASP}:{line}:11  cost: $0.001/request" in out
 
 
+@pytest.mark.parametrize("name", ["metrics.callback", "spec.metrics.callback", "spec.metrics.<name>.callback"])
+def test_a_field_below_names_is_explained_without_a_name(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = said(capsys, "explain", name)
+    assert code == 0
+    assert out.startswith("spec.metrics.<name>.callback\n")
+
+
+@pytest.mark.parametrize(
+    ("alpha", "fix"), [("1.3", "1"), ("7.3", "0.073"), ("70", "0.7"), ("57.1", "0.571"), ("1.3%", "0.013")]
+)
+def test_the_alpha_that_was_meant_is_a_short_number(
+    alpha: str, fix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "grasp.yaml"
+    path.write_text(re.sub(r"alpha: \S+", f"alpha: {alpha}", Path(GRASP).read_text("utf-8")), "utf-8")
+    assert re.search(rf"\^ write {fix}\n", said(capsys, "validate", str(path))[2])
+
+
 def test_explain_suggests(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = said(capsys, "explain", "alfa")
     assert (code, "did you mean alpha?" in err) == (2, True)
@@ -165,17 +199,24 @@ def test_explain_suggests(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "number", "offered"),
-    [("fogspec val", "1", "validate"), ("fogspec explain spec.benchmark.bud", "2", "spec.benchmark.budget"),
-     ("fogspec explain FS20", "2", "FS201"), ("fogspec logs vslam-recorded --node r", "4", "ros2 launch")],
+    ("words", "offered"),
+    [("val", "validate"), ("menu vslam-r", "vslam-recorded"), ("explain spec.benchmark.bud", "spec.benchmark.budget"),
+     ("explain FS20", "FS201"), ("logs vslam-recorded --node r", "ros2 launch")],
 )  # fmt: skip
-def test_the_shell_completes(words: str, number: str, offered: str) -> None:
-    environment = {**os.environ, "_FOGSPEC_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": number}
-    program = "import sys; sys.argv[0] = 'fogspec'; from fogspec.cli import main; main()"
+def test_bash_completes_after_the_line_of_the_installation(words: str, offered: str) -> None:
+    (line,) = re.findall("^eval .*bash_source fogspec.*$", (ROOT / "docs/installation.md").read_text("utf-8"), re.M)
+    typed = ["fogspec", *words.split(" ")]
+    script = f"""{line}
+read -ra called <<< "$(complete -p fogspec)"
+COMP_WORDS=({" ".join(typed)}) COMP_CWORD={len(typed) - 1}
+for at in "${{!called[@]}}"; do [ "${{called[at]}}" != -F ] || "${{called[at + 1]}}" fogspec; done
+printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     done = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False, cwd=ROOT
+        ["bash", "-c", script], env={**os.environ, "PATH": path}, cwd=ROOT, capture_output=True, text=True, check=True
     )
-    assert f"plain,{offered}" in done.stdout.splitlines()
+    assert offered in done.stdout.splitlines(), done
 
 
 def test_the_hook_and_the_action_call_verbs_that_are_there() -> None:
@@ -184,3 +225,31 @@ def test_the_hook_and_the_action_call_verbs_that_are_there() -> None:
     assert (wrong, also_wrong) == ([], [])
     assert plain(hooks)[0]["entry"] == "fogspec validate specs"
     assert any("fogspec validate -o github" in step.get("run", "") for step in plain(action)["runs"]["steps"])
+
+
+def test_explain_lists_the_twelve_basic_fields_first(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = said(capsys, "explain", "spec")
+    basic, _, advanced = out.partition("basic fields:\n")[2].partition("\nadvanced fields:\n")
+    names = [line.split()[0] for line in basic.splitlines() if line]
+    assert len(names) == 12
+    assert {"cloud", "probe", "constraints.latency", "infra", "benchmark.budget"} <= {*names}
+    assert "objective.load.rate" in advanced
+    assert "tier     basic" in said(capsys, "explain", "infra")[1]
+    assert "tier" not in said(capsys, "explain", "secrets")[1]
+
+
+def test_a_first_spec_has_the_basic_fields_and_a_pointer_to_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert said(capsys, "init", "arm")[0] == 0
+    text = (tmp_path / "specs" / "arm" / "arm.yaml").read_text()
+    spec = reader_of_yaml.load(text)["spec"]
+    for page in pages(Application):
+        if page.tier == "basic":
+            inside = spec
+            for step in page.path.split(".")[1:]:
+                inside = inside[step]
+    assert {*spec["benchmark"]} == {"budget", "workload"}
+    assert text.endswith("\n  # advanced fields: fogspec explain spec\n")
+    assert said(capsys, "validate")[0] == 0

@@ -8,9 +8,11 @@ import click
 import pytest
 
 from fogspec.cli import EXAMPLES, SHARED, VERBS, fogspec
+from fogspec_lab.cli import lab
 
 CONTEXT = click.Context(fogspec, info_name="fogspec")
 COMMANDS = {name: fogspec.get_command(CONTEXT, name) for name in VERBS}
+ALL = COMMANDS | {f"fogspec-lab {name}": one for name, one in lab.commands.items()}
 
 
 def options(command: click.Command) -> dict[str, click.Option]:
@@ -22,14 +24,12 @@ def test_an_option_has_one_meaning() -> None:
     own = {
         "--max",
         "--name",
-        "--check",
         "--exit-code",
         "--resolve-image",
+        "--since",
         "--yes",
         "--dry-run",
         "--workers",
-        "--key",
-        "--priors",
         "--output",
         "-o",
     }
@@ -37,18 +37,15 @@ def test_an_option_has_one_meaning() -> None:
     for command in COMMANDS.values():
         for name, one in options(command).items():
             texts[name].add((one.help, one.metavar))
-    # `init --watch` and `evaluate --chart` are of one command.
     assert {name for name, found in texts.items() if len(found) > 1} <= own | {
-        "--overlay",
         "-f",
-        "--attestation",
         "--out",
     }
 
 
-@pytest.mark.parametrize("name", VERBS)
+@pytest.mark.parametrize("name", ALL)
 def test_each_option_is_described_and_in_order(name: str) -> None:
-    command = COMMANDS[name]
+    command = ALL[name]
     for one in command.params:
         if isinstance(one, click.Option):
             assert one.help, one.name
@@ -61,9 +58,9 @@ def test_each_option_is_described_and_in_order(name: str) -> None:
     assert ranks == sorted(ranks)
 
 
-@pytest.mark.parametrize("name", VERBS)
+@pytest.mark.parametrize("name", ALL)
 def test_the_text_names_the_arguments_that_the_usage_names(name: str) -> None:
-    text = COMMANDS[name].get_help(click.Context(COMMANDS[name], info_name=name))
+    text = ALL[name].get_help(click.Context(ALL[name], info_name=name))
     usage, rest = text.split("\n\n", 1)
     assert "SPECS" not in text
     for word in ("APP", "MANIFEST"):

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from fogspec.base.layout import Layout
 from fogspec.compile.launch_files import launch_files, robot_launch
 from fogspec.compile.tasks import _flat, measured_processes
-from fogspec.spec.launch_import import read_launch
-from fogspec.spec.schema import Application
+from fogspec.importers.launch import read_launch
+from fogspec.language.schema import Application
 from tests.support.launching import launched
 from tests.unit.compile.test_tasks import NASTY, application
 
@@ -64,7 +64,7 @@ def test_the_robots_launch_file_finds_the_specs_files_from_anywhere(tmp_path, mo
 
 @pytest.mark.parametrize(("link", "rmw"), [("zenoh", "RMW_IMPLEMENTATION"), ("wireguard", "ROS_STATIC_PEERS")])
 def test_with_a_link_the_robot_starts_its_end_before_its_nodes(tmp_path, link, rmw):
-    app = application(robot=[NODE], ros={}, connectivity={"link": link, "topics": ["/t"]})
+    app = application(robot=[NODE], ros={}, connectivity={"link": link, "expose": {"/t": "topic"}})
     layout = written(app, tmp_path)
     first, *others, begun, tunnel, node = launched(layout.robot)
     assert (first.kind, first.arguments[0]) == ("SetEnvironmentVariable", rmw)
@@ -97,7 +97,9 @@ def test_a_container_is_one_process_with_its_components(tmp_path):
 
 
 def test_a_container_is_measured_by_a_launch_file_of_its_own(tmp_path):
-    (argv,) = measured_processes(application(cloud=[CONTAINER], ros={}).spec)
+    (process,) = measured_processes(application(cloud=[CONTAINER], ros={}).spec)
+    assert isinstance(process, dict)
+    argv = process["argv"]
     assert argv[:3] == ["python3", "-m", "fogspec_agent.launch"]
     (tmp_path / "one.launch.py").write_text(argv[3], "utf-8")
     (container,) = launched(tmp_path / "one.launch.py")
@@ -109,8 +111,8 @@ def test_substitutions_are_launchs_own(tmp_path):
     node = {
         "package": "p", "executable": "e", "parameter_files": ["$(find-pkg-share p)/a.yaml"],
         "arguments": ["-d", "$(env HOME)/x"],
-        "parameters": {"map": "$(find-pkg-share p)/map.yaml", "cost": "$5"}, "prefix": "nice -n 5", "respawn": True,
-        "respawn_delay": "2s",
+        "parameters": {"map": "$(find-pkg-share p)/map.yaml", "cost": "$5"},
+        "launch": {"prefix": "nice -n 5", "respawn": True, "respawn_delay": "2s"},
     }  # fmt: skip
     (one,) = launched(written(application(robot=[node]), tmp_path).robot)
     words = one.keywords
@@ -123,7 +125,7 @@ def test_substitutions_are_launchs_own(tmp_path):
 
 
 def test_a_robot_without_nodes_still_gets_its_end_of_the_link(tmp_path):
-    app = application(ros={}, connectivity={"link": "zenoh", "topics": ["/t"]})
+    app = application(ros={}, connectivity={"link": "zenoh", "expose": {"/t": "topic"}})
     assert [one.kind for one in launched(written(app, tmp_path).robot)] == [
         "SetEnvironmentVariable", "OpaqueFunction", "ExecuteProcess"
     ]  # fmt: skip

@@ -2,17 +2,20 @@
 
 import json
 import subprocess
-from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
-from fogspec.backends.skypilot import logs
-from fogspec.base.project_files import ProjectFiles
+from fogspec.base.layout import Layout
 from fogspec.base.templates import render
+from fogspec.base.yaml.writer import yaml_text
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.compile.tasks import (
+    asks,
     command,
+    deploy_comment,
     deploy_task,
+    deploy_work,
     deployed_processes,
     launched_together,
     left_out,
@@ -20,13 +23,17 @@ from fogspec.compile.tasks import (
     measured_processes,
     parameter,
     ros_environment,
+    sample_comment,
     sample_task,
+    sample_work,
 )
+from fogspec.language.lockfile import REGISTRY_LOGIN
+from fogspec.language.schema import Application, Node
+from fogspec.language.warned import sentence
 from fogspec.plan.commitment import Commitment
-from fogspec.plan.schema import Part, Sample
-from fogspec.spec.lockfile import REGISTRY_LOGIN
-from fogspec.spec.schema import Application, Node
+from fogspec.plan.schema import Sample
 from tests.support.agent import AGENT
+from tests.support.jobs import GENERATED
 
 COMMITMENT = Commitment(measuring_s=301, setup_s=300)
 NASTY = """it's "$(touch owned)" `x` \\ $HOME ; & | é"""
@@ -44,15 +51,22 @@ def sample(**machine) -> Sample:
     return Sample(id="one", machine=Machine(**(shape | machine)), reason="because")
 
 
-def task_of(app: Application, one: Sample, run: str = "true") -> dict:
-    return sample_task(app, one, COMMITMENT, workdir="specs", agent="compiled/agent.pyz", setup=None, run=run)
+LAYOUT = Layout(Path(), Path("specs/app.yaml"), "app")
+
+
+def task_of(app: Application, one: Sample) -> dict:
+    return sample_task(app, one, COMMITMENT, sample_work(app, one, LAYOUT, {}))
+
+
+def deployed(app: Application, one: Sample) -> dict:
+    return deploy_task(app, one.machine, deploy_work(app, LAYOUT))
 
 
 def test_every_task_ends_its_machine_by_itself():
     resources = task_of(application(), sample())["resources"]
     assert resources["autostop"] == {"idle_minutes": 16, "down": True, "wait_for": "none"}
-    deployed = deploy_task(application(), sample().machine, workdir=".", agent="a", setup=None, run="true")
-    assert deployed["resources"]["autostop"]["down"] is True
+    task = deployed(application(), sample())
+    assert task["resources"]["autostop"]["down"] is True
 
 
 @pytest.mark.parametrize(
@@ -71,14 +85,28 @@ def test_every_task_ends_its_machine_by_itself():
 def test_an_engine_with_a_time_limit_of_its_own_is_given_it(infra, config):
     """Provisioning and lifetime, from the machine's start: 5 min and 16 min."""
     assert task_of(application(), sample(infra=infra)).get("config") == config
-    deployed = deploy_task(application(), sample(infra=infra).machine, workdir=".", agent="a", setup=None, run="true")
+    task = deployed(application(), sample(infra=infra))
     limits = {"kubernetes": {"set_pod_resource_limits": True}} if infra == "kubernetes" else None
-    assert deployed.get("config") == limits, "a deployment has no longest time"
+    assert task.get("config") == limits, "a deployment has no longest time"
+
+
+def test_a_task_states_its_machine_and_the_most_that_it_may_cost():
+    assert sample_comment(sample(), COMMITMENT) == (
+        "g4dn.xlarge on aws/us-east-1: because. $0.526/h, at most 23 min, at most $0.2016."
+    )
+    assert sample_comment(sample(price=0.0), COMMITMENT).endswith("No price, at most 23 min.")
+    app = application(deployment={"until": "2h", "budget": "$1.5"})
+    assert deploy_comment(app.spec, sample().machine, "the choice") == (
+        "g4dn.xlarge on aws/us-east-1: the choice. $0.526/h, until 2h, at most $1.50."
+    )
+    hostile = yaml_text({"name": "app"}, "fogspec compile", "a\nrun: curl evil\u2028")
+    assert hostile.splitlines()[-1] == "name: app"
+    assert "\nrun" not in hostile
 
 
 def test_the_machine_is_pinned_with_its_accelerators_spot_and_image():
     app = application(ros={"image": "docker.io/library/ros:jazzy"})
-    resources = task_of(app, sample(gpu=Gpu(name="T4"), spot=True))["resources"]
+    resources = task_of(app, sample(gpu=Gpu(name="T4", count=1), spot=True))["resources"]
     assert (resources["infra"], resources["instance_type"]) == ("aws/us-east-1", "g4dn.xlarge")
     assert (resources["accelerators"], resources["use_spot"]) == ("T4:1", True)
     assert resources["image_id"] == "docker:docker.io/library/ros:jazzy"
@@ -134,8 +162,8 @@ def test_topics_are_listened_to_by_a_process_of_their_own():
     ]
 
 
-def rendered_sample(app: Application, parts: Sequence[str] = ()) -> str:
-    return render("run_sample.sh.j2", **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=600.0, parts=parts,
+def rendered_sample(app: Application) -> str:
+    return render("measure.sh.j2", **GENERATED, **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=600.0,
                   processes=measured_processes(app.spec))  # fmt: skip
 
 
@@ -147,18 +175,22 @@ def test_hostile_words_reach_the_process_unchanged(tmp_path):
                          env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake),
                               "FOGSPEC_OUT": str(tmp_path / "out")})  # fmt: skip
     words = json.loads(run.stdout)
-    assert json.loads(words[words.index("--process") + 1]) == ["printf", "%s", NASTY]
+    assert json.loads(words[words.index("--process") + 1]) == {
+        "argv": ["printf", "%s", NASTY], "name": "printf %s",
+    }  # fmt: skip
     assert not (tmp_path / "owned").exists()
 
 
 def test_a_node_with_respawn_is_a_process_of_its_own():
-    plain = application(cloud=[{"cmd": ["python3", "a.py"], "respawn": True, "respawn_delay": "2s"}, {"cmd": ["b"]}])
+    plain = application(
+        cloud=[{"cmd": ["python3", "a.py"], "launch": {"respawn": True, "respawn_delay": "2s"}}, {"cmd": ["b"]}]
+    )
     assert deployed_processes(plain) == [
         {"argv": ["python3", "a.py"], "name": "python3 a.py", "respawn": "always", "respawn_delay": 2.0},
         {"argv": ["b"], "name": "b"},
     ]  # fmt: skip
     nodes = [
-        {"package": "p", "executable": "e", "respawn": "on_failure"},
+        {"package": "p", "executable": "e", "launch": {"respawn": "on_failure"}},
         {"package": "p", "executable": "f", "name": "g"},
     ]
     ros = application(cloud=nodes, ros={"distro": "jazzy"})
@@ -170,12 +202,13 @@ def test_a_node_with_respawn_is_a_process_of_its_own():
     assert [one["name"] for one in deployed_processes(alone)] == ["e"]
 
 
-DEPLOYED = {"ready": ["true"], "listeners": [["sleep", "1"]], "link": None, "ends": True}
+ASKED = ["python3", "-m", "fogspec_agent.declared", "--of", "planner", "gain"]
+DEPLOYED = {"ready": ["true"], "listeners": [["sleep", "1"]], "asks": ASKED, "link": None, "ends": True}
 
 
 def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_path):
     processes = [["sh", "-c", 'printf %s "$1" > said', "x", NASTY], ["sleep", "60"]]
-    script = render("run_deploy.sh.j2", **ros_environment(application().spec), processes=processes, **DEPLOYED)
+    script = render("deploy.sh.j2", **GENERATED, **ros_environment(application().spec), processes=processes, **DEPLOYED)
     environment = {
         "PATH": "/usr/bin:/bin",
         "HOME": "/",
@@ -184,24 +217,16 @@ def test_a_deployment_runs_its_words_unchanged_and_ends_when_one_node_ends(tmp_p
         "FOGSPEC_LIFETIME_S": "3600",
         "FOGSPEC_ENDS": "4000000000",
     }
-    subprocess.run(["bash", "-c", script], cwd=tmp_path, timeout=120, env=environment)
+    subprocess.run(["bash", "-c", script], cwd=tmp_path, timeout=600, env=environment)
     assert (tmp_path / "said").read_text() == NASTY
 
 
-@pytest.mark.parametrize(
-    ("template", "parts"),
-    [
-        ("run_sample.sh.j2", []),
-        ("run_sample.sh.j2", ["half:2:1024"]),
-        ("run_deploy.sh.j2", []),
-        ("setup_ros2.sh.j2", []),
-    ],
-)
-def test_scripts_pass_shellcheck(tmp_path, template, parts):
+@pytest.mark.parametrize("template", ["measure.sh.j2", "deploy.sh.j2", "setup.sh.j2"])
+def test_scripts_pass_shellcheck(tmp_path, template):
     app = application(ros={"workspace": "ros2_ws", "apt": ["x y"], "setup": ["echo hello"]}, cloud=[{"cmd": [NASTY]}])
     script = tmp_path / "script.sh"
-    script.write_text(render(template, **ros_environment(app.spec), limits=["--after", "5"], lifetime_s=9.0, **DEPLOYED,
-                             parts=parts, processes=measured_processes(app.spec)))  # fmt: skip
+    words = {"limits": ["--after", "5"], "lifetime_s": 9.0, "processes": measured_processes(app.spec)}
+    script.write_text(render(template, **GENERATED, **ros_environment(app.spec), **DEPLOYED, **words))
     try:
         checked = subprocess.run(["shellcheck", "-s", "bash", "-S", "warning", "-e", "SC1091,SC2016", str(script)],
                                  capture_output=True, text=True)  # fmt: skip
@@ -232,45 +257,9 @@ def test_without_a_runner_that_reads_folders_the_lines_are_in_the_log(tmp_path):
         assert run.stdout.splitlines() == [
             "=== fogspec measures ===",
             "=== fogspec begin outcome.json ===", json.dumps({"omp": omp}), "=== fogspec end outcome.json ===",
+            "=== fogspec begin packages.txt ===", "=== fogspec end packages.txt ===",
             "=== fogspec begin timings.jsonl ===", *['{"latency_s": 1.5}'] * 2, "=== fogspec end timings.jsonl ===",
         ]  # fmt: skip
-
-
-PARTS = """import os, sys
-out, parts = sys.argv[sys.argv.index("--out") + 1], [word.partition("=")[2] for word in sys.argv if word.startswith("--part=")]
-for name in [out, *(f"{out}/{part.partition(':')[0]}" for part in parts)][bool("--only-parts" in sys.argv):]:
-    os.makedirs(name, exist_ok=True)
-    for file in ("outcome.json", "timings.jsonl"):
-        with open(f"{name}/{file}", "w") as to:
-            to.write(f"{' '.join(parts)} in {name}\\n")
-sys.exit(int(os.environ.get("CODE", "0")))
-"""
-
-
-@pytest.mark.parametrize("code", [0, 1])
-def test_parts_of_the_machine_are_in_the_log_one_by_one_after_it(tmp_path, code):
-    """What was measured before a part is in the log by then; a machine that failed has no parts, and its log is whole."""
-    fake = tmp_path / "agent.pyz"
-    fake.write_text(PARTS)
-    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "FOGSPEC_AGENT": str(fake), "CODE": str(code)}
-    script = rendered_sample(application(), ["half:2:1024", "quarter:1:512"])
-    run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment)
-    assert run.returncode == code, run.stderr
-    (tmp_path / "run.log").write_text(run.stdout)
-    files, machine = ProjectFiles(tmp_path), Machine(infra="aws", instance="a", cpus=2, memory=2, price=1)
-    both = [Part(part=name, machine=machine) for name in ("half", "quarter")]
-    assert logs.unpack(files, tmp_path / "run.log", tmp_path / "got", both)
-    got = {
-        path.relative_to(tmp_path / "got").as_posix(): path.read_text() for path in (tmp_path / "got").rglob("*.json*")
-    }
-    out = tmp_path / ".fogspec" / "out"
-    nothing = code != 0
-    assert got["timings.jsonl"] == f" in {out}\n"
-    assert got["half/timings.jsonl"] == ("" if nothing else f"half:2:1024 in {out}/half\n")
-    assert got["quarter/outcome.json"] == ("" if nothing else f"quarter:1:512 in {out}/quarter\n")
-    environment["FOGSPEC_OUT"] = str(tmp_path / "here")
-    subprocess.run(["bash", "-c", script], cwd=tmp_path, env=environment, timeout=60)
-    assert (tmp_path / "here/quarter/timings.jsonl").read_text().startswith("half:2:1024 quarter:1:512 in")
 
 
 HOSTILE = """import os, sys
@@ -292,11 +281,12 @@ def test_what_nodes_put_in_place_of_results_is_not_followed_and_fills_no_disk(tm
     run = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=environment)
     assert run.stdout.splitlines()[1:] == [
         "=== fogspec begin outcome.json ===", "=== fogspec end outcome.json ===",
+        "=== fogspec begin packages.txt ===", "=== fogspec end packages.txt ===",
         "=== fogspec begin timings.jsonl ===", '{"latency_s": 1.5}', "torn", "=== fogspec end timings.jsonl ===",
     ]  # fmt: skip
     log = tmp_path / "log"
     with open(log, "wb") as out:
-        subprocess.run(["bash", "-c", script], stdout=out, cwd=tmp_path, env=environment | {"SPARSE": "1"}, timeout=60)
+        subprocess.run(["bash", "-c", script], stdout=out, cwd=tmp_path, env=environment | {"SPARSE": "1"}, timeout=600)
     *before, marker = log.read_bytes().splitlines()
     assert (max(map(len, before)), marker) == (2**16, b"=== fogspec end timings.jsonl ===")
 
@@ -352,10 +342,11 @@ def test_where_an_image_or_its_login_is_not_used_is_said():
     image = "registry.example.org/team/nodes:1"
     app = application(secrets=["API_KEY", *REGISTRY_LOGIN], ros={"image": image})
     (said,) = left_out(app.spec, sample(infra="kubernetes/lab", instance="4CPU--16GB").machine)
-    assert said.startswith("SKYPILOT_DOCKER_USERNAME, ")
-    assert "imagePullSecrets" in said
+    assert sentence(said).startswith("SKYPILOT_DOCKER_USERNAME, ")
+    assert "imagePullSecrets" in sentence(said)
     here = sample(infra="local", instance="4cpu-16gib")
-    assert left_out(app.spec, here.machine) == [f"image {image} is left out on this host: its own ROS 2 is used"]
+    [said] = left_out(app.spec, here.machine)
+    assert sentence(said) == f"image {image} is left out on this host: its own ROS 2 is used"
     assert "image_id" not in task_of(app, here)["resources"]
     assert left_out(app.spec, sample().machine) == []
 
@@ -365,8 +356,8 @@ def test_slurm_has_neither_images_nor_spot_and_it_is_said():
     one = sample(infra="slurm/lab", instance="4CPU--16GB", spot=True)
     resources = task_of(app, one)["resources"]
     assert not {"image_id", "use_spot", "ports"} & resources.keys()
-    assert [text.split(" is")[0] for text in left_out(app.spec, one.machine)] == [
-        "image docker.io/library/ros:jazzy", "spot"
+    assert [(found["what"], found["cloud"]) for found in left_out(app.spec, one.machine)] == [
+        ("image", "slurm"), ("spot", "slurm")
     ]  # fmt: skip
     assert left_out(app.spec, sample().machine) == []
 
@@ -400,11 +391,11 @@ def test_setting_up_twice_installs_builds_and_logs_and_runs_its_own_lines_once(t
         (tools / name).write_text(f"#!/bin/sh\n{body}\n")
         (tools / name).chmod(0o755)
     app = application(ros={"workspace": workspace, "apt": ["ros-jazzy-x", "a b"], "setup": ["echo mine >> ~/said"]})
-    script = render("setup_ros2.sh.j2", **ros_environment(app.spec))
+    script = render("setup.sh.j2", **GENERATED, **ros_environment(app.spec))
     script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:")
     (ros / "jazzy" / "setup.bash").write_text("export ROS_DISTRO=jazzy; : $UNBOUND")
     for _ in range(2):
-        subprocess.run(["bash", "-c", script], cwd=tmp_path, check=True, capture_output=True, text=True, timeout=60,
+        subprocess.run(["bash", "-c", script], cwd=tmp_path, check=True, capture_output=True, text=True, timeout=600,
                        env={"PATH": "/usr/bin:/bin", "HOME": str(home)})  # fmt: skip
     said = (home / "said").read_text()
     assert said.count("mine") == 1
@@ -426,9 +417,9 @@ def test_nothing_is_asked_of_root_where_all_is_there_and_who_cannot_be_root_is_t
     for name, body in (FAKES | {"id": "echo 1000", "sudo": "exit 1", "dpkg-query": f"printf {state}"}).items():
         (tools / name).write_text(f"#!/bin/sh\n{body}\n")
         (tools / name).chmod(0o755)
-    script = render("setup_ros2.sh.j2", **ros_environment(application(ros={"apt": ["ros-jazzy-x"]}).spec))
+    script = render("setup.sh.j2", **GENERATED, **ros_environment(application(ros={"apt": ["ros-jazzy-x"]}).spec))
     script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:")
-    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=600,
                          env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
     assert run.returncode == code
     assert not (tmp_path / "said").exists()
@@ -447,9 +438,9 @@ def test_who_is_not_root_builds_the_workspace_with_what_is_there(tmp_path, there
         if there or name != "colcon":
             (tools / name).write_text(f"#!/bin/sh\n{body}\n")
             (tools / name).chmod(0o755)
-    script = render("setup_ros2.sh.j2", **ros_environment(application(ros={"workspace": "ws"}).spec))
+    script = render("setup.sh.j2", **GENERATED, **ros_environment(application(ros={"workspace": "ws"}).spec))
     script = script.replace("/opt/ros", str(ros)).replace("export PATH=", f"export PATH={tools}:")
-    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=600,
                          env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
     log = (tmp_path / ".fogspec" / "setup.log").read_text()
     if there:
@@ -469,12 +460,32 @@ def test_a_set_up_that_fails_says_so_and_stops(tmp_path, codename, code, said):
         (tmp_path / name).write_text(f"#!/bin/sh\n{'exit 7' if name == 'apt-get' else body}\n")
         (tmp_path / name).chmod(0o755)
     (tmp_path / "os-release").write_text(f"VERSION_CODENAME={codename}\nPRETTY_NAME='Toy OS'\n")
-    script = render("setup_ros2.sh.j2", **ros_environment(application(ros={}).spec))
+    script = render("setup.sh.j2", **GENERATED, **ros_environment(application(ros={}).spec))
     script = script.replace("export PATH=", f"export PATH={tmp_path}:").replace(
         "/etc/os-release", f"{tmp_path}/os-release"
     )
-    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+    run = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=600,
                          env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)})  # fmt: skip
     assert run.returncode == code
     assert said in run.stdout
     assert "is ready" not in run.stdout
+
+
+def test_nodes_are_asked_for_the_parameters_that_the_spec_sets() -> None:
+    nodes = [
+        {"package": "p", "executable": "e", "parameters": {"gain": 1.0, "pid": {"i": 2}}},
+        {"package": "p", "executable": "e", "name": "arm", "parameters": {"a": 1}},
+        {"package": "p", "executable": "e", "name": "arm", "namespace": "left", "parameters": {"a": 1}},
+        {"package": "p", "executable": "e", "name": "$(env ARM)", "parameters": {"a": 1}},
+        {"package": "p", "executable": "e", "name": "files_may_be_for_others", "parameter_files": ["x.yaml"]},
+        {"package": "rclcpp_components", "executable": "component_container", "name": "box",
+         "composable_node_descriptions": [{"package": "p", "plugin": "p::E", "name": "eye", "parameters": {"fps": 5}},
+                                          {"package": "p", "plugin": "p::E", "parameters": {"fps": 6}}]},
+    ]  # fmt: skip
+    asked = asks([Node.model_validate(one) for one in nodes])
+    assert asked is not None
+    assert " ".join(asked) == (
+        "python3 -m fogspec_agent.declared --of p/e gain pid.i --of arm a --of /left/arm a --of p/e a --of eye fps"
+        " --of rclcpp_components/component_container fps"
+    )
+    assert asks([Node.model_validate(nodes[4])]) is None

@@ -16,6 +16,7 @@ from fogspec.deploy.candidates import Candidate
 from fogspec.deploy.preflight import allowed
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState
+from tests.support.jobs import WORK
 
 FIRST, SECOND = "sha256:" + "1" * 64, "sha256:" + "2" * 64
 
@@ -91,7 +92,7 @@ class World:
     ) -> Rollout:
         candidates = [
             Candidate(
-                number=n, machine=Machine(infra="aws/r1", instance=name, cpus=2, memory=4.0, price=0.1), task={},
+                number=n, machine=Machine(infra="aws/r1", instance=name, cpus=2, memory=4.0, price=0.1), work=WORK, task={},
                 runs=f"{runs} {name}", approved_usd_per_hour=0.1,
             )
             for n, name in enumerate(machines)

@@ -9,6 +9,7 @@ from fogspec.catalog.filters import price_now
 from fogspec.catalog.machine import Gpu, Machine
 from fogspec.catalog.sources import load_catalog
 from fogspec.deploy.candidates import Candidate, affordable, check_price, exact, price_words
+from tests.support.jobs import WORK
 
 DIGEST = "sha256:" + "ab" * 32
 TABLE = """InstanceType,AcceleratorName,AcceleratorCount,vCPUs,MemoryGiB,Price,SpotPrice,Region,AvailabilityZone
@@ -53,7 +54,9 @@ def test_the_highest_price_of_a_region_counts(catalog) -> None:
     ],
 )
 def test_what_was_approved_what_is_allowed_and_what_is_hard(now, limit, most, allowed) -> None:
-    one = Candidate(number=0, machine=machine(), task={}, runs="", approved_usd_per_hour=0.4, now_usd_per_hour=now)
+    one = Candidate(
+        number=0, machine=machine(), work=WORK, task={}, runs="", approved_usd_per_hour=0.4, now_usd_per_hour=now
+    )
     assert affordable(one, limit, most) is allowed
     if not allowed:
         with pytest.raises(Refused, match=r"c\.large in aws/r1"):

@@ -15,11 +15,12 @@ from fogspec.backends.skypilot.internals import _seconds
 from fogspec.backends.task_check import check_task
 from fogspec.base.clouds import CLOUDS
 from fogspec.base.errors import Refused
+from fogspec.base.layout import Layout
 from fogspec.catalog.machine import Machine
-from fogspec.compile.tasks import deploy_task
+from fogspec.compile.tasks import deploy_task, deploy_work
 from fogspec.deploy.lifetime import KEPT_BY, End, ended, left_s, limited
+from fogspec.language.schema import Application
 from fogspec.plan.commitment import PROVISIONING_S, TEARDOWN_S
-from fogspec.spec.schema import Application
 
 NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)
 OWNER = Owner("a repository", "default", "demo")
@@ -55,7 +56,7 @@ def test_no_more_is_spent_than_allowed(most: float, share: float, price: float, 
 
 @pytest.mark.parametrize(
     ("end", "reason"),
-    [(End("30s"), "until"), (End("2020-01-01T00:00:00Z"), "until"), (End("8h", 1.0), "max_spend")],
+    [(End("30s"), "until"), (End("2020-01-01T00:00:00Z"), "until"), (End("8h", 1.0), "budget")],
 )
 def test_an_end_that_is_now_starts_nothing(end: End, reason: str) -> None:
     with pytest.raises(Refused, match=f"deployment.{reason} is reached"):
@@ -76,7 +77,7 @@ def compiled(infra: str) -> dict[str, Any]:
                      "deployment": {"until": "2h"}},
         }
     )  # fmt: skip
-    return deploy_task(app, machine(infra), workdir=".", agent="a", setup=None, run="true")
+    return deploy_task(app, machine(infra), deploy_work(app, Layout(Path(), Path("specs/demo.yaml"), "demo")))
 
 
 POD = {"pod_config": {"spec": {"activeDeadlineSeconds": 7500}}}

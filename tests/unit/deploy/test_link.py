@@ -10,26 +10,14 @@ from fogspec.base.errors import InvalidInput, Refused
 from fogspec.base.layout import Layout
 from fogspec.base.templates import render
 from fogspec.catalog.machine import Machine
-from fogspec.cli import main
 from fogspec.compile.launch_files import launch_files, link_of_machine, link_script
-from fogspec.compile.tasks import deploy_task, deployed_processes, ros_environment
+from fogspec.compile.tasks import deploy_task, deploy_work, deployed_processes, ros_environment
 from fogspec.deploy import link as link_files
-from fogspec.spec.schema import Application
+from fogspec.language.schema import Application
+from tests.support.jobs import GENERATED
 from tests.unit.compile.test_tasks import application
 
 LAYOUT = Layout.of("specs/x.yaml", "app")
-SPEC = """\
-apiVersion: fogspec.dev/v1alpha1
-kind: Application
-metadata: {name: arm}
-spec:
-  cloud: [{package: arm, executable: planner}]
-  ros: {distro: jazzy}
-  probe: {request: /image, response: /pose}
-  infra: [aws/us-east-1]
-  benchmark: {budget: $1}
-  connectivity: {link: zenoh}
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +27,7 @@ def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def arm(link: str = "zenoh") -> Application:
-    return application(ros={}, connectivity={"link": link, "topics": ["/t"]})
+    return application(ros={}, connectivity={"link": link, "expose": {"/t": "topic"}})
 
 
 def at(app: Application, side: str, *words: str, said: str = "") -> "subprocess.CompletedProcess[str]":
@@ -49,12 +37,12 @@ def at(app: Application, side: str, *words: str, said: str = "") -> "subprocess.
 
 def test_keys_are_made_once_and_are_the_owners_alone(links):
     app = arm()
-    public = link_files.make_keys(app, LAYOUT)
+    public = at(app, "robot", "keys").stdout.strip()
     private = links / "app" / "robot" / "private.key"
     before = private.read_bytes()
     assert stat.S_IMODE(private.stat().st_mode) == 0o600
     assert stat.S_IMODE(private.parent.stat().st_mode) == 0o700
-    assert link_files.make_keys(app, LAYOUT) == public
+    assert at(app, "robot", "keys").stdout.strip() == public
     assert private.read_bytes() == before
     assert link_files.environment(app, LAYOUT) == {"FOGSPEC_LINK_PEER": public}
     assert "PRIVATE" not in public
@@ -63,13 +51,13 @@ def test_keys_are_made_once_and_are_the_owners_alone(links):
 def test_before_the_robot_has_a_key_nothing_is_launched():
     with pytest.raises(Refused) as refused:
         link_files.environment(arm(), LAYOUT)
-    assert any("fogspec keys" in hint for hint in refused.value.hints)
+    assert "on the robot: bash compiled/app/link/link.sh robot keys" in refused.value.hints
     assert link_files.environment(application(), LAYOUT) == {}
 
 
 def test_public_halves_are_exchanged_and_forgotten(links):
     app = arm()
-    link_files.make_keys(app, LAYOUT)
+    assert at(app, "robot", "keys").returncode == 0
     cloud = at(app, "cloud", "keys").stdout
     files = link_files.join(app, LAYOUT, "203.0.113.7", cloud)
     assert {path.name: path.read_text().strip() for path in files} == {"peer": cloud.strip(), "address": "203.0.113.7"}
@@ -122,32 +110,28 @@ def test_up_before_the_exchange_says_what_is_missing(tmp_path):
     assert (run.returncode, run.stderr) == (1, "link: the cloud end is not known here: link.sh robot peer\n")
 
 
-def test_the_verb_prints_the_public_half_and_never_the_private_one(tmp_path, monkeypatch, capsys, links):
-    monkeypatch.chdir(tmp_path)
-    Path("spec.yaml").write_text(SPEC)
-    with pytest.raises(SystemExit) as end:
-        main(["keys", "spec.yaml"])
-    assert not end.value.code
-    said = capsys.readouterr()
-    assert said.out == f"arm: {(links / 'arm' / 'robot' / 'public').read_text()}"
-    body = (links / "arm" / "robot" / "private.key").read_text().splitlines()[1]
-    assert body not in said.out + said.err
-
-
-def test_the_verb_without_a_link_says_so(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    Path("spec.yaml").write_text(SPEC.replace("zenoh", "none"))
-    with pytest.raises(SystemExit) as end:
-        main(["keys", "spec.yaml"])
-    assert end.value.code == 1
-    assert "spec.connectivity.link is none" in capsys.readouterr().err
+def test_the_compiled_script_prints_the_public_half_and_never_the_private_one(tmp_path, links):
+    app = arm()
+    layout = Layout.of(tmp_path / "specs" / "x.yaml", "app")
+    for path, content in launch_files(app, layout).items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    ran = [
+        subprocess.run(
+            ["bash", str(layout.link / "link.sh"), "robot", "keys"], check=True, capture_output=True, text=True
+        )
+        for _ in range(2)
+    ]
+    public = (links / "app" / "robot" / "public").read_text()
+    assert [one.stdout.strip() for one in ran] == [public.strip()] * 2
+    body = (links / "app" / "robot" / "private.key").read_text().splitlines()[1]
+    assert all(body not in one.stdout + one.stderr for one in ran)
+    assert list(layout.link.rglob("*key*")) == [], "no key is beside the compiled files"
 
 
 def deployed(app: Application, infra: str = "aws/us-east-1") -> dict:
     machine = Machine(infra=infra, instance="m6i.large", cpus=2.0, memory=8.0, price=0.096)
-    return deploy_task(
-        app, machine, workdir=".", agent="a", setup=None, run="true", launch="c.py", link="compiled/app/link"
-    )
+    return deploy_task(app, machine, deploy_work(app, LAYOUT))
 
 
 def test_the_task_asks_for_the_robots_public_half_and_opens_one_port():
@@ -155,7 +139,7 @@ def test_the_task_asks_for_the_robots_public_half_and_opens_one_port():
     assert task["envs"] == {"FOGSPEC_LINK_PEER": None}
     assert task["resources"]["ports"] == [7448]
     assert task["file_mounts"]["~/.fogspec/link"] == "compiled/app/link"
-    assert task["file_mounts"]["~/.fogspec/launch/cloud.launch.py"] == "c.py"
+    assert task["file_mounts"]["~/.fogspec/launch/cloud.launch.py"] == "compiled/app/cloud.launch.py"
     assert "ports" not in deployed(arm("wireguard"))["resources"], "SkyPilot opens TCP ports only"
     assert "ports" not in deployed(arm(), "slurm/lab")["resources"], "SkyPilot opens none there"
 
@@ -178,10 +162,12 @@ def test_the_link_starts_first_and_nodes_by_ros2_launch(tmp_path):
 def run_script(app: Application) -> str:
     ros = ros_environment(app.spec)
     return render(
-        "run_deploy.sh.j2",
+        "deploy.sh.j2",
+        **GENERATED,
         **ros,
         processes=deployed_processes(app),
         listeners=[],
+        asks=None,
         ready=None,
         ends=False,
         link=link_of_machine(app),
@@ -190,7 +176,7 @@ def run_script(app: Application) -> str:
 
 @pytest.mark.parametrize("link", ["zenoh", "wireguard"])
 def test_the_machines_scripts_pass_shellcheck(link, tmp_path):
-    for text in (run_script(arm(link)), render("setup_link.sh.j2", **link_of_machine(arm(link)))):
+    for text in (run_script(arm(link)), link_script(arm(link), LAYOUT)):
         script = tmp_path / "script.sh"
         script.write_text(text)
         try:
@@ -217,7 +203,7 @@ def machine(tmp_path: Path, **environment: str) -> "subprocess.CompletedProcess[
 
 
 def test_the_machine_makes_its_own_key_and_hands_out_its_public_half(tmp_path, links):
-    public = link_files.make_keys(arm(), LAYOUT)
+    public = at(arm(), "robot", "keys").stdout.strip()
     run = machine(tmp_path, FOGSPEC_LINK_PEER=public)
     assert (run.returncode, run.stdout) == (0, "rmw_zenoh_cpp\n"), run.stderr
     mine = tmp_path / "home" / ".fogspec" / "links" / "app" / "cloud"

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from prometheus_client.openmetrics.parser import text_string_to_metric_families
+from prometheus_client.parser import text_string_to_metric_families
 
 from fogspec.backends.protocol import DeploymentStatus
 from fogspec.base.text import INVISIBLE
 from fogspec.catalog.machine import Machine
 from fogspec.deploy.health import HealthReport
-from fogspec.deploy.openmetrics import Metrics, escaped
+from fogspec.deploy.metrics import escaped, metrics_text
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.watch import LONGEST_WAIT_S, Action, action_of, wait_s
 
@@ -70,9 +70,9 @@ def test_restarts_wait_and_the_first_does_not(ages_s: list[float]) -> None:
 @given(st.text(min_size=1))
 def test_a_label_comes_back_as_it_is_shown(value: str) -> None:
     hostile = replace(report("ready", "serving"), live=DeploymentStatus(state="ready", restarts={value: 3}))
-    text = Metrics({"demo": hostile}, {"demo": 2}).text()
+    text = metrics_text({"demo": hostile}, {"demo": 2}, 1e9)
     assert not INVISIBLE.search(text)
-    (family,) = [one for one in text_string_to_metric_families(text) if one.name == "fogspec_node_restarts"]
+    (family,) = [one for one in text_string_to_metric_families(text) if one.name == "fogspec_node_restarts_total"]
     (sample,) = family.samples
     assert sample.value == 3
     assert escaped(sample.labels["node"]) == escaped(escaped(value).replace("\\\\", "\\").replace('\\"', '"'))

@@ -7,8 +7,8 @@ import pytest
 
 from fogspec.base.diagnostics import DiagnosticError
 from fogspec.base.errors import InvalidInput
-from fogspec.evaluation.suites import read_suite
-from fogspec.model.priors import read_priors
+from fogspec_lab.evaluation.suites import read_suite
+from fogspec_lab.libraries import library_named, suite_library
 from tests.evaluation.making import write_suite
 
 
@@ -81,6 +81,6 @@ def test_problems_that_are_no_json_are_an_error(suite):
 
 
 def test_a_library_says_the_same_from_a_folder_twice(suite):
-    assert read_priors(suite).digest == read_priors(suite).digest
-    with pytest.raises(InvalidInput, match="not a library"):
-        read_priors(suite / "machines.csv")
+    assert suite_library(suite).digest == suite_library(suite).digest
+    with pytest.raises(InvalidInput, match="not a machine library"):
+        library_named(str(suite / "machines.csv"))

@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fogspec.catalog.machine import Gpu, Machine
+from fogspec.language.warned import sentence
 from fogspec.model import predict as predicting
 from fogspec.model.fit import fit
-from fogspec.plan.schema import PlanMetadata
-from fogspec.results.schema import LatencySummary, Measured, NestedIn, Results, ResultsBody, ServerFacts, with_checksum
+from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, results_of
 from tests.bench_choice import application, offers
-from tests.support.catalogs import table
 
 
 def predict(models, catalog):
@@ -35,16 +34,16 @@ def record(cpus: float, memory: float, mean: float | None, **more) -> Measured:
 
 
 def results(*records: Measured) -> Results:
-    body = ResultsBody(application="", plan=None, runner="x", spent=0.0, samples=list(records))
-    return with_checksum(PlanMetadata(name="made-up"), body)
+    body = ResultsBody(inputs={}, runner="x", samples=list(records))
+    return results_of(body)
 
 
 @pytest.mark.slow
 @given(st.floats(0.01, 100), st.floats(0.1, 1000))
-@settings(deadline=None)
+@settings(deadline=None, max_examples=30)
 def test_a_noise_free_curve_is_recovered(a, b):
     models = fit(application(), results(*(record(c, m, a + b / c) for c, m in SHAPES)))
-    [model] = models.spec.models
+    [model] = models.curves
     assert model.memory_family == "constant"
     predicted = predict(models, offers(50))
     inside = ~predicted.extrapolated
@@ -61,13 +60,15 @@ def test_failed_samples_are_named_and_the_machine_that_failed_is_no_candidate():
     bad = record(float(catalog.vcpus[0]), float(catalog.memory_gib[0]), None, instance=failing, state="failed",
                  reason="out_of_memory", detail="needs more")  # fmt: skip
     models = fit(application(), results(*good, bad))
-    assert [(one.excludes_machine, one.reason) for one in models.spec.rejected] == [(True, "out of memory: needs more")]
+    [one] = models.rejected
+    assert one.excludes_machine
+    assert sentence(one.why).endswith("does not count: out of memory: needs more")
     assert predict(models, catalog).unfit[0]
 
 
 def test_a_sample_that_the_cloud_refused_says_nothing_of_the_machine():
     bad = record(2.0, 4.0, None, state="failed", reason="capacity")
-    [one] = fit(application(), results(bad)).spec.rejected
+    [one] = fit(application(), results(bad)).rejected
     assert not one.excludes_machine
 
 
@@ -78,8 +79,8 @@ def test_a_statistic_that_was_not_measured_is_not_made_up(statistic):
     wanted = spec.constraints.model_copy(update={"statistic": statistic})
     app = app.model_copy(update={"spec": spec.model_copy(update={"constraints": wanted})})
     models = fit(app, results(record(2.0, 4.0, 1.0)))
-    assert models.spec.models == []
-    assert statistic in models.spec.rejected[0].reason
+    assert models.curves == []
+    assert statistic in sentence(models.rejected[0].why)
 
 
 def test_a_measured_machine_is_its_measurement_and_others_are_predicted():
@@ -96,26 +97,25 @@ def test_a_measured_machine_is_its_measurement_and_others_are_predicted():
 
 
 def test_gpus_have_models_of_their_own():
-    t4 = Gpu(name="T4")
+    t4 = Gpu(name="T4", count=1)
     with_t4 = [record(c, 4 * c, 1.6 + 0.001 * c, gpu=t4) for c in (4.0, 8.0, 16.0)]
     models = fit(application(), results(*(record(c, m, 1 + 8 / c) for c, m in SHAPES), *with_t4))
-    assert [(m.gpu, m.n) for m in models.spec.models] == [(None, 9), ("T4:1", 3)]
-    assert any("R²" in text for text in models.spec.models[1].warnings)
-    assert models.spec.models[1].p == 1
+    assert [(m.gpu, m.n) for m in models.curves] == [(None, 9), ("T4:1", 3)]
+    assert models.curves[1].p == 1
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_samples_are_marked_weak(count):
     models = fit(application(), results(*(record(c, m, 1.0) for c, m in SHAPES[:count])))
-    [model] = models.spec.models
-    assert model.warnings
+    [model] = models.curves
+    assert model.n == count
     predicted = predict(models, offers(30))
     wide = [high / low for low, high in (predicted.interval(row, 0.9) for row in range(30))]
     assert max(wide) > 3, "one sample says little of machines of other sizes"
 
 
 def test_all_equal_is_a_constant_and_needs_no_r2():
-    [model] = fit(application(), results(*(record(c, m, 2.0) for c, m in SHAPES))).spec.models
+    [model] = fit(application(), results(*(record(c, m, 2.0) for c, m in SHAPES))).curves
     assert (model.cpu_family, model.memory_family, model.r2) == ("constant", "constant", None)
 
 
@@ -133,49 +133,15 @@ def test_local_measurements_are_marked_extrapolated():
     models = fit(application(), results(*(
         record(c, 1.0, 1 / c).model_copy(update={"machine": local.model_copy(update={"cpus": c})}) for c in (1.0, 2.0, 4.0, 8.0)
     )))  # fmt: skip
-    assert models.spec.measured_on_local
+    assert models.measured_on_local
     assert predict(models, offers(20)).extrapolated.all()
 
 
-def nested(cpus: float, memory: float, mean: float | None, parent: Measured, **more) -> Measured:
-    where = NestedIn(sample=parent.id, machine=parent.machine, part="half")
-    one = record(cpus, memory, mean, spent=0.0, nested_in=where, **more)
-    return one.model_copy(update={"id": f"{parent.id}-half"})
-
-
-def test_a_part_of_a_machine_informs_on_the_type_that_it_stands_for_and_does_not_measure_it() -> None:
-    big = record(16, 32, 1.0)
-    alone, with_part = (fit(application(), results(*some)) for some in ([big], [big, nested(8, 16, 1.9, big)]))
-    assert [one.nested_in for one in with_part.spec.observations] == [None, "a half of s16m32"]
-    assert "nested_in" not in alone.model_dump(mode="json")["spec"]["observations"][0]
-    catalog = table("s8m16,,,8,16,0.2,,r0,", "s16m32,,,16,32,0.4,,r0,")
-    before, after = predict(alone, catalog), predict(with_part, catalog)
-    row = int(np.flatnonzero(catalog.vcpus == 8)[0])
-    assert not after.measured[row]
-    assert after.where_nested(row) == "a half of s16m32"
-    assert before.where_nested(row) is None
-    assert after.posterior is not None
-    assert before.posterior is not None
-    assert after.posterior.sd[after.type_index[row]] < before.posterior.sd[before.type_index[row]]
-    itself = predict(fit(application(), results(big, nested(8, 16, 1.9, big), record(8, 16, 2.0))), catalog)
-    assert itself.measured[row]
-    assert itself.where_nested(row) is None
-
-
-def test_a_part_that_fails_rules_no_machine_out() -> None:
-    big = record(16, 32, 1.0)
-    failed = nested(8, 16, None, big, state="failed", reason="out_of_memory", requests=0)
-    models = fit(application(), results(big, failed))
-    (one,) = models.spec.rejected
-    assert (one.excludes_machine, one.out_of_memory, one.nested_in) == (False, False, "a half of s16m32")
-    catalog = table("s8m16,,,8,16,0.2,,r0,", "s16m32,,,16,32,0.4,,r0,")
-    assert not predict(models, catalog).unfit.any()
-
-
-def test_a_part_that_lost_time_to_others_says_less() -> None:
-    big = record(16, 32, 1.0)
-    quiet, stolen = (
-        fit(application(), results(big, nested(8, 16, 1.9, big, server=ServerFacts(cpu="x", steal=steal))))
-        for steal in (0.0, 0.2)
-    )
-    assert stolen.spec.observations[1].error > quiet.spec.observations[1].error + 0.1
+def test_a_sample_of_requests_that_resemble_each_other_has_a_larger_error():
+    """As that of as many requests as would tell its mean as exactly, if none resembled another."""
+    summary = {"sd": 0.5}
+    alone, alike = record(2, 4, 1.0, summary=summary), record(2, 4, 1.0, summary=summary, independent=12.5)
+    short = record(2, 4, 1.0, summary=summary, requests=12, independent=12.5)
+    [error], [wider], [same] = ([one.error for one in fit(application(), results(each)).observations]
+                                for each in (alone, alike, short))  # fmt: skip
+    assert wider == same == pytest.approx(2 * error, rel=0.05)

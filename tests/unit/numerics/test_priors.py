@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fogspec.numerics.observations import observations
+from fogspec.numerics.observations import mean_level, observations, pooled
 from fogspec.numerics.priors import PriorData, prior_for
-from fogspec.numerics.surrogate import fit
+from fogspec.numerics.surrogate import fit, prepare
 from tests.support.machines import amdahl, family
 
 MACHINES = family()
@@ -27,6 +27,36 @@ def test_a_library_sharpens_predictions():
     with_prior = fit(MACHINES, observations(at, truth[at]), prior)
     without = fit(MACHINES, observations(at, truth[at]))
     assert _error(with_prior, truth) < 0.5 * _error(without, truth)
+
+
+def test_the_weights_of_suites_are_what_the_library_adds_to_the_prediction():
+    """By conditioning each model on the samples (Rasmussen and Williams, eq. 2.38), for the library's component alone."""
+    prior, at = prior_for(library(), NAMES, MACHINES), [0, 5, 14]
+    samples = observations(at, amdahl(MACHINES, 0.07)[at])
+    space = prepare(MACHINES, prior)
+    posterior, ensemble = space.fit(samples), space.ensemble
+    _, value, noise = pooled(samples)
+    expected, own = np.zeros(len(MACHINES)), ensemble.features[-1]
+    for weight, theta, alone, curve in zip(
+        posterior.weights, ensemble.theta, ensemble.nugget, ensemble.curves[ensemble.curve], strict=True
+    ):
+        covariance = sum(one * f[at] @ f[at].T for one, f in zip(theta, ensemble.features, strict=True))
+        covariance = covariance + np.diag(alone[at] + noise)
+        off = np.linalg.solve(covariance, value - mean_level(samples) - curve[at])
+        expected += weight * (curve + theta[-1] * own @ own[at].T @ off)
+    weights = posterior.by_suite()
+    found = sum(weights[f"w{i}"] * profile for i, profile in enumerate(prior.profiles))
+    assert found == pytest.approx(expected, abs=1e-8)
+    assert sum(weights.values()) == pytest.approx(1)
+
+
+def test_a_program_scales_like_the_suite_that_it_could_be_of():
+    truth, at = amdahl(MACHINES, 0.0), [0, 5, 6, 14]
+    suites = ("alike", "alike", "b", "c", "d", "e")
+    weights = fit(MACHINES, observations(at, truth[at]), prior_for(library(suites=suites), NAMES, MACHINES)).by_suite()
+    assert next(iter(weights)) == "alike"
+    assert weights["alike"] > 0.5
+    assert fit(MACHINES, observations(at, truth[at])).by_suite() == {}
 
 
 def test_a_machine_known_by_workloads_alone_that_do_not_count_is_imputed():

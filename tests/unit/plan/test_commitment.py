@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from fogspec.catalog.machine import Machine
 from fogspec.plan.commitment import Commitment, engine_settings, room_s, unattended
-from fogspec.spec.schema import Benchmark
 
 
 def machine(infra: str, price: float = 1.0) -> Machine:
@@ -29,16 +28,6 @@ def test_times_by_hand(measuring_s: float, setup_s: float, lifetime_s: float, pa
     assert (each.lifetime_s, each.machine_s, each.paid_s) == (lifetime_s, lifetime_s + 300, paid_s)
     assert each.machine_s - 120 == each.deadline_s >= measuring_s + setup_s + 300
     assert each.usd(3.6) == pytest.approx(paid_s / 1000)
-
-
-def test_the_parts_of_a_machine_are_paid_too() -> None:
-    times = {"stop": {"duration": "5min"}, "setup_timeout": "10min"}
-    alone = Commitment.of(Benchmark.model_validate(times))
-    nested = Commitment.of(Benchmark.model_validate({**times, "shapes": "nested"}))
-    assert alone == Commitment(measuring_s=300.0, setup_s=600.0)
-    assert nested == Commitment(measuring_s=300.0, setup_s=600.0, nested=True)
-    assert (alone.parts_s, nested.parts_s) == (0.0, 360.0)
-    assert nested.paid_s - alone.paid_s == 360.0
 
 
 @given(st.integers(0, 10**5), st.integers(1, 10**5))

@@ -5,8 +5,9 @@ import pytest
 from fogspec.base.errors import Infeasible, InvalidInput
 from fogspec.catalog.filters import filter_offers
 from fogspec.catalog.table import Catalog
+from fogspec.language.schema import Application
+from fogspec.language.warned import burstable, not_candidate, sampled_once, sentence, warned
 from fogspec.plan.design import Design, design
-from fogspec.spec.schema import Application
 from tests.support.catalogs import application, table
 
 OFFERS = (
@@ -28,20 +29,20 @@ def test_the_cheapest_machine_of_each_cell_is_taken_and_every_gap_is_said() -> N
     assert [one.machine.instance for one in found.samples] == ["c6i.large", "m6i.large", "r6i.large", "g4dn.xlarge"]
     assert found.samples[1].reason == "smallest vCPUs (2), median memory (8 GiB)"
     assert found.samples[3].reason == "smallest vCPUs (4), smallest memory (16 GiB) with T4"
-    said = "\n".join(found.notes)
+    said = "\n".join(map(sentence, found.notes))
     assert "GPU none: sizes of one kind of CPU, c6i, m6i, r6i; sampler: adaptive compares all 2 kinds" in said
     assert "GPU none: the median vCPU count is also the smallest or largest: its cells are skipped" in said
-    assert "GPU T4: 4 vCPUs with median memory: g4dn.xlarge is a duplicate: sampled once" in said
+    assert said.count("aws/us-east-1 g4dn.xlarge is a duplicate: sampled once") == 1
     assert "GPU A100: no admissible machine, nothing is sampled" in said
 
 
 def test_a_burstable_machine_in_the_grid_is_said() -> None:
     offers = table("t3.large,2,8,0.08,us-east-1,1", head="InstanceType,vCPUs,MemoryGiB,Price,Region,Burstable")
-    included = application({"machines": {"include": ["burstable"]}})
-    assert "t3.large is burstable, its latency depends on CPU credits left" in "\n".join(picked(included, offers).notes)
+    included = application({"allow": ["burstable"]})
+    assert warned(burstable, infra="aws/us-east-1", machine="t3.large") in picked(included, offers).notes
     with pytest.raises(Infeasible) as caught:
         picked(application(), offers)
-    assert caught.value.hints[-1] == "left out: 1 burstable; include them: spec.hardware.machines.include: [burstable]"
+    assert caught.value.hints[-1] == "left out: 1 burstable; to admit them: spec.hardware.allow: [standard, burstable]"
 
 
 def test_the_grid_compares_sizes_on_one_kind_of_cpu() -> None:
@@ -68,18 +69,18 @@ def test_the_grid_compares_sizes_on_one_kind_of_cpu() -> None:
 def test_ids_name_the_machine_and_nothing_else() -> None:
     one = picked(application(), table(*OFFERS)).samples[0]
     assert one.id == "aws-us-east-1-c6i-large"
-    only = application({"spot": True, "machines": {"allow": ["c6i.*"]}})
+    only = application({"spot": True, "allow": ["c6i.*"]})
     assert [one.id for one in picked(only, table(*OFFERS)).samples] == ["aws-us-east-1-c6i-large-spot"]
     carrier = table("n1-standard-4,,,4,15,0.2,,us-central1,b", ",T4,1,,,0.35,,us-central1,b", cloud="gcp")
-    wanted = {"gpus": ["none", "T4"], "machines": {"include": ["previous-generation"]}}
+    wanted = {"gpus": ["none", "T4"], "allow": ["standard", "previous-generation"]}
     both = picked(application(wanted, ["gcp/us-central1"]), carrier)
     assert [one.id for one in both.samples] == ["gcp-us-central1-n1-standard-4", "gcp-us-central1-n1-standard-4-t4-1"]
 
 
 def test_overlapping_places_sample_a_machine_once() -> None:
-    found = picked(application({"machines": {"allow": ["m6i.*"]}}, ["aws/us-east-1", "aws"]), table(*OFFERS))
+    found = picked(application({"allow": ["m6i.*"]}, ["aws/us-east-1", "aws"]), table(*OFFERS))
     assert len(found.samples) == 1
-    assert "aws/us-east-1 m6i.large is a duplicate: sampled once" in found.notes
+    assert warned(sampled_once, infra="aws/us-east-1", machine="m6i.large") in found.notes
 
 
 def test_a_list_is_taken_as_it_stands_and_says_what_is_no_candidate() -> None:
@@ -91,9 +92,7 @@ def test_a_list_is_taken_as_it_stands_and_says_what_is_no_candidate() -> None:
         ("aws/us-east-1", "c6i.large", 0.085),
         ("local", "2cpu-4gib", 0.0),
     ]
-    assert found.notes == (
-        "g4dn.xlarge is listed in benchmark.machines, and is not a candidate: hardware does not admit it",
-    )
+    assert found.notes == (warned(not_candidate, machine="g4dn.xlarge"),)
 
 
 def test_an_unknown_listed_machine_is_a_mistake_with_a_suggestion() -> None:

@@ -6,9 +6,10 @@ from hypothesis import strategies as st
 
 from fogspec.base.units import Range
 from fogspec.catalog.filters import filter_offers
+from fogspec.language.fingerprints import measured_record
+from fogspec.language.schema import Hardware
 from fogspec.plan.design import make_plan
 from fogspec.plan.reuse import contains, reuse_plan
-from fogspec.spec.schema import Hardware, Machines
 from tests.support.catalogs import application, table
 
 ROWS = [
@@ -21,12 +22,12 @@ ROWS = [
 CATALOG = table(*dict.fromkeys(ROWS))
 ENDS = st.sampled_from([None, 1.0, 2.0, 4.0, 8.0, 32.0, 64.0])
 RANGES = st.none() | st.builds(Range, ENDS, ENDS).filter(lambda one: None in (one.low, one.high) or one.low <= one.high)
-PATTERNS = st.lists(st.sampled_from(["a.*", "b.*", "*", "a.s", "b.m", "*.l"]), max_size=2)
+ENTRIES = ["a.*", "b.*", "*", "a.s", "b.m", "*.l", "standard", "burstable"]
 BOXES = st.tuples(
     st.builds(
         Hardware, cpus=RANGES, memory=RANGES, memory_per_cpu=RANGES, spot=st.booleans(),
         gpus=st.lists(st.sampled_from(["none", "T4"]), min_size=1, unique=True),
-        machines=st.builds(Machines, allow=PATTERNS, deny=PATTERNS),
+        allow=st.lists(st.sampled_from(ENTRIES), min_size=1, max_size=2), deny=st.lists(st.sampled_from(ENTRIES), max_size=2),
     ),
     st.lists(st.sampled_from(["aws", "aws/r1", "aws/r2"]), min_size=1, unique=True),
 )  # fmt: skip
@@ -46,12 +47,22 @@ def test_a_box_holds_itself(box: tuple) -> None:
     assert contains(*box, *box)
 
 
+def test_a_plan_is_kept_under_another_name() -> None:
+    app = application({"cpus": "2..32"}, ["aws/r1"])
+    plan = make_plan(app, CATALOG)
+    renamed = app.model_copy(update={"metadata": app.metadata.model_copy(update={"name": "renamed"})})
+    found = reuse_plan(renamed, plan, table(*list(dict.fromkeys(ROWS))[:-3]), measured_record(renamed))
+    assert found is not None
+    assert found.metadata.name == "renamed"
+    assert [one.id for one in found.spec.samples] == [one.id for one in plan.spec.samples]
+
+
 def test_a_kept_plan_has_the_same_samples_at_the_new_prices() -> None:
     app = application({"cpus": "2..32"}, ["aws/r1"])
-    plan = make_plan(app, "specs/demo.yaml", CATALOG)
+    plan = make_plan(app, CATALOG)
     costlier = table(*(row.replace(",0.4,", ",0.5,") for row in dict.fromkeys(ROWS)))
     narrow = application({"cpus": "2..8"}, ["aws/r1"])
-    found = reuse_plan(narrow, plan, costlier)
+    found = reuse_plan(narrow, plan, costlier, measured_record(narrow))
     assert found is not None
     assert [one.id for one in found.spec.samples] == [one.id for one in plan.spec.samples]
     assert {one.machine.instance: one.machine.price for one in found.spec.samples}["a.m"] == 0.5
@@ -60,7 +71,7 @@ def test_a_kept_plan_has_the_same_samples_at_the_new_prices() -> None:
 
 
 def test_a_plan_that_measures_otherwise_or_too_little_is_not_kept() -> None:
-    plan = make_plan(application({"cpus": "2..8"}, ["aws/r1"]), "specs/demo.yaml", CATALOG)
+    plan = make_plan(application({"cpus": "2..8"}, ["aws/r1"]), CATALOG)
     for other in (
         application({"cpus": "2..32"}, ["aws/r1"]),
         application({"cpus": "2..8"}, ["aws/r2"]),
@@ -68,5 +79,8 @@ def test_a_plan_that_measures_otherwise_or_too_little_is_not_kept() -> None:
         application({"cpus": "2..8"}, ["aws/r1"], stop={"duration": "9min"}),
         application({"cpus": "2..8"}, ["aws/r1"], machines=["a.s"]),
     ):
-        assert reuse_plan(other, plan, CATALOG) is None
-    assert reuse_plan(application({"cpus": "2..8"}, ["aws/r1"]), plan, CATALOG, {"image": "sha256:1"}) is None
+        assert reuse_plan(other, plan, CATALOG, measured_record(other)) is None
+    assert (
+        reuse_plan(application({"cpus": "2..8"}, ["aws/r1"]), plan, CATALOG, {**plan.spec.inputs, "image": "sha256:1"})
+        is None
+    )

@@ -9,6 +9,7 @@ import pytest
 
 from fogspec.catalog.sources.snapshot import Snapshot
 from fogspec.catalog.table import Catalog
+from fogspec.language.warned import sentence
 from fogspec.plan.commitment import PATIENCE_S, PROVISIONING_S, TEARDOWN_S, Commitment, room_s
 from fogspec.plan.design import make_plan
 from fogspec.plan.schema import Plan
@@ -22,7 +23,7 @@ def snapshot() -> Catalog:
 
 @cache
 def paper() -> Plan:
-    return make_plan(application(PAPER_HARDWARE, stop={"duration": "5min"}), "specs/demo.yaml", snapshot())
+    return make_plan(application(PAPER_HARDWARE, stop={"duration": "5min"}), snapshot())
 
 
 def test_the_papers_grid_is_nine_machines() -> None:
@@ -41,16 +42,16 @@ def test_five_minutes_of_it_cost_what_table_two_says() -> None:
 
 
 def test_without_the_failed_machine_it_costs_what_table_two_says_of_cubicles() -> None:
-    hardware = {**PAPER_HARDWARE, "machines": {"allow": ["c6i.*", "m6i.*", "r6i.*"], "deny": ["r6i.large"]}}
-    found = make_plan(application(hardware, stop={"duration": "5min"}), "demo.yaml", snapshot()).spec
+    hardware = {**PAPER_HARDWARE, "allow": ["c6i.*", "m6i.*", "r6i.*"], "deny": ["r6i.large"]}
+    found = make_plan(application(hardware, stop={"duration": "5min"}), snapshot()).spec
     assert len(found.samples) == 8
     assert round(100 * found.estimate.measuring, 3) == 103.842
-    assert "no machine has 6 GiB, the nearest on offer is 8 GiB" in found.notes[0]
+    assert "no machine has 6 GiB, the nearest on offer is 8 GiB" in sentence(found.notes[0])
 
 
 def test_the_papers_gpu_machines_are_the_grid_of_the_t4() -> None:
     hardware = {"cpus": "2..16", "memory": "4GiB..512GiB", "memory_per_cpu": "2GiB..8GiB", "gpus": ["T4"]}
-    found = make_plan(application(hardware, ["aws/us-west-1"]), "demo.yaml", snapshot()).spec
+    found = make_plan(application(hardware, ["aws/us-west-1"]), snapshot()).spec
     assert [(sample.machine.instance, sample.machine.price) for sample in found.samples] == [
         ("g4dn.xlarge", 0.631), ("g4dn.2xlarge", 0.902), ("g4dn.4xlarge", 1.445),
     ]  # fmt: skip
@@ -73,7 +74,7 @@ def test_no_hash_seed_changes_a_byte_and_no_scipy_is_loaded() -> None:
 
 def test_all_machines_at_once_the_estimate_adds_up() -> None:
     offers = table("c6i.large,,,2,4,0.36,,us-east-1,a")
-    found = make_plan(application(stop={"duration": "10min"}, setup_timeout="5min"), "demo.yaml", offers).spec.estimate
+    found = make_plan(application(stop={"duration": "10min"}, ready_timeout="5min"), offers).spec.estimate
     assert (found.measuring, found.setup, found.wall) == (0.06, 0.03, 900.0)
     # 5 min until its own end is armed, 20 min of lifetime (15 and 5 to collect), 2 min until it is gone.
     assert (found.overhead, found.total) == (0.072, 0.162)
@@ -83,7 +84,7 @@ def test_a_plan_records_its_catalog_and_its_search_box() -> None:
     body = paper().spec
     assert (body.catalog.revision, body.catalog.date) == ("moto 5.2.5, apache-libcloud 3.9.1", "2025-03-02")
     assert body.catalog.digest == snapshot().about.digest
-    assert body.application.path == "specs/demo.yaml"
+    assert body.inputs["spec.benchmark.warmup"] == body.warmup
     assert (body.infra, body.sampler, body.duration) == (["aws/us-east-1"], "grid", 300.0)
 
 
@@ -92,7 +93,7 @@ def test_a_plan_reads_back_as_it_was_written() -> None:
 
 
 def test_a_listed_plan_says_so() -> None:
-    found = make_plan(application(machines=["c6i.large"]), "demo.yaml", snapshot())
+    found = make_plan(application(machines=["c6i.large"]), snapshot())
     assert found.spec.sampler == "list"
     assert [sample.id for sample in found.spec.samples] == ["aws-us-east-1-c6i-large"]
 

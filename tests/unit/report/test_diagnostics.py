@@ -6,6 +6,7 @@ import pytest
 
 from fogspec.base.diagnostics import Diagnostic, Span
 from fogspec.report.diagnostics import annotation, as_text, bug_paragraph, show_diagnostics, summary
+from fogspec_lab.evaluation.scores import median_error
 
 ONE = Diagnostic(
     "FS201", "spec.constraints.cost must say per what", Span("specs/broken.yaml", 15, 11, 5), "write '$0.002/request'",
@@ -103,3 +104,12 @@ def test_a_bug_is_one_paragraph_without_paths() -> None:
     assert "\n" not in paragraph
     assert "AttributeError at report/diagnostics.py:" in paragraph
     assert "/fogspec/" not in paragraph
+
+
+def test_a_bug_of_the_lab_names_its_place_there() -> None:
+    try:
+        median_error(None, None, ())  # type: ignore[arg-type]
+    except Exception as bug:
+        paragraph = bug_paragraph(bug)
+    assert " at fogspec_lab/evaluation/scores.py:" in paragraph
+    assert "/lab/" not in paragraph

@@ -10,11 +10,12 @@ import pytest
 
 from fogspec.base.yaml.writer import yaml_text
 from fogspec.cli import main
-from fogspec.results.schema import Results, with_checksum
-from fogspec.spec import fingerprints
-from fogspec.spec.launch_import import read_launch
-from fogspec.spec.loader import load, read_document
+from fogspec.importers.launch import read_launch
+from fogspec.language.fingerprints import measured_record
+from fogspec.language.loader import load
+from fogspec.results.io import read_results_folder
 from tests.support.launching import launched
+from tests.support.results import write
 
 ROOT = Path(__file__).resolve().parents[3]
 LAUNCH = """\
@@ -40,17 +41,16 @@ NODES = """\
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The grasp-planning example's measurements as if of ROS 2 nodes of ours, joined by zenoh, and its manifest."""
     folder = tmp_path_factory.mktemp("project")
-    spec, results = (folder / name / "grasp-planning-recorded.yaml" for name in ("specs", "results"))
-    for path in (spec, results):
-        path.parent.mkdir()
-        shutil.copy(ROOT / path.parent.name / path.name, path)
+    spec = folder / "specs" / "grasp-planning-recorded.yaml"
+    spec.parent.mkdir()
+    shutil.copy(ROOT / "specs" / spec.name, spec)
     head, _, tail = spec.read_text().partition("  cloud:")
     tail = tail[tail.index("\n  ros:") :]
-    spec.write_text(f"{head}{NODES}{tail}  connectivity: {{ link: zenoh }}\n")
+    spec.write_text(f"{head}{NODES}{tail}")
     (loaded,) = load([spec])
-    measured = read_document(results, Results)
-    body = measured.spec.model_copy(update={"application": fingerprints.measured_digest(loaded.application)})
-    results.write_text(yaml_text(with_checksum(measured.metadata, body).model_dump(mode="json"), "fogspec bench"))
+    measured = read_results_folder(ROOT / "results" / spec.stem)
+    body = measured.spec.model_copy(update={"inputs": measured_record(loaded.application)})
+    write(folder / "results" / spec.stem, body)
     compiled(spec)
     return folder
 
@@ -136,7 +136,7 @@ def test_listing_1_starts_the_link_once_whether_it_is_returned_or_only_built(
 
     monkeypatch.setattr("asyncio.create_subprocess_exec", executed)
     with ThreadPoolExecutor(1) as thread:  # a browser test of the same process may have left a running loop in this one
-        kinds = thread.submit(asyncio.run, play()).result(timeout=60)
+        kinds = thread.submit(asyncio.run, play()).result(timeout=600)
     monkeypatch.delenv("RMW_IMPLEMENTATION", raising=False)
     script = str(project / "compiled" / "grasp-planning-recorded" / "link" / "link.sh")
     assert seen == ([] if returned else [("bash", script, "robot", "up")])
@@ -199,13 +199,16 @@ def generate_launch_description():
 
 def test_processes_are_told_apart_by_their_commands(tmp_path: Path) -> None:
     spec = {
-        "instance": "m6i.large", "infra": "aws", "files": [], "robot_environment": {},
+        "instance": "m6i.large", "infra": "aws",
         "cloud": [{"cmd": ["ros2", "launch", "gqcnn_ros"], "arguments": ["planner.launch.py"]}],
     }  # fmt: skip
     path, launch = tmp_path / "compiled" / "a" / "manifest.yaml", tmp_path / "robot.launch.py"
     path.parent.mkdir(parents=True)
     path.write_text(
-        yaml_text({"kind": "DeploymentManifest", "metadata": {"name": "a"}, "spec": spec}, "fogspec compile")
+        yaml_text(
+            {"kind": "DeploymentManifest", "metadata": {"name": "a"}, "spec": spec, "pins": {"files": []}},
+            "fogspec compile",
+        )
     )
     launch.write_text(PROCESS.format("planner.launch.py"))
     assert [one.kind for one in launched(launch)] == ["LogInfo"]

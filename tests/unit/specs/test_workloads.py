@@ -15,7 +15,7 @@ import fogspec.agent
 from fogspec.results.requests import RecordRules, read_requests
 from tests.conftest import ROOT
 
-WORKLOADS = ROOT / "specs" / "workloads"
+WORKLOADS = ROOT / "specs" / "cubicles-planner"
 PROBE = Path(next(iter(fogspec.agent.__path__)))
 
 
@@ -25,8 +25,7 @@ def modules():
     before = list(sys.path)
     sys.path[:0] = [str(WORKLOADS), str(PROBE)]
     try:
-        pytest.importorskip("small_gicp")
-        yield {name: importlib.import_module(name) for name in ("lidar_odometry", "planner")}
+        yield {"planner": importlib.import_module("planner")}
     finally:
         sys.path[:] = before
 
@@ -37,34 +36,13 @@ def run(tmp_path, name, *words, cpus=None):
     chosen = set(sorted(os.sched_getaffinity(0))[:cpus])
     ended = subprocess.run(
         [sys.executable, str(WORKLOADS / f"{name}.py"), "--requests", "3", *words], capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": str(PROBE), "FOGSPEC_TIMINGS": str(timings)}, timeout=120,
+        env={**os.environ, "PYTHONPATH": str(PROBE), "FOGSPEC_TIMINGS": str(timings)}, timeout=600,
         preexec_fn=lambda: os.sched_setaffinity(0, chosen),
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
     said = read_requests(timings, RecordRules(warmup=0, valid=0.9, statistic="mean"))
     assert said.unreadable == 0
     return [one for line in timings.read_text().splitlines() if "note" not in (one := json.loads(line))]
-
-
-def test_drift_is_how_far_an_estimated_motion_is_from_the_true_one(modules):
-    drift, truth = modules["lidar_odometry"].drift, np.eye(4)
-    truth[:3, 3] = 0.2, 0.1, 0.0
-    assert drift(truth, truth) == pytest.approx((0, 0), abs=1e-6)
-    moved, turned = truth.copy(), truth.copy()
-    moved[:3, 3] += 0.03, 0.0, 0.04
-    assert drift(moved, truth) == pytest.approx((0.05, 0), abs=1e-6)
-    angle = math.radians(1.5)
-    turned[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
-    assert drift(turned, truth) == pytest.approx((0, 1.5), abs=1e-6)
-
-
-def test_a_ray_meets_the_floor_where_it_must(modules):
-    lidar = modules["lidar_odometry"]
-    hall = lidar.Hall(np.random.default_rng(1))
-    down, up = np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 1.0]])
-    origin = np.array([0.0, 0.0, 1.5])
-    assert hall.ranges(origin, down) == pytest.approx([1.5])
-    assert np.isinf(hall.ranges(origin, up)).all()
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tools.ec2_prices import Price, by_region, by_size
+from fogspec_lab.ec2_prices import Price, by_region, by_size
 
 EAST, WEST = "us-east-1", "us-west-1"
 

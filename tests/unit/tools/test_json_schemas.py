@@ -8,8 +8,8 @@ import jsonschema
 import pytest
 
 from fogspec.base.yaml.positions import plain
-from fogspec.spec.documents import SourceMap, documents_of
-from tools.json_schemas import KINDS, generated, schema_of
+from fogspec.language.documents import Reading, SourceMap, documents_of
+from tests.tools.json_schemas import KINDS, generated, schema_of
 
 ROOT = Path(__file__).resolve().parents[3]
 SPECS = sorted((ROOT / "specs").glob("*.yaml"))
@@ -17,7 +17,7 @@ SPECS = sorted((ROOT / "specs").glob("*.yaml"))
 
 def test_committed_schemas_and_pages_are_those_of_the_types() -> None:
     for path, text in generated().items():
-        assert path.read_text("utf-8") == text, f"{path.name}: python -m tools.json_schemas writes it anew"
+        assert path.read_text("utf-8") == text, f"{path.name}: python -m tests.tools.json_schemas writes it"
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -33,7 +33,7 @@ def mistakes(document: Any) -> list[str]:
 
 
 def documents(path: Path) -> list[Any]:
-    return [plain(node) for node in documents_of(path, SourceMap(), [])[0]]
+    return [plain(node) for node in documents_of(path, SourceMap(), [], Reading())[0]]
 
 
 @pytest.mark.parametrize("path", SPECS, ids=lambda path: path.stem)
@@ -50,7 +50,7 @@ def test_shipped_specs_have_no_mistake_and_the_line_for_the_editor(path: Path) -
         ("spec/hardware/cpus", "2-64"), ("spec/hardware/memory", 4), ("spec/benchmark/sampler", "gird"),
         ("spec/benchmark/stop/requests", 0), ("spec/benchmark/stop/duration", "0s"), ("spec/infra", "aws"), ("spec/infra", []),
         ("spec/cloud", {}), ("metadata/name", "Arm"), ("kind", "Deployment"), ("spec/hardware/spot", "no"),
-        ("spec/objective/billing", "free"), ("spec/objective/rate", "0/s"),
+        ("spec/objective/load", "10/s"), ("spec/objective/load", {}), ("spec/hardware/spot", 0.1),
     ],
 )  # fmt: skip
 def test_an_editor_underlines(path: str, value: Any) -> None:

@@ -21,5 +21,5 @@ def generate_launch_description():
             package="demo_robot", executable="planner", name="planner", namespace="",
             parameters=[ParameterFile([EnvironmentVariable("NOT_SET_ANYWHERE", default_value=""), "config/other.yaml"]), {"rate": 1}],
         ),
-        Node(executable="/opt/tool", name="tool", arguments=["--x"]),
+        Node(executable="tool", name="tool", arguments=["--x"]),
     ])

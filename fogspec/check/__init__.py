@@ -1,0 +1,1 @@
+"""Decide whether an application is what its inputs say."""

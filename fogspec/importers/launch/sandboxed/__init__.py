@@ -1,0 +1,1 @@
+"""What runs in the sandbox: stand-ins for `launch` and what is used with it, which record what would start."""

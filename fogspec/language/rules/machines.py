@@ -1,0 +1,152 @@
+"""Rules about which machines are admissible and where they are."""
+
+import re
+from collections.abc import Iterator, Sequence
+
+from fogspec.base.clouds import CLOUDS, cloud_name
+from fogspec.base.units import Range, format_memory, format_number
+from fogspec.base.yaml.positions import Path, dotted
+from fogspec.language.rules.finding import Finding
+from fogspec.language.schema import LOCAL_SHAPE, Application
+from fogspec.language.suggest import closest
+
+# SkyPilot's names of the accelerators that the large clouds rent, as of version 0.14.
+GPUS = (
+    "none", "T4", "T4g", "L4", "L40", "L40S", "A10", "A10G", "A100", "A100-80GB", "H100", "H100-MEGA", "H200", "B200",
+    "GB200", "B300", "V100", "V100-32GB", "P100", "P4", "K80", "M60", "M4000", "P4000", "P5000", "RTX4000", "RTX5000",
+    "RTX6000", "RTXPRO6000", "A4000", "A5000", "A6000", "MI25", "MI300X", "Radeon MI25", "Radeon Pro V520", "Gaudi HL-205",
+    "Inferentia", "Inferentia2", "Trainium", "Trainium2", "RTX3090", "RTX4090", "RTX5090",
+)  # fmt: skip
+INFRA = re.compile(r"kubernetes/[A-Za-z0-9*_.:/@-]+|[a-z0-9-]+(/[A-Za-z0-9*_.-]+){0,2}")
+INSTANCE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+:-]*")  # of Slurm and Kubernetes: 4CPU--16GB--T4:1
+
+
+def places(application: Application) -> Iterator[Finding]:
+    """Require infra in the form cloud, cloud/region or cloud/region/zone."""
+    for i, text in enumerate(application.spec.infra):
+        path, cloud = ("spec", "infra", i), cloud_name(text)
+        if not INFRA.fullmatch(text):
+            start, _, rest = re.sub(r"[:\s]+", "/", text.strip().strip("/").lower(), count=1).partition("/")
+            tidy = f"{start}/{re.sub(r'[ /]+', '', rest)}" if start in CLOUDS else ""
+            fix = f"write '{tidy}'" if INFRA.fullmatch(tidy) else "write it like aws/us-east-1"
+            yield Finding("FS531", path, f"{dotted(path)} must be cloud, cloud/region or cloud/region/zone", fix)
+        elif cloud not in CLOUDS:
+            near = closest(cloud, CLOUDS)
+            fix = f"write '{near}{text[len(cloud) :]}'" if near else f"write one of {', '.join([*CLOUDS][:6])}, ..."
+            start, _, rest = text.partition("-")
+            if start in CLOUDS and _cloud_with_region(rest):
+                fix = f"write '{start}/{rest}'"
+            elif near is None and (owner := _cloud_with_region(text)):
+                fix = f"write '{owner}/{text}'"
+            yield Finding(
+                "FS531", path, f"{dotted(path)} must name a cloud that SkyPilot knows, and '{cloud}' is none", fix
+            )
+
+
+def _cloud_with_region(text: str) -> str | None:
+    """Return the cloud that names its regions like this text."""
+    return next((cloud.name for cloud in CLOUDS.values() if cloud.names_region(text)), None)
+
+
+def gpus(application: Application) -> Iterator[Finding]:
+    """Require known GPU names: an unknown one would silently exclude every machine that has one."""
+    for i, name in enumerate(application.spec.hardware.gpus):
+        if name in GPUS:
+            continue
+        bare = re.sub(r"(?i)\b(nvidia|tesla|geforce|amd|intel)\b[-_ ]*|[-_ ]*\bgpus?$|:\d+$", "", name).strip()
+        sized = re.sub(r"-\d+GB?$", "", bare)  # SkyPilot's plain name is that of the first size: A100 has 40 GB
+        path, near = ("spec", "hardware", "gpus", i), sized if sized in GPUS else closest(bare, GPUS)
+        if near or not name.strip() or ":" in name:
+            fix = (
+                f"write '{near}'"
+                if near
+                else "write a name such as T4, without a count"
+                if name
+                else "write none, or a name"
+            )
+            yield Finding(
+                "FS532", path, f"{dotted(path)} must name a GPU as SkyPilot does, and '{name}' names none", fix
+            )
+        else:
+            yield Finding(
+                "FS532",
+                path,
+                f"'{name}' names no GPU that fogspec knows",
+                "write a name of the catalog, such as 'T4' or 'A10G'",
+                severity="warning",
+            )
+
+
+def listed_once(application: Application) -> Iterator[Finding]:
+    """Reject repeated entries."""
+    spec = application.spec
+    lists: tuple[tuple[Path, Sequence[str]], ...] = (
+        (("spec", "infra"), spec.infra),
+        (("spec", "secrets"), spec.secrets),
+        (("spec", "hardware", "gpus"), spec.hardware.gpus),
+        (("spec", "hardware", "arch"), spec.hardware.arch),
+        (("spec", "hardware", "allow"), spec.hardware.allow),
+        (("spec", "hardware", "deny"), spec.hardware.deny),
+        (("spec", "benchmark", "machines"), spec.benchmark.machines),
+    )
+    for path, entries in lists:
+        for i, entry in enumerate(entries):
+            if entry in entries[:i]:
+                yield Finding(
+                    "FS533", (*path, i), f"{dotted((*path, i))} is there already: {entry}", "remove one of the two"
+                )
+    allow: Path = ("spec", "hardware", "allow")
+    for i, entry in enumerate(spec.hardware.deny):
+        if entry in spec.hardware.allow:
+            path = ("spec", "hardware", "deny", i)
+            yield Finding(
+                "FS533", path, f"{dotted(path)} is both allowed and denied: {entry}", "remove one of the two", (allow,)
+            )
+
+
+def sampled_machines(application: Application) -> Iterator[Finding]:
+    """Require sampled machines to be instance types or shapes of this host."""
+    for i, name in enumerate(application.spec.benchmark.machines):
+        path = ("spec", "benchmark", "machines", i)
+        if name.startswith("local") and not LOCAL_SHAPE.fullmatch(name):
+            numbers = re.findall(r"[1-9]\d*", name)
+            shape = f"local/{numbers[0]}cpu-{numbers[1]}gib" if len(numbers) == 2 else "local/2cpu-4gib"
+            yield Finding("FS534", path, f"{dotted(path)} must look like local/<n>cpu-<m>gib", f"write '{shape}'")
+        elif not name.startswith("local") and not INSTANCE.fullmatch(name):
+            yield Finding(
+                "FS534",
+                path,
+                f"{dotted(path)} must be one instance type, such as c6i.large, or local/2cpu-4gib",
+                "name each machine; patterns belong into spec.hardware.allow",
+            )
+
+
+def shapes(application: Application) -> Iterator[Finding]:
+    """Require ranges of CPUs, memory and memory per vCPU that leave some machine possible."""
+    hardware = application.spec.hardware
+    at: Path = ("spec", "hardware")
+    for name in ("cpus", "memory", "memory_per_cpu"):
+        found: Range | None = getattr(hardware, name)
+        if found is not None and found.high == 0:
+            yield Finding(
+                "FS535",
+                (*at, name),
+                f"{dotted((*at, name))}: the upper bound must be more than 0",
+                "raise the upper bound",
+            )
+            return
+    cpus, memory, ratio = hardware.cpus, hardware.memory, hardware.memory_per_cpu
+    if cpus is None or memory is None or ratio is None:
+        return
+    about = ((*at, "cpus"), (*at, "memory"))
+    if cpus.low and ratio.low and memory.high is not None and cpus.low * ratio.low > memory.high:
+        least = f"{format_number(cpus.low)} vCPUs at {format_memory(ratio.low)} each"
+        message = f"{least} need more than {format_memory(memory.high)}"
+        yield Finding("FS535", (*at, "memory_per_cpu"), message, "widen one of cpus, memory, memory_per_cpu", about)
+    if cpus.high is not None and ratio.high is not None and memory.low and cpus.high * ratio.high < memory.low:
+        most = f"{format_number(cpus.high)} vCPUs at {format_memory(ratio.high)} each"
+        message = f"{most} never have {format_memory(memory.low)}"
+        yield Finding("FS535", (*at, "memory_per_cpu"), message, "widen one of cpus, memory, memory_per_cpu", about)
+
+
+RULES = (places, gpus, listed_once, sampled_machines, shapes)

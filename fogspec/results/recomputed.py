@@ -1,0 +1,48 @@
+"""Compare records of results with the raw timings that they were computed from."""
+
+import io
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from fogspec.base.errors import InvalidInput
+from fogspec.results.io import raw_timings, timings_path
+from fogspec.results.requests import RecordRules, parse_requests
+from fogspec.results.schema import LatencySummary, Measured, Results
+from fogspec.results.statistics import summary, weights
+
+
+def contradictions(results: Results, folder: Path, rules: RecordRules) -> Iterator[str]:
+    """Yield a sentence for each difference between the records of results in `folder` and their raw timings.
+
+    Raw timings that are missing, damaged, or not as recorded are a difference too.
+    """
+    for record in results.spec.samples:
+        if record.timings is not None:
+            yield from _differences(record, folder, rules)
+
+
+def _differences(record: Measured, folder: Path, rules: RecordRules) -> Iterator[str]:
+    path = timings_path(folder, record.id)
+    try:
+        content = raw_timings(record, folder)
+    except InvalidInput as wrong:
+        yield wrong.message
+        return
+    requests = parse_requests(io.BytesIO(content), rules)
+    latency = summary(requests.latencies_s, weights(requests.scenarios, rules.scenarios))
+    now = {"requests": len(requests.latencies_s), "failed_requests": requests.failed, "latency": latency}
+    for name, found in now.items():
+        was = getattr(record, name)
+        if not _same(was, found):
+            yield f"{record.id}: {name} is {was} in the record, {found} from {path}"
+
+
+def _same(was: Any, found: Any) -> bool:
+    """Compare values, numbers to nine digits: another version may sum in another order."""
+    if isinstance(was, LatencySummary) and isinstance(found, LatencySummary):
+        return all(_same(getattr(was, name), getattr(found, name)) for name in LatencySummary.model_fields)
+    if isinstance(was, float) and isinstance(found, float):
+        return math.isclose(was, found, rel_tol=1e-9)
+    return bool(was == found)

@@ -1,0 +1,1 @@
+"""Evaluation of choices, machine libraries, conformance of engines: what makes and checks the product's numbers."""
