@@ -10,7 +10,7 @@ TEST_ARGS ?= -n 3
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test engines environments image-root aws-env oldest-env aws-shell aws-test aws-faults aws-figures slurm-shell slurm-test slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers words generated seal bytes docs unit coverage faults size figures evaluation damaged-specs mutation lock clean
+.PHONY: help demo check test engines image-root aws-env oldest-env aws-shell aws-faults aws-figures slurm-shell slurm-faults slurm-lives slurm-figures ros-env ros-workspace ros-figures link-figures lint types layers words generated seal bytes docs unit coverage faults size figures evaluation damaged-specs mutation lock clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
@@ -43,13 +43,12 @@ help:  ## say what there is
 
 ros-env: .venv-ros/ros.stamp  ## real ROS 2 for the tests that need it, with what the case studies compute with (700 MB)
 
-# The oldest SkyPilot of the supported range reads the same tasks as the one in the lock file.
 .venv-skypilot-oldest/oldest.stamp: requirements/skypilot-oldest.txt | .venv/dev.stamp
 	@test -x .venv-skypilot-oldest/bin/python || $(PYTHON) -m venv .venv-skypilot-oldest
 	@$(BIN)/uv pip install --quiet --python .venv-skypilot-oldest/bin/python --require-hashes -r requirements/skypilot-oldest.txt
 	@touch $@
 
-oldest-env: .venv-skypilot-oldest/oldest.stamp  ## the oldest supported SkyPilot; tests read tasks with those of FOGSPEC_SKYPILOT_PYTHONS
+oldest-env: .venv-skypilot-oldest/oldest.stamp  ## the oldest supported SkyPilot
 
 # The nodes of specs/{grasp-planning,motion-planning,vslam}.yaml, built by colcon as on a machine.
 WORKSPACE := specs/ros2_ws
@@ -66,7 +65,7 @@ slurm-shell: .venv/dev.stamp  ## a shell beside a Slurm cluster with SkyPilot, a
 	@$(SLURM)
 
 slurm-test: .venv/dev.stamp .venv-ros/ros.stamp  ## benches and deployments through SkyPilot on a real Slurm cluster, as root
-	@$(TIMED) $(SLURM) $(BIN)/python -m pytest -q --durations=10 $(LESS) tests/slurm
+	@$(TIMED) $(SLURM) $(BIN)/python -m pytest -q --durations=10 tests/slurm
 
 slurm-faults: .venv/dev.stamp  ## at least 50 faults on the real engine: what leaked, was lost or paid too much (half an hour)
 	$(SLURM) $(BIN)/python -m tests.slurm.faults
@@ -103,7 +102,7 @@ aws-shell: .venv/dev.stamp .venv-aws/aws.stamp  ## a shell beside an AWS account
 	@$(AWS)
 
 aws-test: .venv/dev.stamp .venv-aws/aws.stamp  ## benches and deployments through SkyPilot's own AWS provisioner, with faults at the API, as root
-	@$(TIMED) $(AWS) $(BIN)/python -m pytest -q --durations=10 $(LESS) tests/aws
+	@$(TIMED) $(AWS) $(BIN)/python -m pytest -q --durations=10 tests/aws
 
 aws-figures: .venv/dev.stamp .venv-aws/aws.stamp  ## wall time and overhead of the SkyPilot runner on that account
 	$(AWS) $(BIN)/python -m tests.aws.figures
@@ -123,20 +122,30 @@ demo: .venv/run.stamp  ## measure on shapes of this host, choose one, deploy and
 check: lint types layers words  ## what to run before each commit: lint, format, types, layers and the fast unit tests (two minutes)
 	$(BIN)/python -m pytest -q $(TEST_ARGS) -m 'not slow' tests/unit
 
-# Two groups at once: first the simulated engines, which mostly wait. What a group prints comes whole, when it ends, and then what it
-# took. A group that fails does not end the others. Ctrl-C ends all.
-ONLY ?= $(ENGINES) unit lint types layers words generated docs
-JOBS ?= 2
-ENGINES := aws-test slurm-test
-LESS := -m 'not rare'
-SIDE_BY_SIDE = $(MAKE) --no-print-directory --keep-going --output-sync=target
-test: environments  ## everything that CI checks; with JOBS=1 one group after the other
-	@+$(SIDE_BY_SIDE) --jobs=$(JOBS) $(ONLY)
+# A group that fails does not end the others.
+TEST := lint types layers words generated docs unit
+test:  ## everything that CI checks at each change
+	@+$(MAKE) --no-print-directory --keep-going $(TEST)
 
-engines: environments  ## both simulated engines with every test (25 minutes; make test runs less than half of it)
-	@+$(SIDE_BY_SIDE) --jobs=2 $(ENGINES) LESS=
+# What needs an engine, ROS 2, a browser, containers, another language's server, many minutes, or chains of processes of this host:
+# each group is a folder of tests, or the place below.
+ENGINES := aws slurm ros browser containers editor faults evaluation processes
+PLACE_processes := tests/conformance/test_local_samples.py
+place = $(or $(PLACE_$(1)),tests/$(1))
+GROUPS := $(ENGINES) oldest
+.PHONY: $(GROUPS:%=%-test)
+engines:  ## every test that make test leaves out, or GROUPS='slurm ros' of them; two groups at once (an hour)
+	@+$(MAKE) --no-print-directory --keep-going --output-sync=target --jobs=2 $(GROUPS:%=%-test)
 
-environments: .venv/dev.stamp .venv-ros/ros.stamp tests/editor/node_modules/.stamp
+ros-test containers-test: .venv-ros/ros.stamp
+editor-test: tests/editor/node_modules/.stamp
+$(filter-out aws-test slurm-test,$(ENGINES:%=%-test)): %-test: .venv/dev.stamp
+	@$(TIMED) $(BIN)/python -m pytest -q --durations=10 $(TEST_ARGS) $(call place,$*)
+
+# The oldest SkyPilot of the supported range reads the same tasks as the one in the lock file.
+oldest-test: .venv-skypilot-oldest/oldest.stamp
+	@FOGSPEC_SKYPILOT_PYTHONS=$(CURDIR)/.venv-skypilot-oldest/bin/python \
+	  $(TIMED) $(BIN)/python -m pytest -q $(TEST_ARGS) tests/contract/test_skypilot_tasks.py tests/contract/test_skypilot_calls.py
 
 lint: .venv/dev.stamp  ## style and common mistakes
 	$(BIN)/ruff check .
@@ -175,11 +184,12 @@ bytes: .venv/dev.stamp  ## recorded specs have equal bytes with each, on two typ
 tests/editor/node_modules/.stamp: tests/editor/package-lock.json
 	@if command -v npm >/dev/null; then npm ci --prefix tests/editor --silent --no-audit --no-fund && touch $@ || echo "npm ci failed: tests/editor skip (with CI=true they fail)"; fi
 
-unit: .venv/dev.stamp tests/editor/node_modules/.stamp  ## all tests but those that need a Slurm cluster or an AWS account
-	@$(TIMED) $(BIN)/python -m pytest -q $(LESS) $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws
+ELSEWHERE := -m 'not rare' $(foreach one,$(ENGINES),--ignore=$(call place,$(one)))
+unit: .venv/dev.stamp  ## all tests but those of make engines
+	@$(TIMED) $(BIN)/python -m pytest -q $(TEST_ARGS) $(ELSEWHERE)
 
-coverage: .venv/dev.stamp tests/editor/node_modules/.stamp  ## which lines those tests reach
-	$(BIN)/python -m pytest $(LESS) $(TEST_ARGS) --ignore=tests/slurm --ignore=tests/aws --cov --cov-report=term:skip-covered
+coverage: .venv/dev.stamp  ## which lines those tests reach
+	$(BIN)/python -m pytest $(TEST_ARGS) $(ELSEWHERE) --cov --cov-report=term:skip-covered
 
 faults: .venv/dev.stamp  ## 1,000 benches on a cloud that fails, killed anywhere; adaptive ones killed at every write; 50 deployments (minutes)
 	$(BIN)/python -m tests.faults.campaign

@@ -1,7 +1,7 @@
 """What a person must learn and what is maintained, counted from the program itself: `python -m tests.tools.size`.
 
 Lines and statements by room; commands, options and keys as a user meets them; decisions, words, tests, and the minutes of the
-groups of `make test` that last ran here.
+groups that last ran here.
 """
 
 import ast
