@@ -1,6 +1,5 @@
 """Running the command line on files, in this process, as a user would in a shell."""
 
-import functools
 import json
 import os
 import shutil
@@ -87,26 +86,26 @@ class Shell:
 PARSE = YAML.parse
 
 
-@functools.lru_cache(1000)
-def _events(text: str) -> tuple[Any, ...]:
-    return tuple(PARSE(YAML(typ="safe", pure=True), text))
+EVENTS: dict[str, tuple[Any, ...]] = {}
 
 
 def _parsed(yaml: YAML, text: str) -> Iterator[Any]:
     """Yield the events of a text, which follow from it alone, and take ruamel.yaml a third of a command's time.
 
     Commands of one test, and tests of one worker, read the same files again and again, and each command would be a process that
-    parses them. What is long, wrong or never ends is parsed as it is read.
+    parses them. Only what was read to its end is kept: a reader stops early in what is wrong, and the rest may take minutes.
     """
+    if text in EVENTS:
+        yield from EVENTS[text]
+        return
+    found = []
+    for event in PARSE(yaml, text):
+        found.append(event)
+        yield event
     if len(text) < 100_000:
-        try:
-            found = _events(text)
-        except Exception:
-            pass
-        else:
-            yield from found
-            return
-    yield from PARSE(yaml, text)
+        if len(EVENTS) >= 1000:
+            EVENTS.clear()
+        EVENTS[text] = tuple(found)
 
 
 def _unanswered(client: Client, _op: str, **_arguments: Any) -> Future[Any]:
