@@ -222,7 +222,7 @@ def test_chains_of_processes_that_drop_everything_are_ended(tmp_path, backend, m
     lock, shared = tmp_path / "lock", Path("/dev/shm", word)
     others = Path("/dev/shm", f"{word}-of-others")
     try:
-        until(backend, asked, lambda _: (tmp_path / "beats").stat().st_size > 30)
+        until(backend, asked, lambda _: (tmp_path / "beats").stat().st_size >= 30)
         others.write_bytes(b"kept")
         backend.stop(asked)
         assert not is_locked(lock), "a process of the chains runs"
@@ -262,7 +262,7 @@ def test_chains_are_ended_by_the_jobs_name_alone(tmp_path, monkeypatch, kind, by
     starter.start(asked)
     try:
         until_s = time.monotonic() + 1200
-        while (tmp_path / "beats").stat().st_size <= 30:
+        while (tmp_path / "beats").stat().st_size < 30:
             assert time.monotonic() < until_s
             time.sleep(0.05)
         kind().stop(asked)
