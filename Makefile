@@ -129,7 +129,7 @@ test:  ## everything that CI checks at each change
 
 # What needs an engine, ROS 2, a browser, containers, another language's server, many minutes, or chains of processes of this host:
 # each group is a folder of tests, or the place below.
-ENGINES := aws slurm ros browser containers editor faults evaluation processes
+ENGINES := aws slurm ros browser containers editor faults hostile evaluation processes
 PLACE_processes := tests/conformance/test_local_samples.py
 place = $(or $(PLACE_$(1)),tests/$(1))
 GROUPS := $(ENGINES) oldest

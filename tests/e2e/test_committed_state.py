@@ -9,7 +9,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from fogspec.backends import registry
-from tests.e2e.test_hostile_folder import CLOUD
+from tests.hostile.test_folder import CLOUD
 from tests.support.deployed import Deployed, app, tiny  # noqa: F401
 from tests.support.fake_sky import Cloud, Machine, beside
 from tests.support.files import write_yaml

@@ -201,7 +201,7 @@ def whole(shell: Shell) -> Shell:
         shutil.copy(shell.folder / "../opened.json", folder)
         shutil.rmtree(shell.folder)
 
-    made = once("tests/e2e/test_opened_inputs.py", fill)
+    made = once("tests/hostile/test_opened_inputs.py", fill)
     shutil.copytree(made / "project", shell.folder, dirs_exist_ok=True)
     shutil.copy(made / "opened.json", shell.folder.parent)
     # SkyPilot's access to clouds, which it takes seconds to look for, is no file of the project.
