@@ -5,6 +5,7 @@ import ctypes
 import os
 import re
 import select
+import shlex
 import signal
 import subprocess
 import time
@@ -49,6 +50,21 @@ def environment(out: Path, timings: Path) -> dict[str, str]:
     """Return this process's environment, with the extracted agent on PYTHONPATH and the timings file."""
     path = os.pathsep.join(filter(None, [str(out / "python"), os.environ.get("PYTHONPATH")]))
     return dict(os.environ, PYTHONPATH=path, FOGSPEC_TIMINGS=str(timings))
+
+
+def shown(argv: list[str]) -> str:
+    """Return a command with its arguments, as far as people want to read it; only its name if it is not as they wrote it."""
+    name = program(argv)
+    return shlex.join(argv)[:100] if name == os.path.basename(argv[0]) else name
+
+
+def told_apart(names: Iterable[str]) -> list[str]:
+    """Return the names, the second of one name with a 2 behind it, and so on."""
+    counts, found = dict[str, int](), list[str]()
+    for name in names:
+        counts[name] = counts.get(name, 0) + 1
+        found.append(name if counts[name] == 1 else f"{name} {counts[name]}")
+    return found
 
 
 def received_signals() -> list[int]:

@@ -91,6 +91,10 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     if not all(map(processes.is_argv, [*options.process, *others])):
         parser.error("--process must be a JSON list of strings, or a mapping with it as argv")
     options.names = [str(name or processes.program(argv)) for name, argv in zip(names, options.process, strict=True)]
+    both = zip(options.names, options.process, strict=True)
+    options.commands = processes.told_apart(
+        name if options.names.count(name) == 1 else processes.shown(argv) for name, argv in both
+    )
     return options
 
 
@@ -177,7 +181,7 @@ class SampleRun:
         self.timings.path.write_bytes(b"")
         for number, argv in enumerate(self.options.process):
             try:
-                self.children.append(self._started(argv, self._log(number)))
+                self.children.append(self._started(argv, self._log(number), self.options.commands[number]))
             except OSError as problem:
                 return "failed", "setup", f"{argv[0]} cannot be started: {problem.strerror}", None
             self.ends.watch(self.children[-1])
@@ -185,11 +189,15 @@ class SampleRun:
             self.asks = self._started(self.options.asks, self.out / "asks.log")
         return None
 
-    def _started(self, argv: list[str], path: Path) -> "subprocess.Popen[bytes]":
+    def _started(self, argv: list[str], path: Path, command: str = "") -> "subprocess.Popen[bytes]":
         # In append mode a log can be truncated while its process writes to it.
         with open(path, "ab") as log:
             return self.output.start(
-                processes.apart(argv), log, stdin=subprocess.DEVNULL, env=self.environment, start_new_session=True
+                processes.apart(argv),
+                log,
+                stdin=subprocess.DEVNULL,
+                env={**self.environment, "FOGSPEC_COMMAND": command},
+                start_new_session=True,
             )
 
     def _read_afterwards(
@@ -261,7 +269,7 @@ class SampleRun:
 
     def _look_at_resources(self) -> None:
         """Look at them once requests are measured; where a program reads the records afterwards, from the start."""
-        if self.options.afterwards or self.timings.requests >= max(1, self.options.warmup):
+        if self.options.afterwards or self.timings.counted or self.timings.warmup.is_over():
             self.resources.begin()
         self.resources.look()
 
@@ -272,7 +280,7 @@ class SampleRun:
 
     def _enough(self) -> End | None:
         options, timings = self.options, self.timings
-        if options.steps is not None and timings.requests >= options.steps + options.warmup:
+        if options.steps is not None and timings.counted >= options.steps:
             return "ok", None, None, "steps"
         if timings.due():
             if options.precision is not None and timings.precise(options.precision, options.statistic):

@@ -6,6 +6,7 @@ import math
 import re
 import statistics
 from pathlib import Path
+from typing import Any
 
 from .files import open_plain, truncate
 from .intervals import LEAST, STRICT, interval
@@ -13,18 +14,40 @@ from .intervals import LEAST, STRICT, interval
 TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
 LINE_LIMIT = 2**16
-NOT_REQUESTS = {"unmatched", "metric", "note", "warning"}
+NOT_REQUESTS = {"open", "unmatched", "metric", "note", "warning"}
+MOST_PROCESSES = 10_000  # that are told apart
 OTHER_NAMES = 5
 HEARD_BY_S = 60.0  # after the first valid request
 MOST_HEARD = 100
+
+
+class WarmUp:
+    """The first requests that do not count: those of each process that times some, for each has its own to load."""
+
+    def __init__(self, requests: int) -> None:
+        self.requests = requests
+        self.finished: dict[str, int] = {}
+        self.warm = 0  # processes that are past it
+
+    def over(self, process: object) -> bool:
+        """Take a finished request of this process; return whether it counts."""
+        key = process if isinstance(process, str) else ""
+        key = key[:100] if key in self.finished or len(self.finished) < MOST_PROCESSES else ""
+        number = self.finished[key] = self.finished.get(key, 0) + 1
+        self.warm += number == max(1, self.requests)
+        return number > self.requests
+
+    def is_over(self) -> bool:
+        """Return whether each process that times requests is past it."""
+        return self.warm == len(self.finished) > 0
 
 
 class Timings:
     """The growing file of records; an incomplete last line is left until it is complete."""
 
     def __init__(self, path: Path, warmup: int, callback: str | None = None) -> None:
-        self.path, self.warmup, self.callback = path, warmup, callback
-        self.offset = self.requests = self.unreadable = 0
+        self.path, self.warmup, self.callback = path, WarmUp(warmup), callback
+        self.offset = self.requests = self.counted = self.unreadable = 0
         self.next_check = LEAST
         self.valid: list[float] = []
         self.rest = b""
@@ -58,10 +81,7 @@ class Timings:
         try:
             record = json.loads(line)
             if NOT_REQUESTS & record.keys():
-                if "note" in record:
-                    self.note, self.topic = str(record["note"])[:200], record.get("misnamed") is True
-                self.awaited = self.awaited and record.get("started") != self.callback
-                self._hear(record.get("metric"))
+                self._look(record)
                 return
             latency_s, ok = float(record["latency_s"]), record["ok"] is True
             if not 0 <= latency_s < math.inf:
@@ -75,9 +95,23 @@ class Timings:
             return
         self.awaited = False
         self.requests += 1
-        if ok and self.requests > self.warmup:
-            self.valid.append(latency_s)
-            self._hear(record.get("metrics"), record.get("scenario"))
+        if self.warmup.over(record.get("process")):
+            self.counted += 1
+            if ok:
+                self.valid.append(latency_s)
+                self._hear(record.get("metrics"), record.get("scenario"))
+
+    def _look(self, record: dict[str, Any]) -> None:
+        """Take a record that is not a request: a start is the reason why nothing is timed, until something else is."""
+        name = record.get("open")
+        if "note" in record:
+            self.note, self.topic = str(record["note"])[:200], record.get("misnamed") is True
+        elif isinstance(why := record.get("reason"), str):
+            self.note = f"{str(record.get('name'))[:100]!r} was {why[:200]}"
+        elif isinstance(name, str) and self.note is None and self.callback in (None, name):
+            self.note = f"{name[:100]!r} was started and has not ended"
+        self.awaited = self.awaited and name != self.callback
+        self._hear(record.get("metric"))
 
     def _hear(self, values: object, scenario: object = None) -> None:
         numbers = values.items() if isinstance(values, dict) else ()

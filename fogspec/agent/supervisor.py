@@ -17,7 +17,8 @@ observes: its end does not end the nodes. Nor do parameters that a node lacks, w
 output of all is passed on without the values of secret variables. For controllers that cannot read files on this machine, the
 log regularly contains the same state with the latest requests:
 
-    === fogspec state {"state": "ready", ..., "latest": [[name, latency_s, ok, scenario], ...]} ===
+    === fogspec state {"state": "ready", ..., "latest": [[name, latency_s, ok, scenario, end_s], ...],
+                       "open": [[name, start_s], ...]} ===
 """
 
 import argparse
@@ -47,7 +48,7 @@ CHECK_TIMEOUT_S = 30.0
 TIMINGS_LIMIT = 4 * 2**20
 LOG_LIMIT = 64 * 2**20
 REPORT_FIRST_S, REPORT_EVERY_S = 10.0, 120.0
-LATEST = 100
+LATEST, OPEN = 100, 20
 PACKAGES_LIMIT, PACKAGES_EVERY = 2**17, 10  # bytes; reports in the log, which are read by hundreds
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 60.0
 STEADY_S = 60.0
@@ -91,10 +92,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         options.process = [Kept.of(value) for value in options.process]
     except ValueError as wrong:
         parser.error(str(wrong))
-    names: dict[str, int] = {}
-    for one in options.process:
-        count = names[one.name] = names.get(one.name, 0) + 1
-        one.name += f" {count}" if count > 1 else ""
+    for one, name in zip(options.process, processes.told_apart(one.name for one in options.process), strict=True):
+        one.name = name
     for argv in (*options.listener, *(one for one in (options.ready, options.asks) if one)):
         if not processes.is_argv(argv):
             parser.error("a command must be a JSON list of strings")
@@ -332,6 +331,7 @@ class Supervisor:
             "observed": not self.note,
             "link": public,
             "server": machine_facts.between(self.facts, machine_facts.read()),
+            "clock_s": time.monotonic(),
         }
         listed = {"packages": self.packages} if 0 < len(self.packages) <= PACKAGES_LIMIT else {}
         in_log = {} if self.reports % PACKAGES_EVERY else listed
@@ -343,20 +343,30 @@ class Supervisor:
             os.replace(part, self.out / "state.json")
         with contextlib.suppress(OSError):
             print(
-                f"=== fogspec state {json.dumps({**document, **in_log, 'latest': latest(self.timings)})} ===",
+                f"=== fogspec state {json.dumps({**document, **in_log, **latest(self.timings)})} ===",
                 flush=True,
             )
 
 
-def latest(timings: Path) -> list[list[Any]]:
-    """Return the latest requests: name, latency in seconds, success, scenario."""
-    rows = []
-    for line in read_tail(timings, 65536).split(b"\n")[-LATEST - 1 : -1]:
-        with contextlib.suppress(ValueError, KeyError, TypeError):
+def latest(timings: Path) -> dict[str, list[list[Any]]]:
+    """Return the latest requests: name, latency in seconds, success, scenario, end; and of open ones name and start.
+
+    By this machine's monotonic clock, in seconds.
+    """
+    rows, opened = list[list[Any]](), dict[Any, list[Any]]()
+    for line in read_tail(timings, 65536).split(b"\n")[:-1]:
+        with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError):
             record = json.loads(line)
-            name, latency_s = str(record["name"])[:256], round(float(record["latency_s"]), 6)
-            rows.append([name, latency_s, record["ok"] is True, record.get("scenario")])
-    return rows
+            name = str(record.get("open", record.get("name")))[:256]
+            one = name, record.get("process"), record.get("number")
+            if "open" in record:
+                opened[one] = [name, float(record["start_s"])]
+                continue
+            latency_s = round(float(record["latency_s"]), 6)
+            opened.pop(one, None)
+            end_s = float(record["start_s"]) + latency_s if "start_s" in record else None
+            rows.append([name, latency_s, record["ok"] is True, record.get("scenario"), end_s])
+    return {"latest": rows[-LATEST:], "open": list(opened.values())[-OPEN:]}
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from fogspec.base.files import open_untrusted
 from fogspec.base.quantities import BASE_UNITS
 from fogspec.base.units import UnitError
 from fogspec.results.packages import unpacked
-from fogspec.results.ranges import TIME_S
+from fogspec.results.ranges import CLOCK_S, TIME_S
 from fogspec.results.schema import Reason, ResourceUse, ServerFacts
 
 STATES: dict[str, Literal["starting", "ready", "ended"]] = {
@@ -106,6 +106,7 @@ def deployment_status(state: bytes, timings: bytes, address: str | None) -> Depl
         server=server_facts(values.get("server")),
         packages=unpacked(values.get("packages")),
         restarts=_restarts(values.get("restarts")),
+        clock_s=_clock_s(values.get("clock_s")),
     )
 
 
@@ -114,8 +115,10 @@ def status_in_log(log: bytes, address: str | None) -> DeploymentStatus | None:
     lines = STATE_LINE.findall(log)
     if not lines:
         return None
-    rows = _mapping(lines[-1]).get("latest")
-    records = [_record(row) for row in rows if _is_record(row)] if isinstance(rows, list) else []
+    said = _mapping(lines[-1])
+    rows, opened = (rows if isinstance(rows := said.get(name), list) else [] for name in ("latest", "open"))
+    records = [_record(row) for row in rows if _is_record(row)]
+    records += [_start(number, row) for number, row in enumerate(opened) if _is_start(row)]
     timings = "".join(f"{json.dumps(one)}\n" for one in records).encode()
     status = deployment_status(lines[-1], timings, address)
     listed = next((line for line in reversed(lines) if b'"packages"' in line), b"")
@@ -193,11 +196,27 @@ def _tidy(value: object) -> object:
 
 
 def _is_record(row: object) -> TypeGuard[list[Any]]:
-    return isinstance(row, list) and len(row) == 4 and isinstance(row[1], (int, float))
+    return isinstance(row, list) and len(row) in (4, 5) and isinstance(row[1], (int, float))
 
 
 def _record(row: list[Any]) -> dict[str, Any]:
-    return {"name": str(row[0]), "latency_s": row[1], "ok": row[2] is True, "scenario": row[3]}
+    one = {"name": str(row[0]), "latency_s": row[1], "ok": row[2] is True, "scenario": row[3]}
+    end_s = _clock_s(row[4]) if len(row) == 5 else None
+    return one if end_s is None else {**one, "start_s": end_s - row[1]}
+
+
+def _is_start(row: object) -> TypeGuard[list[Any]]:
+    return isinstance(row, list) and len(row) == 2 and _clock_s(row[1]) is not None
+
+
+def _start(number: int, row: list[Any]) -> dict[str, Any]:
+    # Its number among all of its process is not in the log: each is an account of its own.
+    return {"open": str(row[0]), "process": f"open {number}", "number": 1, "start_s": row[1]}
+
+
+def _clock_s(value: object) -> float | None:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and CLOCK_S.holds(value)
+    return float(value) if number else None  # type: ignore[arg-type]
 
 
 def _restarts(value: object) -> dict[str, int]:

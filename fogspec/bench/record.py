@@ -99,13 +99,14 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
     if requests.out_of_range is not None:
         return "failed", "out_of_range", requests.out_of_range
     if failed and n < rules.valid * (n + failed):
-        why = f": {requests.first_failure}" if requests.first_failure else ""
-        return "failed", "check", f"{failed} of {n + failed} requests failed their check{why}"
+        return "failed", "check", _failures(requests, rules)
+    if (wrong := _unclear(requests, rules)) is not None:
+        return "failed", "not_reported", wrong
     if not n and requests.unweighted:
         named = ", ".join(rules.scenarios)
         return "failed", "no_response", f"no request says that it is of a scenario in spec.benchmark.scenarios: {named}"
     if not n:
-        return "timeout", None, status.detail or "no request was answered after warm-up in the time allowed"
+        return "timeout", None, status.detail or _nothing(requests, rules)
     if missing := [name for name in rules.scenarios if name not in requests.scenarios]:
         return "insufficient", None, f"no valid request of scenario {', '.join(missing)}"
     hangs, tolerable = detect_hang(requests.finished, status.waited_s, rules.timeout_s, rules.valid)
@@ -116,6 +117,45 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
     if not max(requests.latencies_s) >= ranges.LATENCY_S.least:
         return "failed", "out_of_range", f"no request took a nanosecond: {n} latencies of 0 s are none"
     return "ok", None, "; ".join(filter(None, [status.detail, hangs, *_caveats(requests), _moved(status)])) or None
+
+
+def _failures(requests: Requests, rules: RecordRules) -> str:
+    """Return how many requests failed, and why the first did."""
+    of, why = len(requests.latencies_s) + requests.failed, requests.first_failure
+    checked = requests.failed - requests.unended
+    parts = []
+    if requests.unended:
+        parts.append(f"{requests.unended} of {of} requests were started and never ended")
+    if checked:
+        parts.append(f"{checked} of {of} requests failed their check" + (f": {why}" if why else ""))
+    if requests.unended and requests.strays:
+        parts.append(_strays(requests, rules))
+    return "; ".join(parts)
+
+
+def _strays(requests: Requests, rules: RecordRules) -> str:
+    name = rules.callback
+    keep = f"keep what start({name!r}) returns, and call its stop() in the process that started it"
+    return f"{requests.strays} ends of {name!r} have no start: {requests.first_stray}: {keep}"
+
+
+def _unclear(requests: Requests, rules: RecordRules) -> str | None:
+    """Return why it is not known which request took how long, if that is so for more of them than may fail."""
+    n, name = len(requests.latencies_s) + requests.failed, rules.callback
+    most = (1 - rules.valid) * (n + requests.strays)
+    if requests.strays > most:
+        return _strays(requests, rules)
+    if requests.guessed > most:
+        which = f"{requests.guessed} of {n} requests {name!r} ended while another was open in the same place"
+        use = f"end it when its work fails, too (with fogspec_probe.request({name!r}))"
+        return f"{which}, and which of them ended is not known: {use}, or keep what start() returns and call its stop()"
+    return None
+
+
+def _nothing(requests: Requests, rules: RecordRules) -> str:
+    if requests.cold and requests.processes > 1:
+        return f"each of {requests.processes} processes timed no more than its warm-up: spec.benchmark.warmup is {rules.warmup}"
+    return "no request was answered after warm-up in the time allowed"
 
 
 def _moved(status: SampleStatus) -> str | None:
@@ -133,6 +173,17 @@ def _caveats(requests: Requests) -> Iterator[str | None]:
     yield requests.warning
     if requests.unmatched:
         yield f"responses that belong to no request: {requests.unmatched}"
+    if requests.unended:
+        yield f"{requests.unended} requests were started and never ended"
+    if requests.under_way:
+        yield f"requests that were under way for longer than any other, and count with that: {requests.under_way}"
+    if len(requests.commands) > 1:
+        commands = sorted(requests.commands.items())
+        means = (
+            f"{one}: {shown_duration(math.fsum(took) / len(took)) if took else 'none'} in {len(took)} requests"
+            for one, took in commands
+        )
+        yield f"{len(commands)} commands time one name, on average {'; '.join(means)}"
     n = len(requests.service_times_s)
     if n and n == len(requests.latencies_s):
         latency_s, service_s = math.fsum(requests.latencies_s) / n, math.fsum(requests.service_times_s) / n

@@ -42,7 +42,8 @@ class Limit(StrEnum):
 class Observed:
     """The latest requests: their number and statistics, and the consequences for the model and the limits.
 
-    `interval_s` is the 95% interval of the statistic that the spec bounds; `violated` are limits that are not met.
+    `interval_s` is the 95% interval of the statistic that the spec bounds; `violated` are limits that are not met. One request
+    has been open for `waited_s`, and none has ended since its start.
     """
 
     requests: int
@@ -53,12 +54,15 @@ class Observed:
     cost_usd_per_request: float | None
     drift: Drift
     violated: tuple[Limit, ...]
+    waited_s: float | None = None
 
 
-def observe(timings: bytes, application: Application, expected: Expected, machine: Machine) -> Observed:
-    """Compare the latest requests with the expectations for this machine."""
+def observe(
+    timings: bytes, application: Application, expected: Expected, machine: Machine, clock_s: float | None = None
+) -> Observed:
+    """Compare the latest requests with the expectations for this machine, by whose clock it is `clock_s`."""
     rules = replace(RecordRules.of(application), warmup=0)
-    requests = parse_requests(io.BytesIO(b"".join(timings.splitlines(keepends=True)[-LATEST:])), rules)
+    requests = parse_requests(io.BytesIO(_latest(timings)), rules, clock_s)
     known = requests.latencies_s
     found = summary(known, weights(requests.scenarios, rules.scenarios))
     statistic = expected.latency.statistic
@@ -77,7 +81,15 @@ def observe(timings: bytes, application: Application, expected: Expected, machin
         cost_usd_per_request=cost,
         drift=drift(spread, expected.latency.interval),
         violated=violated,
+        waited_s=requests.waited_s,
     )
+
+
+def _latest(timings: bytes) -> bytes:
+    """Return the lines from the `LATEST` last ones on that are not starts of requests."""
+    lines = timings.splitlines(keepends=True)
+    ends = [number for number, line in enumerate(lines) if not line.startswith(b'{"open":')]
+    return b"".join(lines[ends[-LATEST] if len(ends) > LATEST else 0 :])
 
 
 def drift(observed_s: tuple[float, float] | None, predicted_s: tuple[float, float] | None) -> Drift:

@@ -83,7 +83,7 @@ def health_report(
     reasons += _others(live_file, subject, backend_of)
     observed = None
     if live is not None and approved is not None and live.state == "ready":
-        observed = observe(live.timings, application, approved.expected, subject.machine)
+        observed = observe(live.timings, application, approved.expected, subject.machine, live.clock_s)
     health, why = _health(subject, live, observed, approved)
     why += _another_cpu(layout, subject, live)
     packages = packages_differ(layout, subject, live)
@@ -229,15 +229,17 @@ def _health(
     if observed is None or manifest is None:
         return "NotJudged", [*notes, "not judged: the manifest that it was started for cannot be read"]
     notes += [violation_text(one, observed, manifest.expected) for one in observed.violated]
+    if hangs := observed.waited_s is not None:
+        notes.append(f"a request has been open for {units.shown_duration(observed.waited_s)}, and none has ended since")
     drifted = observed.drift in ("slower", "faster")
     if drifted:
         notes.append(f"the model no longer holds: requests are {observed.drift} than predicted")
-    if not observed.violated and observed.interval_s is None:
+    if not observed.violated and not hangs and observed.interval_s is None:
         least = needed(manifest.expected.latency.statistic)
         few = f"not judged yet ({observed.requests} of {least} requests)"
         alike = f"not judged: the latency varies too slowly for an interval from {observed.requests} requests"
         return "NotJudged", [*notes, few if observed.requests < least else alike]
-    return "Degraded" if observed.violated else "Drifted" if drifted else "Healthy", notes
+    return "Degraded" if observed.violated or hangs else "Drifted" if drifted else "Healthy", notes
 
 
 def _another_cpu(layout: Layout, machine: DeployedMachine, live: DeploymentStatus | None) -> Iterator[str]:
@@ -338,5 +340,6 @@ def _observed(seen: Observed, manifest: Manifest) -> dict[str, Any]:
         "mean_s": latency and latency.mean,
         "cost_usd_per_request": seen.cost_usd_per_request,
         "drift": seen.drift,
+        "open_s": seen.waited_s,
         "breaks": [violation_text(one, seen, manifest.expected) for one in seen.violated],
     }

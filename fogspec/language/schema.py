@@ -477,7 +477,7 @@ class Benchmark(Strict):
         examples=[{"requests": 200, "duration": "5min"}],
     )
     warmup: Annotated[int, affects("plan", "results")] = Field(
-        1, ge=0, description="first requests of each sample that do not count", examples=[5]
+        1, ge=0, description="first requests of each process that do not count", examples=[5]
     )
     ready_timeout: Annotated[Duration, affects("plan")] = Field(
         300.0, ge=0, description="longest time a machine may take to be ready", examples=["10min"]

@@ -12,7 +12,11 @@ VERDICT = "!"
 
 @dataclass(slots=True, kw_only=True)
 class Request:
-    """One request, in seconds of one clock; `service_s` is the time that the node worked on it, without waiting."""
+    """One request, in seconds of one clock; `service_s` is the time that the node worked on it, without waiting.
+
+    `number` counts the starts of its name in its `process`; `above` is that of another one that was open in the same place,
+    where the probe could only guess which of them ended.
+    """
 
     name: str
     latency_s: float
@@ -24,6 +28,9 @@ class Request:
     service_s: float | None = None
     lost: bool = False
     stamp: Stamp | None = None
+    process: str = ""
+    number: int | None = None
+    above: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,18 +7,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, TypeGuard
 
+from fogspec.agent.stopping import WarmUp
 from fogspec.base.files import open_untrusted
 from fogspec.base.quantities import Bounds
 from fogspec.base.units import UnitError, shown_duration
 from fogspec.language.probe import name_of
 from fogspec.language.schema import Application
+from fogspec.results.account import Account
 from fogspec.results.join import VERDICT, Request, Value, join
-from fogspec.results.ranges import CLOCK_S, METRIC, REQUEST_S, SIZE_LIMIT
+from fogspec.results.ranges import CLOCK_S, COUNT, METRIC, REQUEST_S, SIZE_LIMIT
 
 LINE_LIMIT = 64 * 2**10
 LINES_LIMIT = 1_000_000
 OTHER_NAMES = 5
-OTHER = {"unmatched", "note", "warning"}
+OTHER = {"open", "unmatched", "note", "warning"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +59,13 @@ class Requests:
     are responses without a request. `out_of_range` tells of the first figure that is out of its range
     (`fogspec.results.ranges`). `seen` counts warm-up and failures too, and `finished` has all of them. `other_names` are names
     that were timed besides the one in the spec, in the order they came.
+
+    Of the starts that `fogspec_probe` writes: `unended` of the lost ones never ended; `under_way` of the latencies are those
+    of requests that were open for so long when the timings end; `guessed` requests ended while another was open in the same
+    place, and which of them ended is not known; since the start of one that has been open for `waited_s`, longer than any
+    pause, none has ended; `strays` of the unmatched ends have no start, for the reason `first_stray`.
+    `commands` have the latencies by the command of the spec that timed them; `cold` are requests within the warm-up of one of
+    the `processes`.
     """
 
     latencies_s: list[float] = field(default_factory=list)
@@ -69,6 +78,15 @@ class Requests:
     unweighted: int = 0
     lost: int = 0
     unmatched: int = 0
+    unended: int = 0
+    under_way: int = 0
+    guessed: int = 0
+    waited_s: float | None = None
+    strays: int = 0
+    first_stray: str | None = None
+    cold: int = 0
+    processes: int = 0
+    commands: dict[str, list[float]] = field(default_factory=dict)
     out_of_range: str | None = None
     warning: str | None = None
     first_failure: str | None = None
@@ -87,9 +105,14 @@ def read_requests(path: Path | None, rules: RecordRules) -> Requests:
         return Requests()
 
 
-def parse_requests(file: BinaryIO, rules: RecordRules) -> Requests:
-    """Return the requests of an open timings file; lines that are not records are counted, never guessed at."""
-    requests, found, values = Requests(), list[Request](), list[Value]()
+def parse_requests(file: BinaryIO, rules: RecordRules, until_s: float | None = None) -> Requests:
+    """Return the requests of an open timings file; lines that are not records are counted, never guessed at.
+
+    `until_s` is when the file was read, by its own clock; without it, the moment of its last line.
+    """
+    requests, found, values, account = Requests(), list[Request](), list[Value](), Account()
+    if until_s is not None:
+        account.until_s = until_s
     wanted = {VERDICT, *rules.metrics.values()}
     for number, line in enumerate(_lines(file), 1):
         if line is None:
@@ -103,22 +126,67 @@ def parse_requests(file: BinaryIO, rules: RecordRules) -> Requests:
         if isinstance(entry, Value):
             values.append(entry)
         elif isinstance(entry, Request):
-            _add(entry, rules, requests, found)
+            _add(entry, rules, requests, found, account)
         elif entry is None:
             requests.unreadable += 1
         else:
-            requests.unmatched += "unmatched" in entry
-            requests.warning = _text(entry.get("warning")) or requests.warning
+            _look(entry, rules, requests, account)
     join(found, values)
     requests.finished = found
-    for one in found[rules.warmup :]:
-        _count(one, rules, requests)
+    warmup = WarmUp(rules.warmup)
+    for one in found:
+        if warmup.over(one.process):
+            _count(one, rules, requests, account.command(one))
+        else:
+            requests.cold += 1
+    requests.processes = len(warmup.finished)
+    for command in account.commands():
+        requests.commands.setdefault(command, [])
+    _settle(account, rules, requests)
     return requests
+
+
+def _look(entry: dict[str, object], rules: RecordRules, requests: Requests, account: Account) -> None:
+    """Take an entry that is not a request: a start, an end without one, or a warning."""
+    requests.warning = _text(entry.get("warning")) or requests.warning
+    number, name = entry.get("number"), entry.get("name", entry.get("open"))
+    if "unmatched" in entry:
+        requests.unmatched += 1
+        if "process" in entry and rules.callback == name:
+            requests.strays += 1
+            requests.first_stray = requests.first_stray or _text(entry.get("reason"))
+    elif "open" in entry and rules.callback == name and _is_count(number):
+        start_s = _in_range("start_s", entry.get("start_s"), CLOCK_S)
+        if start_s is not None:
+            account.start(_text(entry.get("process")) or "", number, start_s, _text(entry.get("command")) or "")
+
+
+def _settle(account: Account, rules: RecordRules, requests: Requests) -> None:
+    """Count what was started and has not ended: a request that never ends has failed, one under way takes at least so long.
+
+    Beside none that counts it is not known how long one may take.
+    """
+    if not requests.latencies_s and not requests.failed:
+        return
+    balance = account.balance(requests.finished, rules.warmup, rules.timeout_s)
+    requests.guessed, requests.unended, requests.under_way = balance.guessed, balance.lost, len(balance.under_way_s)
+    requests.waited_s = balance.waited_s
+    requests.failed += balance.lost
+    requests.lost += balance.lost
+    if balance.lost:
+        requests.first_failure = requests.first_failure or "it was started and never ended"
+    if not rules.scenarios:  # its kind is told when it ends
+        requests.latencies_s += balance.under_way_s
+        requests.scenarios += [""] * len(balance.under_way_s)
 
 
 def is_number(value: object) -> TypeGuard[float]:
     """Return whether a JSON value is a number; Python reads NaN and infinities as such too."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _is_count(value: object) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= COUNT.most
 
 
 def _in_range(name: str, value: object, bounds: Bounds) -> float | None:
@@ -131,16 +199,18 @@ def _in_range(name: str, value: object, bounds: Bounds) -> float | None:
         raise UnitError(f"{name} {wrong}") from None
 
 
-def _add(one: Request, rules: RecordRules, requests: Requests, found: list[Request]) -> None:
+def _add(one: Request, rules: RecordRules, requests: Requests, found: list[Request], account: Account) -> None:
     """Keep a request of the spec's probe, and the name of any other."""
     if rules.callback is None or one.name == rules.callback:
         requests.seen += 1
         found.append(one)
+        if rules.callback is not None:
+            account.end(one)
     elif one.name not in requests.other_names and len(requests.other_names) < OTHER_NAMES:
         requests.other_names.append(one.name)
 
 
-def _count(one: Request, rules: RecordRules, requests: Requests) -> None:
+def _count(one: Request, rules: RecordRules, requests: Requests, command: str) -> None:
     late = one.ok and rules.timeout_s is not None and one.latency_s > rules.timeout_s
     if late or not one.ok:
         requests.failed += 1
@@ -152,6 +222,8 @@ def _count(one: Request, rules: RecordRules, requests: Requests) -> None:
     else:
         requests.latencies_s.append(one.latency_s)
         requests.scenarios.append(one.scenario)
+        if command:
+            requests.commands.setdefault(command, []).append(one.latency_s)
         if one.service_s is not None:
             requests.service_times_s.append(one.service_s)
         for metric, key in rules.metrics.items():
@@ -213,6 +285,9 @@ def _entry(line: bytes, wanted: Set[str]) -> Request | Value | dict[str, object]
         service_s=_in_range("service_s", entry.get("service_s"), REQUEST_S),
         lost=entry.get("lost") is True,
         stamp=_stamp(entry.get("stamp")),
+        process=_text(entry.get("process")) or "",
+        number=number if _is_count(number := entry.get("number")) else None,
+        above=above if _is_count(above := entry.get("above")) else None,
     )
 
 

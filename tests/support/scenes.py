@@ -141,7 +141,7 @@ class Scene:
         path = (
             self.folder / ".fogspec" / self.name / "attempts" / names[-1] / "out" / "timings.jsonl" if names else None
         )
-        return path.read_bytes().count(b"\n") if path is not None and path.exists() else 0
+        return path.read_bytes().count(b'"latency_s"') if path is not None and path.exists() else 0
 
 
 def tree(folder: Path) -> dict[str, bytes]:

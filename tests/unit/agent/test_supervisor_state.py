@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from fogspec.agent import supervisor
 from fogspec.agent.packages import packed
 from fogspec.backends import agent_state
 
@@ -33,6 +34,30 @@ def test_packages_are_those_of_the_latest_report_that_lists_them() -> None:
 
 def test_silence() -> None:
     assert agent_state.status_in_log(b"nodes talk\n", None) is None
+
+
+def test_what_is_open_and_when_is_in_the_log_too(tmp_path) -> None:
+    rows = [
+        {"open": "plan", "process": "7-a", "number": 1, "start_s": 50.0},
+        {"name": "plan", "process": "7-a", "number": 1, "start_s": 50.0, "latency_s": 0.5, "ok": True},
+        {"open": "plan", "process": "7-a", "number": 2, "start_s": 51.0},
+        {"name": "plan", "latency_s": 0.25, "ok": True},
+        ["no record"],
+    ]
+    (tmp_path / "t").write_text("".join(f"{json.dumps(row)}\n" for row in rows))
+    said = supervisor.latest(tmp_path / "t")
+    ended = [["plan", 0.5, True, None, 50.5], ["plan", 0.25, True, None, None]]
+    assert said == {"latest": ended, "open": [["plan", 51.0]]}
+    live = agent_state.status_in_log(line(state="ready", clock_s=60.0, **said), None)
+    assert live.clock_s == 60.0
+    first, second, opened = (json.loads(one) for one in live.timings.splitlines())
+    assert (first["start_s"], first["latency_s"], "start_s" in second) == (50.0, 0.5, False)
+    assert opened == {"open": "plan", "process": "open 0", "number": 1, "start_s": 51.0}
+    for wrong in (True, "now", 1e300):
+        assert (
+            agent_state.status_in_log(line(state="ready", clock_s=wrong, open=[["plan", wrong], 7]), None).clock_s
+            is None
+        )
 
 
 def test_requests_in_few_words() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Manifest
-from fogspec.deploy.drift import LEAST, Limit, drift, interval_s, needed, observe, violation_text
+from fogspec.deploy.drift import LATEST, LEAST, Limit, drift, interval_s, needed, observe, violation_text
 from fogspec.language.loader import load, read_document
 from fogspec.results.requests import RecordRules
 
@@ -87,6 +87,42 @@ def test_a_change_shows_whatever_was_before_it(paper) -> None:
     application, expected = paper
     seen = observe(lines([1.65] * 9000 + [1.9] * 1000), application, expected, MACHINE)
     assert (seen.requests, seen.drift) == (1000, "slower")
+
+
+def account(*starts_s: float, ended: int, latency_s: float = 1.65) -> bytes:
+    """Requests that were started, of which the first ones ended, each line by its time."""
+    rows = []
+    for number, start_s in enumerate(starts_s, 1):
+        own = {"process": "7-a", "number": number, "start_s": start_s}
+        rows.append({"open": NAME, **own})
+        if number <= ended:
+            rows.append({"name": NAME, **own, "latency_s": latency_s, "ok": True})
+    return "".join(json.dumps(row) + "\n" for row in rows).encode()
+
+
+def test_a_request_that_is_open_while_none_ends(paper) -> None:
+    application, expected = paper
+    timings = account(*(2.0 * n for n in range(60)), ended=59)
+    seen = observe(timings, application, expected, MACHINE, 118.0 + 57.0)
+    assert (seen.requests, seen.waited_s, seen.failed) == (59, 57.0, 1)
+    assert observe(timings, application, expected, MACHINE, 118.0 + 2.0).waited_s is None, "it works on it"
+    assert observe(timings, application, expected, MACHINE).waited_s is None, "the machine does not say what time it is"
+    idle = account(*(2.0 * n for n in range(59)), ended=59)
+    assert observe(idle, application, expected, MACHINE, 9000.0).waited_s is None, "nothing is asked"
+
+
+def test_requests_that_raise_are_failed_ones_in_use_too(paper) -> None:
+    application, expected = paper
+    timings = account(*(2.0 * n for n in range(60)), ended=40)
+    seen = observe(timings, application, expected, MACHINE, 130.0)
+    assert Limit.SUCCESS_RATE in seen.violated
+    assert seen.requests == 40
+
+
+def test_starts_do_not_make_the_latest_requests_fewer(paper) -> None:
+    application, expected = paper
+    timings = account(*(2.0 * n for n in range(1500)), ended=1500)
+    assert observe(timings, application, expected, MACHINE).requests == LATEST
 
 
 def test_a_request_costs_what_the_choice_reckons(paper) -> None:
