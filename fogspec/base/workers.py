@@ -3,12 +3,13 @@
 import os
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fogspec.base import child
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 OWN = {*ONE_THREAD, *child.SEARCHED, "PYTHONSAFEPATH"}
@@ -17,8 +18,12 @@ OWN = {*ONE_THREAD, *child.SEARCHED, "PYTHONSAFEPATH"}
 @contextmanager
 def processes(
     workers: int, start: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
-) -> Iterator[ProcessPoolExecutor]:
+) -> "Iterator[ProcessPoolExecutor]":
     """Give the processes; each calls `start` with the arguments first, and ends when this process has ended, however it did."""
+    # Few commands share work, and every command would wait for these.
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
     with _environment(), ProcessPoolExecutor(workers, get_context("spawn"), _begin, (start, arguments)) as pool:
         yield pool
 
@@ -30,6 +35,8 @@ def _begin(start: Callable[..., None] | None, arguments: tuple[Any, ...]) -> Non
 
 
 def _end_with_parent() -> None:
+    from multiprocessing import parent_process
+
     # A worker waits in a pipe that it holds open itself: it would not notice that a parent was killed.
     if (parent := parent_process()) is not None:
         parent.join()

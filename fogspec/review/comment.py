@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from itertools import starmap
+from itertools import chain, starmap
 from typing import Any, TypeVar
 from urllib.parse import quote
 
@@ -50,12 +50,15 @@ def markdown(whole: Whole, picture_base: str | None = None, longest: int = LONGE
         common, inputs, warnings = [], {}, {}
     left -= _length([*table, *common])
     folded = len(shown) > 1
-    sections = [_section(one, picture_base, whole.base is not None, folded, {*inputs, *warnings}) for one in shown]
-    sections += [_removal(name, last) for name, last in whole.removed.items()]
+    sections = chain(
+        (_section(one, picture_base, whole.base is not None, folded, {*inputs, *warnings}) for one in shown),
+        starmap(_removal, whole.removed.items()),
+    )
     body = list[str]()
     for place, section in enumerate(sections):
         if (size := _length(section)) > left:
-            cut, alone = len(sections) - place, code(f"fogspec diff --since {(whole.base or 'BASE')[:12]} APP")
+            cut = len(shown) + len(whole.removed) - place
+            alone = code(f"fogspec diff --since {(whole.base or 'BASE')[:12]} APP")
             more = f"{count(cut, 'application')} more {'is' if cut == 1 else 'are'} left out for length: {alone} shows one."
             tail = [more, "", *tail]
             break

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from fogspec.base import units
@@ -172,7 +173,12 @@ class Deployed:
 
 def number(value: Any) -> float | None:
     """Return a duration, price, cost or sum in base units; None for anything else."""
-    text = str(value).removesuffix("/month").replace(",", "")
+    return _number(str(value))
+
+
+@lru_cache(maxsize=4096)
+def _number(text: str) -> float | None:
+    text = text.removesuffix("/month").replace(",", "")
     for parse in (
         units.parse_duration_s,
         units.parse_price_usd_per_hour,
