@@ -11,6 +11,7 @@ import pytest
 
 from fogspec import __version__
 from tests.support.interpreters import python
+from tests.support.once import once
 
 ROOT = Path(__file__).resolve().parents[2]
 UV = [sys.executable, "-m", "uv", "--quiet"]
@@ -28,17 +29,23 @@ INTERPRETERS = [
 
 
 def build(source: Path, folder: Path) -> dict[str, Path]:
-    """Return sdist and wheel of a project, and the wheel that its sdist makes."""
+    """Make sdist and wheel of a project, and the wheel that its sdist makes; return them."""
     for kind in ("--sdist", "--wheel"):
         subprocess.run([*UV, "build", kind, "--out-dir", folder, source], check=True, timeout=1200)
     sdist = next(folder.glob("*.tar.gz"))
     subprocess.run([*UV, "build", "--wheel", "--out-dir", folder / "again", sdist], check=True, timeout=1200)
+    return packages(folder)
+
+
+def packages(folder: Path) -> dict[str, Path]:
+    """Return what `build` made in a folder."""
+    sdist = next(folder.glob("*.tar.gz"))
     return {"wheel": next(folder.glob("*.whl")), "sdist": sdist, "wheel of sdist": next(folder.glob("again/*.whl"))}
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return build(ROOT, tmp_path_factory.mktemp("dist"))
+def built() -> dict[str, Path]:
+    return packages(once("packages of the product", lambda folder: build(ROOT, folder)))
 
 
 def contents(wheel: Path) -> dict[str, tuple[bytes, int]]:

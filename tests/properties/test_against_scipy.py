@@ -202,10 +202,10 @@ def test_the_relaxed_optimum_is_that_of_a_global_search(curve, alpha, latency_le
     found = relaxation.minimise(objective, slack, box)
     low, high = np.log2([box.vcpus, box.memory_per_vcpu]).T
     expected = differential_evolution(
-        lambda z: objective(2 ** z[0], 2 ** z.sum()), list(zip(low, high, strict=True)), rng=0, popsize=8, tol=1e-8,
-        polish=False,
+        lambda z: objective(2 ** z[0], 2 ** z.sum(axis=0)), list(zip(low, high, strict=True)), rng=0, popsize=8, tol=1e-8,
+        polish=False, vectorized=True, updating="deferred",
         constraints=(
-            NonlinearConstraint(lambda z: slack(2 ** z[0], 2 ** z.sum()), 0, np.inf),
+            NonlinearConstraint(lambda z: slack(2 ** z[0], 2 ** z.sum(axis=0)), 0, np.inf),
             LinearConstraint(np.ones((1, 2)), *np.log2(box.memory_gib)),
         ),
     )  # fmt: skip

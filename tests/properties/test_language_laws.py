@@ -1,6 +1,7 @@
 """Laws of the language: written and read is the same spec; types and schema accept the same documents."""
 
 import copy
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -88,7 +89,7 @@ def applications(draw: st.DrawFn) -> Application:
 
 
 @given(applications())
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_a_spec_that_is_written_and_read_is_the_same_spec(application: Application) -> None:
     text = "\n".join(line for line, _ in block(render_document(application))) + "\n"
     loaded, wrong = check_text(text.encode(), "spec.yaml")
@@ -99,7 +100,7 @@ def test_a_spec_that_is_written_and_read_is_the_same_spec(application: Applicati
 
 
 @given(values)
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_a_value_in_flow_style_is_read_back_with_its_types(value: Any) -> None:
     (node,), wrong = reader.documents(f"value: {flow(value)}\n", "x.yaml")
     assert wrong == []
@@ -127,7 +128,7 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 
 @given(st.data())
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=300, deadline=None)
 def test_types_and_schema_accept_the_same_documents(data: st.DataObject) -> None:
     """Except what no schema can say: a range from large to small, a cost per less than one request, overflow,
     and that 200.0 is no whole number here.
@@ -141,7 +142,7 @@ def test_types_and_schema_accept_the_same_documents(data: st.DataObject) -> None
     node, wrong = reader.documents(f"{flow(document)}\n", "x.yaml")
     assert wrong == []
     by_types = validate(Application, node[0]).wrong
-    by_schema = list(SCHEMA.iter_errors(document))
+    by_schema = [*itertools.islice(SCHEMA.iter_errors(document), 1)]
     if target[last] != "$1/0 requests":
         assert bool(by_types) == bool(by_schema), (by_types, by_schema)
 
@@ -196,7 +197,7 @@ def test_what_is_generated_is_read_fast_and_the_same(data: dict[str, Any]) -> No
     assert same_types(reader.canonical(content), slow), "also where both refuse it"
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(generated, st.data())
 def test_what_was_edited_is_never_read_otherwise(data: dict[str, Any], draw: st.DataObject) -> None:
     content = yaml_text(data, "a test").encode()

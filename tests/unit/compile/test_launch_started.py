@@ -12,6 +12,7 @@ from fogspec.cli import main
 from fogspec.compile.launch_files import launch_files, robot_launch
 from fogspec.compile.launch_source import node_launch
 from fogspec.language.loader import load
+from tests.support.sandboxed import loaded_sandbox  # noqa: F401
 from tests.support.stubs import facts, played
 
 CASES = Path(__file__).resolve().parents[2] / "cases" / "launch"
