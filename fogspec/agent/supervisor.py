@@ -160,6 +160,7 @@ class Supervisor:
         self.check: subprocess.Popen[bytes] | None = None
         self.started_s = self.check_started_s = time.monotonic()
         self.reported_s, self.report_after_s = self.started_s, REPORT_FIRST_S
+        self.size, self.grown_s = 0, self.started_s  # of the timings
         self.ready_s: float | None = None
         self.ready = False
         self.note = self.down = self.refused = ""
@@ -310,12 +311,20 @@ class Supervisor:
     def _bound_files(self) -> None:
         """Keep timings and log from filling the disk, which would end the nodes."""
         with contextlib.suppress(OSError):
-            if self.timings.stat().st_size > TIMINGS_LIMIT:
+            size = self.timings.stat().st_size
+            if size != self.size:
+                self.size, self.grown_s = size, time.monotonic()
+            if size > TIMINGS_LIMIT:
                 os.replace(self.timings, self.out / "timings.1.jsonl")
         with contextlib.suppress(OSError):
             log = os.fstat(1)
             if stat.S_ISREG(log.st_mode) and log.st_size > LOG_LIMIT:
                 os.ftruncate(1, 0)
+
+    def _clock_s(self, requests: dict[str, list[list[Any]]]) -> float | None:
+        """Return what time it is by the clock of the timings, whatever that is: their last moment, and how long ago it was."""
+        moments = [row[4] for row in requests["latest"] if row[4] is not None] + [row[1] for row in requests["open"]]
+        return max(moments) + time.monotonic() - self.grown_s if moments else None
 
     def _report_running(self) -> None:
         self.report("ready" if self.ready else "starting", None)
@@ -331,8 +340,9 @@ class Supervisor:
             "observed": not self.note,
             "link": public,
             "server": machine_facts.between(self.facts, machine_facts.read()),
-            "clock_s": time.monotonic(),
         }
+        requests = latest(self.timings)
+        document["clock_s"] = self._clock_s(requests)
         listed = {"packages": self.packages} if 0 < len(self.packages) <= PACKAGES_LIMIT else {}
         in_log = {} if self.reports % PACKAGES_EVERY else listed
         self.reports += 1
@@ -343,7 +353,7 @@ class Supervisor:
             os.replace(part, self.out / "state.json")
         with contextlib.suppress(OSError):
             print(
-                f"=== fogspec state {json.dumps({**document, **in_log, **latest(self.timings)})} ===",
+                f"=== fogspec state {json.dumps({**document, **in_log, **requests})} ===",
                 flush=True,
             )
 
@@ -351,7 +361,7 @@ class Supervisor:
 def latest(timings: Path) -> dict[str, list[list[Any]]]:
     """Return the latest requests: name, latency in seconds, success, scenario, end; and of open ones name and start.
 
-    By this machine's monotonic clock, in seconds.
+    By the clock of the timings, in seconds.
     """
     rows, opened = list[list[Any]](), dict[Any, list[Any]]()
     for line in read_tail(timings, 65536).split(b"\n")[:-1]:

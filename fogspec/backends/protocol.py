@@ -154,8 +154,8 @@ class DeploymentStatus:
     `observed` is False when nothing records them any more, and `detail` gives the reason. `address` is where the robot finds
     the machine, `link` the public half of the cloud's end of their link, `server` the machine's facts about itself.
     `packages` is the list of its packages, None where it was not reported.
-    `restarts` is how often the machine started a node again, for each node that has `respawn`. `clock_s` is the machine's
-    clock, that of the timings, when it reported.
+    `restarts` is how often the machine started a node again, for each node that has `respawn`. `clock_s` is what
+    time it was by the clock of the timings when the machine reported.
     """
 
     state: Literal["starting", "ready", "ended", "gone"]

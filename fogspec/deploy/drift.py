@@ -60,7 +60,7 @@ class Observed:
 def observe(
     timings: bytes, application: Application, expected: Expected, machine: Machine, clock_s: float | None = None
 ) -> Observed:
-    """Compare the latest requests with the expectations for this machine, by whose clock it is `clock_s`."""
+    """Compare the latest requests with the expectations for this machine, where it is `clock_s` by the clock of the timings."""
     rules = replace(RecordRules.of(application), warmup=0)
     requests = parse_requests(io.BytesIO(_latest(timings)), rules, clock_s)
     known = requests.latencies_s

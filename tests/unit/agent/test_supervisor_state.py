@@ -60,6 +60,20 @@ def test_what_is_open_and_when_is_in_the_log_too(tmp_path) -> None:
         )
 
 
+def test_the_time_is_that_of_the_timings_whatever_clock_they_have(tmp_path, monkeypatch) -> None:
+    """A node may time by a clock that is not this machine's; how long nothing was written is a duration."""
+    monkeypatch.setattr(supervisor.time, "monotonic", lambda: now_s)
+    now_s = 9000.0
+    run = supervisor.Supervisor(supervisor.parse(["--out", str(tmp_path), "--process", '["true"]']))
+    assert run._clock_s({"latest": [], "open": []}) is None
+    run.timings.write_text(json.dumps({"open": "plan", "process": "7-a", "number": 1, "start_s": 2.0}) + "\n")
+    now_s = 9100.0
+    run._bound_files()
+    now_s = 9130.0
+    run._bound_files()
+    assert run._clock_s(supervisor.latest(run.timings)) == 32.0
+
+
 def test_requests_in_few_words() -> None:
     live = agent_state.status_in_log(
         line(state="ready", latest=[["plan", 0.5, True, None], ["plan", 0.1, False, "door"], ["x"], 7]), None
