@@ -24,7 +24,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextvars import ContextVar
-from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
 from types import FrameType
 from typing import Any
 
@@ -48,7 +47,8 @@ class Request:
 
 # Where a request was started: the frame of a function that still runs, the id of that of a coroutine or generator, or None.
 Place = FrameType | int | None
-SUSPENDED = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
+# The flags of generators, coroutines and both, as in inspect, which takes 10 ms to import in each node.
+SUSPENDED = 0x20 | 0x80 | 0x200
 
 _here: "ContextVar[tuple[tuple[Request, Place], ...]]" = ContextVar("fogspec_probe", default=())
 _process = ""

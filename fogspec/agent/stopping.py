@@ -31,8 +31,8 @@ class WarmUp:
 
     def over(self, process: object) -> bool:
         """Take a finished request of this process; return whether it counts."""
-        key = process if isinstance(process, str) else ""
-        key = key[:100] if key in self.finished or len(self.finished) < MOST_PROCESSES else ""
+        key = process[:100] if isinstance(process, str) else ""
+        key = key if key in self.finished or len(self.finished) < MOST_PROCESSES else ""
         number = self.finished[key] = self.finished.get(key, 0) + 1
         self.warm += number == max(1, self.requests)
         return number > self.requests

@@ -122,13 +122,13 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
 def _failures(requests: Requests, rules: RecordRules) -> str:
     """Return how many requests failed, and why the first did."""
     of, why = len(requests.latencies_s) + requests.failed, requests.first_failure
-    checked = requests.failed - requests.unended
+    checked = requests.failed - requests.balance.lost
     parts = []
-    if requests.unended:
-        parts.append(f"{requests.unended} of {of} requests were started and never ended")
+    if requests.balance.lost:
+        parts.append(f"{requests.balance.lost} of {of} requests were started and never ended")
     if checked:
         parts.append(f"{checked} of {of} requests failed their check" + (f": {why}" if why else ""))
-    if requests.unended and requests.strays:
+    if requests.balance.lost and requests.strays:
         parts.append(_strays(requests, rules))
     return "; ".join(parts)
 
@@ -145,8 +145,8 @@ def _unclear(requests: Requests, rules: RecordRules) -> str | None:
     most = (1 - rules.valid) * (n + requests.strays)
     if requests.strays > most:
         return _strays(requests, rules)
-    if requests.guessed > most:
-        which = f"{requests.guessed} of {n} requests {name!r} ended while another was open in the same place"
+    if requests.balance.guessed > most:
+        which = f"{requests.balance.guessed} of {n} requests {name!r} ended while another was open in the same place"
         use = f"end it when its work fails, too (with fogspec_probe.request({name!r}))"
         return f"{which}, and which of them ended is not known: {use}, or keep what start() returns and call its stop()"
     return None
@@ -173,10 +173,10 @@ def _caveats(requests: Requests) -> Iterator[str | None]:
     yield requests.warning
     if requests.unmatched:
         yield f"responses that belong to no request: {requests.unmatched}"
-    if requests.unended:
-        yield f"{requests.unended} requests were started and never ended"
-    if requests.under_way:
-        yield f"requests that were under way for longer than any other, and count with that: {requests.under_way}"
+    if requests.balance.lost:
+        yield f"requests that were started and never ended: {requests.balance.lost}"
+    if under_way := len(requests.balance.under_way_s):
+        yield f"requests that were under way for longer than any other, and count with that: {under_way}"
     if len(requests.commands) > 1:
         commands = sorted(requests.commands.items())
         means = (

@@ -81,7 +81,7 @@ def observe(
         cost_usd_per_request=cost,
         drift=drift(spread, expected.latency.interval),
         violated=violated,
-        waited_s=requests.waited_s,
+        waited_s=requests.balance.waited_s,
     )
 
 

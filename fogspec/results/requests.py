@@ -13,7 +13,7 @@ from fogspec.base.quantities import Bounds
 from fogspec.base.units import UnitError, shown_duration
 from fogspec.language.probe import name_of
 from fogspec.language.schema import Application
-from fogspec.results.account import Account
+from fogspec.results.account import Account, Balance
 from fogspec.results.join import VERDICT, Request, Value, join
 from fogspec.results.ranges import CLOCK_S, COUNT, METRIC, REQUEST_S, SIZE_LIMIT
 
@@ -60,10 +60,9 @@ class Requests:
     (`fogspec.results.ranges`). `seen` counts warm-up and failures too, and `finished` has all of them. `other_names` are names
     that were timed besides the one in the spec, in the order they came.
 
-    Of the starts that `fogspec_probe` writes: `unended` of the lost ones never ended; `under_way` of the latencies are those
-    of requests that were open for so long when the timings end; `guessed` requests ended while another was open in the same
-    place, and which of them ended is not known; since the start of one that has been open for `waited_s`, longer than any
-    pause, none has ended; `strays` of the unmatched ends have no start, for the reason `first_stray`.
+    Of the starts that `fogspec_probe` writes: `balance` has the lost ones, which are among the failed, and those under way when
+    the timings end, whose time so far is among the latencies; `strays` of the unmatched ends have no start, for the reason
+    `first_stray`.
     `commands` have the latencies by the command of the spec that timed them; `cold` are requests within the warm-up of one of
     the `processes`.
     """
@@ -78,10 +77,7 @@ class Requests:
     unweighted: int = 0
     lost: int = 0
     unmatched: int = 0
-    unended: int = 0
-    under_way: int = 0
-    guessed: int = 0
-    waited_s: float | None = None
+    balance: Balance = field(default_factory=Balance)
     strays: int = 0
     first_stray: str | None = None
     cold: int = 0
@@ -169,13 +165,12 @@ def _settle(account: Account, rules: RecordRules, requests: Requests) -> None:
     if not requests.latencies_s and not requests.failed:
         return
     balance = account.balance(requests.finished, rules.warmup, rules.timeout_s)
-    requests.guessed, requests.unended, requests.under_way = balance.guessed, balance.lost, len(balance.under_way_s)
-    requests.waited_s = balance.waited_s
+    requests.balance = balance
     requests.failed += balance.lost
     requests.lost += balance.lost
     if balance.lost:
         requests.first_failure = requests.first_failure or "it was started and never ended"
-    if not rules.scenarios:  # its kind is told when it ends
+    if not rules.scenarios:  # its kind is known when it ends
         requests.latencies_s += balance.under_way_s
         requests.scenarios += [""] * len(balance.under_way_s)
 

@@ -52,7 +52,7 @@ def test_requests_that_raise_are_failed_ones(tmp_path):
     few = [(start_s, None if k == 30 else end_s) for k, (start_s, end_s) in enumerate(series(60))]
     made = record(tmp_path, lines(*few))
     assert (made.state, made.requests, made.failed_requests, made.lost) == ("ok", 59, 1, 1)
-    assert made.detail == "1 requests were started and never ended"
+    assert made.detail == "requests that were started and never ended: 1"
     assert made.latency.mean == pytest.approx(0.05)
 
 
@@ -101,7 +101,7 @@ def test_starts_whose_lines_are_missing_are_lost(tmp_path):
     cut = [one for one in whole if one["number"] not in range(5, 15)]
     made = record(tmp_path, cut)
     assert (made.state, made.reason) == ("failed", "check")
-    assert read(whole[20:]).unended == 0, "the end of a file, as of a deployment, is an account of its own"
+    assert read(whole[20:]).balance.lost == 0, "the end of a file, as of a deployment, is an account of its own"
 
 
 def test_ends_without_a_start_are_refused_beyond_the_share_that_may_fail(tmp_path):
@@ -154,14 +154,14 @@ def test_starts_of_other_names_are_not_of_this_account():
     others = [
         {**one, "open": "refine"} if "open" in one else {**one, "name": "refine"} for one in lines((0, None), (1, 2))
     ]
-    assert read([*others, *lines(*series(20), process="2-b")]).unended == 0
+    assert read([*others, *lines(*series(20), process="2-b")]).balance.lost == 0
 
 
 @pytest.mark.parametrize(
     "wrong", [{"number": 0}, {"number": True}, {"number": "1"}, {"number": 10**12}, {"number": 1.5}]
 )
 def test_a_line_that_is_no_start_is_none(wrong):
-    assert read([{**lines((0, None))[0], **wrong}, *lines(*series(20), process="2-b")]).unended == 0
+    assert read([{**lines((0, None))[0], **wrong}, *lines(*series(20), process="2-b")]).balance.lost == 0
 
 
 REQUEST = st.tuples(st.floats(0.0, 100.0), st.one_of(st.none(), st.floats(0.001, 5.0)))
@@ -178,13 +178,13 @@ def test_each_start_is_counted_once(requests, warmup, processes):
         rows += lines(*sorted(own, key=lambda one: one[0]), process=f"{process}-a")
     found = read(rows, replace(RULES, warmup=warmup))
     ended = sum(took_s is not None for _, took_s in requests)
-    assert len(found.latencies_s) - found.under_way + found.cold == ended == found.seen
+    assert len(found.latencies_s) - len(found.balance.under_way_s) + found.cold == ended == found.seen
     never = len(requests) - ended
-    assert found.unended + found.under_way <= never
-    assert found.failed == found.unended
+    assert found.balance.lost + len(found.balance.under_way_s) <= never
+    assert found.failed == found.balance.lost
     longest_s = max((took_s for _, took_s in requests if took_s is not None), default=0.0)
-    if found.under_way:
-        assert min(found.latencies_s[-found.under_way :]) > longest_s * (1 - 1e-9)
+    if len(found.balance.under_way_s):
+        assert min(found.latencies_s[-len(found.balance.under_way_s) :]) > longest_s * (1 - 1e-9)
 
 
 @given(st.lists(REQUEST, min_size=1, max_size=60), st.randoms(use_true_random=False))
@@ -199,4 +199,4 @@ def test_the_order_of_lines_of_several_processes_does_not_matter(requests, chanc
     mixed = [next(sources[place]) for place in places]
     straight, shuffled = read([*one, *other]), read(mixed)
     assert sorted(straight.latencies_s) == sorted(shuffled.latencies_s)
-    assert (straight.failed, straight.unended) == (shuffled.failed, shuffled.unended)
+    assert (straight.failed, straight.balance.lost) == (shuffled.failed, shuffled.balance.lost)
