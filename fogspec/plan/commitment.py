@@ -11,7 +11,7 @@ stops the machine before; the sum holds for one that cannot, from the moment at 
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,6 +76,15 @@ def room_s(paid_s: float) -> float:
 def machine_s(lifetime_s: float) -> float:
     """Return the longest time from the request of a machine to its own end, which counts `lifetime_s`."""
     return PROVISIONING_S + lifetime_s
+
+
+def power_off_s(task: Mapping[str, Any]) -> float | None:
+    """Return how long after its first boot a task's machine is turned off: after autostop, which ends it for good."""
+    resources = task.get("resources") or {}
+    autostop = resources.get("autostop") or {}
+    if cloud_of(str(resources.get("infra", ""))).own_end is not OwnEnd.POWER_OFF or autostop.get("wait_for") != "none":
+        return None
+    return machine_s(float(autostop["idle_minutes"]) * 60)
 
 
 def engine_settings(machine: Machine, lifetime_s: float | None) -> dict[str, Any] | None:

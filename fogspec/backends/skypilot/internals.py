@@ -23,8 +23,8 @@ from typing import Any
 from sky import global_user_state, provision, skypilot_config
 
 from fogspec.backends.skypilot.errors import CloudProblem
-from fogspec.base.clouds import OwnEnd, cloud_of
-from fogspec.plan.commitment import machine_s
+from fogspec.base.clouds import cloud_of
+from fogspec.plan.commitment import power_off_s
 
 TIMEOUT_S = 90.0
 POLL_S = 1.0
@@ -73,7 +73,7 @@ def _config_of(name: str) -> Mapping[str, Any] | None:
 @contextlib.contextmanager
 def power_off_armed(task: Mapping[str, Any]) -> Iterator[None]:
     """Within this, requests to launch the task turn its machine off when its longest time is over, if it has one."""
-    seconds = _seconds(task)
+    seconds = power_off_s(task)
     if seconds is None:
         yield
         return
@@ -82,12 +82,3 @@ def power_off_armed(task: Mapping[str, Any]) -> Iterator[None]:
         theirs = skypilot_config.get_nested(KEYS, default_value=None) or []
         with skypilot_config.override_skypilot_config({KEYS[0]: {KEYS[1]: [command, *theirs]}}):
             yield
-
-
-def _seconds(task: Mapping[str, Any]) -> float | None:
-    """Return how long after its first boot the machine is turned off: after autostop, which ends it for good."""
-    resources = task.get("resources") or {}
-    autostop = resources.get("autostop") or {}
-    if cloud_of(str(resources.get("infra", ""))).own_end is not OwnEnd.POWER_OFF or autostop.get("wait_for") != "none":
-        return None
-    return machine_s(float(autostop["idle_minutes"]) * 60)

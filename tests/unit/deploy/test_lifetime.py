@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from fogspec.backends.naming import Owner
 from fogspec.backends.protocol import Job
-from fogspec.backends.skypilot.internals import _seconds
 from fogspec.backends.task_check import check_task
 from fogspec.base.clouds import CLOUDS
 from fogspec.base.errors import Refused
@@ -20,7 +19,7 @@ from fogspec.catalog.machine import Machine
 from fogspec.compile.tasks import deploy_task, deploy_work
 from fogspec.deploy.lifetime import KEPT_BY, End, ended, left_s, limited
 from fogspec.language.schema import Application
-from fogspec.plan.commitment import PROVISIONING_S, TEARDOWN_S
+from fogspec.plan.commitment import PROVISIONING_S, TEARDOWN_S, power_off_s
 
 NOW = datetime(2026, 11, 22, 12, tzinfo=UTC)
 OWNER = Owner("a repository", "default", "demo")
@@ -84,7 +83,7 @@ POD = {"pod_config": {"spec": {"activeDeadlineSeconds": 7500}}}
 
 
 @pytest.mark.parametrize(
-    ("infra", "config", "power_off_s"),
+    ("infra", "config", "off_s"),
     [
         ("aws/us-east-1", None, 7500.0),
         ("gcp/us-central1", None, None),
@@ -94,13 +93,13 @@ POD = {"pod_config": {"spec": {"activeDeadlineSeconds": 7500}}}
     ],
 )
 def test_each_engine_ends_the_machine_without_the_computer_that_applied(
-    infra: str, config: dict[str, Any] | None, power_off_s: float | None, tmp_path: Path
+    infra: str, config: dict[str, Any] | None, off_s: float | None, tmp_path: Path
 ) -> None:
     task = limited(compiled(infra), machine(infra), "2026-11-22T14:00:00+00:00", 7200.0)
     assert task["resources"]["autostop"] == {"idle_minutes": 120, "down": True, "wait_for": "none"}
     assert task["envs"] == {"FOGSPEC_LIFETIME_S": "7200", "FOGSPEC_ENDS": "1795356000"}
     assert task.get("config") == config
-    assert _seconds(task) == power_off_s
+    assert power_off_s(task) == off_s
     job = Job(
         name=OWNER.deployment_name("sha256:01234567", "abcdef"), owner=OWNER, task=task, root=tmp_path,
         directory=tmp_path, machine=machine(infra), lifetime_s=7200.0,
