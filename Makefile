@@ -129,7 +129,7 @@ test:  ## everything that CI checks at each change
 
 # What needs an engine, ROS 2, a browser, containers, another language's server, many minutes, or chains of processes of this host:
 # each group is a folder of tests, or the place below.
-ENGINES := aws slurm ros browser containers editor faults hostile evaluation processes
+ENGINES := aws slurm ros browser containers editor faults hostile corners evaluation processes
 PLACE_processes := tests/conformance/test_local_samples.py
 place = $(or $(PLACE_$(1)),tests/$(1))
 GROUPS := $(ENGINES) oldest
@@ -213,7 +213,7 @@ docs: .venv/dev.stamp  ## the documentation site, in build/site; a broken link i
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 dist: .venv/dev.stamp  ## wheels and sdists of fogspec, probe and lab, in dist/, after all were tried in empty environments of every Python here
-	$(BIN)/python -m pytest -q tests/contract/test_wheel.py
+	$(BIN)/python -m pytest -q tests/corners/test_wheel.py
 	rm -rf dist
 	for one in . probe lab; do $(BIN)/uv build --quiet --build-constraints requirements/build.txt --require-hashes --out-dir dist $$one || exit 1; done
 

@@ -11,7 +11,7 @@ from fogspec.base.layout import Layout
 from fogspec.deploy import shared_state
 from fogspec.deploy.shared_state import SharedRecord, holding
 from fogspec.deploy.state import SystemWallClock
-from tests.e2e.test_no_access import AT, bench, cloud, results  # noqa: F401
+from tests.corners.test_no_access import AT, bench, cloud, results  # noqa: F401
 from tests.support.fake_sky import Cloud
 from tests.support.running import Shell, shell  # noqa: F401
 

@@ -196,25 +196,6 @@ def test_policies_and_committed_live_state_fail_it(repo: Shell) -> None:
     assert "git tracks live state" in repo("check", code=3).out
 
 
-def test_several_processes_say_what_one_says(repo: Shell) -> None:
-    for name in ("second", "third"):
-        repo.neighbour(name, repo.read("specs/demo.yaml").replace("name: demo", f"name: {name}"))
-    replaced(MANIFEST, "instance: .*", "instance: a.huge")(repo)
-    one, two = (repo("check", "-j", number, code=3) for number in ("1", "2"))
-    assert (one.out, one.err) == (two.out, two.err)
-    assert [line.split()[1] for line in one.out.splitlines() if line[:4] in ("ok  ", "FAIL")] == [
-        "demo",
-        "second",
-        "third",
-    ]
-    for words in (("status",), ("status", "-o", "json")):
-        one, two = (repo(*words, "-j", number) for number in ("1", "2"))
-        assert (one.out, one.err) == (two.out, two.err), words
-    repo.write("offers.csv", repo.read("offers.csv").replace("0.10", "0.11"))
-    one, two = (repo("check", "-j", number, code=3) for number in ("1", "2"))
-    assert (one.out, one.err) == (two.out, two.err), "an error of a process is this command's"
-
-
 def test_what_git_could_not_merge_is_said(repo: Shell) -> None:
     text = repo.read("results/demo/aws-r1-a-small.yaml")
     line = next(one for one in text.splitlines() if one.startswith("  spent"))

@@ -8,7 +8,6 @@ import shlex
 import shutil
 import subprocess
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,9 +15,7 @@ from ruamel.yaml import YAML
 
 from fogspec.base.text import markdown as md
 from fogspec.base.units import shown_duration
-from fogspec.cli.diff import differences
 from fogspec.compile.inputs import Inputs
-from fogspec.language.discover import load_specs
 from fogspec.language.rules.policies import Policies
 from fogspec.language.warned import sentence
 from fogspec.results.io import read_results_folder
@@ -28,7 +25,6 @@ from fogspec.review.deployed import Deployed as Manifest
 from fogspec.review.diff import Difference, Whole, difference
 from fogspec.review.git import Base
 from fogspec.review.github_comment import mark_of
-from fogspec.review.shared_work import share
 from tests.support.deployed import Deployed, app, tiny  # noqa: F401
 from tests.support.results import remove, write
 from tests.support.running import CATALOG, Shell, copied, measure, project, shell  # noqa: F401
@@ -554,13 +550,3 @@ def test_a_price_list_in_anothers_folder_concerns_all_that_it_is_locked_for(repo
     said = repository("diff", "--since", "HEAD", "--markdown").out
     assert "### demo: the manifest is not fresh" in said
     assert "Unchanged, without a manifest: third." in said
-
-
-def test_several_processes_find_what_one_finds(repository: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    repository.neighbour("other", repository.read("specs/demo.yaml").replace("name: demo", "name: other"))
-    repository.write("offers.csv", repository.read("offers.csv").replace("0.4", "0.5", 1))
-    monkeypatch.chdir(repository.folder)
-    for base in (None, Base.of("HEAD")):
-        one, two = (share(partial(differences, base, ()), load_specs(), number) for number in (1, 2))
-        assert one == two
-        assert [found.name for found in one] == ["demo", "other"]

@@ -7,7 +7,7 @@ import pytest
 
 from fogspec.results.io import read_results_folder
 from fogspec_lab import cli as lab
-from tests.e2e.test_weak_samples import BOX, sample, write
+from tests.corners.test_weak_samples import BOX, sample, write
 from tests.support.running import Ended, Shell, project, shell  # noqa: F401
 
 COMPILE = ("compile", "specs/demo.yaml", "--catalog", "offers.csv")

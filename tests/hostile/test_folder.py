@@ -18,7 +18,7 @@ import pytest
 from fogspec.backends.registry import owner_of
 from fogspec.base.layout import Layout
 from fogspec.cli import VERBS
-from tests.e2e.test_action import run_step
+from tests.corners.test_action import run_step
 from tests.support.deployed import HOSTS, SPEC
 from tests.support.github import serving
 

@@ -21,7 +21,7 @@ import pytest
 
 from fogspec.deploy import checks
 from fogspec_lab import cli as lab
-from tests.e2e.test_chain import with_timings
+from tests.corners.test_chain import with_timings
 from tests.e2e.test_check import AT, git
 from tests.e2e.test_policies import about
 from tests.support.once import once

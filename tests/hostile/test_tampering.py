@@ -17,7 +17,7 @@ from fogspec.compile.plan_files import plan_file
 from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
 from fogspec.results.io import read_results_folder
-from tests.e2e.test_chain import with_timings
+from tests.corners.test_chain import with_timings
 from tests.e2e.test_check import AT, MANIFEST, git, replaced, task_of, without
 from tests.support.results import write
 from tests.support.running import Shell, copied, measure, project, shell  # noqa: F401

@@ -8,8 +8,8 @@ import pytest
 from fogspec.backends import registry
 from fogspec.backends.skypilot import backend
 from fogspec.catalog import sources
+from tests.corners.test_no_access import AT, WORK, bench, results, sources_missing
 from tests.e2e.test_bench_money import _Shop
-from tests.e2e.test_no_access import AT, WORK, bench, results, sources_missing
 from tests.support.fake_sky import Cloud, SimulatedClient
 from tests.support.running import CATALOG, Shell, shell, spec  # noqa: F401
 

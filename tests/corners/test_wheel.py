@@ -79,7 +79,7 @@ def test_the_sdist_holds_what_builds_and_tests_it(built: dict[str, Path]) -> Non
         names = {name.partition("/")[2] for name in archive.getnames()}
     assert names >= {"README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "Makefile", "mkdocs.yml", "pyproject.toml"}
     assert names >= {
-        "tests/contract/test_wheel.py",
+        "tests/corners/test_wheel.py",
         "docs/tutorial.md",
         "results/vslam-recorded/aws-us-east-1-c6i-large.yaml",
         "requirements/run.lock",

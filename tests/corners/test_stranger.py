@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.contract.test_wheel import built, environment_with  # noqa: F401
+from tests.corners.test_wheel import built, environment_with  # noqa: F401
 
 NODE = """\
 import time

@@ -14,8 +14,8 @@ from fogspec.base.units import dollars
 from fogspec.catalog import sources
 from fogspec.language.loader import read_document
 from fogspec.plan.schema import Plan
+from tests.corners.test_no_access import sources_missing
 from tests.e2e.test_bench_money import _Shop
-from tests.e2e.test_no_access import sources_missing
 from tests.support.running import CATALOG, Shell, measure, shell, spec  # noqa: F401
 
 AT = ("--catalog", "offers.csv")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.test_at_once import AT, Together, bench, cloud, listed, results  # noqa: F401
+from tests.corners.test_at_once import AT, Together, bench, cloud, listed, results  # noqa: F401
 from tests.e2e.test_bench import FIRST, SECOND
 from tests.support.running import Shell, shell, spec  # noqa: F401
 from tests.support.scenes import SPEC, WORK, Scene
