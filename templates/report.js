@@ -16,25 +16,26 @@ function normalBelow(z) {
   return z > 0 ? 1 - tail : tail;
 }
 
-// The latency that a limit on the cost of a request leaves, in seconds.
+// The latency that a limit on the cost of a request leaves, in seconds, of which `busy` is paid.
 function secondsWithin(one, cost) {
   const left = cost - data.transfer, rate = data.interruptions_per_s;
   if (data.requests_per_s) return one.usd_per_s / data.requests_per_s <= left ? Infinity : 0;
   if (!one.usd_per_s) return left >= 0 ? Infinity : 0;
   const seconds = Math.max(left, 0) / one.usd_per_s;
-  return one.spot && rate > 0 ? Math.log1p(rate * seconds) / rate : seconds;
+  return (one.spot && rate > 0 ? Math.log1p(rate * seconds) / rate : seconds) / one.busy;
 }
 
 // The limits that the predicted values of a machine break.
 function broken(one, limits) {
   const held = (value, most) => most === null || (value !== null && value <= most);
-  return [["latency", one.latency, limits.latency], ["cost", one.cost, limits.cost], ["rate", one.latency, limits.rate],
+  return [["latency", one.latency, limits.latency], ["cost", one.cost, limits.cost], ["rate", one.latency * one.busy, limits.rate],
     ...data.fixed.map(([name, most], n) => [name, one.fixed[n], most])].filter(([, value, most]) => !held(value, most)).map(([name]) => name);
 }
 
 // The probability that another server of the machine's type meets all limits.
 function probability(one, limits) {
-  const most = Math.min(...[limits.latency, limits.rate].filter((bound) => bound !== null), limits.cost === null ? Infinity : secondsWithin(one, limits.cost));
+  const rate = limits.rate === null ? null : limits.rate / one.busy;
+  const most = Math.min(...[limits.latency, rate].filter((bound) => bound !== null), limits.cost === null ? Infinity : secondsWithin(one, limits.cost));
   const off = Math.log(broken(one, limits).includes("price") ? 0 : most) - one.mu;
   const below = (1 - one.tail) * normalBelow(off / one.sigma) + one.tail * normalBelow(off / Math.hypot(one.sigma, one.spread));
   return Number(below.toPrecision(9)) * one.met;

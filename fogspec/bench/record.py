@@ -20,7 +20,7 @@ from fogspec.results.hangs import detect_hang
 from fogspec.results.ranges import SIZE_LIMIT
 from fogspec.results.requests import RecordRules, Requests, read_requests
 from fogspec.results.schema import LatencySummary, Measured, Reason, State, StoppedBy
-from fogspec.results.statistics import NEEDED, summary, weights
+from fogspec.results.statistics import NEEDED, latency_of, summary, weights
 
 DETAIL_LIMIT = 1000
 WAITED = 1.5
@@ -64,6 +64,7 @@ def _fault(wrong: ArithmeticError | ValidationError) -> str:
 def _figures(requests: Requests, status: SampleStatus, rules: RecordRules) -> dict[str, Any]:
     """Return the fields of a record that follow from what the machine sent."""
     state, reason, detail = classify(requests, status, rules)
+    latency = latency_of(requests, rules.scenarios)
     return {
         "state": state,
         "reason": reason,
@@ -72,7 +73,8 @@ def _figures(requests: Requests, status: SampleStatus, rules: RecordRules) -> di
         "setup": status.setup_s,
         "measuring": status.measured_s,
         "independent": independent(requests.latencies_s) if requests.latencies_s else None,
-        "latency": summary(requests.latencies_s, weights(requests.scenarios, rules.scenarios)),
+        "latency": latency,
+        "busy": None if latency is None else requests.busy_s(latency.mean),
         "service": _service(requests, rules),
         "lost": requests.lost or None,
         "unmatched": requests.unmatched or None,

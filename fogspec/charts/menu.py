@@ -105,17 +105,19 @@ def _with(values: list[float], limit: float) -> list[float]:
 def _limits(choice: Choice) -> list[Limit]:
     """Return the limits: on y, on x, and on the price, which is a slope if it does not fix the cost of a request."""
     found, costs, metric = list[Limit](), choice.rule.costs, choice.rule.metric
+    ratio = costs.typical_busy_ratio
     for name, most in choice.bounds.items():
         if most > 0 and name in ([f"metrics.{metric}"] if metric else ["latency", "rate"]):
             bare, words = shortened(line(name.removeprefix("metrics.")), 150), shown if metric else seconds
-            found.append(Limit(f"{bare} limit {words(most)}", 0, 1, math.log10(most)))
+            at = most / ratio if name == "rate" else most
+            found.append(Limit(f"{bare} limit {words(at)}", 0, 1, math.log10(at)))
         elif most > 0 and name == "cost":
             found.append(Limit(f"cost limit {_of_requests(most)}", 1, 0, math.log10(most)))
         elif most > 0 and name == "price":
             per_hour = costs.requests_per_s and costs.requests_per_s * 3600 * costs.used / costs.up
-            # The cost on a busy machine, which serves 3600 requests of one second per hour, is its price times the latency.
+            # On a busy machine, the cost of a request is the price times the paid seconds, which are in a ratio to its latency.
             if per_hour or not metric:
-                at = math.log10(most / (per_hour or 3600.0))
+                at = math.log10(most / (per_hour or 3600.0 / ratio))
                 found.append(Limit(f"price limit {money(most)}/h", 1, 0 if per_hour else -1, at))
     return found
 

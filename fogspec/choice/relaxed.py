@@ -134,10 +134,11 @@ def relax(
     if no continuous machine meets the limits. `refine` as in `relaxation.minimise`.
     """
     price = relaxation.price_surface(vcpus, memory_gib, rule.costs.price_usd_per_hour)
+    ratio = np.asarray(rule.costs.typical_busy_ratio)
 
     def at(c: Floats, m: Floats) -> tuple[Rule, Floats, dict[str, Floats]]:
         usd = np.maximum(price(c, m), 1e-9)
-        costs = replace(rule.costs, price_usd_per_hour=usd, spot=np.zeros(usd.shape, dtype=bool))
+        costs = replace(rule.costs, price_usd_per_hour=usd, spot=np.zeros(usd.shape, dtype=bool), busy_ratio=ratio)
         metrics = {name: surface(c, m) for name, surface in surfaces.items() if name != "latency"}
         return replace(rule, costs=costs), surfaces["latency"](c, m), metrics
 

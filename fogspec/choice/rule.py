@@ -71,12 +71,12 @@ class Rule:
             raise ValueError("scales must be positive")
 
     @classmethod
-    def of(cls, application: Application, offers: Catalog) -> "Rule":
-        """Return the rule of a spec over these offers."""
+    def of(cls, application: Application, offers: Catalog, busy_ratio: Floats | None = None) -> "Rule":
+        """Return the rule of a spec over these offers; `busy_ratio` is that of `Costs`."""
         spec = application.spec
         objective, constraints = spec.objective, spec.constraints
         return cls(
-            costs=Costs.of(spec, offers.price_usd_per_hour, offers.spot),
+            costs=Costs.of(spec, offers.price_usd_per_hour, offers.spot, busy_ratio),
             names=offers.instance,
             alpha=objective.alpha,
             confidence=constraints.confidence,
@@ -93,12 +93,7 @@ class Rule:
 
     def take(self, rows: Rows) -> "Rule":
         """Return the rule over some of the machines."""
-        costs = self.costs
-        return replace(
-            self,
-            costs=replace(costs, price_usd_per_hour=costs.price_usd_per_hour[rows], spot=costs.spot[rows]),
-            names=self.names[rows],
-        )
+        return replace(self, costs=self.costs.take(rows), names=self.names[rows])
 
     @property
     def bounds(self) -> dict[str, float]:
@@ -123,7 +118,7 @@ class Rule:
             "latency": latency_s,
             "cost": self.costs.per_request(latency_s),
             "price": self.costs.price_usd_per_hour,
-            "rate": latency_s,
+            "rate": latency_s * self.costs.busy_ratio,
             **{f"metrics.{name}": values for name, values in metrics.items()},
         }
         return {name: found[name] for name in self.bounds}
@@ -135,7 +130,7 @@ class Rule:
         if self.max_latency_s is not None:
             found = np.minimum(found, self.max_latency_s)
         if self.costs.requests_per_s:
-            found = np.minimum(found, 1 / self.costs.requests_per_s)
+            found = np.minimum(found, 1 / self.costs.requests_per_s / self.costs.busy_ratio)
         if self.max_cost_usd is not None:
             found = np.minimum(found, self.costs.latency_within(self.max_cost_usd))
         if self.max_price_usd_per_hour is not None:
@@ -192,9 +187,10 @@ class Violation:
 class Selection:
     """The rule applied to predictions of n machines.
 
-    Latency, rate and cost are limits on latency: its distribution on another server of the type says how likely the smallest
-    of them holds. Limits on metrics multiply in; metrics are taken as independent of the latency. Without a distribution no
-    machine meets limits with any probability.
+    Latency, rate and cost are limits on latency, to which the time that a machine is busy is in a known ratio: the
+    distribution of the latency on another server of the type says how likely the smallest of them holds. Limits on metrics
+    multiply in; metrics are taken as independent of the latency. Without a distribution no machine meets limits with any
+    probability.
     """
 
     rule: Rule

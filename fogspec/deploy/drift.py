@@ -23,7 +23,7 @@ from fogspec.compile.manifest import Expected
 from fogspec.language.schema import Application
 from fogspec.results.requests import RecordRules, parse_requests
 from fogspec.results.schema import LatencySummary
-from fogspec.results.statistics import NEEDED, summary, weights
+from fogspec.results.statistics import NEEDED, latency_of
 
 Drift = Literal["none", "slower", "faster", "unknown"]
 # Few enough that a change shows soon, enough for the interval of a 99th percentile.
@@ -64,13 +64,20 @@ def observe(
     rules = replace(RecordRules.of(application), warmup=0)
     requests = parse_requests(io.BytesIO(_latest(timings)), rules, clock_s)
     known = requests.latencies_s
-    found = summary(known, weights(requests.scenarios, rules.scenarios))
+    found = latency_of(requests, rules.scenarios)
     statistic = expected.latency.statistic
     value = None if found is None else getattr(found, statistic)
-    spread = interval_s(known, statistic)
-    cost = None if value is None else _cost(application, machine, value)
+    spread = interval_s(known if statistic == "mean" else [wait_s for wait_s, _ in requests.waits_s], statistic)
+    cost = least_cost = None
+    if found is not None:
+        busy_s, of_mean = requests.busy_s(found.mean), interval_s(known, "mean")
+        cost = _cost(application, machine, busy_s)
+        if of_mean is not None and found.mean:
+            least_cost = _cost(application, machine, busy_s * max(of_mean[0] / found.mean, 0.0))
     violated = tuple(
-        _violated(expected=expected, spread=spread, cost=cost, n=len(known), failed=requests.failed, valid=rules.valid)
+        _violated(
+            expected=expected, spread=spread, cost=least_cost, n=len(known), failed=requests.failed, valid=rules.valid
+        )
     )
     return Observed(
         requests=len(known),
@@ -115,10 +122,10 @@ def needed(statistic: str) -> int:
     return next(n for n in itertools.count(LEAST) if interval_s([1.0] * n, statistic) is not None)
 
 
-def _cost(application: Application, machine: Machine, latency_s: float) -> float:
+def _cost(application: Application, machine: Machine, busy_s: float) -> float:
     """Return USD per request as in the choice: with data transfer, and the interruptions of a spot machine."""
     costs = Costs.of(application.spec, np.array([machine.price]), np.array([machine.spot]))
-    return float(costs.per_request(np.array([latency_s]))[0])
+    return float(costs.per_request(np.array([busy_s]))[0])
 
 
 def _violated(
@@ -133,7 +140,7 @@ def _violated(
     latency_s = latency_limit_s(expected)
     if latency_s is not None and spread is not None and spread[0] > latency_s:
         yield Limit.LATENCY
-    if expected.cost.limit is not None and cost is not None and spread is not None and cost > expected.cost.limit:
+    if expected.cost.limit is not None and cost is not None and cost > expected.cost.limit:
         yield Limit.COST
     if n + failed >= LEAST and n < valid * (n + failed):
         yield Limit.SUCCESS_RATE

@@ -84,12 +84,16 @@ class Model(Strict):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """A machine that was measured: its values by target, and the latency's relative standard error, if it is known."""
+    """A machine that was measured: its values by target, and the latency's relative standard error, if it is known.
+
+    `busy_ratio` is that of `fogspec.catalog.cost.Costs`.
+    """
 
     id: str
     machine: Machine
     values: Mapping[str, float]
     error: float | None = None
+    busy_ratio: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -272,6 +276,8 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
         machine=record.machine,
         values=values,
         error=_error(record, statistic),
+        # Without the times of its requests: as if they had followed one another.
+        busy_ratio=rounded((record.busy or record.latency.mean) / value, 9),
     )
 
 

@@ -162,17 +162,22 @@ class PredictionSpace:
             self.offers,
             self.types,
             {name: _predictions(name, one, unfit, of) for name, one in found.items()},
+            busy_ratios(known, self.types, of),
             self,
         )
 
 
 @dataclass(frozen=True)
 class PredictionSet:
-    """Predictions of every target for the offers; no `space` where the families' curves predict."""
+    """Predictions of every target for the offers; no `space` where the families' curves predict.
+
+    `busy_ratio` (n,) is that of `fogspec.catalog.cost.Costs`.
+    """
 
     offers: Catalog
     types: InstanceTypes
     targets: Mapping[str, Predictions]
+    busy_ratio: Floats
     space: PredictionSpace | None = None
 
 
@@ -185,8 +190,12 @@ def predict(
 ) -> PredictionSet:
     """Predictions of these targets for every offer; `catalog` describes measured machines that are not offers."""
     if models.measured_on_local or not len(offers):
+        types = instance_types(offers)
         return PredictionSet(
-            offers, instance_types(offers), {name: _by_curves(models, offers, name) for name in targets}
+            offers,
+            types,
+            {name: _by_curves(models, offers, name) for name in targets},
+            busy_ratios(models.observations, types, types.of),
         )
     return predict_from(
         known=models.observations,
@@ -209,6 +218,22 @@ def predict_from(
     """Return predictions of these targets from observations and rejected samples."""
     machines = [*(one.machine for one in known), *(one.machine for one in unusable)]
     return PredictionSpace.of(offers, machines, catalog, library).predicted(known, unusable, targets)
+
+
+def busy_ratios(known: Sequence[Observation], types: InstanceTypes, of: NDArray[np.intp]) -> Floats:
+    """Return the busy ratio (n,) of offers of these types: as measured on the type, else the geometric mean of all.
+
+    How requests overlap and fail, and what a percentile is of the mean, is the workload's, and differs little by machine.
+    """
+    by_type: dict[TypeKey, list[float]] = {}
+    for one in known:
+        by_type.setdefault(one.machine.type_key, []).append(math.log(one.busy_ratio))
+    every = [log for logs in by_type.values() for log in logs]
+    found = np.full(len(types), math.fsum(every) / max(len(every), 1))
+    for key, logs in by_type.items():
+        if key in types:
+            found[types.row(key)] = math.fsum(logs) / len(logs)
+    return quantised(np.exp(found))[of]
 
 
 def counts(machine: Machine, offers: Catalog) -> bool:

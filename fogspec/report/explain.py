@@ -1,9 +1,12 @@
 """Explain a choice: the funnel, binding limits, influential samples, weak predictions, and close alternatives."""
 
+import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
+
+import numpy as np
 
 from fogspec.base import units
 from fogspec.base.console import is_verbose
@@ -105,6 +108,12 @@ def _choice_rows(menu: Menu, choice: Choice) -> list[tuple[str, str]]:
         return []
     figures = f"{latency_of(entry)}, {metrics_text(entry.metrics)}{units.shown_cost(entry.cost)}"
     rows = [("choice", machine_of(entry)), ("choice", f"{figures}, {units.shown_price(entry.price)}")]
+    costs = choice.rule.costs.take(np.array([row]))
+    busy_s = float(choice.latency.value[row] * costs.busy_ratio[0])
+    if not costs.requests_per_s and not math.isclose(busy_s, choice.latency.value[row], rel_tol=0.005):
+        rows.append(
+            ("paid", f"{units.shown_duration(busy_s)} for each request that succeeds, in which at least one is open")
+        )
     if words := baseline_of(menu):
         rows.append(("baseline", words))
     pool, meet = int(choice.candidates.sum()), int(choice.feasible.sum())

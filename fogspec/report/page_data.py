@@ -14,7 +14,9 @@ from fogspec.choice.rule import MOST_CERTAIN, TIE, best_attainable
 from fogspec.language.schema import Application
 
 MOST = 400
-COLUMNS = ("mu", "sigma", "tail", "spread", "met", "latency", "value", "cost", "usd_per_s", "spot", "measured", "order")
+COLUMNS = (
+    "mu", "sigma", "tail", "spread", "met", "latency", "value", "cost", "usd_per_s", "busy", "spot", "measured", "order",
+)  # fmt: skip
 
 Rows = NDArray[np.intp]
 
@@ -51,6 +53,7 @@ def rule_data(application: Application, choice: Choice, rows: Rows) -> dict[str,
         choice.metric_value[rows],
         choice.cost_usd_per_request[rows],
         rule.costs.usd_per_s[rows],
+        np.broadcast_to(rule.costs.busy_ratio, len(choice.offers))[rows],
         choice.offers.spot[rows],
         latency.measured[rows],
         np.argsort(place),
@@ -108,6 +111,7 @@ def undominated(choice: Choice, rows: Rows) -> Rows:
         choice.latency.value,
         choice.cost_usd_per_request,
         choice.rule.costs.usd_per_s,
+        np.broadcast_to(choice.rule.costs.busy_ratio, len(choice.offers)),
         choice.offers.price_usd_per_hour,
         *choice.values.values(),
         *choice.required(choice.confidence).values(),

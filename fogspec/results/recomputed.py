@@ -10,7 +10,7 @@ from fogspec.base.errors import InvalidInput
 from fogspec.results.io import raw_timings, timings_path
 from fogspec.results.requests import RecordRules, parse_requests
 from fogspec.results.schema import LatencySummary, Measured, Results
-from fogspec.results.statistics import summary, weights
+from fogspec.results.statistics import latency_of
 
 
 def contradictions(results: Results, folder: Path, rules: RecordRules) -> Iterator[str]:
@@ -31,8 +31,14 @@ def _differences(record: Measured, folder: Path, rules: RecordRules) -> Iterator
         yield wrong.message
         return
     requests = parse_requests(io.BytesIO(content), rules)
-    latency = summary(requests.latencies_s, weights(requests.scenarios, rules.scenarios))
-    now = {"requests": len(requests.latencies_s), "failed_requests": requests.failed, "latency": latency}
+    latency = latency_of(requests, rules.scenarios)
+    now: dict[str, Any] = {
+        "requests": len(requests.latencies_s),
+        "failed_requests": requests.failed,
+        "latency": latency,
+    }
+    if record.busy is not None and latency is not None:
+        now["busy"] = requests.busy_s(latency.mean)
     for name, found in now.items():
         was = getattr(record, name)
         if not _same(was, found):

@@ -1,6 +1,7 @@
 """The parser of timings files, from records of a probe to requests. The files come from other machines and are untrusted."""
 
 import json
+import math
 import sys
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
@@ -54,11 +55,13 @@ class RecordRules:
 class Requests:
     """Requests after warm-up: latencies in seconds and metrics of the successful ones, and counts of the others.
 
-    `scenarios` has the scenario of each latency; `metrics` are (value, scenario). `service_times_s` are the times that the
-    node worked, if the probe reports them. `lost` requests, which got no response, are among the failed ones; `unmatched`
-    are responses without a request. `out_of_range` tells of the first figure that is out of its range
-    (`fogspec.results.ranges`). `seen` counts warm-up and failures too, and `finished` has all of them. `other_names` are names
-    that were timed besides the one in the spec, in the order they came.
+    `scenarios` has the scenario of each latency; `metrics` are (value, scenario). `waits_s` are (latency, scenario) of these
+    and of the late ones, which are among the failed ones and took at least so long: percentiles are of them.
+    `service_times_s` are the times that the node worked, if the probe reports them. `lost` requests, which got no response, are
+    among the failed ones; `unmatched` are responses without a request. `out_of_range` tells of the first figure that is out of
+    its range (`fogspec.results.ranges`). `seen` counts warm-up and failures too, and `finished` has all of them. `other_names`
+    are names that were timed besides the one in the spec, in the order they came. For `open_s` at least one request was open,
+    failed or not.
 
     Of the starts that `fogspec_probe` writes: `balance` has the lost ones, which are among the failed, and those under way when
     the timings end, whose time so far is among the latencies; `strays` of the unmatched ends have no start, for the reason
@@ -70,7 +73,9 @@ class Requests:
     latencies_s: list[float] = field(default_factory=list)
     service_times_s: list[float] = field(default_factory=list)
     scenarios: list[str] = field(default_factory=list)
+    waits_s: list[tuple[float, str]] = field(default_factory=list)
     metrics: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
+    open_s: float = 0.0
     seen: int = 0
     failed: int = 0
     unreadable: int = 0
@@ -88,6 +93,11 @@ class Requests:
     first_failure: str | None = None
     other_names: list[str] = field(default_factory=list)
     finished: Sequence[Request] = ()
+
+    def busy_s(self, mean_s: float) -> float:
+        """Return the time in which at least one request was open, for each of one or more latencies of this (weighted) mean."""
+        whole_s = math.fsum(self.latencies_s)
+        return mean_s * self.open_s / whole_s if whole_s else 0.0
 
 
 def read_requests(path: Path | None, rules: RecordRules) -> Requests:
@@ -130,16 +140,30 @@ def parse_requests(file: BinaryIO, rules: RecordRules, until_s: float | None = N
     join(found, values)
     requests.finished = found
     warmup = WarmUp(rules.warmup)
-    for one in found:
-        if warmup.over(one.process):
-            _count(one, rules, requests, account.command(one))
-        else:
-            requests.cold += 1
+    warm = [one for one in found if warmup.over(one.process)]
+    for one in warm:
+        _count(one, rules, requests, account.command(one))
+    requests.cold = len(found) - len(warm)
     requests.processes = len(warmup.finished)
     for command in account.commands():
         requests.commands.setdefault(command, [])
     _settle(account, rules, requests)
+    spans = [(one.start_s, _wait_s(one, rules)) for one in warm if not one.ok or _has_weight(one, rules)]
+    spans += [(account.until_s - age_s, age_s) for age_s in requests.balance.under_way_s]
+    requests.open_s = _open_s(spans)
     return requests
+
+
+def _open_s(spans: Sequence[tuple[float | None, float]]) -> float:
+    """Return for how long at least one of these (start, duration) was open; those of unknown start one after the other."""
+    until_s, found = -math.inf, [duration_s for start_s, duration_s in spans if start_s is None]
+    for start_s, duration_s in sorted((start_s, duration_s) for start_s, duration_s in spans if start_s is not None):
+        if start_s >= until_s:
+            found.append(duration_s)
+        elif start_s + duration_s > until_s:
+            found.append(start_s + duration_s - until_s)
+        until_s = max(until_s, start_s + duration_s)
+    return math.fsum(found)
 
 
 def _look(entry: dict[str, object], rules: RecordRules, requests: Requests, account: Account) -> None:
@@ -173,6 +197,7 @@ def _settle(account: Account, rules: RecordRules, requests: Requests) -> None:
     if not rules.scenarios:  # its kind is known when it ends
         requests.latencies_s += balance.under_way_s
         requests.scenarios += [""] * len(balance.under_way_s)
+        requests.waits_s += [(age_s, "") for age_s in balance.under_way_s]
 
 
 def is_number(value: object) -> TypeGuard[float]:
@@ -210,12 +235,15 @@ def _count(one: Request, rules: RecordRules, requests: Requests, command: str) -
     if late or not one.ok:
         requests.failed += 1
         requests.lost += one.lost
+        if (late or one.lost) and _has_weight(one, rules) and (wait_s := _wait_s(one, rules)):
+            requests.waits_s.append((wait_s, one.scenario))
         reason = f"took longer than {shown_duration(rules.timeout_s or 0.0)}" if late else one.reason
         requests.first_failure = requests.first_failure or reason
-    elif rules.scenarios and one.scenario not in rules.scenarios:
+    elif not _has_weight(one, rules):
         requests.unweighted += 1
     else:
         requests.latencies_s.append(one.latency_s)
+        requests.waits_s.append((one.latency_s, one.scenario))
         requests.scenarios.append(one.scenario)
         if command:
             requests.commands.setdefault(command, []).append(one.latency_s)
@@ -229,6 +257,15 @@ def _count(one: Request, rules: RecordRules, requests: Requests, command: str) -
                 continue
             if value is not None:
                 requests.metrics.setdefault(metric, []).append((value, one.scenario))
+
+
+def _wait_s(one: Request, rules: RecordRules) -> float:
+    """Return for how long a request was open, at least: one without a response, for the time in which it is waited for."""
+    return max(one.latency_s, rules.timeout_s or 0.0) if one.lost else one.latency_s
+
+
+def _has_weight(one: Request, rules: RecordRules) -> bool:
+    return not rules.scenarios or one.scenario in rules.scenarios
 
 
 def _lines(file: BinaryIO) -> Iterator[bytes | None]:

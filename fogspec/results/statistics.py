@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from fogspec.agent.intervals import QUANTILES
+from fogspec.results.requests import Requests
 from fogspec.results.schema import LatencySummary
 
 # A quantile is reported if on average one request lies beyond it, a mean from the first request on.
@@ -38,6 +39,16 @@ def summary(latencies_s: Sequence[float], shares: Sequence[float]) -> LatencySum
     return LatencySummary.model_construct(
         mean=mean, sd=sd, p50=known.get("p50"), p95=known.get("p95"), p99=known.get("p99")
     )
+
+
+def latency_of(requests: Requests, scenarios: Mapping[str, float]) -> LatencySummary | None:
+    """Return the statistics of the valid requests; late ones, which have failed, count in percentiles with their wait."""
+    found = summary(requests.latencies_s, weights(requests.scenarios, scenarios))
+    if found is None or len(requests.waits_s) == len(requests.latencies_s):
+        return found
+    waits_s, kinds = zip(*requests.waits_s, strict=True)
+    late = summary(waits_s, weights(kinds, scenarios))
+    return found.model_copy(update={name: getattr(late, name) for name in QUANTILES})
 
 
 def quantile(pairs: Sequence[tuple[float, float]], share: float) -> float:

@@ -79,7 +79,7 @@ def test_over_the_limit_too_dear_and_failing(paper) -> None:
     assert seen.violated == (Limit.LATENCY, Limit.COST, Limit.SUCCESS_RATE)
     texts = [violation_text(one, seen, expected) for one in seen.violated]
     assert "over its limit of 2 s" in texts[0]
-    assert texts[1] == "a cost of $1.31 per 1,000 requests is over its limit of $1.00 per 1,000 requests"
+    assert texts[1] == "a cost of $1.32 per 1,000 requests is over its limit of $1.00 per 1,000 requests"
     assert "20 of 70 requests failed" in texts[2]
 
 
