@@ -19,8 +19,9 @@ from fogspec.results import ranges
 from fogspec.results.hangs import detect_hang
 from fogspec.results.ranges import SIZE_LIMIT
 from fogspec.results.requests import RecordRules, Requests, read_requests
+from fogspec.results.resources import between_s
 from fogspec.results.schema import LatencySummary, Measured, Reason, State, StoppedBy
-from fogspec.results.statistics import NEEDED, latency_of, summary, weights
+from fogspec.results.statistics import NEEDED, latency_of, paid_s, summary, weights
 
 DETAIL_LIMIT = 1000
 WAITED = 1.5
@@ -74,7 +75,7 @@ def _figures(requests: Requests, status: SampleStatus, rules: RecordRules) -> di
         "measuring": status.measured_s,
         "independent": independent(requests.latencies_s) if requests.latencies_s else None,
         "latency": latency,
-        "busy": None if latency is None else requests.busy_s(latency.mean),
+        "busy": None if latency is None else paid_s(requests, latency.mean, status.resources, rules),
         "service": _service(requests, rules),
         "lost": requests.lost or None,
         "unmatched": requests.unmatched or None,
@@ -118,7 +119,8 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
         return "insufficient", None, f"{n} requests; {rules.statistic} needs {NEEDED[rules.statistic]}"
     if not max(requests.latencies_s) >= ranges.LATENCY_S.least:
         return "failed", "out_of_range", f"no request took a nanosecond: {n} latencies of 0 s are none"
-    return "ok", None, "; ".join(filter(None, [status.detail, hangs, *_caveats(requests), _moved(status)])) or None
+    about = [status.detail, hangs, *_caveats(requests), _between(requests, status, rules), _moved(status)]
+    return "ok", None, "; ".join(filter(None, about)) or None
 
 
 def _failures(requests: Requests, rules: RecordRules) -> str:
@@ -158,6 +160,14 @@ def _nothing(requests: Requests, rules: RecordRules) -> str:
     if requests.cold and requests.processes > 1:
         return f"each of {requests.processes} processes timed no more than its warm-up: spec.benchmark.warmup is {rules.warmup}"
     return "no request was answered after warm-up in the time allowed"
+
+
+def _between(requests: Requests, status: SampleStatus, rules: RecordRules) -> str | None:
+    """Return what no latency has of the work that was done."""
+    if not (cpu_s := between_s(status.resources, requests.open_s, len(requests.latencies_s))):
+        return None
+    paid = "" if rules.workload else ", and it is paid"
+    return f"{shown_duration(cpu_s)} of CPU time a request, at least, was used while none was open: no latency has it{paid}"
 
 
 def _moved(status: SampleStatus) -> str | None:

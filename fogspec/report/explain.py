@@ -112,7 +112,7 @@ def _choice_rows(menu: Menu, choice: Choice) -> list[tuple[str, str]]:
     busy_s = float(choice.latency.value[row] * costs.busy_ratio[0])
     if not costs.requests_per_s and not math.isclose(busy_s, choice.latency.value[row], rel_tol=0.005):
         rows.append(
-            ("paid", f"{units.shown_duration(busy_s)} for each request that succeeds, in which at least one is open")
+            ("paid", f"{units.shown_duration(busy_s)} for each request that succeeds: so long is the machine busy")
         )
     if words := baseline_of(menu):
         rows.append(("baseline", words))

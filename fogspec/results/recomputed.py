@@ -10,7 +10,7 @@ from fogspec.base.errors import InvalidInput
 from fogspec.results.io import raw_timings, timings_path
 from fogspec.results.requests import RecordRules, parse_requests
 from fogspec.results.schema import LatencySummary, Measured, Results
-from fogspec.results.statistics import latency_of
+from fogspec.results.statistics import latency_of, paid_s
 
 
 def contradictions(results: Results, folder: Path, rules: RecordRules) -> Iterator[str]:
@@ -38,7 +38,7 @@ def _differences(record: Measured, folder: Path, rules: RecordRules) -> Iterator
         "latency": latency,
     }
     if record.busy is not None and latency is not None:
-        now["busy"] = requests.busy_s(latency.mean)
+        now["busy"] = paid_s(requests, latency.mean, record.resources, rules)
     for name, found in now.items():
         was = getattr(record, name)
         if not _same(was, found):

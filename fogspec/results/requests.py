@@ -26,7 +26,10 @@ OTHER = {"open", "unmatched", "note", "warning"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordRules:
-    """The parts of a spec that decide how timings become a record; `metrics` maps each metric to the probe's keyword."""
+    """The parts of a spec that decide how timings become a record; `metrics` maps each metric to the probe's keyword.
+
+    Without a `workload`, all that runs is the application.
+    """
 
     warmup: int
     valid: float
@@ -35,6 +38,7 @@ class RecordRules:
     metrics: dict[str, str] = field(default_factory=dict)
     timeout_s: float | None = None
     scenarios: dict[str, float] = field(default_factory=dict)
+    workload: bool = False
 
     @staticmethod
     def of(application: Application) -> "RecordRules":
@@ -48,6 +52,7 @@ class RecordRules:
             timeout_s=spec.probe.timeout,
             metrics={name: metric.callback or name for name, metric in spec.metrics.items()},
             scenarios=spec.benchmark.scenarios,
+            workload=spec.benchmark.workload.bag is not None or spec.benchmark.workload.node is not None,
         )
 
 

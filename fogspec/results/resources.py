@@ -12,6 +12,8 @@ ONE_CORE = 1.1  # vCPUs that one thread may seem to use
 IDLE_GPU = 0.02  # of a GPU's time
 THROTTLED = 0.05  # of the periods of a quota
 CONTENDED = 0.05  # of its vCPUs, from which what others took is part of a latency
+BETWEEN = 0.5  # of the CPU time of open requests, from which that of others is more than keeping a node going
+PROBE_S = 0.001  # of CPU time a request, which the probe itself does not reach
 SMALLER = 0.95
 SWAPPED_GIB = 2.0**-6
 PAGED_PER_S = 10.0  # major page faults, from which disks are part of the latency
@@ -70,6 +72,17 @@ def doubts(record: Measured) -> Iterator[Warned]:
     smaller = use.vcpus < SMALLER * record.machine.cpus
     if smaller and use.throttled is not None and use.throttled >= THROTTLED:
         yield warned(codes.cpu_quota, sample=record.id, vcpus=use.vcpus, periods=use.throttled)
+
+
+def between_s(use: ResourceUse | None, open_s: float, requests: int) -> float:
+    """Return the CPU seconds a request that were used while none was open, at least; 0 where that is little.
+
+    While one is open, its machine's vCPUs bound what can be used.
+    """
+    if use is None or not requests:
+        return 0.0
+    beyond_s = use.cpu_mean * use.window - use.vcpus * open_s
+    return beyond_s / requests if beyond_s > max(BETWEEN * use.vcpus * open_s, PROBE_S * requests) else 0.0
 
 
 def _swaps(use: ResourceUse) -> bool:

@@ -131,7 +131,8 @@ class Measured(Strict):
     and `measuring` how long from then on.
     `requests` counts valid requests after warm-up, `failed_requests` those that failed their own check. `independent` is
     how many requests that do not resemble the one before would tell the mean latency as exactly.
-    `busy` is the time in which at least one request was open, those that failed included, for each valid one: what is paid.
+    `busy` is what is paid for each valid one: the time in which at least one request was open, those that failed included, and
+    the CPU time of an application without a workload between them where it is much.
     `service` is the time that the node worked on a request, without what it waited for others, where the probe tells
     them apart; `lost` of the failed requests got no response, `unmatched` responses belong to no request.
     `latency` is there when at least one valid request was measured, whatever the state; `latency_lower_bound` is a lower

@@ -6,8 +6,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from fogspec.agent.intervals import QUANTILES
-from fogspec.results.requests import Requests
-from fogspec.results.schema import LatencySummary
+from fogspec.results.requests import RecordRules, Requests
+from fogspec.results.resources import between_s
+from fogspec.results.schema import LatencySummary, ResourceUse
 
 # A quantile is reported if on average one request lies beyond it, a mean from the first request on.
 NEEDED = {"mean": 1, "p50": 2, "p95": 20, "p99": 100}
@@ -49,6 +50,14 @@ def latency_of(requests: Requests, scenarios: Mapping[str, float]) -> LatencySum
     waits_s, kinds = zip(*requests.waits_s, strict=True)
     late = summary(waits_s, weights(kinds, scenarios))
     return found.model_copy(update={name: getattr(late, name) for name in QUANTILES})
+
+
+def paid_s(requests: Requests, mean_s: float, use: ResourceUse | None, rules: RecordRules) -> float:
+    """Return the time that is paid for each valid request: while one is open, and of the node's own work between them."""
+    open_s, n = requests.busy_s(mean_s), len(requests.latencies_s)
+    if use is None or rules.workload:
+        return open_s
+    return max(open_s, min(open_s + between_s(use, requests.open_s, n), use.window / n))
 
 
 def quantile(pairs: Sequence[tuple[float, float]], share: float) -> float:

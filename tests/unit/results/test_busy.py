@@ -19,7 +19,7 @@ from fogspec.choice.rule import Rule
 from fogspec.model.fit import Observation, partition
 from fogspec.plan.schema import Sample
 from fogspec.results.requests import RecordRules, parse_requests
-from fogspec.results.schema import Measured
+from fogspec.results.schema import Measured, ResourceUse
 
 STATISTICS = ("mean", "p50", "p95", "p99")
 PRICE = 0.36  # USD an hour, so that a second costs $0.0001
@@ -38,9 +38,11 @@ def written(spans: Sequence[Span], **more: object) -> bytes:
     return "".join(json.dumps(row) + "\n" for row in rows).encode()
 
 
-def measured(folder: Path, content: bytes, statistic: str = "mean", **more: object) -> Measured:
+def measured(
+    folder: Path, content: bytes, statistic: str = "mean", use: ResourceUse | None = None, **more: object
+) -> Measured:
     (folder / "timings.jsonl").write_bytes(content)
-    status = SampleStatus(running=False, timings=folder / "timings.jsonl")
+    status = SampleStatus(running=False, timings=folder / "timings.jsonl", resources=use)
     return make_record(SAMPLE, status, rules(statistic, **more), 60.0, 0.0)
 
 
@@ -144,6 +146,56 @@ def test_a_request_without_a_response_was_waited_for(tmp_path: Path) -> None:
     never = measured(tmp_path, content, "p99", valid=0.9)
     assert never.latency is not None
     assert never.latency.p99 == 0.02, "without a timeout it is not known how long one was waited for"
+
+
+def used(cpu_s: float, vcpus: float = 1.0, window_s: float = 8.0) -> ResourceUse:
+    return ResourceUse(
+        window=window_s, vcpus=vcpus, cpu_mean=cpu_s / window_s, cpu_max=vcpus, memory_peak=0.1, minor_faults=0,
+        major_faults=0, overhead=0.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("use", "workload", "busy_s", "says"),
+    [
+        (
+            used(8.0),
+            False,
+            0.2,
+            "180 ms of CPU time a request, at least, was used while none was open: no latency has it, and",
+        ),
+        (used(8.0, vcpus=2.0), False, 0.18, "160 ms of CPU time"),
+        (
+            used(8.0),
+            True,
+            0.02,
+            "180 ms of CPU time a request, at least, was used while none was open: no latency has it",
+        ),
+        (used(0.8), False, 0.02, None),
+        (used(1.1), False, 0.02, None),  # a node that polls
+        (used(16.0, vcpus=2.0), False, 0.2, "360 ms of CPU time"),  # two threads: no longer than there is time for
+        (None, False, 0.02, None),
+    ],
+)
+def test_work_after_the_answer_is_said_and_paid(
+    tmp_path: Path, use: ResourceUse | None, workload: bool, busy_s: float, says: str | None
+) -> None:
+    after = written([(0.2 * n, 0.02, True) for n in range(40)])
+    record = measured(tmp_path, after, use=use, workload=workload)
+    assert record.latency is not None
+    assert (record.state, record.latency.mean, record.busy) == ("ok", pytest.approx(0.02), pytest.approx(busy_s))
+    if says is None:
+        assert record.detail is None
+    else:
+        assert record.detail is not None
+        assert says in record.detail
+        assert record.detail.endswith("is paid") is not workload
+
+
+def test_what_the_probe_does_between_requests_is_no_work(tmp_path: Path) -> None:
+    short = written([(0.0001 * n, 0.00001, True) for n in range(1000)])
+    record = measured(tmp_path, short, use=used(0.1, window_s=0.1))
+    assert (record.detail, record.busy) == (None, pytest.approx(0.00001))
 
 
 def test_a_request_under_way_at_the_end_is_open() -> None:
