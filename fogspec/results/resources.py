@@ -77,12 +77,13 @@ def doubts(record: Measured) -> Iterator[Warned]:
 def between_s(use: ResourceUse | None, open_s: float, requests: int) -> float:
     """Return the CPU seconds a request that were used while none was open, at least; 0 where that is little.
 
-    While one is open, its machine's vCPUs bound what can be used.
+    While one is open, its machine's vCPUs bound what can be used, or what was used in a second where the processes left them.
     """
     if use is None or not requests:
         return 0.0
-    beyond_s = use.cpu_mean * use.window - use.vcpus * open_s
-    return beyond_s / requests if beyond_s > max(BETWEEN * use.vcpus * open_s, PROBE_S * requests) else 0.0
+    most_s = max(use.vcpus, use.cpu_max) * open_s
+    beyond_s = use.cpu_mean * use.window - most_s
+    return beyond_s / requests if beyond_s > max(BETWEEN * most_s, PROBE_S * requests) else 0.0
 
 
 def _swaps(use: ResourceUse) -> bool:

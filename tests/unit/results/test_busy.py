@@ -149,8 +149,9 @@ def test_a_request_without_a_response_was_waited_for(tmp_path: Path) -> None:
 
 
 def used(cpu_s: float, vcpus: float = 1.0, window_s: float = 8.0) -> ResourceUse:
+    mean = cpu_s / window_s
     return ResourceUse(
-        window=window_s, vcpus=vcpus, cpu_mean=cpu_s / window_s, cpu_max=vcpus, memory_peak=0.1, minor_faults=0,
+        window=window_s, vcpus=vcpus, cpu_mean=mean, cpu_max=max(mean, vcpus), memory_peak=0.1, minor_faults=0,
         major_faults=0, overhead=0.0,
     )  # fmt: skip
 
@@ -190,6 +191,12 @@ def test_work_after_the_answer_is_said_and_paid(
         assert record.detail is not None
         assert says in record.detail
         assert record.detail.endswith("is paid") is not workload
+
+
+def test_more_cpus_than_it_has_are_no_work_between_requests(tmp_path: Path) -> None:
+    always = written([(0.2 * n, 0.2, True) for n in range(40)])
+    record = measured(tmp_path, always, use=used(15.6))
+    assert (record.detail, record.busy) == (None, pytest.approx(0.2))
 
 
 def test_what_the_probe_does_between_requests_is_no_work(tmp_path: Path) -> None:
