@@ -77,6 +77,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--precision", type=float)
     parser.add_argument("--decided-above", type=float, help="end as decided once the statistic is above this latency")
     parser.add_argument("--statistic", choices=("mean", "p50", "p95", "p99"), default="mean")
+    parser.add_argument("--weights", type=json.loads, help="those of scenarios, by name")
     parser.add_argument("--callback", help="count requests of this name only; without it, all")
     parser.add_argument("--expect", action="append", nargs=3, default=[], help="a name to hear in so many requests")
     parser.add_argument("--asks", type=json.loads, help="asks the nodes whether they have what the spec sets")
@@ -108,7 +109,7 @@ class SampleRun:
         self.asks: subprocess.Popen[bytes] | None = None
         self.output = redaction.Output(options.secret)
         self.shared_memory = SharedMemory()
-        self.timings = Timings(out / "timings.jsonl", options.warmup, options.callback)
+        self.timings = Timings(out / "timings.jsonl", options.warmup, options.callback, options.weights)
         self.timings.expected = options.expect
         self.environment = ros.alone(processes.environment(out, self.timings.path))
         self.setup_s: float | None = None

@@ -5,11 +5,12 @@ import json
 import math
 import re
 import statistics
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from .files import open_plain, truncate
-from .intervals import LEAST, STRICT, interval
+from .intervals import LEVEL, STRICT, Interval, interval
 
 TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
@@ -17,6 +18,7 @@ LINE_LIMIT = 2**16
 NOT_REQUESTS = {"open", "unmatched", "metric", "note", "warning"}
 MOST_PROCESSES = 10_000  # that are told apart
 OTHER_NAMES = 5
+LEAST = 10  # valid requests before the first check
 HEARD_BY_S = 60.0  # after the first valid request
 MOST_HEARD = 100
 
@@ -45,11 +47,14 @@ class WarmUp:
 class Timings:
     """The growing file of records; an incomplete last line is left until it is complete."""
 
-    def __init__(self, path: Path, warmup: int, callback: str | None = None) -> None:
-        self.path, self.warmup, self.callback = path, WarmUp(warmup), callback
+    def __init__(
+        self, path: Path, warmup: int, callback: str | None = None, weights: Mapping[str, float] | None = None
+    ) -> None:
+        self.path, self.warmup, self.callback, self.weights = path, WarmUp(warmup), callback, weights or {}
         self.offset = self.requests = self.counted = self.unreadable = 0
         self.next_check = LEAST
         self.valid: list[float] = []
+        self.kinds: list[str] = []  # and their scenarios, if those have weights
         self.rest = b""
         self.note: str | None = None
         self.topic = False  # the note is that a topic is published by nearly this name
@@ -98,8 +103,11 @@ class Timings:
         if self.warmup.over(record.get("process")):
             self.counted += 1
             if ok:
-                self.valid.append(latency_s)
-                self._hear(record.get("metrics"), record.get("scenario"))
+                kind = record.get("scenario")
+                if not self.weights or (isinstance(kind, str) and kind in self.weights):
+                    self.valid.append(latency_s)
+                    self.kinds += [kind] if self.weights else []
+                self._hear(record.get("metrics"), kind)
 
     def _look(self, record: dict[str, Any]) -> None:
         """Take a record that is not a request: a start is the reason why nothing is timed, until something else is."""
@@ -128,9 +136,10 @@ class Timings:
         n, texts, missing, known = len(self.valid), list[str](), False, {key for key, _, _ in self.expected}
         for key, what, least in self.expected if n else ():
             enough = n >= float(least)
-            if key in self.heard or (" " in key and not enough):
-                continue
             others = [one for one in self.heard if one not in known and (" " in one) == (" " in key)]
+            # How often a scenario comes in a sample, its weight does not say: it may come late, unless another comes instead.
+            if key in self.heard or (" " in key and not (enough and (others or over))):
+                continue
             near = [one for one in others if mistyped(key, one)]
             instead = f"the node reported {', '.join(near or others) or 'no other'}"
             if least == "inf":
@@ -167,12 +176,15 @@ class Timings:
 
     def precise(self, precision: float, statistic: str) -> bool:
         """Return whether the half-width of the 95% interval is at most `precision` times the statistic."""
-        found = interval(self.valid, statistic)
+        found = self._interval(statistic, LEVEL)
         return found.half <= precision * found.value
 
     def above(self, latency_s: float, statistic: str) -> bool:
         """Return whether the statistic is above this latency: the lower end of its 99% interval is."""
-        return interval(self.valid, statistic, STRICT).low > latency_s
+        return self._interval(statistic, STRICT).low > latency_s
+
+    def _interval(self, statistic: str, level: float) -> Interval:
+        return interval(self.valid, statistic, level, self.kinds, self.weights)
 
 
 def mistyped(one: str, other: str) -> bool:

@@ -2,14 +2,13 @@
 
 import gzip
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import ValidationError
 
-from fogspec.agent.intervals import independent
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base.files import open_untrusted
 from fogspec.base.redaction import known
@@ -21,7 +20,7 @@ from fogspec.results.ranges import SIZE_LIMIT
 from fogspec.results.requests import RecordRules, Requests, read_requests
 from fogspec.results.resources import between_s
 from fogspec.results.schema import LatencySummary, Measured, Reason, State, StoppedBy
-from fogspec.results.statistics import NEEDED, latency_of, paid_s, summary, weights
+from fogspec.results.statistics import NEEDED, errors_of, latency_of, metric_of, paid_s, summary, unsteady, weights
 
 DETAIL_LIMIT = 1000
 WAITED = 1.5
@@ -66,6 +65,7 @@ def _figures(requests: Requests, status: SampleStatus, rules: RecordRules) -> di
     """Return the fields of a record that follow from what the machine sent."""
     state, reason, detail = classify(requests, status, rules)
     latency = latency_of(requests, rules.scenarios)
+    metrics = {name: metric_of(values, rules.scenarios) for name, values in requests.metrics.items()}
     return {
         "state": state,
         "reason": reason,
@@ -73,14 +73,15 @@ def _figures(requests: Requests, status: SampleStatus, rules: RecordRules) -> di
         "stopped_by": status.stopped_by if status.stopped_by in get_args(StoppedBy) else None,
         "setup": status.setup_s,
         "measuring": status.measured_s,
-        "independent": independent(requests.latencies_s) if requests.latencies_s else None,
         "latency": latency,
+        "errors": None if latency is None else errors_of(requests, rules.scenarios),
         "busy": None if latency is None else paid_s(requests, latency.mean, status.resources, rules),
         "service": _service(requests, rules),
         "lost": requests.lost or None,
         "unmatched": requests.unmatched or None,
         "latency_lower_bound": status.waited_s if state in ("timeout", "insufficient") else None,
-        "metrics": {name: _mean(values, rules.scenarios) for name, values in requests.metrics.items()},
+        "metrics": {name: mean for name, (mean, _) in metrics.items()},
+        "metric_errors": {name: error for name, (_, error) in metrics.items() if error <= ranges.ERROR.most},
         "server": status.server,
         "resources": status.resources,
     }
@@ -119,7 +120,14 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
         return "insufficient", None, f"{n} requests; {rules.statistic} needs {NEEDED[rules.statistic]}"
     if not max(requests.latencies_s) >= ranges.LATENCY_S.least:
         return "failed", "out_of_range", f"no request took a nanosecond: {n} latencies of 0 s are none"
-    about = [status.detail, hangs, *_caveats(requests), _between(requests, status, rules), _moved(status)]
+    about = [
+        status.detail,
+        hangs,
+        *_caveats(requests),
+        *unsteady(requests.latencies_s),
+        _between(requests, status, rules),
+        _moved(status),
+    ]
     return "ok", None, "; ".join(filter(None, about)) or None
 
 
@@ -231,8 +239,3 @@ def _service(requests: Requests, rules: RecordRules) -> LatencySummary | None:
     if len(requests.service_times_s) != len(requests.latencies_s):
         return None
     return summary(requests.service_times_s, weights(requests.scenarios, rules.scenarios))
-
-
-def _mean(values: Sequence[tuple[float, str]], scenarios: Mapping[str, float]) -> float:
-    shares = weights([scenario for _, scenario in values], scenarios)
-    return math.fsum(value * share for (value, _), share in zip(values, shares, strict=True))

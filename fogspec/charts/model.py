@@ -120,7 +120,7 @@ def _series(
     for one in models.observations:  # and measured machines that are no candidates
         value, own = one.values.get(metric or "latency", 0.0), one.machine.instance
         if _gpu_of(one.machine) == gpu and value > 0 and line(own) not in measured:
-            wide = math.exp(t * (DEFAULT_NOISE if one.error is None else one.error))
+            wide = math.exp(t * one.errors.get("latency", DEFAULT_NOISE))
             found.append(dot(own, one.machine.cpus, value, None if metric else (value / wide, value * wide), True))
     return Series("no GPU" if gpu is None else f"{number:g} {line(name)}", gpu is not None, found)
 

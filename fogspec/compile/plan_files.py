@@ -110,6 +110,8 @@ def _limits(application: Application, plan: Plan) -> list[str]:
     if stop.precision is not None:
         words += ["--precision", units.format_number(stop.precision)]
     words += ["--statistic", application.spec.constraints.statistic]
+    if scenarios := application.spec.benchmark.scenarios:
+        words += ["--weights", json.dumps(scenarios, sort_keys=True)]
     return [*words, *(word for name in application.spec.secrets for word in ("--secret", name))]
 
 

@@ -7,7 +7,7 @@ predicted interval. Latencies are taken on the machine, as they were when it was
 import io
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -21,7 +21,7 @@ from fogspec.catalog.cost import Costs
 from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Expected
 from fogspec.language.schema import Application
-from fogspec.results.requests import RecordRules, parse_requests
+from fogspec.results.requests import RecordRules, Requests, parse_requests
 from fogspec.results.schema import LatencySummary
 from fogspec.results.statistics import NEEDED, latency_of
 
@@ -67,10 +67,10 @@ def observe(
     found = latency_of(requests, rules.scenarios)
     statistic = expected.latency.statistic
     value = None if found is None else getattr(found, statistic)
-    spread = interval_s(known if statistic == "mean" else [wait_s for wait_s, _ in requests.waits_s], statistic)
+    spread = _spread_s(requests, statistic, rules.scenarios)
     cost = least_cost = None
     if found is not None:
-        busy_s, of_mean = requests.busy_s(found.mean), interval_s(known, "mean")
+        busy_s, of_mean = requests.busy_s(found.mean), _spread_s(requests, "mean", rules.scenarios)
         cost = _cost(application, machine, busy_s)
         if of_mean is not None and found.mean:
             least_cost = _cost(application, machine, busy_s * max(of_mean[0] / found.mean, 0.0))
@@ -108,11 +108,27 @@ def drift(observed_s: tuple[float, float] | None, predicted_s: tuple[float, floa
     return "faster" if observed_s[1] < predicted_s[0] else "none"
 
 
-def interval_s(latencies_s: Sequence[float], statistic: str) -> tuple[float, float] | None:
-    """Return the 95% interval of a statistic of requests in the order they came; None for too few of them."""
+def _spread_s(requests: Requests, statistic: str, scenarios: Mapping[str, float]) -> tuple[float, float] | None:
+    if statistic == "mean":
+        return interval_s(requests.latencies_s, statistic, requests.scenarios, scenarios)
+    return interval_s(
+        [wait_s for wait_s, _ in requests.waits_s], statistic, [kind for _, kind in requests.waits_s], scenarios
+    )
+
+
+def interval_s(
+    latencies_s: Sequence[float],
+    statistic: str,
+    kinds: Sequence[str] = (),
+    scenarios: Mapping[str, float] | None = None,
+) -> tuple[float, float] | None:
+    """Return the 95% interval of a statistic of requests in the order they came; None for too few of them.
+
+    With `scenarios` by weight, requests are of these `kinds`.
+    """
     if len(latencies_s) < max(LEAST, NEEDED.get(statistic, 1)):
         return None
-    found = interval(latencies_s, statistic)
+    found = interval(latencies_s, statistic, kinds=kinds, weights=scenarios)
     return (found.low, found.high) if math.isfinite(found.half) else None
 
 

@@ -97,6 +97,14 @@ def spread_unknown(*, samples: int, of: int, assumed_error: float) -> str:
     )
 
 
+def error_unknown(*, samples: list[str], statistic: str) -> str:
+    """Warn of samples whose requests do not tell how far their statistic is from that of more requests."""
+    return (
+        f"how far the {statistic} of {', '.join(samples)} is from that of more requests is not known: there are too "
+        f"few, or each is too much like the one before: measure more (spec.benchmark.stop)"
+    )
+
+
 def few_samples(*, target: str, gpu: str | None = None, samples: int) -> str:
     """Warn of a curve through few samples."""
     number = count(samples, "sample")
@@ -253,7 +261,7 @@ def left_out(
 
 def over_limit(*, limit: str, bound: float, value: float | None = None, unit: str | None = None) -> str:
     """Say that a machine violates a limit; without a value it has none that can be modeled."""
-    name = limit.removeprefix("metrics.")
+    name = "busy time a request, for the rate," if limit == "rate" else limit.removeprefix("metrics.")
     if value is None:
         return f"{name} is not known: no sample has a value of it that can be modeled"
     return "{} {} is over the limit of {}".format(name, *shown_beside(limit, value, bound, unit or ""))
@@ -274,7 +282,7 @@ def unlikely(*, required: float, probability: float | None = None) -> str:
 CODES: Mapping[str, Callable[..., str]] = {
     one.__name__: one
     for one in (
-        partial, waived, confirmed, host_only, relaxed_end, no_confidence, not_verified, spread_unknown,
+        partial, waived, confirmed, host_only, relaxed_end, no_confidence, not_verified, spread_unknown, error_unknown,
         few_samples, constant_curve, curve_error, sample_rejected, mixed_servers, gpu_idle, swapped, contended, cpu_quota,
         image_unpinned, open_port, unpredicted, nothing_sampled, one_platform, level_skipped, memory_snapped, sampled_once,
         burstable, not_candidate, selects_more, batch, sampling_ended, left_out, over_limit, machine_failed,
@@ -288,8 +296,8 @@ CODES: Mapping[str, Callable[..., str]] = {
 DECISIVE = frozenset(
     one.__name__
     for one in (
-        partial, waived, confirmed, host_only, relaxed_end, no_confidence, not_verified, sample_rejected, mixed_servers,
-        gpu_idle, swapped, contended, cpu_quota, image_unpinned, open_port,
+        partial, waived, confirmed, host_only, relaxed_end, no_confidence, not_verified, error_unknown, sample_rejected,
+        mixed_servers, gpu_idle, swapped, contended, cpu_quota, image_unpinned, open_port,
     )
 )  # fmt: skip
 

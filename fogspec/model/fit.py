@@ -8,7 +8,7 @@ relaxed method (ADR 0005).
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -27,16 +27,13 @@ from fogspec.numerics.families import Fit, fit_all
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.surrogate import VERSION
 from fogspec.plan.schema import PlanMetadata
-from fogspec.results.ranges import LATENCY_S
+from fogspec.results.ranges import ERROR, LATENCY_S
 from fogspec.results.resources import contended
 from fogspec.results.schema import Measured, Results
 
 # Two servers of one type differ, whatever is measured on each: median coefficient of variation of repeated
 # measurements over Spare Cores' public benchmarks (SpareCores/sc-inspector-data).
 SERVER_ERROR = 0.015
-MOST_ERROR = 10.0
-# The standard error of a quantile over that of the mean, of a normal variable: sqrt(p (1 - p)) / density.
-ERROR_OF = {"mean": 1.0, "p50": 1.25, "p95": 2.11, "p99": 3.74}
 
 
 class PaperFit(Strict):
@@ -84,7 +81,7 @@ class Model(Strict):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """A machine that was measured: its values by target, and the latency's relative standard error, if it is known.
+    """A machine that was measured: its values by target, and their relative standard errors, as far as they are known.
 
     `busy_ratio` is that of `fogspec.catalog.cost.Costs`.
     """
@@ -92,7 +89,7 @@ class Observation:
     id: str
     machine: Machine
     values: Mapping[str, float]
-    error: float | None = None
+    errors: Mapping[str, float] = field(default_factory=dict)
     busy_ratio: float = 1.0
 
 
@@ -275,26 +272,22 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
         id=record.id,
         machine=record.machine,
         values=values,
-        error=_error(record, statistic),
+        errors=_errors(record, statistic),
         # Without the times of its requests: as if they had followed one another.
-        busy_ratio=rounded((record.busy or record.latency.mean) / value, 9),
+        busy_ratio=rounded((busy if LATENCY_S.holds(busy := record.busy or 0.0) else record.latency.mean) / value, 9),
     )
 
 
-def _error(record: Measured, statistic: Statistic) -> float | None:
-    """Return the relative standard error of the statistic as a figure for all machines of the type; None if it is unknown."""
-    latency = record.latency
-    known = latency is not None and latency.sd is not None
+def _errors(record: Measured, statistic: Statistic) -> dict[str, float]:
+    """Return the relative standard error of each target as a figure for all machines of the type, where it is known."""
+    found = {} if record.metric_errors is None else dict.fromkeys(record.metrics, ERROR.most) | record.metric_errors
+    known = record.errors is not None
     # By what others took of its CPUs, a contended sample may be off.
     lost = record.resources.outside or 0.0 if record.resources is not None and contended(record) else 0.0
-    if not known and not lost:
-        return None
-    own = DEFAULT_NOISE
-    if latency is not None and latency.sd is not None:
-        own = ERROR_OF[statistic] * latency.sd / latency.mean / math.sqrt(record.independent or max(record.requests, 1))
-    own = math.hypot(own, lost)
-    # Beyond this the sample says nothing, whatever more it could.
-    return rounded(min(math.hypot(own, SERVER_ERROR), MOST_ERROR), 5)
+    if known or lost:
+        own = (record.errors or {}).get(statistic, ERROR.most if known else DEFAULT_NOISE)
+        found["latency"] = min(math.hypot(own, lost, SERVER_ERROR), ERROR.most)
+    return {name: rounded(error, 5) for name, error in found.items()}
 
 
 def _model(target: str, gpu: str | None, group: Sequence[Observation]) -> Model:

@@ -300,7 +300,7 @@ def _conditioned(
         return None
     bounds = [one for one in unusable if one.latency_lower_bound] if target == "latency" else []
     at = [types.row(one.machine.type_key) for one in values]
-    errors = [math.nan if target != "latency" or one.error is None else one.error for one in values]
+    errors = [one.errors.get(target, math.nan) for one in values]
     return space.fit(
         observations(
             [*at, *(types.row(one.machine.type_key) for one in bounds)],

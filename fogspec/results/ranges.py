@@ -18,6 +18,7 @@ COUNT = Bounds(0, 10**9)
 METRIC = Bounds(-1e12, 1e12)
 MEMORY_GIB = Bounds(0.0, 1e9, " GiB")
 VCPUS = Bounds(0.0, 1e5)
+ERROR = Bounds(0.0, 10.0)  # relative: beyond it a sample says nothing, whatever more it could
 MONEY_USD = Bounds(0.0, 1e9, " USD")
 TEXT_LIMIT = 2000
 SIZE_LIMIT = 256 * 2**20  # bytes of the raw timings of a sample
@@ -27,6 +28,7 @@ Time = Annotated[Duration, AfterValidator(TIME_S.check)]
 Amount = Annotated[Money, AfterValidator(MONEY_USD.check)]
 MetricValue = Annotated[float, AfterValidator(METRIC.check)]
 MemoryUse = Annotated[Memory, AfterValidator(MEMORY_GIB.check)]
+RelativeError = Annotated[float, AfterValidator(ERROR.check)]
 Vcpus = Annotated[float, AfterValidator(VCPUS.check)]
 Counted = Annotated[int, Field(ge=0, le=10**9)]
 Text = Annotated[str, Field(max_length=TEXT_LIMIT)]

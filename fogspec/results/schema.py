@@ -13,7 +13,17 @@ from fogspec.catalog.machine import Machine, TypeKey
 from fogspec.language.schema import Hardware, Statistic, Waiver
 from fogspec.language.warned import Warned, mixed_servers, warned
 from fogspec.plan.schema import Sample, Sampling
-from fogspec.results.ranges import Amount, Counted, MemoryUse, MetricValue, RequestTime, Text, Time, Vcpus
+from fogspec.results.ranges import (
+    Amount,
+    Counted,
+    MemoryUse,
+    MetricValue,
+    RelativeError,
+    RequestTime,
+    Text,
+    Time,
+    Vcpus,
+)
 
 State = Literal["ok", "insufficient", "timeout", "failed"]
 Reason = Literal[
@@ -129,8 +139,9 @@ class Measured(Strict):
     `stopped_by` is what ended the measurement: steps, time, precision, decided (too slow to become the choice), exit of the
     processes, size of the timings, a signal. Of the `duration` that is paid, `setup` is how long it took to the first request,
     and `measuring` how long from then on.
-    `requests` counts valid requests after warm-up, `failed_requests` those that failed their own check. `independent` is
-    how many requests that do not resemble the one before would tell the mean latency as exactly.
+    `requests` counts valid requests after warm-up, `failed_requests` those that failed their own check.
+    `errors` are relative standard errors of the latency's statistics, from requests in the order they came, and
+    `metric_errors` those of metrics: where one is missing, nothing can be said of it. They are None in records of means alone.
     `busy` is what is paid for each valid one: the time in which at least one request was open, those that failed included, and
     the CPU time of an application without a workload between them where it is much.
     `service` is the time that the node worked on a request, without what it waited for others, where the probe tells
@@ -149,14 +160,15 @@ class Measured(Strict):
     detail: Text | None = None
     requests: Counted
     failed_requests: Counted = 0
-    independent: float | None = Field(None, gt=0, le=10**12)
     latency: LatencySummary | None = None
+    errors: dict[Statistic, RelativeError] | None = None
     busy: RequestTime | None = None
     service: LatencySummary | None = None
     lost: Counted | None = None
     unmatched: Counted | None = None
     latency_lower_bound: RequestTime | None = None
     metrics: dict[str, MetricValue] = Field({})
+    metric_errors: dict[str, RelativeError] | None = None
     stopped_by: StoppedBy | None = None
     setup: Time | None = None
     measuring: Time | None = None

@@ -193,7 +193,7 @@ def measured_here(one: LoadedSpec) -> None:
     records = [
         Measured(
             id=sample.id, machine=sample.machine, measured_on="local", state="ok", requests=20,
-            latency=LatencySummary(mean=1.6 / sample.machine.cpus, sd=0.1), duration=30.0, spent=0.0,
+            latency=LatencySummary(mean=1.6 / sample.machine.cpus, sd=0.1), errors={"mean": 0.02}, duration=30.0, spent=0.0,
             metrics={"path_length": 26 + 4 / sample.machine.cpus},
         )
         for sample in compiled(one).plan.spec.samples

@@ -33,6 +33,8 @@ def sample(instance: str, latency: float | None, tag: str = "", **more: Any) -> 
     machine = Machine(infra="aws/r1", instance=instance, cpus=cpus, memory=memory, gpu=gpu, price=price)
     summary = None if latency is None else LatencySummary(mean=latency, sd=latency / 20)
     base = {"state": "ok", "requests": 20, "duration": 60.0, "spent": 0.01, "measured_on": "test"}
+    if latency is not None:
+        base["errors"] = {"mean": 1 / 20 / math.sqrt(20)}
     return Measured(id=f"aws-r1-{instance.replace('.', '-')}{tag}", machine=machine, latency=summary, **(base | more))
 
 
@@ -301,7 +303,7 @@ def coded(found: dict[str, Any], code: str) -> list[dict[str, Any]]:
 def replaced(one: Measured) -> Measured:
     """The sample with its mean alone."""
     assert one.latency is not None
-    return one.model_copy(update={"latency": LatencySummary(mean=one.latency.mean)})
+    return one.model_copy(update={"latency": LatencySummary(mean=one.latency.mean), "errors": None})
 
 
 def use(outside: float | None) -> ResourceUse:
@@ -345,7 +347,7 @@ def test_a_contended_sample_is_named_wherever_it_counts_and_its_error_is_widened
 
 def errors_of(samples: Sequence[Measured]) -> dict[str, float]:
     """The errors of the samples that count."""
-    return {one.id: one.error or 0.0 for one in partition(samples, "mean")[0]}
+    return {one.id: one.errors["latency"] for one in partition(samples, "mean")[0]}
 
 
 def test_a_hostile_name_in_a_library_is_text(shell: Shell) -> None:

@@ -300,11 +300,16 @@ def test_scenarios_are_weighed_as_the_spec_says(tmp_path):
     spec = SPEC.replace("  benchmark:\n", "  benchmark:\n    scenarios: {easy: 1, hard: 1}\n")
     assert spec != SPEC
     requests = [(0.05, "hard"), (0.01, "easy"), (0.01, "easy"), (0.01, "easy")]
+    spec = spec.replace("stop: {requests: 10,", "stop: {requests: 10000, precision: 5%,")
     scene = Scene.made(tmp_path / "scene", SCRIPTED.format(requests=requests), spec)
     ended = scene.bench("--only", FIRST)
     assert ended.returncode == 0, ended.stderr
     mean_ms = float(scene.records()[FIRST]["latency"]["mean"].removesuffix("ms"))
     assert mean_ms == pytest.approx(30)
+    record = scene.records()[FIRST]
+    assert (record["stopped_by"], record["requests"] >= 20) == ("precision", True), (
+        "five hard ones tell how far they differ"
+    )
 
 
 def test_enough_requests_for_the_precision_asked_for_stop_a_sample(tmp_path):

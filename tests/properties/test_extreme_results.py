@@ -29,6 +29,8 @@ ANSWERS = (0, 3, 4, 7)  # also: not fresh, no machine meets the limits, and noth
 
 edges_s = st.sampled_from([1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6])
 latencies_s = st.one_of(edges_s, st.floats(-9, 6).map(lambda power: 10**power))
+errors = st.sampled_from([None, 0.0, 5e-324, 1e-12, 0.1, 10.0])
+busy_s = st.sampled_from([None, 0.0, 5e-324, 1e-9, 1.0, 1e6])
 deviations = st.sampled_from([None, 0.0, 5e-324, 1e-12, 0.1, 1.0, 1e3])
 metrics = st.one_of(
     st.sampled_from([0.0, -1.0, 5e-324, 1e-12, 1.0, 1e12, -1e12]), st.floats(-1e12, 1e12), st.floats(-1, 1)
@@ -51,11 +53,16 @@ def records(draw: st.DrawFn, machines: list[Machine], equal: bool) -> list[dict[
         if state == "ok" or draw(st.booleans()):
             sd = None if share is None else min(mean * share, 1e6)
             figures["latency"] = LatencySummary(mean=mean, sd=sd, p50=mean, p95=draw(st.sampled_from([None, mean])))
+            figures["busy"] = draw(busy_s)
+            known = draw(st.fixed_dictionaries({"mean": errors, "p50": errors}))
+            figures["errors"] = draw(st.sampled_from([None, {name: e for name, e in known.items() if e is not None}]))
         if state == "failed":
             figures["reason"] = draw(st.sampled_from(["crash", "out_of_memory", "quota", "out_of_range"]))
         if state in ("timeout", "insufficient"):
             figures["latency_lower_bound"] = draw(st.one_of(st.none(), edges_s))
         figures["metrics"] = draw(st.one_of(st.just({}), st.fixed_dictionaries({"size": metrics})))
+        if figures["metrics"]:
+            figures["metric_errors"] = draw(st.sampled_from([None, {}, {"size": 0.0}, {"size": 10.0}]))
         figures["setup"] = draw(st.sampled_from([None, 0.0, 1e-9, 1e9]))
         figures["duration"] = draw(st.sampled_from([0.0, 1e-9, 60.0, 1e9]))
         figures["spent"] = draw(st.sampled_from([0.0, 5e-324, 1e-9, 1.0, 1e6]))

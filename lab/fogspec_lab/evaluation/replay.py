@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fogspec.agent.intervals import LEAST, STRICT, interval
+from fogspec.agent.intervals import STRICT, error_of, interval
+from fogspec.agent.stopping import LEAST
 from fogspec.backends.skypilot.backend import AT_ONCE
 from fogspec.choice.rule import Rule, Selection
 from fogspec.model.predict import Predictions
@@ -87,7 +88,7 @@ class Timing:
                 continue
             found = interval(values[:n].tolist(), "mean", STRICT)
             if found.low > above:
-                return found.value, found.error, self.before_s + n * latency_s
+                return found.value, error_of(values[:n].tolist(), "mean"), self.before_s + n * latency_s
         return None
 
 

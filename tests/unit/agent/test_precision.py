@@ -1,5 +1,6 @@
 """`stop: {precision: 5%}`: where the agent stops, the statistic is that close to the truth as often as it says."""
 
+import json
 import math
 import random
 from pathlib import Path
@@ -66,3 +67,23 @@ def test_a_latency_that_is_far_above_is_seen_at_once():
         timings.valid.append(0.5 + 0.01 * (count % 3))
         assert (timings.due() and timings.above(0.3, "mean")) == (count == 10)
     assert not timings.above(0.6, "mean")
+
+
+@pytest.mark.parametrize("rare", [40, 5])
+def test_scenarios_are_precise_once_the_rare_one_is(tmp_path: Path, rare: int) -> None:
+    """A half of the use, and one in `rare` of the sample; a kind that the spec does not weigh counts for nothing."""
+    chance, timings = random.Random(7), Timings(tmp_path / "t", 0, weights={"easy": 1.0, "hard": 1.0})
+    with open(tmp_path / "t", "a") as file:
+        for n in range(20_000):
+            kind = "hard" if n % rare == rare - 1 else ("easy" if n % 3 else "other")
+            latency_s = chance.uniform(0.4, 1.6) if kind == "hard" else 9.0 if kind == "other" else 0.02
+            file.write(json.dumps({"latency_s": latency_s, "ok": True, "scenario": kind}) + "\n")
+            file.flush()
+            timings.read()
+            if timings.due() and timings.precise(0.1, "mean"):
+                break
+    hard = timings.kinds.count("hard")
+    assert 20 < hard < 100
+    assert len(timings.valid) < n * 0.9
+    whole = interval(timings.valid, "mean", kinds=timings.kinds, weights=timings.weights)
+    assert whole.value == pytest.approx(0.51, rel=0.1)

@@ -372,14 +372,17 @@ with fogspec_probe.request("plann"):
     assert (outcome["state"], outcome["requests"]) == ("ok", 1)
 
 
+EXPECTED = [
+    ("path", "value of metric path on /reslt", "inf"), ("quality", "value of metric quality", "20"),
+    ("scenario easy", "request of scenario easy", "20"), ("scenario hard", "request of scenario hard", "50"),
+]  # fmt: skip
+
+
 def test_a_topic_has_a_minute_to_be_heard_and_a_keyword_twenty_requests(tmp_path):
     """A listener on a topic may be slower than twenty requests; the clock is the test's."""
     note = '{"note": "no node publishes /reslt"}\n'
     timings = stopping.Timings(tmp_path / "t", 1, "plan")
-    timings.expected = [
-        ("path", "value of metric path on /reslt", "inf"), ("quality", "value of metric quality", "20"),
-        ("scenario easy", "request of scenario easy", "20"), ("scenario hard", "request of scenario hard", "50"),
-    ]  # fmt: skip
+    timings.expected = EXPECTED
     assert timings.unheard(600.0) is None, "no request has ended"
     (tmp_path / "t").write_text(note + answer("qualty=1") * 20)
     timings.read()
@@ -388,6 +391,12 @@ def test_a_topic_has_a_minute_to_be_heard_and_a_keyword_twenty_requests(tmp_path
     assert timings.unheard(59.0) == (f"{path}; {quality}", False), "19 are valid"
     assert timings.unheard(60.0) == (f"{path}; {quality}", True)
     assert timings.unheard(0.0, over=True) == (f"{path}; {quality}", True), "the slip is certain"
+    (tmp_path / "t").write_text(note + answer("qualty=1") * 20 + answer("quality=1") * 60)
+    timings.read()
+    assert timings.unheard(600.0) == (path, True), "a hard one may be rare in the bag"
+    assert "no request of scenario hard" in timings.unheard(0.0, over=True)[0]
+    timings = stopping.Timings(tmp_path / "t", 1, "plan")
+    timings.expected = EXPECTED
     (tmp_path / "t").write_text(note + answer("qualty=1") * 20 + answer("quality=1", "hrad") + answer() * 30)
     timings.read()
     hard = "no request of scenario hard: the node reported scenario hrad"

@@ -111,13 +111,52 @@ def test_a_share_of_the_time_may_be_lost_as_of_the_requests(tmp_path):
     assert made.detail.startswith("no request was finished in the last 4 s")
 
 
-def test_requests_that_resemble_each_other_count_as_fewer(tmp_path):
-    rows = [line(latency_s=0.5 + 0.1 * (n // 20 % 2)) for n in range(401)]
-    (tmp_path / "alike").mkdir()
-    alike = record(tmp_path / "alike", *rows)
-    apart = record(tmp_path, *random.Random(1).sample(rows, len(rows)))
+def test_requests_that_resemble_each_other_tell_less(tmp_path):
+    rows = [line(latency_s=0.5 + 0.1 * (n // 20 % 2), length_m=3 + n // 20 % 2) for n in range(401)]
+    alike, apart = record(tmp_path, *rows), record(tmp_path, *random.Random(1).sample(rows, len(rows)))
     assert alike.requests == apart.requests == 400
-    assert alike.independent < 100 < apart.independent <= 400
+    assert alike.errors["mean"] > 2 * apart.errors["mean"] > 0
+    assert alike.metric_errors["length"] > 2 * apart.metric_errors["length"] > 0
+
+
+def test_an_error_that_cannot_be_told_is_missing(tmp_path):
+    made = record(tmp_path, *[line(0.5 + n % 3, length_m=3) for n in range(41)])
+    assert made.latency.p95 is not None
+    assert made.errors.keys() == {"mean", "p50"}, "no order statistic of 40 is above the 95th percentile"
+    few = record(tmp_path, *[line(length_m=1) for n in range(5)])
+    assert (few.state, few.errors, few.metric_errors) == ("ok", {}, {})
+    assert record(tmp_path, *[line(length_m=1) for n in range(21)]).metric_errors["length"] > 0.04, "one of 20 may fail"
+
+
+def test_scenarios_have_the_error_of_the_rare_one(tmp_path):
+    def rows(n):
+        hard = n % 40 == 30
+        own = line(random.Random(n).uniform(0.4, 1.6) if hard else 0.02, length_m=2 if hard else 1 + n % 2 / 9)
+        return {**own, "scenario": "hard" if hard else "easy"}
+
+    rules = replace(RULES, scenarios={"easy": 1.0, "hard": 1.0})
+    made = record(tmp_path, *map(rows, range(401)), rules=rules)
+    assert made.errors["mean"] > 0.1
+    one = record(tmp_path, *map(rows, range(41)), rules=rules)
+    assert (one.state, one.errors) == ("ok", {}), "from one hard request nothing can be said"
+
+
+@pytest.mark.parametrize(
+    ("latencies_s", "said"),
+    [
+        ([0.02 + 0.003 * n for n in range(200)], "the second half was 178% slower than the other"),
+        ([0.5] * 40 + [0.1] * 160, "the first half was 160% slower than the other"),
+        ([0.02] * 80 + [3.0] + [0.02] * 119, "one of 200 requests took 43% of their time"),
+        ([0.02] * 100 + [0.3] * 10 + [0.02] * 90, "requests 101 to 106 of 200 took 26% of their time"),
+        ([0.02 + 0.001 * (n % 7) for n in range(200)], None),
+        ([0.02 if n % 20 else 0.1 for n in range(200)], None),
+        ([random.Random(n).expovariate(10) for n in range(200)], None),
+        ([9.0, *[0.02] * 18], None),
+    ],
+)  # fmt: skip
+def test_what_a_mean_hides_is_said(tmp_path, latencies_s, said):
+    made = record(tmp_path, *map(line, latencies_s), rules=replace(RULES, warmup=0))
+    assert (made.state, made.detail) == ("ok", said)
 
 
 @pytest.mark.parametrize(("statistic", "needed"), [("p50", 2), ("p95", 20), ("p99", 100)])

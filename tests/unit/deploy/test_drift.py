@@ -37,7 +37,7 @@ def test_few_requests_say_nothing() -> None:
     assert interval_s([float(n) for n in range(1000)], "mean") is None, "a trend"
 
 
-@pytest.mark.parametrize(("statistic", "least"), [("mean", 30), ("p50", 30), ("p95", 117), ("p99", 598)])
+@pytest.mark.parametrize(("statistic", "least"), [("mean", 30), ("p50", 30), ("p95", 80), ("p99", 415)])
 def test_an_interval_is_known_from_the_needed_number_on(statistic: str, least: int) -> None:
     assert needed(statistic) == least
     known = [interval_s([1.0] * count, statistic) is not None for count in (least - 1, *range(least, 1001))]
@@ -87,6 +87,30 @@ def test_a_change_shows_whatever_was_before_it(paper) -> None:
     application, expected = paper
     seen = observe(lines([1.65] * 9000 + [1.9] * 1000), application, expected, MACHINE)
     assert (seen.requests, seen.drift) == (1000, "slower")
+
+
+@pytest.mark.parametrize("statistic", ["mean", "p50", "p95"])
+def test_of_scenarios_the_value_lies_in_its_own_interval(paper, statistic) -> None:
+    """A hard request of 3 s is a half of the use, and every third one: the mean is 1.6 s."""
+    application, expected = paper
+    benchmark = application.spec.benchmark.model_copy(update={"scenarios": {"easy": 1.0, "hard": 1.0}})
+    application = application.model_copy(update={"spec": application.spec.model_copy(update={"benchmark": benchmark})})
+    latency = expected.latency.model_copy(update={"statistic": statistic, "limit": 1.4, "interval": (1.5, 1.7)})
+    kinds = ["hard" if n % 3 == 0 else "easy" for n in range(300)]
+    rows = [
+        {"name": NAME, "latency_s": (3.0 if one == "hard" else 0.2) + n % 7 / 100, "ok": True, "scenario": one}
+        for n, one in enumerate(kinds)
+    ]
+    timings = "".join(json.dumps(row) + "\n" for row in rows).encode()
+    seen = observe(timings, application, expected.model_copy(update={"latency": latency}), MACHINE)
+    assert seen.value_s is not None
+    assert seen.interval_s is not None
+    assert seen.interval_s[0] <= seen.value_s <= seen.interval_s[1]
+    if statistic == "mean":
+        assert (seen.drift, Limit.LATENCY in seen.violated) == ("none", True)
+    easy = [row for row in rows if row["scenario"] == "easy"]
+    half = observe("".join(json.dumps(row) + "\n" for row in easy).encode(), application, expected, MACHINE)
+    assert half.interval_s is None, "there were no hard ones to judge by"
 
 
 def account(*starts_s: float, ended: int, latency_s: float = 1.65) -> bytes:

@@ -137,11 +137,25 @@ def test_local_measurements_are_marked_extrapolated():
     assert predict(models, offers(20)).extrapolated.all()
 
 
-def test_a_sample_of_requests_that_resemble_each_other_has_a_larger_error():
-    """As that of as many requests as would tell its mean as exactly, if none resembled another."""
-    summary = {"sd": 0.5}
-    alone, alike = record(2, 4, 1.0, summary=summary), record(2, 4, 1.0, summary=summary, independent=12.5)
-    short = record(2, 4, 1.0, summary=summary, requests=12, independent=12.5)
-    [error], [wider], [same] = ([one.error for one in fit(application(), results(each)).observations]
-                                for each in (alone, alike, short))  # fmt: skip
-    assert wider == same == pytest.approx(2 * error, rel=0.05)
+def test_the_error_is_the_one_in_the_record_and_without_one_a_sample_says_nothing():
+    def errors(**more):
+        [one] = fit(application(), results(record(2, 4, 1.0, metrics={"length": 3.0}, **more))).observations
+        return one.errors
+
+    assert errors() == {}, "nobody computed them"
+    assert errors(errors={"mean": 0.02}) == {"latency": pytest.approx(0.025)}, "and servers differ"
+    assert errors(errors={"p50": 0.02}, metric_errors={}) == {"latency": 10.0, "length": 10.0}
+    assert errors(metric_errors={"length": 0.2}) == {"length": 0.2}
+
+
+def test_a_sample_that_says_nothing_leaves_its_machine_as_unknown_as_others():
+    catalog = offers(50)
+
+    def ratio(errors):
+        own = record(
+            float(catalog.vcpus[0]), float(catalog.memory_gib[0]), 1.0, instance=str(catalog.instance[0]), errors=errors
+        )
+        low, high = predict(fit(application(), results(own)), catalog).interval(0, 0.9)
+        return high / low
+
+    assert ratio({"mean": 0.01}) < 1.2 < 3 < ratio({})
