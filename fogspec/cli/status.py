@@ -53,7 +53,7 @@ def command(specs: tuple[str, ...], workers: int | None, output: str) -> None:
 
     The deployed state has two words: sync (Synced, OutOfSync: is it what the manifest says) and health (Healthy, NotJudged,
     Drifted, Degraded, Progressing, Missing, Unknown: do its nodes answer, as fast as the model predicted; NotJudged: too few
-    requests to say).
+    requests, or too different ones, to say).
     """
     from fogspec.deploy import health
     from fogspec.deploy.housekeeping import without_application

@@ -7,8 +7,8 @@ predicted interval. Latencies are taken on the machine, as they were when it was
 import io
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from typing import Literal
@@ -42,8 +42,9 @@ class Limit(StrEnum):
 class Observed:
     """The latest requests: their number and statistics, and the consequences for the model and the limits.
 
-    `interval_s` is the 95% interval of the statistic that the spec bounds; `violated` are limits that are not met. One request
-    has been open for `waited_s`, and none has ended since its start.
+    `interval_s` is the 95% interval of the statistic that the spec bounds, as `cost_interval` is of the cost in USD a request;
+    `violated` are limits that are not met, `unclear` those that lie inside of an interval. One request has been open for
+    `waited_s`, and none has ended since its start. The first requests of each process, its warm-up, do not count.
     """
 
     requests: int
@@ -54,6 +55,8 @@ class Observed:
     cost_usd_per_request: float | None
     drift: Drift
     violated: tuple[Limit, ...]
+    unclear: tuple[Limit, ...] = ()
+    cost_interval: tuple[float, float] | None = None
     waited_s: float | None = None
 
 
@@ -61,24 +64,29 @@ def observe(
     timings: bytes, application: Application, expected: Expected, machine: Machine, clock_s: float | None = None
 ) -> Observed:
     """Compare the latest requests with the expectations for this machine, where it is `clock_s` by the clock of the timings."""
-    rules = replace(RecordRules.of(application), warmup=0)
+    rules = RecordRules.of(application)
     requests = parse_requests(io.BytesIO(_latest(timings)), rules, clock_s)
     known = requests.latencies_s
     found = latency_of(requests, rules.scenarios)
     statistic = expected.latency.statistic
     value = None if found is None else getattr(found, statistic)
     spread = _spread_s(requests, statistic, rules.scenarios)
-    cost = least_cost = None
+    cost, costs = None, None
     if found is not None:
         busy_s, of_mean = requests.busy_s(found.mean), _spread_s(requests, "mean", rules.scenarios)
         cost = _cost(application, machine, busy_s)
         if of_mean is not None and found.mean:
-            least_cost = _cost(application, machine, busy_s * max(of_mean[0] / found.mean, 0.0))
-    violated = tuple(
-        _violated(
-            expected=expected, spread=spread, cost=least_cost, n=len(known), failed=requests.failed, valid=rules.valid
-        )
-    )
+            low, high = (_cost(application, machine, busy_s * max(end_s / found.mean, 0.0)) for end_s in of_mean)
+            costs = low, high
+    bounds = {
+        Limit.LATENCY: (spread, latency_limit_s(expected)),
+        Limit.COST: (costs, expected.cost.limit),
+    }
+    judged = {limit: (ends, most) for limit, (ends, most) in bounds.items() if ends is not None and most is not None}
+    violated = [limit for limit, (ends, most) in judged.items() if ends[0] > most]
+    n = len(known) + requests.failed
+    if n >= LEAST and len(known) < rules.valid * n:
+        violated.append(Limit.SUCCESS_RATE)
     return Observed(
         requests=len(known),
         failed=requests.failed,
@@ -87,7 +95,9 @@ def observe(
         interval_s=spread,
         cost_usd_per_request=cost,
         drift=drift(spread, expected.latency.interval),
-        violated=violated,
+        violated=tuple(violated),
+        unclear=tuple(limit for limit, (ends, most) in judged.items() if ends[0] <= most < ends[1]),
+        cost_interval=costs,
         waited_s=requests.balance.waited_s,
     )
 
@@ -144,24 +154,6 @@ def _cost(application: Application, machine: Machine, busy_s: float) -> float:
     return float(costs.per_request(np.array([busy_s]))[0])
 
 
-def _violated(
-    *,
-    expected: Expected,
-    spread: tuple[float, float] | None,
-    cost: float | None,
-    n: int,
-    failed: int,
-    valid: float,
-) -> Iterator[Limit]:
-    latency_s = latency_limit_s(expected)
-    if latency_s is not None and spread is not None and spread[0] > latency_s:
-        yield Limit.LATENCY
-    if expected.cost.limit is not None and cost is not None and cost > expected.cost.limit:
-        yield Limit.COST
-    if n + failed >= LEAST and n < valid * (n + failed):
-        yield Limit.SUCCESS_RATE
-
-
 def latency_limit_s(expected: Expected) -> float | None:
     """Return the limit of the latency on the machine, without the network's allowance; None without a limit."""
     latency = expected.latency
@@ -177,3 +169,13 @@ def violation_text(limit: Limit, observed: Observed, expected: Expected) -> str:
         cost, most = observed.cost_usd_per_request or 0.0, expected.cost.limit or 0.0
         return f"a cost of {units.shown_cost(cost)} is over its limit of {units.shown_cost(most)}"
     return f"{observed.failed} of {observed.requests + observed.failed} requests failed"
+
+
+def unclear_text(limit: Limit, observed: Observed, expected: Expected) -> str:
+    """Return the interval that is too wide to say whether a limit is met."""
+    if limit is Limit.LATENCY and observed.value_s is not None:
+        seen = f"{units.shown_duration(observed.value_s)}{units.shown_interval(observed.interval_s)}"
+        most = units.shown_duration(latency_limit_s(expected) or 0.0)
+        return f"{expected.latency.statistic} latency {seen} against its limit of {most}"
+    low, high, most = map(units.shown_cost, (*(observed.cost_interval or (0.0, 0.0)), expected.cost.limit or 0.0))
+    return f"a cost of {low} to {high} against its limit of {most}"

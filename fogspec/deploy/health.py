@@ -17,7 +17,7 @@ from fogspec.base.text import count
 from fogspec.base.units import dollars
 from fogspec.check.compare import Change, compared
 from fogspec.compile.manifest import Manifest
-from fogspec.deploy.drift import Observed, needed, observe, violation_text
+from fogspec.deploy.drift import Observed, needed, observe, unclear_text, violation_text
 from fogspec.deploy.packages import packages_differ, packages_text
 from fogspec.deploy.schema import DeployedMachine
 from fogspec.deploy.state import DeploymentState, WallClock
@@ -239,7 +239,10 @@ def _health(
         few = f"not judged yet ({observed.requests} of {least} requests)"
         alike = f"not judged: the latency varies too slowly for an interval from {observed.requests} requests"
         return "NotJudged", [*notes, few if observed.requests < least else alike]
-    return "Degraded" if observed.violated or hangs else "Drifted" if drifted else "Healthy", notes
+    if observed.violated or hangs or drifted:
+        return "Degraded" if observed.violated or hangs else "Drifted", notes
+    wide = [f"not judged: {unclear_text(one, observed, manifest.expected)}" for one in observed.unclear]
+    return "NotJudged" if wide else "Healthy", [*notes, *wide]
 
 
 def _another_cpu(layout: Layout, machine: DeployedMachine, live: DeploymentStatus | None) -> Iterator[str]:

@@ -7,8 +7,9 @@ import pytest
 
 from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Manifest
-from fogspec.deploy.drift import LATEST, LEAST, Limit, drift, interval_s, needed, observe, violation_text
+from fogspec.deploy.drift import LATEST, LEAST, Limit, drift, interval_s, needed, observe, unclear_text, violation_text
 from fogspec.language.loader import load, read_document
+from fogspec.language.schema import Application
 from fogspec.results.requests import RecordRules
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -51,7 +52,12 @@ def paper() -> tuple:
     latency = expected.latency.model_copy(
         update={"predicted": 1.65, "interval": (1.5, 1.8), "limit": 2.0, "network_allowance": 0.0}
     )
-    return loaded.application, expected.model_copy(update={"latency": latency})
+    return warmed(loaded.application, 0), expected.model_copy(update={"latency": latency})
+
+
+def warmed(application: Application, warmup: int) -> Application:
+    benchmark = application.spec.benchmark.model_copy(update={"warmup": warmup})
+    return application.model_copy(update={"spec": application.spec.model_copy(update={"benchmark": benchmark})})
 
 
 MACHINE = Machine(infra="aws/us-east-1", instance="g4dn.xlarge", cpus=4, memory=16.0, price=0.526)
@@ -111,6 +117,31 @@ def test_of_scenarios_the_value_lies_in_its_own_interval(paper, statistic) -> No
     easy = [row for row in rows if row["scenario"] == "easy"]
     half = observe("".join(json.dumps(row) + "\n" for row in easy).encode(), application, expected, MACHINE)
     assert half.interval_s is None, "there were no hard ones to judge by"
+
+
+def test_the_first_requests_of_a_process_do_not_count(paper) -> None:
+    """Nor do those of one that was started again: a cold second is neither drift nor a broken limit."""
+    application, expected = paper
+    cold = [
+        {"name": NAME, "latency_s": 60.0 if n % 20 == 0 else 1.65, "ok": n % 20 != 0, "process": f"{n // 20}-a"}
+        for n in range(60)
+    ]
+    seen = observe("".join(json.dumps(row) + "\n" for row in cold).encode(), warmed(application, 1), expected, MACHINE)
+    assert (seen.requests, seen.failed, seen.violated) == (57, 0, ())
+
+
+def test_a_limit_inside_of_the_interval_is_unclear(paper) -> None:
+    application, expected = paper
+    seen = observe(lines([1.0, 2.9] * 30), application, expected, MACHINE)
+    assert (seen.violated, seen.unclear) == ((), (Limit.LATENCY,))
+    said = unclear_text(Limit.LATENCY, seen, expected)
+    assert said.startswith("mean latency 1.95 s [")
+    assert said.endswith(" against its limit of 2 s")
+    cheap = expected.model_copy(update={"cost": expected.cost.model_copy(update={"limit": seen.cost_usd_per_request})})
+    dear = observe(lines([1.0, 2.9] * 30), application, cheap, MACHINE)
+    assert dear.unclear == (Limit.LATENCY, Limit.COST)
+    assert "a cost of $" in unclear_text(Limit.COST, dear, cheap)
+    assert observe(lines([1.65] * 60), application, expected, MACHINE).unclear == ()
 
 
 def account(*starts_s: float, ended: int, latency_s: float = 1.65) -> bytes:
