@@ -12,10 +12,11 @@ import errno
 import functools
 import math
 import os
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -30,6 +31,7 @@ MEMORY_TEXT = {
     "rlimit": "by rlimit of each process (shared memory is not limited)",
 }
 
+CLAIM = "fogspec/cpu/"  # and a CPU's number: the name of a socket
 GROUP = "fogspec-"  # the beginning of the names of cgroups
 
 # A process of its own: affinity, limits and namespaces must not affect the caller.
@@ -87,36 +89,39 @@ def start(
     `name`, by which `groups` finds it; if it gets none and is to be `apart`, it gets namespaces where this host has them.
     Raise ValueError if this host has fewer CPUs.
     """
-    chosen = pick_cpus(cpus)
-    if not cwd.is_dir():
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(cwd))
-    limit_bytes = math.floor(memory_gib * 2**30)
-    group, limited = _new_group(name, limit_bytes)
-    memory_by: MemoryBy = "cgroup" if limited else "namespace" if apart and not group and has_namespaces() else "rlimit"
-    words = _command(
-        [child.program(argv[0]), *argv[1:]],
-        cpus=chosen,
-        data_bytes=None if limited else limit_bytes,
-        group=group,
-        apart_bytes=limit_bytes if memory_by == "namespace" else None,
-        grace_s=grace_s,
-        folder=cwd,
-    )
-    try:
-        process = subprocess.Popen(
-            words,
-            cwd=child.ELSEWHERE,
-            env=dict(env),
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-            start_new_session=True,
+    with claimed_cpus(cpus) as (chosen, claims):
+        if not cwd.is_dir():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(cwd))
+        limit_bytes = math.floor(memory_gib * 2**30)
+        group, limited = _new_group(name, limit_bytes)
+        memory_by: MemoryBy = (
+            "cgroup" if limited else "namespace" if apart and not group and has_namespaces() else "rlimit"
         )
-    except OSError:
-        if group:
-            group.rmdir()
-        raise
-    return LimitedProcess(process, chosen, memory_by, group, grace_s)
+        words = _command(
+            [child.program(argv[0]), *argv[1:]],
+            cpus=chosen,
+            data_bytes=None if limited else limit_bytes,
+            group=group,
+            apart_bytes=limit_bytes if memory_by == "namespace" else None,
+            grace_s=grace_s,
+            folder=cwd,
+        )
+        try:
+            process = subprocess.Popen(
+                words,
+                cwd=child.ELSEWHERE,
+                env=dict(env),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                pass_fds=claims,
+            )
+        except OSError:
+            if group:
+                group.rmdir()
+            raise
+        return LimitedProcess(process, chosen, memory_by, group, grace_s)
 
 
 def _command(
@@ -148,6 +153,32 @@ def has_namespaces() -> bool:
 
 def pick_cpus(count: int) -> tuple[int, ...]:
     """Return so many of the CPUs this process may use, one of each physical core first; raise ValueError for too many."""
+    return tuple(sorted(_in_turn(count)[:count]))
+
+
+@contextlib.contextmanager
+def claimed_cpus(count: int) -> Iterator[tuple[tuple[int, ...], list[int]]]:
+    """Yield CPUs as `pick_cpus`, those first that no other job on this host has claimed, and descriptors that claim them.
+
+    A claim is an abstract socket with the CPU's number: the process that inherits it holds it until it ends, however it ends.
+    """
+    claims, shared = dict[int, socket.socket](), list[int]()
+    with contextlib.ExitStack() as held:
+        for cpu in _in_turn(count):
+            if len(claims) == count:
+                break
+            one = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+            try:
+                one.bind(f"\0{CLAIM}{cpu}")
+            except OSError:
+                shared.append(cpu)
+            else:
+                claims[cpu] = one
+        chosen = [*claims, *shared][:count]
+        yield tuple(sorted(chosen)), [one.fileno() for one in claims.values()]
+
+
+def _in_turn(count: int) -> list[int]:
     usable = sorted(os.sched_getaffinity(0))
     if count > len(usable):
         raise ValueError(f"{count} CPUs were requested, this process may use {len(usable)}")
@@ -157,7 +188,7 @@ def pick_cpus(count: int) -> tuple[int, ...]:
         core = _core(cpu)
         turn[cpu] = cores.get(core, 0)
         cores[core] = turn[cpu] + 1
-    return tuple(sorted(sorted(usable, key=lambda cpu: (turn[cpu], cpu))[:count]))
+    return sorted(usable, key=lambda cpu: (turn[cpu], cpu))
 
 
 def groups(name: str) -> list[Path]:

@@ -286,3 +286,21 @@ def test_the_launcher_imports_nothing_from_the_folder_of_the_spec(tmp_path: Path
     assert ended(started) == 0
     assert (tmp_path / "log").read_text().strip() == str(tmp_path)
     assert not mark.exists()
+
+
+@pytest.mark.slow
+def test_two_jobs_have_cpus_of_their_own_while_there_are_some(tmp_path, monkeypatch):
+    """A third shares one, and a CPU is free again with the end of all that a job started, however it ended."""
+    monkeypatch.setattr(limits, "CLAIM", f"fogspec/test-{os.getpid()}-{time.time_ns()}/")
+    monkeypatch.setattr(limits, "_in_turn", lambda _: ALL[:2])
+    jobs = [run(tmp_path, "import time; print('up', flush=True); time.sleep(600)")[0] for _ in range(len(ALL[:2]) + 1)]
+    *apart, third = (one.cpus for one in jobs)
+    assert sorted(apart) == [(cpu,) for cpu in ALL[:2]]
+    assert third[0] in ALL[:2]
+    os.killpg(jobs[0].process.pid, 9)
+    jobs[0].process.wait(60)
+    jobs[0].end()
+    again, _ = run(tmp_path, "pass")
+    assert again.cpus == jobs[0].cpus
+    for one in (again, *jobs[1:]):
+        one.end()
