@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from fogspec.backends.protocol import SampleStatus
 from fogspec.base.files import open_untrusted
 from fogspec.base.redaction import known
-from fogspec.base.units import shown_duration
+from fogspec.base.units import shown, shown_duration
 from fogspec.plan.schema import Sample
 from fogspec.results import ranges
 from fogspec.results.hangs import detect_hang
@@ -24,6 +24,7 @@ from fogspec.results.statistics import NEEDED, errors_of, latency_of, metric_of,
 
 DETAIL_LIMIT = 1000
 WAITED = 1.5
+MOST_CPUS = 1.1  # of its own that a sample may seem to use
 
 
 def make_record(
@@ -100,8 +101,8 @@ def classify(requests: Requests, status: SampleStatus, rules: RecordRules) -> tu
         return "failed", "not_reported", f"{named}: compare spec.probe with what the workload times"
     if status.reason is not None:
         return "failed", status.reason, status.detail
-    if requests.out_of_range is not None:
-        return "failed", "out_of_range", requests.out_of_range
+    if (beyond := requests.out_of_range or _escaped(status)) is not None:
+        return "failed", "out_of_range", beyond
     if failed and n < rules.valid * (n + failed):
         return "failed", "check", _failures(requests, rules)
     if (wrong := _unclear(requests, rules)) is not None:
@@ -168,6 +169,15 @@ def _nothing(requests: Requests, rules: RecordRules) -> str:
     if requests.cold and requests.processes > 1:
         return f"each of {requests.processes} processes timed no more than its warm-up: spec.benchmark.warmup is {rules.warmup}"
     return "no request was answered after warm-up in the time allowed"
+
+
+def _escaped(status: SampleStatus) -> str | None:
+    """Return how processes left the CPUs that the sample is of, if they did."""
+    use = status.resources
+    if use is None or use.window < 1 or use.cpu_mean <= MOST_CPUS * use.vcpus:
+        return None
+    used = f"its processes used {shown(use.cpu_mean)} vCPUs on average, of {shown(use.vcpus)} that they were given"
+    return f"{used}: one sets its own affinity (taskset, sched_setaffinity), or left its cgroup"
 
 
 def _between(requests: Requests, status: SampleStatus, rules: RecordRules) -> str | None:

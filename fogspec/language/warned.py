@@ -157,6 +157,15 @@ def swapped(*, sample: str, swapped_gib: float) -> str:
     return f"sample {sample}: its machine swapped {memory} while requests were measured: it needs more memory [FS902]"
 
 
+def more_memory(*, sample: str, used_gib: float, memory_gib: float) -> str:
+    """Warn of a sample whose processes had more memory than its machine has."""
+    used, has = shown_memory(used_gib), shown_memory(memory_gib)
+    return (
+        f"sample {sample}: its processes had {used} of memory, and its machine has {has}: pages that they share count in "
+        f"each, and on this host each may be limited by itself. If they share none, set hardware.memory to what they need"
+    )
+
+
 def contended(*, sample: str, cpu_time: float, mean_s: float | None = None) -> str:
     """Warn of a sample that other processes slowed down: the prediction, which others bear on, may be far from its mean."""
     what = f"contended: other processes took {cpu_time:.0%} of its CPU time"
@@ -283,9 +292,9 @@ CODES: Mapping[str, Callable[..., str]] = {
     one.__name__: one
     for one in (
         partial, waived, confirmed, host_only, relaxed_end, no_confidence, not_verified, spread_unknown, error_unknown,
-        few_samples, constant_curve, curve_error, sample_rejected, mixed_servers, gpu_idle, swapped, contended, cpu_quota,
-        image_unpinned, open_port, unpredicted, nothing_sampled, one_platform, level_skipped, memory_snapped, sampled_once,
-        burstable, not_candidate, selects_more, batch, sampling_ended, left_out, over_limit, machine_failed,
+        few_samples, constant_curve, curve_error, sample_rejected, mixed_servers, gpu_idle, swapped, contended, more_memory,
+        cpu_quota, image_unpinned, open_port, unpredicted, nothing_sampled, one_platform, level_skipped, memory_snapped,
+        sampled_once, burstable, not_candidate, selects_more, batch, sampling_ended, left_out, over_limit, machine_failed,
         unlikely,
     )
 }  # fmt: skip
@@ -297,7 +306,7 @@ DECISIVE = frozenset(
     one.__name__
     for one in (
         partial, waived, confirmed, host_only, relaxed_end, no_confidence, not_verified, error_unknown, sample_rejected,
-        mixed_servers, gpu_idle, swapped, contended, cpu_quota, image_unpinned, open_port,
+        mixed_servers, gpu_idle, swapped, contended, more_memory, cpu_quota, image_unpinned, open_port,
     )
 )  # fmt: skip
 

@@ -28,7 +28,7 @@ from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.surrogate import VERSION
 from fogspec.plan.schema import PlanMetadata
 from fogspec.results.ranges import ERROR, LATENCY_S
-from fogspec.results.resources import contended
+from fogspec.results.resources import at_work, contended
 from fogspec.results.schema import Measured, Results
 
 # Two servers of one type differ, whatever is measured on each: median coefficient of variation of repeated
@@ -83,7 +83,8 @@ class Model(Strict):
 class Observation:
     """A machine that was measured: its values by target, and their relative standard errors, as far as they are known.
 
-    `busy_ratio` is that of `fogspec.catalog.cost.Costs`.
+    `busy_ratio` is that of `fogspec.catalog.cost.Costs`. Of the time in which a request was open, all of its vCPUs could have
+    worked for `at_work` at most: with more of them, only that part becomes shorter.
     """
 
     id: str
@@ -91,6 +92,7 @@ class Observation:
     values: Mapping[str, float]
     errors: Mapping[str, float] = field(default_factory=dict)
     busy_ratio: float = 1.0
+    at_work: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,13 +270,15 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
     if not LATENCY_S.holds(value):
         return unusable(record.state, latency_s=value)
     values = {"latency": value, **record.metrics}
+    # Without the times of its requests: as if they had followed one another.
+    busy_s = record.busy if record.busy is not None and LATENCY_S.holds(record.busy) else record.latency.mean
     return Observation(
         id=record.id,
         machine=record.machine,
         values=values,
         errors=_errors(record, statistic),
-        # Without the times of its requests: as if they had followed one another.
-        busy_ratio=rounded((busy if LATENCY_S.holds(busy := record.busy or 0.0) else record.latency.mean) / value, 9),
+        busy_ratio=rounded(busy_s / value, 9),
+        at_work=rounded(at_work(record, busy_s), 4),
     )
 
 

@@ -34,6 +34,7 @@ from fogspec.numerics.prediction import Prediction
 from fogspec.numerics.priors import PriorData, prior_for
 from fogspec.numerics.servers import OTHER, SHIFTS
 from fogspec.numerics.surrogate import Posterior, Space, prepare
+from fogspec.results.resources import BOUND
 
 Mask = NDArray[np.bool_]
 
@@ -300,6 +301,11 @@ def _conditioned(
         return None
     bounds = [one for one in unusable if one.latency_lower_bound] if target == "latency" else []
     at = [types.row(one.machine.type_key) for one in values]
+    first = min(values, key=lambda one: one.machine.cpus)
+    if target == "latency" and not any(one.machine.gpu for one in values) and first.at_work < BOUND:
+        space = space.damped(first.at_work, types.row(first.machine.type_key))
+    elif target != "latency" and len(set(at)) == 1:  # that a metric changes with the machine, no second one shows
+        space = space.damped(0.0, at[0])
     errors = [one.errors.get(target, math.nan) for one in values]
     return space.fit(
         observations(

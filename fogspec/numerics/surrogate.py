@@ -178,6 +178,12 @@ class Space:
         shape = (self.count, len(self.machines))
         return np.array(base), random.standard_normal(shape), random.standard_normal(shape)
 
+    def damped(self, share: float, at: int) -> "Space":
+        """Return the space of a workload of which, on the machine `at`, only this share becomes faster or slower with size."""
+        curves = self.ensemble.curves - self.ensemble.curves[:, [at]]
+        curves = np.log1p(share * np.expm1(curves))
+        return replace(self, ensemble=replace(self.ensemble, curves=curves - curves.mean(1, keepdims=True)))
+
     def fit(self, samples: Observations) -> Posterior:
         """Condition every model of the ensemble on the samples and weight it by its evidence."""
         samples = samples.in_order()

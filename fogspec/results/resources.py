@@ -8,13 +8,14 @@ from fogspec.language.warned import Warned, warned
 from fogspec.results.schema import Measured, ResourceUse
 
 BOUND = 0.9  # of the vCPUs, or of a GPU's time, from which it limits the latency
+WAITS = 0.5  # vCPUs, below which no thread works most of the time
 ONE_CORE = 1.1  # vCPUs that one thread may seem to use
 IDLE_GPU = 0.02  # of a GPU's time
 THROTTLED = 0.05  # of the periods of a quota
 CONTENDED = 0.05  # of its vCPUs, from which what others took is part of a latency
 BETWEEN = 0.5  # of the CPU time of open requests, from which that of others is more than keeping a node going
 PROBE_S = 0.001  # of CPU time a request, which the probe itself does not reach
-SMALLER = 0.95
+SMALLER, LARGER = 0.95, 1.05
 SWAPPED_GIB = 2.0**-6
 PAGED_PER_S = 10.0  # major page faults, from which disks are part of the latency
 NETWORK_GIB = 2.0**-10
@@ -32,7 +33,8 @@ def _words(use: ResourceUse) -> Iterator[str]:
     elif use.cpu_mean >= BOUND and use.cpu_max <= ONE_CORE:
         yield f"one core busy: {of}"
     else:
-        yield f"{of}, at most {units.shown(use.cpu_max)}"
+        waits = "mostly waiting: " if use.cpu_mean < WAITS else ""
+        yield f"{waits}{of}, at most {units.shown(use.cpu_max)}"
     if use.throttled is not None and use.throttled >= THROTTLED:
         yield f"throttled in {use.throttled:.0%} of periods"
     yield f"{units.shown_memory(use.memory_peak)} of memory"
@@ -68,10 +70,23 @@ def doubts(record: Measured) -> Iterator[Warned]:
     if contended(record):
         mean_s = None if record.latency is None else record.latency.mean
         yield warned(codes.contended, sample=record.id, cpu_time=use.outside or 0.0, mean_s=mean_s)
+    if use.memory_peak > LARGER * record.machine.memory:
+        yield warned(codes.more_memory, sample=record.id, used_gib=use.memory_peak, memory_gib=record.machine.memory)
     # A quota of the machine's own size, as a pod has it, is the machine.
     smaller = use.vcpus < SMALLER * record.machine.cpus
     if smaller and use.throttled is not None and use.throttled >= THROTTLED:
         yield warned(codes.cpu_quota, sample=record.id, vcpus=use.vcpus, periods=use.throttled)
+
+
+def at_work(record: Measured, busy_s: float) -> float:
+    """Return for which share of the `busy_s` of each request all of its vCPUs could have worked, at most; 1 if that is unknown.
+
+    What others took of them counts as work, and so does all of a sample that waited for memory.
+    """
+    use = record.resources
+    if use is None or not record.requests or not busy_s or _swaps(use) or use.major_faults >= PAGED_PER_S * use.window:
+        return 1.0
+    return min(1.0, use.cpu_mean * use.window / record.requests / busy_s / use.vcpus + (use.outside or 0.0))
 
 
 def between_s(use: ResourceUse | None, open_s: float, requests: int) -> float:

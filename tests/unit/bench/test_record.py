@@ -16,6 +16,7 @@ from fogspec.bench import record as recording
 from fogspec.catalog.machine import Machine
 from fogspec.plan.schema import Sample
 from fogspec.results.requests import RecordRules
+from fogspec.results.schema import ResourceUse
 from fogspec.results.statistics import summary, weights
 
 RULES = RecordRules(warmup=1, valid=0.9, statistic="mean", callback="work", metrics={"length": "length_m"})
@@ -157,6 +158,27 @@ def test_scenarios_have_the_error_of_the_rare_one(tmp_path):
 def test_what_a_mean_hides_is_said(tmp_path, latencies_s, said):
     made = record(tmp_path, *map(line, latencies_s), rules=replace(RULES, warmup=0))
     assert (made.state, made.detail) == ("ok", said)
+
+
+@pytest.mark.parametrize(
+    ("cpu_mean", "window_s", "state"), [(1.95, 10.0, "failed"), (1.05, 10.0, "ok"), (1.95, 0.5, "ok")]
+)
+def test_processes_that_leave_their_cpus_are_refused(tmp_path, cpu_mean, window_s, state):
+    figures = {
+        "cpu_mean": cpu_mean,
+        "cpu_max": 2.0,
+        "memory_peak": 0.1,
+        "minor_faults": 0,
+        "major_faults": 0,
+        "overhead": 0.0,
+    }
+    use = ResourceUse(window=window_s, vcpus=1.0, **figures)
+    status = SampleStatus(running=False, timings=written(tmp_path, *[line()] * 30), resources=use)
+    made = recording.make_record(SAMPLE, status, RULES, 2.0, 0.25)
+    assert made.state == state
+    if state == "failed":
+        assert made.reason == "out_of_range"
+        assert made.detail.startswith("its processes used 1.95 vCPUs on average, of 1 that they were given")
 
 
 @pytest.mark.parametrize(("statistic", "needed"), [("p50", 2), ("p95", 20), ("p99", 100)])

@@ -11,7 +11,7 @@ from fogspec.catalog.machine import Gpu, Machine
 from fogspec.language.warned import sentence
 from fogspec.model import predict as predicting
 from fogspec.model.fit import fit
-from fogspec.results.schema import LatencySummary, Measured, Results, ResultsBody, results_of
+from fogspec.results.schema import LatencySummary, Measured, ResourceUse, Results, ResultsBody, results_of
 from tests.bench_choice import application, offers
 
 
@@ -159,3 +159,59 @@ def test_a_sample_that_says_nothing_leaves_its_machine_as_unknown_as_others():
         return high / low
 
     assert ratio({"mean": 0.01}) < 1.2 < 3 < ratio({})
+
+
+def use(cpu_mean: float, vcpus: float = 1.0, **more: float) -> ResourceUse:
+    return ResourceUse(window=50.0, vcpus=vcpus, cpu_mean=cpu_mean, cpu_max=cpu_mean, memory_peak=0.1, minor_faults=0,
+                       overhead=0.0, **{"major_faults": 0, **more})  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        ({"resources": use(0.01)}, 0.01),
+        ({"resources": use(0.5)}, 0.5),
+        ({"resources": use(1.0)}, 1.0),
+        ({"resources": use(1.0, vcpus=4.0)}, 0.25),
+        ({"resources": use(0.6, outside=0.4)}, 1.0),
+        ({"resources": use(0.1, major_faults=10**6)}, 1.0),
+        ({"resources": use(0.25), "busy": 0.25}, 1.0),
+        ({}, 1.0),
+    ],
+)
+def test_what_more_cpus_can_shorten_is_bounded_by_the_cpu_time(more, expected):
+    """Of 50 requests of 1 s in 50 s; four at a time are open for 0.25 s each."""
+    [one] = fit(application(), results(record(1, 1, 1.0, **more))).observations
+    assert one.at_work == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("cpu_mean", "least", "most"), [(0.01, 0.95, 1.05), (0.5, 0.5, 0.9), (1.0, 0.0, 0.6)])
+def test_a_node_that_waits_is_not_predicted_to_be_faster_on_more_cpus(cpu_mean, least, most):
+    catalog = offers(50)
+    small = int(np.argmin(catalog.vcpus))
+    own = record(float(catalog.vcpus[small]), float(catalog.memory_gib[small]), 1.0, instance=str(catalog.instance[small]),
+                 resources=use(cpu_mean * catalog.vcpus[small], vcpus=float(catalog.vcpus[small])))  # fmt: skip
+    found = predict(fit(application(), results(own)), catalog)
+    large = np.flatnonzero(catalog.vcpus >= 16 * catalog.vcpus[small])
+    assert len(large)
+    assert least <= np.median(found.value[large]) <= most
+
+
+def test_a_metric_that_one_machine_was_measured_with_has_no_law_over_machines():
+    catalog = offers(50)
+    names = [
+        (float(catalog.vcpus[row]), float(catalog.memory_gib[row]), str(catalog.instance[row])) for row in range(50)
+    ]
+    (few, many) = min(names), max(names)
+
+    def metric(*some):
+        records = [record(c, m, 1.0, instance=name, metrics={"length": value}) for (c, m, name), value in some]
+        found = predicting.predict(fit(application(), results(*records)), catalog, ["latency", "length"]).targets[
+            "length"
+        ]
+        return found.value
+
+    assert metric((few, 40.0)) == pytest.approx(40.0)
+    two = metric((few, 40.0), (many, 10.0))
+    assert two[names.index(many)] == pytest.approx(10.0, rel=0.2)
+    assert two[names.index(few)] > 30

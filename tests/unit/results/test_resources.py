@@ -4,6 +4,7 @@ import pytest
 
 from fogspec.backends.agent_state import resource_use
 from fogspec.catalog.machine import Gpu, Machine
+from fogspec.language.warned import sentence
 from fogspec.results.resources import doubts, use_line
 from fogspec.results.schema import Measured, ResourceUse
 
@@ -25,6 +26,13 @@ def record(found: ResourceUse | None, gpu: Gpu | None = None, state: str = "ok")
         infra="aws/us-east-1", instance="g4dn.xlarge", cpus=4.0, memory=16.0, gpu=gpu, spot=False, price=0.5
     )
     return Measured.model_construct(id="one", machine=machine, state=state, resources=found)
+
+
+def test_more_memory_than_the_machine_has_is_said() -> None:
+    assert not list(doubts(record(use(memory_peak=16.5))))
+    [said] = doubts(record(use(memory_peak=23.9)))
+    assert said["code"] == "more_memory"
+    assert "its processes had 23.9 GiB of memory, and its machine has 16 GiB" in sentence(said)
 
 
 @pytest.mark.parametrize(
