@@ -13,6 +13,7 @@ from .records import Done, Stamp
 
 PENDING = 1000
 OUTSIDE = 0.05
+NOT_UNIQUE = "its stamp {}.{:09d} is that of an earlier request: give each its own, or match by order"
 HEADER_BYTES = 12
 HEADER = "std_msgs/Header"
 
@@ -22,7 +23,8 @@ class Matcher:
 
     A request without a response after `timeout_s` seconds, or after `PENDING` later requests, is lost. Requests before the
     first answered one do not count: the node was not ready, or discovery was not complete. Nor do responses to requests that
-    were sent before the first that was heard.
+    were sent before the first that was heard. Of requests with one stamp, all but the first have failed: what a
+    response answers is not known.
     """
 
     def __init__(self, match: str, timeout_s: float | None = None) -> None:
@@ -31,6 +33,7 @@ class Matcher:
         self.count = self.answered = self.outside = 0
         self.departed_s = float("-inf")
         self.first: Stamp | None = None
+        self.stamps: OrderedDict[Stamp | None, None] = OrderedDict()
 
     def take_request(self, stamp: Stamp | None, now_s: float) -> list[Done]:
         """Take a request; return those that are lost by now."""
@@ -42,6 +45,8 @@ class Matcher:
         if self.match in ("first_request", "last_response") and self.open:
             self.outside += self.match == "first_request"
             return lost
+        if self.match == "stamp" and self._was_heard(stamp) and self.answered:
+            return [*lost, Done(now_s, None, why=NOT_UNIQUE.format(*stamp or (0, 0)))]
         self.open[stamp if self.match == "stamp" else self.count] = now_s
         if len(self.open) > PENDING:
             lost += self._lost()
@@ -80,6 +85,14 @@ class Matcher:
                 f"first_request: {share} of the requests came while another was open, and their waiting is not counted"
             )
         return f"last_response: {share} of the requests found the node idle, and the idle time is counted as latency"
+
+    def _was_heard(self, stamp: Stamp | None) -> bool:
+        """Return whether one of the latest requests had this stamp, and remember it."""
+        known = stamp in self.stamps
+        self.stamps[stamp] = None
+        if len(self.stamps) > PENDING:
+            self.stamps.popitem(last=False)
+        return known
 
     def _since_last(self, now_s: float) -> Done | None:
         # Right for a node that is never idle. The first response counts from the first request.

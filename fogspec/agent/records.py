@@ -33,12 +33,13 @@ VERDICT = "!"  # instead of a metric's name: why a response does not count, or n
 
 @dataclass(frozen=True)
 class Done:
-    """A finished request, times in seconds; `latency_s` is None for one that gets no response."""
+    """A finished request, times in seconds; `latency_s` is None for one that gets no response, or of which `why` says more."""
 
     start_s: float
     latency_s: float | None
     service_s: float | None = None
     stamp: Stamp | None = None
+    why: str | None = None
 
 
 class Writer:
@@ -51,7 +52,7 @@ class Writer:
     def request(self, done: Done, failure: str | None = None) -> None:
         """Write a finished or lost request; `failure` is the reason why its response does not count."""
         lost = done.latency_s is None
-        reason = "no response" if lost else failure
+        reason = done.why or "no response" if lost else failure
         record: dict[str, Any] = {
             "name": self.name,
             "start_s": done.start_s,

@@ -24,6 +24,7 @@ from fogspec.results.statistics import NEEDED, errors_of, latency_of, metric_of,
 
 DETAIL_LIMIT = 1000
 WAITED = 1.5
+UNMATCHED = 0.2  # responses to a request, beyond which it is not known which of them answer
 MOST_CPUS = 1.1  # of its own that a sample may seem to use
 
 
@@ -156,6 +157,9 @@ def _unclear(requests: Requests, rules: RecordRules) -> str | None:
     """Return why it is not known which request took how long, if that is so for more of them than may fail."""
     n, name = len(requests.latencies_s) + requests.failed, rules.callback
     most = (1 - rules.valid) * (n + requests.strays)
+    if (foreign := requests.unmatched - requests.strays) > UNMATCHED * max(n, 1):
+        which = f"{foreign} responses belong to no request, beside {n} requests: the probe missed those, or they are answered"
+        return f"{which} twice or by another node: name topics on which each request and its one response are heard"
     if requests.strays > most:
         return _strays(requests, rules)
     if requests.balance.guessed > most:

@@ -53,11 +53,23 @@ def test_without_a_response_in_time_a_request_is_lost():
     assert matcher.take_response((ord("c"), 0), 8) is None
 
 
+@pytest.mark.parametrize("delay_s", [0.05, 0.25])
+def test_a_stamp_is_that_of_one_request(delay_s: float) -> None:
+    """A driver that stamps nothing, ten a second: of a pipeline of 250 ms each response was the latest request's."""
+    events = [(">z", 0.1 * n) for n in range(40)] + [("<z", 0.1 * n + delay_s) for n in range(40)]
+    found = played(Matcher("stamp"), *sorted(events, key=lambda one: one[1]))
+    assert sum(one[1] is None for one in found) > 0.9 * len(found)
+    matcher = Matcher("stamp")
+    played(matcher, (">a", 0), ("<a", 1))
+    assert "its stamp 97.000000000 is that of an earlier request" in str(matcher.take_request((97, 0), 2.0)[0].why)
+    assert not matcher.take_request((98, 0), 2.0)
+
+
 def test_too_many_open_requests_lose_the_oldest():
     matcher = Matcher("stamp")
     played(matcher, (">a", 0), ("<a", 0))
-    done = [one for i in range(PENDING + 1) for one in matcher.take_request((i, 0), float(i))]
-    assert [(one.start_s, one.latency_s, one.stamp) for one in done] == [(0.0, None, (0, 0))]
+    done = [one for i in range(PENDING + 1) for one in matcher.take_request((i, 1), float(i))]
+    assert [(one.start_s, one.latency_s, one.stamp) for one in done] == [(0.0, None, (0, 1))]
 
 
 def test_what_came_before_the_first_answer_is_not_lost_but_was_not_heard():

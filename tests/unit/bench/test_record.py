@@ -341,9 +341,13 @@ def test_a_request_that_took_too_long_has_failed(tmp_path):
 def test_lost_requests_failed_and_foreign_responses_are_counted(tmp_path):
     lost = probed(1, 0.0) | {"ok": False, "lost": True, "reason": "no response"}
     foreign = {"name": "/pose", "unmatched": True, "at_s": 3.0}
-    made = record(tmp_path, probed(0, 0.5), lost, foreign, foreign, probed(2, 0.5), rules=PROBED)
-    assert (made.requests, made.failed_requests, made.lost, made.unmatched) == (2, 1, 1, 2)
-    assert made.detail == "responses that belong to no request: 2"
+    heard = [probed(2 + n, 0.5) for n in range(9)]
+    made = record(tmp_path, probed(0, 0.5), lost, foreign, foreign, *heard, rules=PROBED)
+    assert (made.requests, made.failed_requests, made.lost, made.unmatched) == (10, 1, 1, 2)
+    assert (made.state, made.detail) == ("ok", "responses that belong to no request: 2")
+    made = record(tmp_path, probed(0, 0.5), *[foreign] * 3, *heard, rules=PROBED)
+    assert (made.state, made.reason, made.requests) == ("failed", "not_reported", 10)
+    assert str(made.detail).startswith("3 responses belong to no request, beside 10 requests")
 
 
 def test_waiting_is_told_from_working(tmp_path):
