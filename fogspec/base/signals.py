@@ -2,7 +2,7 @@
 
 import signal
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import process_time
@@ -13,16 +13,22 @@ ENDS = (signal.SIGTERM, signal.SIGHUP)
 
 @dataclass(slots=True)
 class Interrupt:
-    """Whether the user asked to stop: the first Ctrl-C stops cleanly, the second at once."""
+    """Whether the user asked to stop: the first Ctrl-C stops cleanly, the second `insisted` and stops at once."""
 
     asked: bool = False
     answering: bool = False
+    insisted: bool = False
 
     def __call__(self, number: int, _frame: Any) -> None:
         """Handle the signal."""
         if self.asked or self.answering:
-            raise KeyboardInterrupt
+            self.insist()
         self.asked = True
+
+    def insist(self, _number: int = 0, _frame: Any = None) -> None:
+        """Handle a signal that stops at once."""
+        self.insisted = True
+        raise KeyboardInterrupt
 
     @contextmanager
     def question(self) -> Iterator[None]:
@@ -79,18 +85,28 @@ def interruptible() -> Iterator[Interrupt]:
 @contextmanager
 def finishing() -> Iterator[Interrupt]:
     """Go on at the first TERM or closed terminal (HUP): work that must not stop in the middle. Ctrl-C stops as ever."""
-    with _handling(ENDS) as interrupt:
+    with _handling(ENDS, at_once=(signal.SIGINT,)) as interrupt:
         yield interrupt
 
 
 @contextmanager
-def _handling(numbers: Iterable[signal.Signals]) -> Iterator[Interrupt]:
+def _handling(numbers: Iterable[signal.Signals], at_once: Iterable[signal.Signals] = ()) -> Iterator[Interrupt]:
     interrupt = Interrupt()
+    theirs = (number for number in at_once if signal.getsignal(number) is signal.default_int_handler)
+    handlers: dict[signal.Signals, Callable[[int, Any], None]] = {
+        **dict.fromkeys(numbers, interrupt),
+        **dict.fromkeys(theirs, interrupt.insist),
+    }
     # What nohup and the like ignore stays ignored.
-    heeded = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, interrupt) for number in heeded}
+    heeded = [number for number in handlers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, handlers[number]) for number in heeded}
     try:
         yield interrupt
+    except Exception:
+        # Raised while compiled code calls back, as pydantic does to serialise, it arrives as an error of that code.
+        if interrupt.insisted:
+            raise KeyboardInterrupt from None
+        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
