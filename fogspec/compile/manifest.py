@@ -83,6 +83,11 @@ class ExpectedLatency(Lean):
     measured: bool
     extrapolated: bool = False
 
+    @property
+    def limit_on_machine(self) -> float | None:
+        """The limit in seconds without the network's allowance, which is what can be compared with a latency; None without."""
+        return None if self.limit is None else self.limit - self.network_allowance
+
 
 class ExpectedCost(Lean):
     """Cost of one request, and what the machine costs while it is up."""

@@ -79,7 +79,7 @@ def observe(
             low, high = (_cost(application, machine, busy_s * max(end_s / found.mean, 0.0)) for end_s in of_mean)
             costs = low, high
     bounds = {
-        Limit.LATENCY: (spread, latency_limit_s(expected)),
+        Limit.LATENCY: (spread, expected.latency.limit_on_machine),
         Limit.COST: (costs, expected.cost.limit),
     }
     judged = {limit: (ends, most) for limit, (ends, most) in bounds.items() if ends is not None and most is not None}
@@ -154,16 +154,10 @@ def _cost(application: Application, machine: Machine, busy_s: float) -> float:
     return float(costs.per_request(np.array([busy_s]))[0])
 
 
-def latency_limit_s(expected: Expected) -> float | None:
-    """Return the limit of the latency on the machine, without the network's allowance; None without a limit."""
-    latency = expected.latency
-    return None if latency.limit is None else latency.limit - latency.network_allowance
-
-
 def violation_text(limit: Limit, observed: Observed, expected: Expected) -> str:
     """Return the description of a limit that is not met."""
     if limit is Limit.LATENCY:
-        most_s = units.shown_duration(latency_limit_s(expected) or 0.0)
+        most_s = units.shown_duration(expected.latency.limit_on_machine or 0.0)
         return f"{expected.latency.statistic} latency is over its limit of {most_s}"
     if limit is Limit.COST:
         cost, most = observed.cost_usd_per_request or 0.0, expected.cost.limit or 0.0
@@ -175,7 +169,7 @@ def unclear_text(limit: Limit, observed: Observed, expected: Expected) -> str:
     """Return the interval that is too wide to say whether a limit is met."""
     if limit is Limit.LATENCY and observed.value_s is not None:
         seen = f"{units.shown_duration(observed.value_s)}{units.shown_interval(observed.interval_s)}"
-        most = units.shown_duration(latency_limit_s(expected) or 0.0)
+        most = units.shown_duration(expected.latency.limit_on_machine or 0.0)
         return f"{expected.latency.statistic} latency {seen} against its limit of {most}"
     low, high, most = map(units.shown_cost, (*(observed.cost_interval or (0.0, 0.0)), expected.cost.limit or 0.0))
     return f"a cost of {low} to {high} against its limit of {most}"

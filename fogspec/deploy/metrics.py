@@ -41,7 +41,7 @@ def _deployment(one: HealthReport) -> Iterator[Sample]:
 def _requests(one: HealthReport) -> Iterator[Sample]:
     if one.manifest is not None:
         latency = one.manifest.expected.latency
-        yield "latency_limit_seconds", {}, latency.limit
+        yield "latency_limit_seconds", {}, latency.limit_on_machine
         bounds = zip(("predicted", "lower", "upper"), (latency.predicted, *(latency.interval or ())), strict=False)
         for bound, value in bounds:
             yield "predicted_latency_seconds", {"statistic": latency.statistic, "bound": bound}, value

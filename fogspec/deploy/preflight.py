@@ -173,7 +173,7 @@ def as_text(plan: LaunchPlan) -> list[str]:
     """Return the lines that describe the launch and its cost."""
     manifest, first = plan.opened.manifest, plan.candidates[0]
     spec, latency, task = manifest.spec, manifest.expected.latency, manifest.pins.task
-    limit = "" if latency.limit is None else f", limit {units.shown_duration(latency.limit)}"
+    limit = "" if latency.limit_on_machine is None else f", limit {units.shown_duration(latency.limit_on_machine)}"
     gpu = f", {spec.gpu.label}" if spec.gpu else ""
     lines = [
         f"{manifest.metadata.name}: {spec.instance} in {spec.infra}{' spot' if spec.spot else ''} "

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from fogspec.base import units
@@ -65,7 +66,7 @@ def card(menu: "Menu", application: "Application") -> Block:
         ("latency", latency_of(entry), entry.latency, latency_limit_s(application), units.shown_duration),
         ("cost", units.shown_cost(entry.cost), entry.cost, limits.cost, _of_requests),
         *(
-            (name, metric_text("", one).strip(), one.value, one.limit, units.shown)
+            (name, metric_text("", one).strip(), one.value, one.limit, partial(_in_unit, unit=one.unit))
             for name, one in entry.metrics.items()
         ),
     ]
@@ -127,6 +128,10 @@ def _named(menu: "Menu") -> list[str]:
     same = [role for role, entry in there.items() if entry.machine == body.balanced.machine]
     others = [f"{role}: {entry.instance}" for role, entry in there.items() if role not in same]
     return [f"> {', '.join(['choice', *same])}, {units.shown_month(body.balanced.usd_per_month)}", *others]
+
+
+def _in_unit(value: float, unit: str | None) -> str:
+    return f"{units.shown(value)} {unit}" if unit else units.shown(value)
 
 
 def _limit_of(entries: Sequence["Entry"], name: str) -> str:

@@ -197,3 +197,10 @@ def test_nothing_seen_yet(paper) -> None:
     seen = observe(b"", application, expected, MACHINE)
     assert (seen.requests, seen.value_s, seen.drift, seen.violated) == (0, None, "unknown", ())
     assert LEAST == 30
+
+
+def test_the_limit_is_that_on_the_machine_wherever_it_stands(paper) -> None:
+    _, expected = paper
+    latency = expected.latency.model_copy(update={"limit": 0.2, "network_allowance": 0.12})
+    assert latency.limit_on_machine == pytest.approx(0.08)
+    assert latency.model_copy(update={"limit": None}).limit_on_machine is None
