@@ -6,12 +6,14 @@ between any two steps, and the next one resumes from the journal.
 """
 
 import contextlib
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from fogspec.backends.protocol import Costs, Job, LaunchRefused, SampleBackend, SampleStatus, Unreachable
 from fogspec.base import units
 from fogspec.base.clock import Clock
+from fogspec.base.clouds import cloud_name
 from fogspec.base.errors import Refused
 from fogspec.bench.attempt import STOP_PATIENCE_S, Attempt, outlived
 from fogspec.bench.journal import Journal, LaunchRecord
@@ -24,15 +26,18 @@ from fogspec.results.schema import Measured
 IDLE_S = 0.5
 ABSENCE_S = 60.0  # without a look at any machine: this host was asleep
 SLOW_STOPS = 4
+MISTAKES = ("setup", "image", "crash", "no_response")  # reasons that are no matter of one machine
+ALIKE = 2
 
 
 @dataclass(slots=True, kw_only=True)
 class Campaign:
     """One run of the loop over one results file.
 
-    Once it is `halted` it starts nothing more, and waits for what runs. `left` has the names of machines that could not be
-    verified gone; `denied` is why no machine is available at all, `denied_usd` what machines cost that were up when that was
-    found out.
+    Once it is `halted` it starts nothing more, and waits for what runs. On a paid cloud that is not `proven`, where no request
+    was answered so far, the cheapest machine starts alone: it shows mistakes for all. `left` has the names of machines that
+    could not be verified gone; `denied` is why no machine is available at all, `denied_usd` what machines cost that were up
+    when that was found out.
     """
 
     config: CampaignConfig
@@ -46,6 +51,8 @@ class Campaign:
     running: dict[str, Attempt] = field(default_factory=dict)
     queue: list[Queued] = field(default_factory=list)
     retry: RetryPolicy = field(default_factory=RetryPolicy)
+    proven: set[str] = field(default_factory=set)
+    mistakes: Counter[tuple[str, str]] = field(default_factory=Counter)
     left: list[str] = field(default_factory=list)
     unstopped: list[Attempt] = field(default_factory=list)
     looked_s: float | None = None
@@ -75,7 +82,7 @@ class Campaign:
         try:
             while self.queue or self.running:
                 self._notice_absence()
-                if self.stopping() or self.halted():
+                if self.stopping() or self.is_halted():
                     self.queue.clear()
                 for attempt in self.running.values():
                     self._look_for(attempt)
@@ -158,7 +165,7 @@ class Campaign:
     def _start_what_fits(self) -> None:
         now = self.clock.now_s()
         for entry in list(self.queue):
-            if entry.not_before_s > now or len(self.running) >= self.backend.at_once:
+            if entry.not_before_s > now or len(self.running) >= self.backend.at_once or self._waits(entry):
                 continue
             commitment = self.config.commitment.usd(self.price(entry.sample))
             budget = self.config.budget_usd
@@ -169,6 +176,23 @@ class Campaign:
                 continue
             self.queue.remove(entry)
             self._launch(entry, now)
+
+    def _waits(self, entry: Queued) -> bool:
+        """Return whether the cheapest machine of its cloud is to start before this one, or has not answered a request."""
+        cloud = cloud_name(entry.sample.machine.infra)
+        if cloud in self.proven or self.backend.costs != Costs.REAL:
+            return False
+        if any(cloud_name(one.started.sample.machine.infra) == cloud for one in self.running.values()):
+            return True
+        queued = (one.sample for one in self.queue if cloud_name(one.sample.machine.infra) == cloud)
+        return min(queued, key=lambda one: one.machine.price).machine.price < entry.sample.machine.price
+
+    def is_halted(self) -> bool:
+        """Return whether what ended shows that the others would end alike.
+
+        Either it lacks what the spec expects, or on a paid cloud machines ended for one reason before any answered a request.
+        """
+        return self.halted() or any(n >= ALIKE and cloud not in self.proven for (cloud, _), n in self.mistakes.items())
 
     def _launch(self, entry: Queued, now: float) -> None:
         sample, config = entry.sample, self.config
@@ -253,6 +277,8 @@ class Campaign:
             attempt.reached(status)
             if not status.running:
                 return status
+            if status.so_far is not None and status.so_far.requests:
+                self.proven.add(cloud_name(sample.machine.infra))
             kind = EventKind.MEASURES if status.ready else EventKind.SETS_UP
             self._report(sample, kind, attempt, status=status)
         if self.stopping():
@@ -287,6 +313,10 @@ class Campaign:
         recorded = end.recorded
         spent_usd = started.price_usd_per_hour * billed_s / 3600 if recorded is None else recorded.spent
         wanted = started.application == self.config.measured and self.config.task(sample) is not None
+        if end.setup_s is not None:  # until its first request
+            self.proven.add(cloud_name(sample.machine.infra))
+        elif wanted and end.reason in MISTAKES and self.backend.costs == Costs.REAL:
+            self.mistakes[cloud_name(sample.machine.infra), end.reason] += 1
         if end.reason == "access":
             # No machine can be had until its user has logged in, which says nothing about the sample: it gets no record.
             self.denied_usd += spent_usd
@@ -307,6 +337,8 @@ class Campaign:
             if end.lost:
                 end = replace(end, reason="interrupted", detail=end.detail or "its results are beyond reach")
             record = make_record(sample, end, self.config.rules, billed_s, spent_usd)
+            if record.state == "ok":
+                self.proven.add(cloud_name(sample.machine.infra))
             self._record(started, record, end)
         del self.running[started.name]
 

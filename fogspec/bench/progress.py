@@ -214,11 +214,13 @@ def verdict(record: Measured) -> str:
     return record.state if more is None else f"{record.state}, {more.replace('_', ' ')}"
 
 
-def outcome(record: Measured) -> str:
-    """Return the state and the main figures."""
+def outcome(record: Measured, statistic: str = "mean") -> str:
+    """Return the state and the main figures, the `statistic` among them."""
     words = verdict(record)
     if record.latency is not None:
         words += f": {count(record.requests, 'request')}, mean {seconds(record.latency.mean)}"
+        if statistic != "mean" and (value := getattr(record.latency, statistic)) is not None:
+            words += f", {statistic} {seconds(value)}"
     if record.stopped_by == "decided":
         words += ", ended early: too slow to be the choice"
     return f"{words} ({record.detail})" if record.detail else words

@@ -14,7 +14,7 @@ from fogspec.backends.protocol import Costs, SampleBackend, no_access
 from fogspec.backends.registry import owner_of
 from fogspec.base import digest
 from fogspec.base.clock import SystemClock
-from fogspec.base.clouds import LOCAL
+from fogspec.base.clouds import LOCAL, cloud_name
 from fogspec.base.console import GONE, say_on
 from fogspec.base.errors import Busy, CloudError, FogspecError, Interrupted, InvalidInput, Refused
 from fogspec.base.layout import Layout
@@ -84,11 +84,15 @@ class BenchOptions:
 
 @dataclass(frozen=True, slots=True)
 class BenchResult:
-    """The results on disk, the directories with the logs of the samples that were measured now, and what was `compared`."""
+    """The results on disk, the directories with the logs of the samples that were measured now, and what was `compared`.
+
+    It was `halted` where the samples that ended show a mistake that the others would repeat.
+    """
 
     results: Results
     folders: dict[str, Path]
     compared: ConfirmingFile | None = None
+    halted: bool = False
 
 
 @dataclass(slots=True)
@@ -181,7 +185,9 @@ def _measure(one: _Bench, watch: Watch) -> BenchResult:
                 (adopt if one.options.resume else adopt_returned)(campaign)
                 campaign.recover()
                 campaign.run([])
-        return BenchResult(sink.results(), folders, sink if isinstance(sink, ConfirmingFile) else None)
+        return BenchResult(
+            sink.results(), folders, sink if isinstance(sink, ConfirmingFile) else None, campaign.is_halted()
+        )
     except KeyboardInterrupt:
         one.left[:] = journal.state.open
         raise
@@ -248,7 +254,7 @@ def _run(one: _Bench, campaign: Campaign, sink: ResultsFile, tasks: Tasks, runni
     campaign.run([sample for sample in todo if sample.id not in running])
     if campaign.denied is not None:
         raise no_access(campaign.denied, booked_usd=campaign.denied_usd, verified=not campaign.left)
-    while sampling is not None and not one.interrupt.asked and not campaign.left and not campaign.halted():
+    while sampling is not None and not one.interrupt.asked and not campaign.left and not campaign.is_halted():
         batch = sampling.next(_left_usd(campaign))
         if not batch:
             return
@@ -331,6 +337,7 @@ def _campaign(one: _Bench, journal: Journal) -> tuple[Campaign, ResultsFile, Tas
         clock=clock,
         stopping=lambda: one.stopping,
         halted=lambda: sink.unheard(prepared.only),
+        proven={cloud_name(one.machine.infra) for one in sink.samples.values() if one.state == "ok"},
         left=one.left,
     )
     return campaign, sink, tasks

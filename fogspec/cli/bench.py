@@ -382,7 +382,7 @@ def _report(one: "LoadedSpec", prepared: "Prepared", benched: "BenchResult", out
         return
     failed = [] if compared is None or compared.failed is None else [compared.failed]
     for record in (*results.spec.samples, *failed):
-        say(f"  {record.id}: {progress.outcome(record)}")
+        say(f"  {record.id}: {progress.outcome(record, one.application.spec.constraints.statistic)}")
         if record.resources is not None:
             say(f"    resources: {use_line(record.resources)}")
         for doubt in doubts(record):
@@ -396,6 +396,10 @@ def _report(one: "LoadedSpec", prepared: "Prepared", benched: "BenchResult", out
             say(*_ways_on(record, prepared, results.spec.runner, record.id in completed(results)))
     if left := {sample.id for sample in prepared.todo} - {record.id for record in results.spec.samples}:
         say(f"not measured: {', '.join(sorted(left))}")
+        if benched.halted:
+            say(
+                "  no more were started, for they would end alike: correct what is said above, and run the command again"
+            )
     if compared is not None and compared.confirmed is not None:
         say(sentence(carried_warning((results.spec.carried or [])[-1], len(results.spec.samples))))
     if results.spec.sampling is not None and results.spec.sampling.stop_reason is not None:

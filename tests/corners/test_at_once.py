@@ -1,7 +1,7 @@
 """How many machines run at the same time: 8 unless `--at-once` says otherwise, and then really that many."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -15,18 +15,21 @@ from tests.support.running import CATALOG, Shell, shell, spec  # noqa: F401
 
 
 class Together(Cloud):
-    """A cloud where no machine is up before so many were requested, that remembers how many there were at a time."""
+    """A cloud where none but the first machine is up before so many were requested, and that remembers how many there were."""
 
     wanted = 0
     most = 0
+    names: ClassVar[dict[str, None]] = {}
 
     def launch(self, task: Any, name: str, root: str) -> dict[str, Any]:
         asked = super().launch(task, name, root)
+        self.names = {**self.names, name: None}
         self.most = max(self.most, len(self.machines))
         return asked
 
     def launched(self, request: str, name: str) -> dict[str, Any] | None:
-        return super().launched(request, name) if self.most >= self.wanted else None
+        alone = next(iter(self.names)) == name
+        return super().launched(request, name) if alone or self.most >= self.wanted else None
 
 
 @pytest.fixture
@@ -64,3 +67,18 @@ def test_so_many_machines_run_at_once(shell: Shell, cloud: Together, words: tupl
     assert cloud.most == wanted, "no machine was up before so many were requested, and there were never more"
     assert f"{wanted} machines at once: at most $" in said.err
     assert [one["state"] for one in results(shell)["samples"]] == ["ok"] * len(names)
+
+
+@pytest.mark.slow
+def test_a_mistake_costs_two_machines_and_not_the_plan(shell: Shell, cloud: Together) -> None:
+    """What ends before it begins for one reason is no matter of the machine: the rest is kept, and the command goes on."""
+    listed(shell, 6)
+    shell.write("specs/work.py", "raise SystemExit('no module named numpy')\n")
+    shell("compile", "specs/demo.yaml", *AT)
+    said = bench(shell, code=1)
+    assert [(one["state"], one["reason"]) for one in results(shell)["samples"]] == [("failed", "crash")] * 2
+    assert "no more were started, for they would end alike" in said.out
+    assert len(cloud.names) == 2
+    bench(shell, code=1)
+    assert len(results(shell)["samples"]) == 4
+    assert cloud.machines == {}

@@ -109,9 +109,10 @@ def test_samples_that_wait_for_others_are_not_started(shell: Shell, cloud: Toget
     shell("compile", "specs/demo.yaml", *AT)
     cloud.wanted = 3
     said = bench(shell, "--at-once", "3", code=1)
-    assert cloud.most == 3
-    assert [one["reason"] for one in results(shell)["samples"]] == ["not_reported"] * 3
+    found = [one["reason"] for one in results(shell)["samples"]]
+    assert found == ["not_reported"] * len(found)
+    assert 1 <= len(found) <= cloud.most <= 3, "the first alone, and those that started while it measured"
     assert "no value of metric quality as q: the node reported no other" in said.out
     assert all(one["spent"] != "$0" for one in results(shell)["samples"])
-    assert said.out.count("    kept, it cost $") == 3
+    assert said.out.count("    kept, it cost $") == len(found)
     assert cloud.machines == {}

@@ -74,6 +74,7 @@ def campaign_of(world: World, controller: int, budget: float | None, check: Call
     return Campaign(
         config=config, backend=FaultyBackend(world, controller), journal=journal, sink=SimulatedSink(world, controller),
         clock=VirtualClock(world, controller), report=lambda _event: check(world),
+        proven={"sim"} if world.seed % 2 == 0 else set(),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fogspec.backends.naming import Owner
-from fogspec.backends.protocol import Job, LaunchRefused, SampleStatus, Unreachable
+from fogspec.backends.protocol import Job, LaunchRefused, Partial, SampleStatus, Unreachable
 from fogspec.bench.journal import Journal
 from fogspec.plan.commitment import machine_s
 from fogspec.plan.schema import Sample
@@ -226,7 +226,8 @@ class FaultyBackend:
             wrong = 0.01 < lied < 0.03
             ready = (world.now >= machine.ready) is not wrong
             self.seen_ready |= {job.name} if ready else set()
-            return SampleStatus(running=True, ready=ready, measured_on="simulated")
+            answered = Partial(1, None) if ready else None
+            return SampleStatus(running=True, ready=ready, measured_on="simulated", so_far=answered)
         job.directory.mkdir(parents=True, exist_ok=True)
         write_timings(timings, machine)
         machine.fetched = True

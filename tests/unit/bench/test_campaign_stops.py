@@ -50,6 +50,67 @@ def test_a_machine_that_never_goes_is_given_up_and_stays_in_the_books(told, monk
     assert world.now > COMMITMENT.paid_s, "not before it must have ended itself"
 
 
+def test_on_a_cloud_that_was_not_tried_the_cheapest_machine_starts_alone(told):
+    """Until its nodes are ready; of another cloud it says nothing."""
+    campaign, events, _ = told
+    campaign.proven.clear()
+    others = [one.model_copy(update={"id": f"o-{one.id}", "machine": one.machine.model_copy(update={"infra": "other"})})
+              for one in samples(2)]  # fmt: skip
+    campaign.run([*reversed(samples(3)), *others])
+    said = [(one.kind, one.sample.id) for one in events]
+    starts = [said.index((EventKind.STARTS, name)) for name in ("s0", "s1", "s2")]
+    assert (
+        max(starts[0], said.index((EventKind.STARTS, "o-s0")))
+        < said.index((EventKind.MEASURES, "s0"))
+        < min(starts[1:])
+    )
+    assert said.index((EventKind.MEASURES, "o-s0")) < said.index((EventKind.STARTS, "o-s1"))
+    assert campaign.proven == {"sim", "other"}
+    assert {name for kind, name in said if kind is EventKind.DONE} == {"s0", "s1", "s2", "o-s0", "o-s1"}
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_where_each_set_up_fails_two_machines_are_paid(told, monkeypatch, again):
+    """Of 24, where all were started, or 72 of those that are worth another try."""
+    campaign, events, world = told
+    campaign.proven.clear()
+    poll = FaultyBackend.poll
+
+    def failed(self, job):
+        found = poll(self, job)
+        if world.now < world.machines[job.name].started + 240:
+            return SampleStatus(running=True, ready=False)
+        return (
+            SampleStatus(running=False, reason="setup", detail="apt-get ended with 100", again=again)
+            if found
+            else found
+        )
+
+    monkeypatch.setattr(FaultyBackend, "poll", failed)
+    campaign.run(samples(24))
+    assert [one.sample.id for one in events if one.kind is EventKind.STARTS] == (
+        ["s0", "s0"] if again else ["s0", "s1"]
+    )
+    assert campaign.is_halted()
+    bill_usd = sum(one.bill(world.now) for one in world.machines.values())
+    assert bill_usd <= campaign.journal.state.spent_usd < 3 * 0.2 * 300 / 3600
+
+
+def test_a_machine_that_the_cloud_does_not_have_makes_way_for_the_next(told, monkeypatch):
+    campaign, _, world = told
+    campaign.proven.clear()
+    start = FaultyBackend.start
+
+    def refused(self, job):
+        if job.machine.instance == "m0":
+            raise LaunchRefused("capacity", "none left")
+        start(self, job)
+
+    monkeypatch.setattr(FaultyBackend, "start", refused)
+    campaign.run(samples(2))
+    assert {one.id: one.state for one in world.disk["samples"].values()} == {"s0": "failed", "s1": "ok"}
+
+
 @pytest.mark.parametrize("fault", [False, True])
 def test_a_cloud_that_takes_minutes_to_say_nothing_is_given_up_as_well(told, monkeypatch, fault):
     campaign, _, world = told
