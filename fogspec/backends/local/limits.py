@@ -9,10 +9,10 @@ Where there is none, namespaces do that for a sample, if this kernel lets this u
 
 import contextlib
 import errno
+import fcntl
 import functools
 import math
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -31,7 +31,7 @@ MEMORY_TEXT = {
     "rlimit": "by rlimit of each process (shared memory is not limited)",
 }
 
-CLAIM = "fogspec/cpu/"  # and a CPU's number: the name of a socket
+CLAIM = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"  # of a CPU, locked and not written
 GROUP = "fogspec-"  # the beginning of the names of cgroups
 
 # A process of its own: affinity, limits and namespaces must not affect the caller.
@@ -160,16 +160,17 @@ def pick_cpus(count: int) -> tuple[int, ...]:
 def claimed_cpus(count: int) -> Iterator[tuple[tuple[int, ...], list[int]]]:
     """Yield CPUs as `pick_cpus`, those first that no other job on this host has claimed, and descriptors that claim them.
 
-    A claim is an abstract socket with the CPU's number: the process that inherits it holds it until it ends, however it ends.
+    A claim is a lock on a file of the kernel's about this CPU: the process that inherits it holds it until it ends, however it
+    ends. Where there is no such file, nothing is claimed.
     """
-    claims, shared = dict[int, socket.socket](), list[int]()
+    claims, shared = dict[int, BinaryIO](), list[int]()
     with contextlib.ExitStack() as held:
         for cpu in _in_turn(count):
             if len(claims) == count:
                 break
-            one = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
             try:
-                one.bind(f"\0{CLAIM}{cpu}")
+                one = held.enter_context(open(CLAIM.format(cpu), "rb"))
+                fcntl.flock(one, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 shared.append(cpu)
             else:
