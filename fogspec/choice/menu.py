@@ -220,6 +220,12 @@ def why_open(menu: Menu) -> list[str]:
     met = f"{name}: P(all limits) {shown_probability(one.probability or 0.0)}{required}"
     costs = f"costs at most {units.dollars(one.usd)}" if one.usd else "is free"
     match one.cause:
+        case "unknown" if one.measured:
+            said = f"not settled: too few requests tell how far their {menu.spec.statistic} is from that of more"
+            return [
+                said,
+                "no probability is known: raise spec.benchmark.stop, or set spec.constraints.confidence: none",
+            ]
         case "unknown":
             said = "not settled: nothing was measured on machines on offer"
             return [said, "no probability is known: measure there, or set spec.constraints.confidence: none"]

@@ -49,6 +49,9 @@ def next_samples(
     proxy = is_proxy(application, known)
     if all(proxy and one.machine.is_local for one in known):
         return state.again(left_usd)
+    if not any(one.tells for one in known):
+        why = "no sample tells how far its latency is from that of more requests: raise spec.benchmark.stop"
+        return NextBatch((), (), why)
     return state.improving(left_usd, batch)
 
 

@@ -31,8 +31,8 @@ class Outlook:
 
     `one sample` of it, for `usd` at most, may let it qualify, with probability `chance`; one may, but costs more than is left
     of the budget, or is unavailable (`usd` is None): `too little known`; or none can: it meets the limits as predicted with
-    `too little room` for another server, or is `too slow`. It is `unknown` where nothing that was measured tells the latency
-    of machines on offer.
+    `too little room` for another server, or is `too slow`. It is `unknown` where nothing that was measured tells how sure
+    the latency of machines on offer is.
     """
 
     cause: Cause
@@ -90,6 +90,8 @@ def outlook(
     if choice.confidence is None:
         return Outlook(cause="too slow", row=_first(choice, rows))
     if choice.latency.distribution is None:
+        known = rows[choice.latency.measured[rows]]
+        rows = known if len(known) else rows
         return Outlook(cause="unknown", row=int(rows[np.argmin(choice.objective[rows])]))
     end = choice.relaxed_row if choice.by_relaxation else None
     if choice.by_relaxation and end is None:

@@ -38,7 +38,6 @@ from fogspec.numerics.families import WEAK_ERROR
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.plan.schema import CatalogRef, Plan, digest_without_budget
 from fogspec.results.progress import Unfinished, unfinished
-from fogspec.results.ranges import ERROR
 from fogspec.results.resources import doubts
 from fogspec.results.schema import Results, other_servers
 from fogspec.results.standing import carried_on, carried_warning
@@ -254,7 +253,7 @@ def warnings_for(
     """Return the warnings for reviewers about the predictions, most important first; `left` of the plan is unmeasured."""
     found, row = [] if left is None else [left.warning], choice.chosen
     found += [carried_warning(one, len(results.spec.samples)) for one in carried_on(results, waived)]
-    found += [*caveats(models, choice), *_spread_unknown(models, choice, application.spec.constraints.statistic)]
+    found += [*caveats(models, choice), *_spread_unknown(models, application.spec.constraints.statistic)]
     found += [one for model in models.curves for one in _of_curve(model)]
     found += [one.why for one in models.rejected]
     found += other_servers(results.spec.samples)
@@ -281,17 +280,17 @@ def _of_curve(model: Model) -> Iterator[Warned]:
         yield warned(codes.curve_error, target=target, gpu=gpu, leave_one_out=error)
 
 
-def _spread_unknown(models: Fitted, choice: Choice, statistic: Statistic) -> list[Warned]:
+def _spread_unknown(models: Fitted, statistic: Statistic) -> list[Warned]:
     """Return what stands for spreads that were not measured, and which of them tell nothing."""
-    observations = models.observations
-    if choice.latency.distribution is None:
+    if models.measured_on_local:
         return []
+    observations = models.observations
     times = Counter(one.machine.type_key for one in observations)
     unknown = sum("latency" not in one.errors and times[one.machine.type_key] == 1 for one in observations)
     found = []
     if unknown:
         found.append(warned(codes.spread_unknown, samples=unknown, of=len(observations), assumed_error=DEFAULT_NOISE))
-    if untold := [one.id for one in observations if one.errors.get("latency", 0.0) >= ERROR.most]:
+    if untold := [one.id for one in observations if not one.tells]:
         found.append(warned(codes.error_unknown, samples=untold, statistic=statistic))
     return found
 

@@ -100,8 +100,8 @@ def spread_unknown(*, samples: int, of: int, assumed_error: float) -> str:
 def error_unknown(*, samples: list[str], statistic: str) -> str:
     """Warn of samples whose requests do not tell how far their statistic is from that of more requests."""
     return (
-        f"how far the {statistic} of {', '.join(samples)} is from that of more requests is not known: there are too "
-        f"few, or each is too much like the one before: measure more (spec.benchmark.stop)"
+        f"how far the {statistic} of {', '.join(samples)} is from that of more requests is not known: they are too few "
+        f"or too much alike: measure more (spec.benchmark.stop)"
     )
 
 

@@ -94,6 +94,11 @@ class Observation:
     busy_ratio: float = 1.0
     at_work: float = 1.0
 
+    @property
+    def tells(self) -> bool:
+        """Whether its requests say how far their latency is from that of more requests."""
+        return self.errors.get("latency", 0.0) < ERROR.most
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RejectedSample:

@@ -189,7 +189,10 @@ def predict(
     catalog: Catalog | None = None,
     library: PriorData | None = None,
 ) -> PredictionSet:
-    """Predictions of these targets for every offer; `catalog` describes measured machines that are not offers."""
+    """Predictions of these targets for every offer; `catalog` describes measured machines that are not offers.
+
+    The latency has neither ranges nor probabilities where no sample tells how far it is from that of more requests.
+    """
     if models.measured_on_local or not len(offers):
         types = instance_types(offers)
         return PredictionSet(
@@ -198,7 +201,7 @@ def predict(
             {name: _by_curves(models, offers, name) for name in targets},
             busy_ratios(models.observations, types, types.of),
         )
-    return predict_from(
+    found = predict_from(
         known=models.observations,
         unusable=models.rejected,
         offers=offers,
@@ -206,6 +209,10 @@ def predict(
         catalog=catalog,
         library=library,
     )
+    if any(one.tells for one in models.observations):
+        return found
+    latency = replace(found.targets["latency"], posterior=None, distribution=None)
+    return replace(found, targets={**found.targets, "latency": latency})
 
 
 def predict_from(

@@ -53,6 +53,23 @@ def test_one_more_sample_settles_it_in_the_next_bench(shell: Shell) -> None:
     assert "demo: a sample of a.large besides the plan: at most $0." in quoted.out + quoted.err
 
 
+def test_where_no_sample_tells_its_error_more_of_them_decide_nothing(shell: Shell) -> None:
+    """Samples with too few requests: more requests help, not more samples, and there is no range of nothing."""
+    project(shell, **(BOX | {"benchmark": LIST, "constraints": "{latency: 0.9s}"}))
+    write(shell, [sample(name, latency, errors={}) for name, latency in CLOSE])
+    ended = shell(*COMPILE, code=7)
+    assert opened(shell)["cause"] == "unknown"
+    assert "not settled: too few requests tell how far their mean is from that of more" in ended.err
+    assert "raise spec.benchmark.stop" in ended.out
+    assert "how far the mean of aws-r1-a-small, aws-r1-a-large is" in ended.err + ended.out
+    assert "[" not in ended.out
+    assert "next: fogspec bench" not in ended.out
+    assert "a sample of" not in shell("bench", "specs/demo.yaml", "--dry-run").out
+    project(shell, **(BOX | {"benchmark": LIST, "constraints": "{latency: 1s, confidence: none}"}))
+    shell(*COMPILE)
+    assert "too few requests tell how sure" in shell.read("compiled/demo/menu.svg")
+
+
 @pytest.mark.parametrize(("again_s", "code"), [(0.93, 0), (0.98, 4)])
 def test_the_sample_past_the_plan_decides(shell: Shell, again_s: float, code: int) -> None:
     shell.write("sweep.csv", f"instance_type,latency_s\na.small,3\na.large,{again_s}\n")

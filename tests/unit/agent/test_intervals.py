@@ -208,3 +208,16 @@ def test_a_share_of_ones_that_are_all_that_was_seen_is_not_known_exactly() -> No
     assert error_of([1.0] * 20, "mean") == 0
     assert 0.04 < error_of([1.0] * 20, "share") < 0.06
     assert math.isinf(error_of([0.0] * 20, "share"))
+
+
+@pytest.mark.parametrize(("statistic", "requests"), [("p95", 160), ("p99", 800)])
+def test_so_many_requests_are_enough_for_a_percentile_as_the_docs_say(statistic: str, requests: int) -> None:
+    """docs/explanation/uncertainty.md: in 19 of 20 samples of independent requests."""
+
+    def known(count: int) -> float:
+        dice = [random.Random(seed) for seed in range(60)]
+        samples = [[one.expovariate(1) + 0.1 for _ in range(count)] for one in dice]
+        return statistics.fmean(math.isfinite(error_of(sample, statistic)) for sample in samples)
+
+    assert known(requests) >= 0.9
+    assert known(requests // 2) < 0.9

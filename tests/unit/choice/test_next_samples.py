@@ -134,6 +134,15 @@ def test_a_machine_that_was_suspiciously_fast_is_measured_again(family):
     assert after.latency.value[after.chosen] > before.latency.value[before.chosen]
 
 
+def test_samples_that_do_not_tell_their_error_end_the_campaign(family):
+    """Each further one would cost money and tell as little."""
+    asked = next_samples(
+        adaptive(), family, [record(family, row, errors={}) for row in (0, 1)], usd_per_sample=family.price_usd_per_hour
+    )
+    assert asked.rows == ()
+    assert "raise spec.benchmark.stop" in asked.reason
+
+
 def test_waves_measure_several_at_once(family):
     asked = next_samples(adaptive(), family, [record(family, 0)], usd_per_sample=family.price_usd_per_hour, batch=3)
     assert len(set(asked.rows)) == len(asked.rows) > 1

@@ -151,14 +151,19 @@ def test_the_error_is_the_one_in_the_record_and_without_one_a_sample_says_nothin
 def test_a_sample_that_says_nothing_leaves_its_machine_as_unknown_as_others():
     catalog = offers(50)
 
-    def ratio(errors):
-        own = record(
-            float(catalog.vcpus[0]), float(catalog.memory_gib[0]), 1.0, instance=str(catalog.instance[0]), errors=errors
-        )
-        low, high = predict(fit(application(), results(own)), catalog).interval(0, 0.9)
+    def of(row, **more):
+        return record(float(catalog.vcpus[row]), float(catalog.memory_gib[row]), 1.0,
+                      instance=str(catalog.instance[row]), **more)  # fmt: skip
+
+    def ratio(*records):
+        low, high = predict(fit(application(), results(*records)), catalog).interval(0, 0.9)
         return high / low
 
-    assert ratio({"mean": 0.01}) < 1.2 < 3 < ratio({})
+    other = of(30, errors={"mean": 0.01})
+    assert ratio(of(0, errors={"mean": 0.01}), other) < 1.2
+    assert ratio(of(0, errors={}), other) == pytest.approx(ratio(other), rel=0.05)
+    assert ratio(other) > 1.3
+    assert predict(fit(application(), results(of(0, errors={}))), catalog).interval(0, 0.9) is None
 
 
 def use(cpu_mean: float, vcpus: float = 1.0, **more: float) -> ResourceUse:
