@@ -97,7 +97,7 @@ def command(
 
         known = {path: file for one in compiled for path, file in one.written().items()}
         rules.require_manifests([one.spec for one in inputs], Manifest, known)
-    if timings := [text for one in inputs for text in one.timings]:
+    if timings := [text for one in compiled if one.results is not None for text in one.inputs.timings]:
         say(f"{timings[0]}, so that check and apply refuse it", err=True)
     if prune_:
         _prune([one.layout for one in inputs], yes)

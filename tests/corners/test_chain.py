@@ -123,6 +123,9 @@ def test_a_record_that_does_not_follow_from_its_timings(done: Shell) -> None:
     (line,) = broken(done)[1]
     assert line.startswith("results are stale: aws-r1-a-small: ")
     assert "latency" in line
+    # By the rules of another spec nothing follows from them, and they are to be measured again anyway.
+    edit(done, "specs/demo.yaml", lambda text: text.replace("[python3, work.py]", "[python3, work.py, again]"))
+    assert "refuse it" not in done("compile", "specs/demo.yaml", *AT).err
     assert "is stale or was edited" in done("apply", MANIFEST, "--dry-run", code=3).err
 
 
