@@ -45,8 +45,12 @@ class Graph:
             time.sleep(0.1)
 
     def names(self) -> tuple[list[Any], list[Any]]:
-        """Return the names of all topics and nodes, which change when a node comes or goes."""
-        return sorted(self.node.get_topic_names_and_types()), self.nodes()
+        """Return all topics, each with how many publish and subscribe, and nodes: they change when one comes or goes.
+
+        A node is often known before its subscription to a topic that was there before.
+        """
+        topics, node = sorted(self.node.get_topic_names_and_types()), self.node
+        return [(*one, node.count_publishers(one[0]), node.count_subscribers(one[0])) for one in topics], self.nodes()
 
     def nodes(self) -> list[tuple[str, str]]:
         """Return namespaces and names of the visible nodes but this one and those of tools."""
