@@ -11,6 +11,7 @@ the standard library and rclpy, and the PyPI package `mcap` for mcap bags.
 
 import argparse
 import contextlib
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -196,8 +197,12 @@ def play(node: Any, sender: Topics | Service, count: int, rate: float | None, ti
     """Send requests without end, at `rate` per second or after each response or `timeout_s`."""
     import rclpy
 
-    started_s = time.monotonic()
+    started_s, gone_on = time.monotonic(), list[int]()
+    signal.signal(signal.SIGCONT, lambda got, _frame: gone_on.append(got))
     for sent, number in enumerate(there_and_back(count), start=1):
+        if gone_on and rate:  # it was held back, and does not make up for that
+            gone_on.clear()
+            started_s = time.monotonic() - (sent - 1) / rate
         answered = sender.send(number)
         until = started_s + sent / rate if rate else time.monotonic() + timeout_s
         while (left := until - time.monotonic()) > 0 and (rate or not answered()):

@@ -6,7 +6,8 @@
                              [--progress] [--secret NAME ...]
                              --process '<json>' [--process ...]
 
-A process is an argv, or a mapping `{"argv": [...], "name": ...}` with the name by which its end is reported. The processes
+A process is an argv, or a mapping `{"argv": [...], "name": ...}` with the name by which its end is reported, and `held` for
+one that sends requests and is held back while the listener wants it, and until it heard all responses at the end. The processes
 find the probe module on PYTHONPATH and append one line of JSON per request to FOGSPEC_TIMINGS (DIR/timings.jsonl). Their
 output is kept without the values of secret variables. However the sample ends, DIR/outcome.json is written unless the agent
 itself is killed: state (ok, timeout, failed), reason, detail, stopped_by, exit_codes, setup_s, duration_s, waited_s,
@@ -19,6 +20,7 @@ import contextlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -30,6 +32,7 @@ from typing import Any
 from . import machine_facts, packages, processes, redaction, ros
 from .declared import REFUSED
 from .files import open_plain, read_tail, truncate, write_new
+from .holding import HELD
 from .resources import Resources
 from .shared_memory import SharedMemory
 from .stopping import TIMINGS_LIMIT, Timings
@@ -38,6 +41,7 @@ from .stopping import TIMINGS_LIMIT, Timings
 ARCHIVE = Path(__file__).parents[1]
 POLL_S = 0.1
 PROGRESS_EVERY_S = 2.0
+ENDING_S = 60.0
 ASKS_S = 15.0  # after the first request, for a sample that is shorter
 MISNAMED = 0.1  # of the time for the first request, while only requests of other names finish
 LOG_LIMIT = 16 * 2**20
@@ -88,6 +92,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     given = [one if isinstance(one, dict) else {"argv": one} for one in options.process]
     options.process, names = [one.get("argv") for one in given], [one.get("name") for one in given]
+    options.held = [number for number, one in enumerate(given) if one.get("held")]
     others = [one for one in (options.asks, options.afterwards) if one is not None]
     if not all(map(processes.is_argv, [*options.process, *others])):
         parser.error("--process must be a JSON list of strings, or a mapping with it as argv")
@@ -106,6 +111,7 @@ class SampleRun:
         self.options, self.out, self.started_s, self.signals = options, out, started_s, signals
         self.children: list[subprocess.Popen[bytes]] = []
         self.ends, self.ended = processes.Ends(), list[int]()  # which of them have ended, in this order
+        self.held: set[int] | None = None  # the processes that are held back
         self.asks: subprocess.Popen[bytes] | None = None
         self.output = redaction.Output(options.secret)
         self.shared_memory = SharedMemory()
@@ -129,11 +135,14 @@ class SampleRun:
             waited_s = self._waited_s(stopped_by)
             server = machine_facts.between(before, machine_facts.read())
             resources = self.resources.end()
+            if state == "ok" and self.timings.hold is not None:
+                state, reason, detail, stopped_by = self._all_answered(detail, stopped_by)
             if state == "ok":
                 state, reason, detail, stopped_by = self._asked(stopped_by, detail)
         finally:
             self.resources.gpus.close()
             killed = processes.memory_kills() > kills
+            self._hold(False)
             self.shared_memory.look(processes.descendants, again=True)
             processes.finish(self.children)
             self.shared_memory.remove()
@@ -232,11 +241,18 @@ class SampleRun:
         while True:
             codes = [child.poll() for child in self.children]
             self._read()
+            self._hold(self.timings.hold)
             self._look_at_resources()
             self._print_progress()
             self.shared_memory.look(processes.descendants)
             processes.reap([*self.children, *([self.asks] if self.asks else [])])
-            end = self._refused() or self._enough() or self._exited(codes) or self._late(time.monotonic())
+            end = (
+                self._cannot()
+                or self._refused()
+                or self._enough()
+                or self._exited(codes)
+                or self._late(time.monotonic())
+            )
             if end:
                 return end
             for number in range(len(self.children)):
@@ -251,6 +267,37 @@ class SampleRun:
             return None
         self.output.settle(self.asks)
         return "failed", "not_reported", last_line(self.out / "asks.log"), "startup"
+
+    def _hold(self, back: bool | None) -> None:
+        """Hold back what sends requests, or let it go on; a file tells the listener which."""
+        if back and self.held is None:
+            roots = [self.children[number].pid for number in self.options.held]
+            self.held = set()
+            while new := {*roots, *processes.below(roots, processes.living())} - self.held:
+                self.held |= new
+                processes.send(new, signal.SIGSTOP)
+            (self.out / HELD).touch()
+        elif not back and self.held is not None:
+            (self.out / HELD).unlink(missing_ok=True)
+            processes.send(self.held, signal.SIGCONT)
+            self.held = None
+
+    def _cannot(self) -> End | None:
+        """Return that the listener cannot measure this."""
+        return None if self.timings.refused is None else ("failed", "not_reported", self.timings.refused, None)
+
+    def _all_answered(self, detail: str | None, stopped_by: str | None) -> End:
+        """Return the end of a valid sample once the listener has heard all responses, or that it has not."""
+        until_s = time.monotonic() + ENDING_S
+        while (
+            not self.timings.ended and self.timings.refused is None and not self.signals and time.monotonic() < until_s
+        ):
+            self._hold(True)
+            time.sleep(POLL_S)
+            self._read()
+        if self.timings.ended or self.timings.refused is not None:
+            return self._cannot() or ("ok", None, detail, stopped_by)
+        return "failed", "not_reported", "the listener did not say whether it heard all responses", stopped_by
 
     def _asked(self, stopped_by: str | None, detail: str | None) -> End:
         """Return the end of a valid sample once the nodes were asked; say so if their answer stays unknown."""

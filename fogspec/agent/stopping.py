@@ -15,7 +15,7 @@ from .intervals import LEVEL, STRICT, Interval, interval
 TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
 LINE_LIMIT = 2**16
-NOT_REQUESTS = {"open", "unmatched", "metric", "note", "warning"}
+NOT_REQUESTS = {"open", "unmatched", "metric", "note", "warning", "hold", "ended", "refused"}
 MOST_PROCESSES = 10_000  # that are told apart
 OTHER_NAMES = 5
 LEAST = 10  # valid requests before the first check
@@ -62,6 +62,9 @@ class Timings:
         self.awaited = callback is not None  # no request of its name has started
         self.expected: list[tuple[str, str, str]] = []  # a name, what it is, and in how many valid requests to hear it
         self.heard: dict[str, None] = {}  # names of metrics, and of scenarios behind a word
+        self.hold: bool | None = None  # whether the listener wants the senders held, if it ever did
+        self.ended = False  # it heard all responses after they were held for good
+        self.refused: str | None = None
 
     def read(self) -> bool:
         """Read new records; return True if there was at least one complete request."""
@@ -112,7 +115,12 @@ class Timings:
     def _look(self, record: dict[str, Any]) -> None:
         """Take a record that is not a request: a start is the reason why nothing is timed, until something else is."""
         name = record.get("open")
-        if "note" in record:
+        if "hold" in record:
+            self.hold = record["hold"] is True
+        self.ended = self.ended or record.get("ended") is True
+        if "refused" in record:
+            self.refused = self.refused or str(record["refused"])[:300]
+        elif "note" in record:
             self.note, self.topic = str(record["note"])[:200], record.get("misnamed") is True
         elif isinstance(why := record.get("reason"), str):
             self.note = f"{str(record.get('name'))[:100]!r} was {why[:200]}"

@@ -4,6 +4,8 @@
     python3 agent.pyz topics --action /navigate_to_pose
     python3 agent.pyz topics --metric path_length=/plan/result:path_cost
 
+With `--hold` the supervisor holds back what sends the requests before they count, and at the end (`fogspec_agent.holding`).
+
 It runs on the measured machine in its ROS 2 environment, beside the nodes, with the standard library and rclpy. Messages
 are deserialised only if a condition or a metric needs their fields; with `stamp` both types must begin with a
 std_msgs/Header. Goals are identified by their UUIDs on the action's status topic: latency is from acceptance to success.
@@ -11,11 +13,13 @@ std_msgs/Header. Goals are identified by their UUIDs on the action's status topi
 
 import argparse
 import difflib
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from .holding import HELD, Held
 from .matching import HEADER, Matcher, stamp_of
 from .records import Condition, Done, Stamp, Writer, field_of
 from .ros import listening_qos, message_of, need_rclpy
@@ -34,6 +38,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--request")
     parser.add_argument("--response")
     parser.add_argument("--match", choices=("stamp", "order", "first_request", "last_response"), default="stamp")
+    parser.add_argument("--hold", action="store_true", help="have the senders held; for --match order")
     parser.add_argument("--action")
     parser.add_argument("--success", type=Condition.parse)
     parser.add_argument("--timeout", type=float)
@@ -92,7 +97,9 @@ class Latencies:
 
     def __init__(self, listener: Listener, options: argparse.Namespace, writer: Writer) -> None:
         self.listener, self.options, self.writer = listener, options, writer
-        self.matcher, self.warn_at, self.patience_s = Matcher(options.match, options.timeout), 10, PATIENCE_S
+        self.held = Held(options.request, options.timeout) if options.hold else None
+        self.matcher = self.held or Matcher(options.match, options.timeout)
+        self.warn_at, self.patience_s = 10, PATIENCE_S
         listener.want(options.request, self._requests)
         listener.want(options.response, self._responses)
 
@@ -127,6 +134,8 @@ class Latencies:
         """Write the requests that are lost by now, warnings and hints."""
         matcher, options = self.matcher, self.options
         self._write_lost(matcher.expire(now_s))
+        if self.held is not None and (told := self.held.look(now_s, self._is_held())) is not None:
+            self.writer.line(told)
         if matcher.answered >= self.warn_at:
             self.warn_at = 2 * matcher.answered
             self.writer.warning(matcher.warning())
@@ -139,6 +148,9 @@ class Latencies:
                 return
             heard = f"{matcher.count} requests" if matcher.count else "no request"
             self.writer.line({"note": f"{heard} on {options.request}, no response to them on {options.response}"})
+
+    def _is_held(self) -> bool:
+        return os.path.exists(os.path.join(os.path.dirname(self.writer.path or ""), HELD))
 
     def _settled(self, now_s: float) -> bool:
         return self.options.match == "stamp" or now_s - self.listener.complete_s > SETTLE_S

@@ -27,7 +27,7 @@ from fogspec.language import warned as codes
 from fogspec.language.launch_text import has_substitution, needs_launch
 from fogspec.language.lockfile import registry_login
 from fogspec.language.named_files import measurement_sends_files
-from fogspec.language.probe import module, optional, player, probe_parts
+from fogspec.language.probe import holds, module, optional, player, probe_parts
 from fogspec.language.schema import Application, ComposableNode, Node, Spec
 from fogspec.language.warned import Warned, warned
 from fogspec.plan.commitment import Commitment, engine_settings
@@ -216,7 +216,10 @@ def measured_processes(spec: Spec) -> list[list[str] | dict[str, Any]]:
     """Return every process of a sample: listeners, cloud nodes, and the client unless a node is the client."""
     client, inside = spec.benchmark.workload.node, probe_parts(spec).inside
     nodes = [{"argv": [*inside, *command(node)], "name": label(node)} for node in spec.cloud]
-    clients = [{"argv": command(client), "name": label(client)}] if client else []
+    clients: list[dict[str, Any]] = [{"argv": command(client), "name": label(client)}] if client else []
+    if holds(spec):
+        held = [{**one, "held": True} for one in (*clients, *({"argv": argv} for argv in player(spec)))]
+        return [*listener(spec), *nodes, *held]
     return [*listener(spec), *nodes, *clients, *player(spec)]
 
 

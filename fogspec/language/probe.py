@@ -68,8 +68,18 @@ def probe_parts(spec: Spec) -> ProbeParts:
     if via(probe) == "preload":
         listener = module("topics", *metrics)
         return ProbeParts(beside=(listener,) if metrics else (), inside=(*module("preload", *watched), "--"))
-    words = (*watched, *(_limits(probe) if kind == "topics" else ()), *metrics)
+    held = ("--hold",) if holds(spec) else ()
+    words = (*watched, *held, *(_limits(probe) if kind == "topics" else ()), *metrics)
     return ProbeParts(beside=(module("topics", *words),) if words else ())
+
+
+def holds(spec: Spec) -> bool:
+    """Return whether what sends the requests is held back until nothing is under way: matched by order, they have no stamp.
+
+    A bag without a rate is played one request after the other.
+    """
+    workload, probe = spec.benchmark.workload, spec.probe
+    return via(probe) == "rclpy" and probe.match == "order" and (workload.node is not None or workload.rate is not None)
 
 
 def optional(inside: tuple[str, ...], argv: list[str]) -> list[str]:

@@ -4,6 +4,7 @@ The real matcher, writer, reader and record; requests are matched by stamp, and 
 """
 
 import json
+import math
 import random
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from fogspec.agent.holding import Held
 from fogspec.agent.matching import Matcher
 from fogspec.agent.records import Writer
 from fogspec.backends.protocol import SampleStatus
@@ -106,3 +108,87 @@ def test_by_stamp_a_pipeline_is_measured_within_a_tenth_of_its_period_or_refused
     elif pipeline.stamps == "unique":
         assume(made.state != "timeout")
         assert pipeline.lost or pipeline.unheard or pipeline.twice, made.detail
+
+
+@dataclass(kw_only=True)
+class Line:
+    """A pipeline without stamps that may be held: what a listener hears, which is in its order."""
+
+    period_s: float
+    delay: float
+    jitter: float
+    lost: float
+    twice: float
+    under_way: int  # requests when the listener joins
+    chance: random.Random
+    true_s: list[float]
+    events: list[tuple[float, str]]
+
+    def send(self, now_s: float) -> None:
+        latency_s = self.period_s * max(0.01, self.delay + self.jitter * self.chance.uniform(-1, 1))
+        self.events.append((now_s, ">"))
+        if self.chance.random() >= self.lost:
+            latest_s = max((at_s for at_s, what in self.events if what == "<"), default=-math.inf)
+            at_s = max(now_s + latency_s, latest_s)  # nothing overtakes
+            self.true_s.append(at_s - now_s)
+            self.events += [(at_s, "<")] * (1 + (self.chance.random() < self.twice))
+
+
+def held(line: Line, count: int, others: float = 0.0) -> tuple[list[float], str | None]:
+    """The latencies that the listener writes, or why it refuses the sample; the supervisor holds the sender as it asks.
+
+    `others` is the period of a sender that is not held.
+    """
+    matcher, found, is_held, wanted, over = Held("/words"), list[float](), False, False, False
+    for n in range(line.under_way):
+        line.send(-line.period_s * (line.under_way - n))
+    line.events = [one for one in line.events if one[0] >= 0]
+    step_s, next_s, next_other_s, heard_s = 0.05, 0.0, others or math.inf, -1.0
+    for tick in range(200_000):
+        now_s = tick * step_s
+        is_held = wanted or over  # as the supervisor sees a step later
+        while next_s <= now_s:
+            if not is_held:
+                line.send(next_s)
+            next_s += line.period_s
+        while next_other_s <= now_s:
+            line.send(next_other_s)
+            next_other_s += others
+        for at_s, what in sorted(one for one in line.events if heard_s < one[0] <= now_s):
+            if what == ">":
+                matcher.take_request(None, at_s)
+            elif (done := matcher.take_response(None, at_s)) is not None and done.latency_s is not None:
+                found.append(done.latency_s)
+        heard_s = now_s
+        told = matcher.look(now_s, is_held) or {}
+        wanted = told.get("hold", wanted)
+        over = over or len(found) >= count
+        if "refused" in told or "ended" in told:
+            return found, told.get("refused")
+    return found, "no end"
+
+
+lines = st.builds(
+    Line,
+    period_s=st.sampled_from([0.05, 0.1, 0.33, 1.0, 5.0]),
+    delay=st.floats(0.01, 10),
+    jitter=st.floats(0, 2),
+    lost=st.sampled_from([0.0, 0.0, 0.01, 0.3]),
+    twice=st.sampled_from([0.0, 0.0, 0.01]),
+    under_way=st.integers(0, 20),
+    chance=st.integers(0, 10**6).map(random.Random),
+    true_s=st.builds(list),
+    events=st.builds(list),
+)
+
+
+@pytest.mark.slow
+@given(lines, st.sampled_from([0.0, 0.0, 0.0, 0.25]))
+@settings(deadline=None, max_examples=300)
+def test_by_order_a_pipeline_is_measured_within_a_tenth_of_its_period_or_refused(line: Line, others: float) -> None:
+    found, why = held(line, 60, others * line.period_s)
+    if why is None:
+        assert not others
+        assert found == pytest.approx(line.true_s[-len(found) :], abs=0.1 * line.period_s)
+    elif not (line.lost or line.twice or others) and line.jitter <= 0.5:
+        assert line.period_s * max(2, line.delay + line.jitter) > 4, why

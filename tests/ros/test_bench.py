@@ -130,6 +130,35 @@ def test_a_bag_that_the_nodes_record_is_read_afterwards(net: Net) -> None:
     assert milliseconds(sample["latency"]["p50"]) == pytest.approx(busy_ms, abs=15)
 
 
+@pytest.mark.parametrize("late_s", [0.05, 0.25, 0.45])
+@undisturbed
+def test_requests_without_stamps_are_paired_from_a_moment_when_none_is_under_way(net: Net, late_s: float) -> None:
+    """At 10/s as many as four are under way when the listener joins, and a talker makes up for the time that it was held."""
+    spec = {
+        "cloud": [node("words", "answer", late_s)],
+        "probe": {"request": "/words", "response": "/said", "match": "order"},
+        "benchmark": {"workload": {"node": node("words", "talk", 10)}, "stop": {"requests": 40, "duration": "30s"}},
+    }  # fmt: skip
+    sample, lines = bench(net, spec)
+    assert sample["state"] == "ok", sample
+    assert sample["failed_requests"] == 0
+    assert milliseconds(sample["latency"]["p50"]) == pytest.approx(1000 * late_s, abs=10)
+    assert [line["hold"] for line in lines if "hold" in line] == [True, False]
+    assert lines[-1] == {"ended": True}
+
+
+@undisturbed
+def test_requests_without_stamps_from_more_than_the_workload_are_refused(net: Net) -> None:
+    spec = {
+        "cloud": [node("words", "answer", 0.05), node("words", "talk", 10)],
+        "probe": {"request": "/words", "response": "/said", "match": "order"},
+        "benchmark": {"workload": {"node": node("words", "talk", 7)}, "stop": {"requests": 40, "duration": "30s"}},
+    }  # fmt: skip
+    sample, _ = bench(net, spec)
+    assert (sample["state"], sample["reason"]) == ("failed", "not_reported")
+    assert "requests on /words come while the workload is held, from others than it" in sample["detail"]
+
+
 BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     "a topic that never answers": (
         {"probe": TOPICS, "words": ["topic", "--silent"]}, "no_response", "on /imu, no response to them on /pose",

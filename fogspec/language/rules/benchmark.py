@@ -64,7 +64,7 @@ def kind_of_probe(application: Application) -> Iterator[Finding]:
 def ways_to_watch(application: Application) -> Iterator[Finding]:
     """Reject what the chosen way of watching cannot observe."""
     probe, at = application.spec.probe, ("spec", "probe")
-    kind, via = kind_of(probe), probe.via
+    kind, via, workload = kind_of(probe), probe.via, application.spec.benchmark.workload
     if via is not None and kind in ("callback", "bag"):
         yield Finding(
             "FS525",
@@ -90,7 +90,29 @@ def ways_to_watch(application: Application) -> Iterator[Finding]:
             "write 'stamp' or 'order'",
             ((*at, "via"),),
         )
-    played = kind == "service" and application.spec.benchmark.workload.bag is not None
+    if (
+        kind == "topics"
+        and via != "preload"
+        and probe.match == "order"
+        and workload.node is None
+        and workload.bag is None
+    ):
+        yield Finding(
+            "FS525",
+            (*at, "match"),
+            "match: order needs to hold back what sends the requests until none is under way, and the spec does not have it",
+            "add spec.benchmark.workload, which sends them, or write 'stamp', or add 'via: preload'",
+            ((*at, "request"),),
+        )
+    if kind == "bag" and probe.match == "order":
+        yield Finding(
+            "FS525",
+            (*at, "match"),
+            "match: order cannot know how many requests were under way when the nodes began to record spec.probe.bag",
+            "write 'stamp', or remove the bag: the requests are timed as they come",
+            ((*at, "bag"),),
+        )
+    played = kind == "service" and workload.bag is not None
     if probe.success is not None and not played and (kind not in ("topics", "bag") or via == "preload"):
         message = (
             "spec.probe.success is judged by who hears the response: a subscriber, or the player of a service's bag"

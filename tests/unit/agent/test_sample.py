@@ -487,3 +487,84 @@ def test_what_the_nodes_answer_decides_whether_the_sample_counts(tmp_path, asks,
         stopped_by,
         detail,
     ]
+
+
+TALK = """
+number = 0
+while True:
+    with open({path!r}, "a") as words: words.write(f"> {{number}}\\n")
+    number += 1
+    time.sleep(0.05)
+"""
+ANSWER = """
+due, rest = [], ""
+open({path!r}, "a").close()
+heard = open({path!r})
+while True:
+    rest += heard.read()
+    *lines, rest = rest.split("\\n")
+    due += [(time.monotonic() + 0.2, line[2:]) for line in lines if line[0] == ">"]
+    while due and due[0][0] <= time.monotonic():
+        with open({path!r}, "a") as words: words.write(f"< {{due.pop(0)[1]}}\\n")
+    time.sleep(0.005)
+"""
+# It joins when some are under way, and pairs in order what it hears; that the numbers agree is what is timed.
+LISTEN = """
+from fogspec_agent.holding import HELD, Held
+from fogspec_agent.records import Writer
+heard, writer, numbers, out = Held("/words"), Writer("/said"), {{}}, os.path.dirname(os.environ["FOGSPEC_TIMINGS"])
+while not os.path.exists({path!r}) or open({path!r}).read().count("<") < 5: time.sleep(0.01)
+words = open({path!r})
+words.seek(0, 2)
+words.readline()
+rest = ""
+while True:
+    now_s = time.monotonic()
+    rest += words.read()
+    *lines, rest = rest.split("\\n")
+    for line in lines:
+        now_s += 1e-6
+        if line[0] == ">":
+            numbers[now_s] = line[2:]
+            heard.take_request(None, now_s)
+        elif (done := heard.take_response(None, now_s)) is not None:
+            say(done.latency_s, ok=numbers[done.start_s] == line[2:])
+    told = heard.look(now_s, os.path.exists(os.path.join(out, HELD)))
+    told and writer.line(told)
+    time.sleep(0.01)
+"""
+
+
+def held(tmp_path: Path, *scripts: str, **more):
+    """A sample whose last process is the one that sends."""
+    *others, sender = [TIMED + script.format(path=str(tmp_path / "words")) for script in scripts]
+    given = [json.dumps([sys.executable, "-c", script]) for script in others]
+    given.append(json.dumps({"argv": [sys.executable, "-c", sender], "name": "talk", "held": True}))
+    return run(tmp_path, **more, extra=[word for one in given for word in ("--process", one)])
+
+
+def test_a_sender_is_held_until_nothing_is_under_way_and_again_at_the_end(tmp_path):
+    outcome = held(tmp_path, LISTEN, ANSWER, TALK, steps=30)
+    assert (outcome["state"], outcome["stopped_by"]) == ("ok", "steps"), outcome
+    lines = [json.loads(line) for line in (tmp_path / "out" / "timings.jsonl").read_text().splitlines()]
+    assert [one["hold"] for one in lines if "hold" in one] == [True, False]
+    assert lines[-1] == {"ended": True}
+    assert all(one["ok"] for one in lines if "latency_s" in one)
+    assert not (tmp_path / "out" / "held").exists()
+
+
+def test_what_a_listener_refuses_is_not_measured(tmp_path):
+    outcome = held(tmp_path, LISTEN, ANSWER, TALK, TALK, steps=30)
+    assert (outcome["state"], outcome["reason"]) == ("failed", "not_reported")
+    assert "requests on /words come while the workload is held" in outcome["detail"]
+
+
+def test_a_sender_that_is_held_when_the_sample_ends_is_ended(tmp_path):
+    wants = """
+with open(os.environ["FOGSPEC_TIMINGS"], "a") as f: f.write(json.dumps({{"hold": True}}) + "\\n")
+time.sleep(3600)
+"""
+    pid = f"open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(3600)"
+    outcome = held(tmp_path, wants, pid, startup=5.0)
+    assert outcome["reason"] == "no_response"
+    assert not Path("/proc", (tmp_path / "pid").read_text()).exists()

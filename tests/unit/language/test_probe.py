@@ -74,6 +74,28 @@ def test_only_the_measured_nodes_have_the_library_in_their_process() -> None:
 
 
 @pytest.mark.parametrize(
+    ("probe", "workload", "held"),
+    [
+        ({"match": "order"}, {"node": {"cmd": ["client"]}}, 1),
+        ({"match": "order"}, {"bag": "drive", "rate": "5/s"}, 1),
+        ({"match": "order"}, {"bag": "drive"}, 0),  # one request after the other
+        ({"match": "order", "via": "preload"}, {"node": {"cmd": ["client"]}}, 0),  # inside of the node from its start
+        ({}, {"node": {"cmd": ["client"]}}, 0),
+    ],
+)
+def test_what_sends_requests_without_stamps_is_held(probe: dict, workload: dict, held: int) -> None:
+    one = spec({**TOPICS, **probe}, benchmark={"budget": "$1", "workload": workload})
+    processes = measured_processes(one)
+    assert len([each for each in processes if isinstance(each, dict) and each.get("held")]) == held
+    assert [word for argv in probe_parts(one).beside for word in argv].count("--hold") == held
+    assert (
+        processes[-1] == {"argv": processes[-1]["argv"], "name": "client", "held": True}
+        if held and "node" in workload
+        else True
+    )
+
+
+@pytest.mark.parametrize(
     ("probe", "workload", "expected"),
     [
         (TOPICS, {"bag": "drive"}, ["--bag", "drive", "--request", "/in", "--response", "/out"]),

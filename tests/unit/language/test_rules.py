@@ -29,12 +29,22 @@ def said(
     ("change", "codes"),
     [
         ({}, []),
-        ({"probe": "{ request: /a, response: /b, match: order }", "more": ROS}, []),
+        ({"probe": "{ request: /a, response: /b, match: order }", "more": ROS}, ["FS525"]),
+        ({"probe": "{ request: /a, response: /b, match: order, via: preload }", "more": ROS}, []),
+        (
+            {
+                "probe": "{ request: /a, response: /b, match: order }",
+                "more": ROS,
+                "benchmark": "{ budget: $1, workload: { node: { cmd: [talk] } } }",
+            },
+            [],
+        ),
         ({"probe": "{ request: /a, response: /b, callback: c, service: /s }"}, ["FS511", "FS511"]),
         ({"probe": "{ response: /b }"}, ["FS512"]),
         ({"probe": "{ service: /s, timeout: 2s }", "more": ROS}, []),
         ({"probe": "{ action: /a, via: preload }", "more": ROS}, []),
         ({"probe": "{ bag: run, request: /a, response: /b, success: 'len(poses) > 0' }", "more": ROS}, []),
+        ({"probe": "{ bag: run, request: /a, response: /b, match: order }", "more": ROS}, ["FS525"]),
         ({"probe": "{ bag: run }"}, ["FS512"]),
         ({"probe": "{ bag: run, callback: c }"}, ["FS511"]),
         ({"probe": "{ bag: run, request: /a, response: /b, via: preload }", "more": ROS}, ["FS525"]),
