@@ -341,6 +341,7 @@ class SampleRun:
 
     def _exited(self, codes: list[int | None]) -> End | None:
         if self.signals:
+            self._read()  # what was measured by then is not cut off
             return "failed", "interrupted", f"ended by {processes.signal_name(self.signals[0])}", "signal"
         self.ended += map(self.children.index, self.ends.new())
         for place, number in enumerate(self.ended):
