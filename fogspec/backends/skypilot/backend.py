@@ -477,7 +477,7 @@ def _launched_s(job: Job) -> float:
 def _failed(watch: Watch, problem: CloudProblem) -> SampleStatus:
     """Return the status after a failed call: ended if the machine is unavailable or gone, else still running."""
     if watch.stage in (Stage.LAUNCH, Stage.FIND, Stage.LAUNCHED):
-        billed_s = 0.0 if problem.reason in NO_MACHINE else None
+        billed_s = 0.0 if problem.reason in NO_MACHINE and not problem.up else None
         status = replace(watch.status, running=False, again=problem.again, detail=problem.detail, billed_s=billed_s)
         return replace(status, lost=True) if problem.gone else replace(status, reason=problem.reason)
     if problem.gone:

@@ -25,9 +25,19 @@ REFUSAL = re.compile(
 NO_ANSWER = re.compile(r'(?:(?:Read|Connect) timeout on|Could not connect to the) endpoint URL: "[^"]*"')
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
+# What programs on the machine, which is there by then, say of files, keys and servers of their own: no provider's refusal.
+PROGRAMS = re.compile(
+    r"Permission denied \([^)]*\)|Permission denied, please try again|Disk quota exceeded|toomanyrequests[^\n]*"
+    r"|^[^\n]*(?:\b(?:ssh|scp|rsync|pip3?|curl|wget|git|rosdep|dpkg)\b[^:\n]{0,40}:"
+    r"|\bHTTP [Ee]rror \d{3}|\d{3} Client Error)[^\n]*"
+    r"|^\s*(?:E|W|N|Err):[^\n]*",
+    re.MULTILINE,
+)
 # The first match decides: a quota is often reported as a lack of capacity, never the other way round. Too many requests
 # at once are not quota: they are answered soon.
 WORDS: tuple[tuple[Reason, bool, str], ...] = (
+    # Compute Engine on series without that disk; Azure on sizes whose disks its image cannot read.
+    ("setup", False, r"features are not compatible|cannot boot with OS image or disk"),
     ("capacity", True, r"RequestLimitExceeded|Throttling"),
     ("quota", False, r"quota|LimitExceeded|MaxSpotInstanceCount|limit of .{0,40}(instances|vcpus)|exceeded.{0,20}limit"
                      r"|EnforcePartLimits|AssocGrp|QOSMax|QOSGrp"),
@@ -47,6 +57,11 @@ REGISTRY_REFUSES = re.compile(
 ACCESS = re.compile(
     r"credential|not enabled|no cloud access|unauthorized|permission denied|sky check"
     r"|ExpiredToken|RequestExpired|AuthFailure|InvalidClientTokenId"
+    # The account itself, of AWS, Google Cloud, Azure.
+    r"|AccessDenied|OptInRequired|PendingVerification|\(Blocked\)|\bBlocked:|eligible for Free Tier"
+    r"|No default VPC|VPCIdNotSpecified|Required '[\w.]+' permission|PERMISSION_DENIED|SERVICE_DISABLED"
+    r"|has not been used in project|Constraint constraints/"
+    r"|AuthorizationFailed|MissingSubscriptionRegistration|ReadOnlyDisabledSubscription|RequestDisallowedByPolicy"
     r"|\b(?:is|are) forbidden: User|Reason: Forbidden",  # Kubernetes: the namespace gives no right
     re.IGNORECASE,
 )
@@ -70,11 +85,18 @@ class CloudProblem(Exception):
     """A call that SkyPilot refused or could not carry out.
 
     `again`: a retry can help soon. `gone`: the requested machine does not exist. `contact`: there was no answer, so the state
-    is unknown.
+    is unknown. `up`: programs on the machine, or that log in to it, said something, so it was there.
     """
 
     def __init__(
-        self, reason: Reason, detail: str, *, again: bool = False, gone: bool = False, contact: bool = False
+        self,
+        reason: Reason,
+        detail: str,
+        *,
+        again: bool = False,
+        gone: bool = False,
+        contact: bool = False,
+        up: bool = False,
     ) -> None:
         super().__init__(detail)
         self.reason = reason
@@ -82,16 +104,17 @@ class CloudProblem(Exception):
         self.again = again
         self.gone = gone
         self.contact = contact
+        self.up = up
 
     def to_dict(self) -> dict[str, Any]:
         """Return the problem as JSON values."""
-        return {name: getattr(self, name) for name in ("reason", "detail", "again", "gone", "contact")}
+        return {name: getattr(self, name) for name in ("reason", "detail", "again", "gone", "contact", "up")}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "CloudProblem":
         """Return the problem from the values of `to_dict`."""
         reason: Reason = values["reason"] if values.get("reason") in get_args(Reason) else "setup"
-        flags = {name: bool(values.get(name)) for name in ("again", "gone", "contact")}
+        flags = {name: bool(values.get(name)) for name in ("again", "gone", "contact", "up")}
         return cls(reason, str(values.get("detail", "")), **flags)
 
 
@@ -103,19 +126,19 @@ def classify(problem: BaseException, log: str = "") -> CloudProblem:
     """
     if isinstance(problem, CloudProblem):
         return problem
-    kinds = {kind.__name__ for one in _causes(problem) for kind in type(one).__mro__}
+    kinds = {kind for one in _causes(problem) for kind in _kinds(one)}
     said = [plain(str(one)) for one in _causes(problem)]
     refusals = [
         f"{found['code']}: {found['why'].strip()}" for text in (plain(log), *said) for found in REFUSAL.finditer(text)
     ]
     refusals += NO_ANSWER.findall(plain(log))
     text = "\n".join(dict.fromkeys([*refusals, *said]))
-    detail = _detail(problem, text)
+    detail, up, text = _detail(problem, text), PROGRAMS.search(text) is not None, PROGRAMS.sub("", text)
     if kinds & GONE:
         return CloudProblem("capacity", detail, gone=True)
     for reason, again, words in WORDS:
         if re.search(words, text, re.IGNORECASE):
-            return CloudProblem(reason, detail, again=again)
+            return CloudProblem(reason, detail, again=again, up=up)
     if kinds & CONTACT or SERVER.search(text):
         return CloudProblem("setup", detail, again=True, contact=True)
     if CONTAINER in text:
@@ -124,12 +147,19 @@ def classify(problem: BaseException, log: str = "") -> CloudProblem:
             "image" if pulled else "setup", detail, again=not (pulled and REGISTRY_REFUSES.search(text))
         )
     if "NoCloudAccessError" in kinds or ACCESS.search(text):
-        return CloudProblem("access", detail)
+        return CloudProblem("access", detail, up=up)
     if "ResourcesUnavailableError" in kinds:
-        return CloudProblem("capacity", detail, again=bool(getattr(problem, "failover_history", None)))
+        tried = getattr(problem, "failover_history", None) or ()
+        if tried and all(kind & (UNFIT - {"ValueError"}) for kind in map(_kinds, tried)):
+            return CloudProblem("setup", detail)  # what its cloud, or SkyPilot there, never has
+        return CloudProblem("capacity", detail, again=bool(tried), up=up)
     if kinds & SETUP:
         return CloudProblem("setup", detail, again=True)
     return CloudProblem("setup", detail, again=not kinds & UNFIT)
+
+
+def _kinds(problem: BaseException) -> set[str]:
+    return {kind.__name__ for kind in type(problem).__mro__}
 
 
 def _causes(problem: BaseException) -> Iterator[BaseException]:

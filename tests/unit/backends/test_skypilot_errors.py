@@ -69,6 +69,80 @@ def test_reasons(problem: Exception, reason: str, again: bool) -> None:
     assert found.detail
 
 
+def unsupported(*texts: str) -> Exception:
+    problem = raised("ResourcesUnavailableError", ALL_FAILED)
+    problem.failover_history = [raised("NotSupportedError", text) for text in texts]
+    return problem
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "An error occurred (AccessDenied) when calling the CreateRole operation: User is not authorized",
+        "OptInRequired: You are not subscribed to this service.",
+        "PendingVerification: Your request for accessing resources in this region is being validated",
+        "Blocked: This account is currently blocked and not recognized as a valid account.",
+        "InvalidParameterCombination: The specified instance type is not eligible for Free Tier.",
+        "VPCIdNotSpecified: No default VPC for this user",
+        "Required 'compute.instances.create' permission for 'projects/mine/zones/us-central1-a/instances/x'",
+        "{'status': 'PERMISSION_DENIED', 'message': 'Permission denied on resource project mine'}",
+        "Compute Engine API has not been used in project 1 before or it is disabled.",
+        "Constraint constraints/compute.vmExternalIpAccess violated for project 1.",
+        "(AuthorizationFailed) The client does not have authorization to perform action",
+        "MissingSubscriptionRegistration: The subscription is not registered to use namespace 'Microsoft.Compute'.",
+        "ReadOnlyDisabledSubscription: The subscription is disabled and therefore marked as read only.",
+        "RequestDisallowedByPolicy: Resource 'x' was disallowed by policy.",
+    ],
+)
+def test_what_an_account_may_not_is_access_and_not_a_lack_of_machines(text: str) -> None:
+    found = classify(raised("ResourcesUnavailableError", ALL_FAILED, (text,)))
+    assert (found.reason, found.again) == ("access", False)
+    assert text[:30] in found.detail
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "me@203.0.113.7: Permission denied (publickey).",
+        'rsync: [receiver] mkstemp "/home/me/.x" failed: Permission denied (13)',
+        "tar: agent.pyz: Cannot write: Disk quota exceeded",
+        "E: Failed to fetch https://ppa.example.org/InRelease  401  Unauthorized [IP: 192.0.2.1 443]",
+        "ERROR: HTTP error 401 while getting https://pypi.example.org/simple/ray/: Unauthorized",
+        "curl: (22) The requested URL returned error: 403 Forbidden, no credential",
+        "Error response from daemon: toomanyrequests: You have reached your unauthenticated pull rate limit, quota exceeded",
+    ],
+)
+@pytest.mark.parametrize("kind", ["CommandError", "ResourcesUnavailableError", "ClusterSetUpError"])
+def test_what_programs_on_the_machine_say_is_no_refusal_of_its_provider(kind: str, text: str) -> None:
+    """A machine is up by then: that all others of the cloud are refused, too, does not follow."""
+    found = classify(raised(kind, text) if kind != "ResourcesUnavailableError" else raised(kind, ALL_FAILED, (text,)))
+    assert found.reason == ("capacity" if kind == "ResourcesUnavailableError" else "setup")
+    assert found.again
+    assert found.reason == "setup" or found.up, "what was up is paid"
+    assert text.strip() in found.detail
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        raised("ResourcesUnavailableError", ALL_FAILED,
+               ("[pd-balanced] features are not compatible for creating instance.",)),
+        raised("ResourcesUnavailableError", ALL_FAILED,
+               ("The VM size 'Standard_D2s_v6' cannot boot with OS image or disk. Please check that disk controller types",)),
+        unsupported("Autodown is not supported on Verda.", "Docker image is not supported on Verda."),
+    ],
+)  # fmt: skip
+def test_what_a_cloud_never_has_is_not_tried_again(problem: Exception) -> None:
+    found = classify(problem)
+    assert (found.reason, found.again) == ("setup", False)
+
+
+def test_what_one_of_two_clouds_never_has_may_come_from_the_other() -> None:
+    both = unsupported("Autodown is not supported on Verda.")
+    both.failover_history.append(Exception("ZONE_RESOURCE_POOL_EXHAUSTED"))
+    assert (classify(both).reason, classify(both).again) == ("capacity", True)
+
+
 def test_a_machine_that_is_not_there_and_silence_are_no_reasons() -> None:
     assert classify(raised("ClusterDoesNotExist", "Cluster 'fogspec-x' does not exist.")).gone
     assert classify(raised("ApiServerConnectionError", "Could not connect to SkyPilot API server")).contact
@@ -110,7 +184,7 @@ def test_what_the_provider_answered_is_told_where_only_the_log_has_it() -> None:
 
 
 def test_a_problem_survives_the_pipe() -> None:
-    problem = CloudProblem("image", "no such image", again=True, gone=True)
+    problem = CloudProblem("image", "no such image", again=True, gone=True, up=True)
     assert CloudProblem.from_dict(problem.to_dict()).to_dict() == problem.to_dict()
     assert CloudProblem.from_dict({"reason": "rm -rf", "detail": 3}).to_dict()["reason"] == "setup"
 

@@ -120,5 +120,7 @@ def test_a_job_ended_for_want_of_memory_is_told_from_others(tmp_path: Path) -> N
     log = tmp_path / "run.log"
     log.write_bytes(b"slurmstepd: error: Detected 1 oom_kill event in StepId=7.3.\n")
     assert logs.out_of_memory(ProjectFiles(tmp_path), log)
+    log.write_bytes(b"ray.exceptions.OutOfMemoryError: Task was killed due to the node running low on memory.\n")
+    assert logs.out_of_memory(ProjectFiles(tmp_path), log)
     log.write_bytes(b"Segmentation fault\n")
     assert not logs.out_of_memory(ProjectFiles(tmp_path), log)

@@ -114,6 +114,7 @@ def test_a_machine_that_goes_away_takes_its_results_with_it(bed):
     [
         (CloudProblem("quota", "VcpuLimitExceeded"), False, 0.0),
         (CloudProblem("capacity", "none left", again=True), True, 0.0),
+        (CloudProblem("capacity", "Permission denied (publickey).", again=True, up=True), True, None),
         (CloudProblem("image", "manifest unknown"), False, None),
     ],
 )
