@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, TypeGuard
 
-from fogspec.agent.stopping import WarmUp
+from fogspec.agent.stopping import NOT_REQUESTS, WarmUp
 from fogspec.base.files import open_untrusted
 from fogspec.base.quantities import Bounds
 from fogspec.base.units import UnitError, shown_duration
@@ -21,7 +21,7 @@ from fogspec.results.ranges import CLOCK_S, COUNT, METRIC, REQUEST_S, SIZE_LIMIT
 LINE_LIMIT = 64 * 2**10
 LINES_LIMIT = 1_000_000
 OTHER_NAMES = 5
-OTHER = {"open", "unmatched", "note", "warning"}
+OTHER = NOT_REQUESTS - {"metric"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -142,6 +142,7 @@ def test_requests_without_stamps_are_paired_from_a_moment_when_none_is_under_way
     sample, lines = bench(net, spec)
     assert sample["state"] == "ok", sample
     assert sample["failed_requests"] == 0
+    assert "unreadable" not in (sample.get("detail") or "")
     assert milliseconds(sample["latency"]["p50"]) == pytest.approx(1000 * late_s, abs=10)
     assert [line["hold"] for line in lines if "hold" in line] == [True, False]
     assert lines[-1] == {"ended": True}

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.agent import processes, ros, sample, stopping
+from fogspec.results.requests import RecordRules, parse_requests
 from tests.support.agent import AGENT
 
 SAMPLE = [sys.executable, str(AGENT), "sample"]
@@ -550,6 +551,8 @@ def test_a_sender_is_held_until_nothing_is_under_way_and_again_at_the_end(tmp_pa
     assert [one["hold"] for one in lines if "hold" in one] == [True, False]
     assert lines[-1] == {"ended": True}
     assert all(one["ok"] for one in lines if "latency_s" in one)
+    with open(tmp_path / "out" / "timings.jsonl", "rb") as file:
+        assert parse_requests(file, RecordRules(warmup=1, valid=0.95, statistic="mean")).unreadable == 0
     assert not (tmp_path / "out" / "held").exists()
 
 
