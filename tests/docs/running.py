@@ -30,6 +30,10 @@ BEGINS, ENDS = "\x1e", "\x1f"
 LONGEST_S = 1200
 NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 # What a bench warns of on a busy computer.
+# What bench says of requests that a busy host slowed down for a while.
+UNSTEADY = re.compile(
+    r" \((?:the (?:first|second) half was|one of \d+ requests took|requests \d+ to \d+ of \d+ took) [^)]*\)(?=\n)"
+)
 BUSY = re.compile(
     r"^(?:warning: load [\d.]+ on \d+ CPUs: .*\n|[! ]*warning: (?:sample \S+:\s+)?contended: .*\n(?:    (?! |warning: ).*\n)*)",
     re.MULTILINE,
@@ -96,7 +100,8 @@ def run(
 
 def _printed(text: str) -> list[str]:
     """The lines, without what depends on what else runs on this machine."""
-    return BUSY.sub("", f"{text}\n").removesuffix("\n").replace(" ok, contended: ", " ok: ").splitlines()
+    calm = UNSTEADY.sub("", BUSY.sub("", f"{text}\n")).removesuffix("\n")
+    return calm.replace(" ok, contended: ", " ok: ").splitlines()
 
 
 def _script(page: Path, path: Path) -> list[Step]:
