@@ -209,7 +209,7 @@ def title_of(choice: Choice) -> str:
     name, limits = _name(choice, row), limits_words(choice)
     if choice.latency.posterior is None:
         few = choice.latency.measured.any()
-        return f"{name} looks best; {'too few requests tell how sure' if few else 'no cloud machine was measured'}"
+        return f"{name} looks best; {'too few requests to say how sure' if few else 'no cloud machine was measured'}"
     if not choice.satisfied[row]:
         return f"{name} is the relaxed method's choice, but misses a limit"
     machines = f"of {count(int(choice.eligible.sum()), 'machine')}"

@@ -221,7 +221,7 @@ def why_open(menu: Menu) -> list[str]:
     costs = f"costs at most {units.dollars(one.usd)}" if one.usd else "is free"
     match one.cause:
         case "unknown" if one.measured:
-            said = f"not settled: too few requests tell how far their {menu.spec.statistic} is from that of more"
+            said = f"not settled: too few requests to say how sure their {menu.spec.statistic} is"
             return [
                 said,
                 "no probability is known: raise spec.benchmark.stop, or set spec.constraints.confidence: none",

@@ -59,7 +59,7 @@ def test_where_no_sample_tells_its_error_more_of_them_decide_nothing(shell: Shel
     write(shell, [sample(name, latency, errors={}) for name, latency in CLOSE])
     ended = shell(*COMPILE, code=7)
     assert opened(shell)["cause"] == "unknown"
-    assert "not settled: too few requests tell how far their mean is from that of more" in ended.err
+    assert "not settled: too few requests to say how sure their mean is" in ended.err
     assert "raise spec.benchmark.stop" in ended.out
     assert "how far the mean of aws-r1-a-small, aws-r1-a-large is" in ended.err + ended.out
     assert "[" not in ended.out
@@ -67,7 +67,7 @@ def test_where_no_sample_tells_its_error_more_of_them_decide_nothing(shell: Shel
     assert "a sample of" not in shell("bench", "specs/demo.yaml", "--dry-run").out
     project(shell, **(BOX | {"benchmark": LIST, "constraints": "{latency: 1s, confidence: none}"}))
     shell(*COMPILE)
-    assert "too few requests tell how sure" in shell.read("compiled/demo/menu.svg")
+    assert "too few requests to say how sure" in shell.read("compiled/demo/menu.svg")
 
 
 @pytest.mark.parametrize(("again_s", "code"), [(0.93, 0), (0.98, 4)])

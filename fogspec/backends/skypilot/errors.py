@@ -29,7 +29,7 @@ ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 PROGRAMS = re.compile(
     r"Permission denied \([^)]*\)|Permission denied, please try again|Disk quota exceeded|toomanyrequests[^\n]*"
     r"|^[^\n]*(?:\b(?:ssh|scp|rsync|pip3?|curl|wget|git|rosdep|dpkg)\b[^:\n]{0,40}:"
-    r"|\bHTTP [Ee]rror \d{3}|\d{3} Client Error)[^\n]*"
+    r"|\bHTTP error \d{3} while|\d{3} Error, Credentials)[^\n]*"
     r"|^\s*(?:E|W|N|Err):[^\n]*",
     re.MULTILINE,
 )
@@ -37,7 +37,7 @@ PROGRAMS = re.compile(
 # at once are not quota: they are answered soon.
 WORDS: tuple[tuple[Reason, bool, str], ...] = (
     # Compute Engine on series without that disk; Azure on sizes whose disks its image cannot read.
-    ("setup", False, r"features are not compatible|cannot boot with OS image or disk"),
+    ("capacity", False, r"features are not compatible|cannot boot with OS image or disk"),
     ("capacity", True, r"RequestLimitExceeded|Throttling"),
     ("quota", False, r"quota|LimitExceeded|MaxSpotInstanceCount|limit of .{0,40}(instances|vcpus)|exceeded.{0,20}limit"
                      r"|EnforcePartLimits|AssocGrp|QOSMax|QOSGrp"),
@@ -151,7 +151,7 @@ def classify(problem: BaseException, log: str = "") -> CloudProblem:
     if "ResourcesUnavailableError" in kinds:
         tried = getattr(problem, "failover_history", None) or ()
         if tried and all(kind & (UNFIT - {"ValueError"}) for kind in map(_kinds, tried)):
-            return CloudProblem("setup", detail)  # what its cloud, or SkyPilot there, never has
+            return CloudProblem("capacity", detail)  # what its cloud, or SkyPilot there, never has
         return CloudProblem("capacity", detail, again=bool(tried), up=up)
     if kinds & SETUP:
         return CloudProblem("setup", detail, again=True)

@@ -134,7 +134,7 @@ def test_what_programs_on_the_machine_say_is_no_refusal_of_its_provider(kind: st
 )  # fmt: skip
 def test_what_a_cloud_never_has_is_not_tried_again(problem: Exception) -> None:
     found = classify(problem)
-    assert (found.reason, found.again) == ("setup", False)
+    assert (found.reason, found.again) == ("capacity", False), "and another machine may take its place"
 
 
 def test_what_one_of_two_clouds_never_has_may_come_from_the_other() -> None:
