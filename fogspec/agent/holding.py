@@ -85,8 +85,8 @@ class Held(Matcher):
         if self.phase in ("asked", "empty", "ending"):
             self._check(now_s)
         if self.why is not None:
-            return {"refused": self.why}
-        told = {"asked": {"hold": True}, "released": {"hold": False}, "ended": {"ended": True}}
+            return {"hold": False, "refused": self.why}
+        told = {"asked": {"hold": True}, "released": {"hold": False}, "ended": {"hold": False, "ended": True}}
         return told.get(self.phase) if self.phase != before else None
 
     @property

@@ -8,8 +8,8 @@ Each record is one line of JSON, appended by one write to FOGSPEC_TIMINGS (stand
 - `metric`: values of a topic's fields, which the reader of the file assigns to a request; under `!` a client's verdict on
   a response
 - `note`: a hint why nothing is timed; `warning`: why the latencies may be misleading
-- `hold`: whether what sends the requests is to be held back; `ended`: all responses came once it was held for good;
-  `refused`: why nothing can be measured
+- `hold`: whether what sends the requests is to be held back; with `ended`, all responses came once it was held for good, and
+  with `refused`, why nothing can be measured
 """
 
 import json

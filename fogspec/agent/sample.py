@@ -135,7 +135,7 @@ class SampleRun:
             waited_s = self._waited_s(stopped_by)
             server = machine_facts.between(before, machine_facts.read())
             resources = self.resources.end()
-            if state == "ok" and self.timings.hold is not None:
+            if state == "ok" and self.options.held and self.timings.hold is not None:
                 state, reason, detail, stopped_by = self._all_answered(detail, stopped_by)
             if state == "ok":
                 state, reason, detail, stopped_by = self._asked(stopped_by, detail)
@@ -270,8 +270,9 @@ class SampleRun:
 
     def _hold(self, back: bool | None) -> None:
         """Hold back what sends requests, or let it go on; a file tells the listener which."""
-        if back and self.held is None:
-            roots = [self.children[number].pid for number in self.options.held]
+        if back and self.held is None and self.options.held:
+            senders = [self.children[number] for number in self.options.held]
+            roots = [one.pid for one in senders if one.poll() is None]
             self.held = set()
             while new := {*roots, *processes.below(roots, processes.living())} - self.held:
                 self.held |= new
@@ -284,7 +285,8 @@ class SampleRun:
 
     def _cannot(self) -> End | None:
         """Return that the listener cannot measure this."""
-        return None if self.timings.refused is None else ("failed", "not_reported", self.timings.refused, None)
+        why = self.timings.refused
+        return None if why is None or not self.options.held else ("failed", "not_reported", why, None)
 
     def _all_answered(self, detail: str | None, stopped_by: str | None) -> End:
         """Return the end of a valid sample once the listener has heard all responses, or that it has not."""

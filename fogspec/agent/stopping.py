@@ -15,7 +15,7 @@ from .intervals import LEVEL, STRICT, Interval, interval
 TIMINGS_LIMIT = 256 * 2**20
 READ_BYTES = 2**18
 LINE_LIMIT = 2**16
-NOT_REQUESTS = {"open", "unmatched", "metric", "note", "warning", "hold", "ended", "refused"}
+NOT_REQUESTS = {"open", "unmatched", "metric", "note", "warning", "hold"}
 MOST_PROCESSES = 10_000  # that are told apart
 OTHER_NAMES = 5
 LEAST = 10  # valid requests before the first check
@@ -116,10 +116,8 @@ class Timings:
         """Take a record that is not a request: a start is the reason why nothing is timed, until something else is."""
         name = record.get("open")
         if "hold" in record:
-            self.hold = record["hold"] is True
-        self.ended = self.ended or record.get("ended") is True
-        if "refused" in record:
-            self.refused = self.refused or str(record["refused"])[:300]
+            self.hold, self.ended = record["hold"] is True, record.get("ended") is True
+            self.refused = self.refused or (str(record["refused"])[:300] if "refused" in record else None)
         elif "note" in record:
             self.note, self.topic = str(record["note"])[:200], record.get("misnamed") is True
         elif isinstance(why := record.get("reason"), str):

@@ -548,8 +548,8 @@ def test_a_sender_is_held_until_nothing_is_under_way_and_again_at_the_end(tmp_pa
     outcome = held(tmp_path, LISTEN, ANSWER, TALK, steps=30)
     assert (outcome["state"], outcome["stopped_by"]) == ("ok", "steps"), outcome
     lines = [json.loads(line) for line in (tmp_path / "out" / "timings.jsonl").read_text().splitlines()]
-    assert [one["hold"] for one in lines if "hold" in one] == [True, False]
-    assert lines[-1] == {"ended": True}
+    assert [one["hold"] for one in lines if "hold" in one] == [True, False, False]
+    assert lines[-1] == {"hold": False, "ended": True}
     assert all(one["ok"] for one in lines if "latency_s" in one)
     with open(tmp_path / "out" / "timings.jsonl", "rb") as file:
         assert parse_requests(file, RecordRules(warmup=1, valid=0.95, statistic="mean")).unreadable == 0
@@ -560,6 +560,14 @@ def test_what_a_listener_refuses_is_not_measured(tmp_path):
     outcome = held(tmp_path, LISTEN, ANSWER, TALK, TALK, steps=30)
     assert (outcome["state"], outcome["reason"]) == ("failed", "not_reported")
     assert "requests on /words come while the workload is held" in outcome["detail"]
+
+
+def test_without_a_sender_to_hold_nothing_in_the_timings_holds_or_refuses(tmp_path):
+    asks = """
+with open(os.environ["FOGSPEC_TIMINGS"], "a") as f: f.write(json.dumps({"hold": True, "refused": "no"}) + "\\n")
+"""
+    assert run(tmp_path, asks + FOREVER)["state"] == "ok"
+    assert not (tmp_path / "out" / "held").exists()
 
 
 def test_a_sender_that_is_held_when_the_sample_ends_is_ended(tmp_path):
