@@ -25,17 +25,26 @@ function secondsWithin(one, cost) {
   return (one.spot && rate > 0 ? Math.log1p(rate * seconds) / rate : seconds) / one.busy;
 }
 
+// The latency of requests one after the other for that at the declared rate, in seconds (fogspec/numerics/waiting.py).
+function alone(one, latency) {
+  if (!data.waiting || latency === null) return latency;
+  const table = data.waiting[one.table], last = table.length - 1, busyAlways = 1 / data.requests_per_s / one.busy, at = latency / busyAlways;
+  if (at > table[last]) return latency / table[last];
+  const n = Math.max(1, table.findIndex((one) => one >= at));
+  return busyAlways * (n - 1 + (at - table[n - 1]) / (table[n] - table[n - 1])) / last;
+}
+
 // The limits that the predicted values of a machine break.
 function broken(one, limits) {
   const held = (value, most) => most === null || (value !== null && value <= most);
-  return [["latency", one.latency, limits.latency], ["cost", one.cost, limits.cost], ["rate", one.latency * one.busy, limits.rate],
+  return [["latency", one.latency, limits.latency], ["cost", one.cost, limits.cost], ["rate", alone(one, one.latency) * one.busy, limits.rate],
     ...data.fixed.map(([name, most], n) => [name, one.fixed[n], most])].filter(([, value, most]) => !held(value, most)).map(([name]) => name);
 }
 
 // The probability that another server of the machine's type meets all limits.
 function probability(one, limits) {
   const rate = limits.rate === null ? null : limits.rate / one.busy;
-  const most = Math.min(...[limits.latency, rate].filter((bound) => bound !== null), limits.cost === null ? Infinity : secondsWithin(one, limits.cost));
+  const most = Math.min(...[alone(one, limits.latency), rate].filter((bound) => bound !== null), limits.cost === null ? Infinity : secondsWithin(one, limits.cost));
   const off = Math.log(broken(one, limits).includes("price") ? 0 : most) - one.mu;
   const below = (1 - one.tail) * normalBelow(off / one.sigma) + one.tail * normalBelow(off / Math.hypot(one.sigma, one.spread));
   return Number(below.toPrecision(9)) * one.met;

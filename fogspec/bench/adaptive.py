@@ -22,6 +22,8 @@ from fogspec.numerics.priors import PriorData
 from fogspec.plan.initial_batch import NextBatch
 from fogspec.plan.reuse import limits_of, plan_from_campaign, should_resume
 from fogspec.plan.schema import Batch, Plan, Sample, Sampling, next_on
+from fogspec.results.arrivals import arrivals_in
+from fogspec.results.requests import RecordRules
 
 MAX_FAILED_BATCHES = 2  # without one valid sample, after which sampling ends
 FIRST = "the cheapest machines"
@@ -96,11 +98,17 @@ class AdaptiveSampling:
         return samples
 
     def _next_samples(self, left_usd: float) -> NextBatch:
-        offers, benchmark = self.filtered.offers, self.application.spec.benchmark
+        offers, benchmark, load = (
+            self.filtered.offers,
+            self.application.spec.benchmark,
+            self.application.spec.objective.load,
+        )
+        records, rules = list(self.sink.samples.values()), RecordRules.of(self.application)
         return next_samples(
             self.application,
             offers,
-            list(self.sink.samples.values()),
+            records,
+            arrivals={} if load is None else arrivals_in(records, self.layout.results, rules, load.rate),
             usd_per_sample=offers.price_usd_per_hour * self.tasks.plan.spec.commitment.paid_s / 3600,
             left_usd=left_usd,
             library=self.library,

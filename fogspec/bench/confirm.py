@@ -116,7 +116,7 @@ def _expected(prepared: Prepared, older: Results, found: Selection) -> Expected 
         ends = (latency_s / spread, latency_s * spread)
         return Expected(machine=machine, statistic=statistic, latency_s=ends, changes=changes)
     row = choice.chosen
-    interval = None if row is None else choice.latency.interval(row, LEVEL)
+    interval = None if row is None else choice.latency.alone.interval(row, LEVEL)
     if row is None or interval is None:
         return None
     metrics = {name: at for name, one in choice.metrics.items() if (at := one.interval(row, LEVEL)) is not None}

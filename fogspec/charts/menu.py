@@ -105,11 +105,12 @@ def _with(values: list[float], limit: float) -> list[float]:
 def _limits(choice: Choice) -> list[Limit]:
     """Return the limits: on y, on x, and on the price, which is a slope if it does not fix the cost of a request."""
     found, costs, metric = list[Limit](), choice.rule.costs, choice.rule.metric
-    ratio = costs.typical_busy_ratio
+    ratio, rule = costs.typical_busy_ratio, choice.rule
     for name, most in choice.bounds.items():
         if most > 0 and name in ([f"metrics.{metric}"] if metric else ["latency", "rate"]):
             bare, words = shortened(line(name.removeprefix("metrics.")), 150), shown if metric else seconds
-            at = most / ratio if name == "rate" else most
+            # That of the middle one of the machines.
+            at = float(np.sort(rule.at_rate(most / costs.busy_ratio))[len(rule.names) // 2]) if name == "rate" else most
             found.append(Limit(f"{bare} limit {words(at)}", 0, 1, math.log10(at)))
         elif most > 0 and name == "cost":
             found.append(Limit(f"cost limit {_of_requests(most)}", 1, 0, math.log10(most)))

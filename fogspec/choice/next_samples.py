@@ -1,6 +1,6 @@
 """The adaptive sampler's next batch: the largest expected improvement per price, then the choice itself, then nothing."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,13 +13,13 @@ from fogspec.choice.choose import Choice, choose
 from fogspec.choice.outlook import Outlook, chances, deciding, outlook
 from fogspec.choice.rule import Utility
 from fogspec.language.schema import Application
-from fogspec.model.fit import is_proxy, partition, targets
+from fogspec.model.fit import NONE, is_proxy, partition, targets
 from fogspec.model.predict import PredictionSet, predict_from
 from fogspec.numerics.acquisition import Policy, expected_gains, propose_batch
 from fogspec.numerics.priors import PriorData
 from fogspec.numerics.surrogate import Posterior
 from fogspec.plan.initial_batch import NextBatch, SampleCosts, initial_batch, next_batch
-from fogspec.results.schema import Measured
+from fogspec.results.schema import Arrivals, Measured
 
 
 def next_samples(
@@ -31,16 +31,17 @@ def next_samples(
     left_usd: float = np.inf,
     library: PriorData | None = None,
     batch: int = 1,
+    arrivals: Mapping[str, Arrivals] = NONE,
 ) -> NextBatch:
     """Return the offers to measure next, or none with the reason why sampling ends.
 
     `usd_per_sample` (n,) is the maximum cost of a sample of each offer; the whole batch fits into `left_usd`. Types (cloud,
     instance, accelerators) that could not be measured are not measured again; measured types are if a repeat is worth most.
-    If no further sample pays off, the chosen machine is measured to verify it.
+    If no further sample pays off, the chosen machine is measured to verify it. `arrivals` are those of `Results`.
     """
     if not records:
         return initial_batch(offers, usd_per_sample, left_usd)
-    known, unusable = partition(records, application.spec.constraints.statistic)
+    known, unusable = partition(records, application.spec.constraints.statistic, arrivals)
     predicted = predict_from(
         known=known, unusable=unusable, offers=offers, targets=targets(application), catalog=None, library=library
     )

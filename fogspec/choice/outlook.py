@@ -46,7 +46,7 @@ def chances(selection: Selection, rows: Rows) -> Floats:
     rule, latency = selection.rule.take(rows), selection.latency
     if rule.confidence is None or latency.distribution is None:
         return np.zeros(len(rows))
-    targets: list[tuple[Prediction, Floats]] = [(latency.distribution, rule.latency_budget_s)]
+    targets: list[tuple[Prediction, Floats]] = [(latency.distribution.alone, rule.latency_budget_s)]
     for name, most in rule.max_metrics.items():
         if (own := selection.metrics[name].distribution) is None:
             return np.zeros(len(rows))

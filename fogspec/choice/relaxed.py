@@ -134,16 +134,17 @@ def relax(
     if no continuous machine meets the limits. `refine` as in `relaxation.minimise`.
     """
     price = relaxation.price_surface(vcpus, memory_gib, rule.costs.price_usd_per_hour)
-    ratio = np.asarray(rule.costs.typical_busy_ratio)
+    ratio, waiting = np.asarray(rule.costs.typical_busy_ratio), rule.waiting and rule.waiting.typical
 
     def at(c: Floats, m: Floats) -> tuple[Rule, Floats, dict[str, Floats]]:
         usd = np.maximum(price(c, m), 1e-9)
         costs = replace(rule.costs, price_usd_per_hour=usd, spot=np.zeros(usd.shape, dtype=bool), busy_ratio=ratio)
         metrics = {name: surface(c, m) for name, surface in surfaces.items() if name != "latency"}
-        return replace(rule, costs=costs), surfaces["latency"](c, m), metrics
+        return replace(rule, costs=costs, waiting=waiting), surfaces["latency"](c, m), metrics
 
     def objective(c: Floats, m: Floats) -> Floats:
-        here, latency_s, metrics = at(c, m)
+        here, alone_s, metrics = at(c, m)
+        latency_s = here.at_rate(alone_s)
         metric_value = metrics[rule.metric] if rule.metric else latency_s
         return here.objective(metric_value, here.costs.per_request(latency_s), scale)
 
@@ -151,13 +152,13 @@ def relax(
     typical_s = float(np.sort(np.abs(surfaces["latency"](vcpus, memory_gib)))[len(vcpus) // 2]) or 1.0
 
     def slack(c: Floats, m: Floats) -> Floats:
-        here, latency_s, metrics = at(c, m)
+        here, alone_s, metrics = at(c, m)
         bounds = rule.bounds
         limits = [
             (bounds[name] - values) / (abs(bounds[name]) or 1.0)
-            for name, values in here.limited(latency_s, metrics).items()
+            for name, values in here.limited(here.at_rate(alone_s), metrics).items()
         ]
-        return np.stack([latency_s / typical_s, *limits])
+        return np.stack([alone_s / typical_s, *limits])
 
     optimum = relaxation.minimise(objective, slack, relaxation.box_of(vcpus, memory_gib), refine=refine)
     return None if optimum is None else (optimum, relaxation.neighbours(optimum, vcpus, memory_gib))

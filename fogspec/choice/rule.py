@@ -20,6 +20,7 @@ from fogspec.language.schema import Application
 from fogspec.model.predict import Predictions
 from fogspec.numerics.pareto import pareto
 from fogspec.numerics.surrogate import Posterior
+from fogspec.numerics.waiting import Waiting
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -47,7 +48,8 @@ class Rule:
     limits must be met with probability `confidence`; without one, by the predicted values. A scale that is None is the limit
     on the same quantity, else its best attainable value (ADR 0005). `max_latency_s` is the limit without the network's
     allowance, `units` are those of metrics, for people. With `measured_first`, a machine that was not measured is chosen only
-    if no measured one qualifies. Raise ValueError for an alpha outside of 0 to 1 and scales that are not positive.
+    if no measured one qualifies. Latencies are those at the declared rate, where `waiting` is known. Raise ValueError for an
+    alpha outside of 0 to 1 and scales that are not positive.
     """
 
     costs: Costs
@@ -63,6 +65,7 @@ class Rule:
     max_metrics: Mapping[str, float] = field(default_factory=dict)
     measured_first: bool = False
     units: Mapping[str, str] = field(default_factory=dict)
+    waiting: Waiting | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.alpha <= 1:
@@ -71,7 +74,13 @@ class Rule:
             raise ValueError("scales must be positive")
 
     @classmethod
-    def of(cls, application: Application, offers: Catalog, busy_ratio: Floats | None = None) -> "Rule":
+    def of(
+        cls,
+        application: Application,
+        offers: Catalog,
+        busy_ratio: Floats | None = None,
+        waiting: Waiting | None = None,
+    ) -> "Rule":
         """Return the rule of a spec over these offers; `busy_ratio` is that of `Costs`."""
         spec = application.spec
         objective, constraints = spec.objective, spec.constraints
@@ -89,11 +98,21 @@ class Rule:
             max_metrics=constraints.metrics,
             measured_first=spec.sampler == "adaptive",
             units={name: one.unit for name, one in spec.metrics.items() if one.unit},
+            waiting=waiting,
         )
 
     def take(self, rows: Rows) -> "Rule":
         """Return the rule over some of the machines."""
-        return replace(self, costs=self.costs.take(rows), names=self.names[rows])
+        waiting = None if self.waiting is None else self.waiting.take(rows)
+        return replace(self, costs=self.costs.take(rows), names=self.names[rows], waiting=waiting)
+
+    def at_rate(self, alone_s: Floats) -> Floats:
+        """Return the latency (..., n) at the declared rate for that of requests one after the other."""
+        return alone_s if self.waiting is None else self.waiting.at_rate(alone_s)
+
+    def alone(self, latency_s: Floats) -> Floats:
+        """Return the latency (..., n) of requests one after the other for that at the declared rate."""
+        return latency_s if self.waiting is None else self.waiting.alone(latency_s)
 
     @property
     def bounds(self) -> dict[str, float]:
@@ -118,17 +137,20 @@ class Rule:
             "latency": latency_s,
             "cost": self.costs.per_request(latency_s),
             "price": self.costs.price_usd_per_hour,
-            "rate": latency_s * self.costs.busy_ratio,
+            "rate": self.alone(latency_s) * self.costs.busy_ratio,
             **{f"metrics.{name}": values for name, values in metrics.items()},
         }
         return {name: found[name] for name in self.bounds}
 
     @property
     def latency_budget_s(self) -> Floats:
-        """The largest latency (n,) that keeps the limits on latency, rate, cost and price; 0 where none does."""
+        """The largest latency (n,) of requests one after the other that keeps the limits on latency, rate, cost and price.
+
+        0 where none does.
+        """
         found = np.full(len(self.names), np.inf)
         if self.max_latency_s is not None:
-            found = np.minimum(found, self.max_latency_s)
+            found = np.minimum(found, self.alone(np.full(len(found), self.max_latency_s)))
         if self.costs.requests_per_s:
             found = np.minimum(found, 1 / self.costs.requests_per_s / self.costs.busy_ratio)
         if self.max_cost_usd is not None:
@@ -224,7 +246,7 @@ class Selection:
 
     @cached_property
     def latency_budget_s(self) -> Floats:
-        """The latency (n,) that the limits on latency, rate, cost and price leave each machine."""
+        """The latency (n,) of requests one after the other that the limits, but for those on metrics, leave each machine."""
         return self.rule.latency_budget_s
 
     @cached_property
@@ -303,9 +325,9 @@ class Selection:
     def decided_above_s(self, rows: Rows) -> Floats | None:
         """Return the latency (m,) from which on a machine cannot both meet the limits and beat the choice (ADR 0028).
 
-        The choice counts with the upper end of the 90% interval of its latency as it was measured: every type's servers differ.
-        Infinite where no latency decides; None without a
-        measured choice, and where the objective is of another metric.
+        It is that of requests one after the other, as they are measured. The choice counts with the upper end of the 90%
+        interval of its latency as it was measured: every type's servers differ. Infinite where no latency decides; None without
+        a measured choice, and where the objective is of another metric.
         """
         best, distribution = self.best, self.latency.distribution
         if best is None or distribution is None or self.rule.metric is not None:
@@ -320,7 +342,7 @@ class Selection:
             middle = np.sqrt(low * high)
             if ((middle == low) | (middle == high)).all():
                 break
-            beats = rule.value(middle, self.scale) < worst
+            beats = rule.value(rule.at_rate(middle), self.scale) < worst
             low, high = np.where(beats, middle, low), np.where(beats, high, middle)
         found = np.minimum(high, rule.latency_budget_s)
         return np.where((found > SHORTEST_S * 2) & (found < LONGEST_S / 2), found, np.inf)
@@ -388,7 +410,7 @@ class Selection:
         if not self.eligible[row]:
             return 0.0
         budget = float(self.latency_budget_s[row])
-        found = self.latency.probability_below(row, budget, measured_server=measured_server)
+        found = self.latency.alone.probability_below(row, budget, measured_server=measured_server)
         for name, predictions in self.metrics.items():
             bound = self.bounds.get(f"metrics.{name}")
             if found is not None and bound is not None:
@@ -408,7 +430,7 @@ class Selection:
         distribution, of = self.latency.distribution, self.latency.type_index
         if distribution is None:
             return None
-        met = distribution.take(of).probability_below(self.latency_budget_s)
+        met = distribution.alone.take(of).probability_below(self.latency_budget_s)
         if self.metrics_probability is not None:
             met = met * self.metrics_probability[of]
         return np.where(self.eligible, met, 0.0)
@@ -511,9 +533,10 @@ class Utility:
         """Return the value of each type in each draw (S, N), or only of M types at these indices, (S, M)."""
         rule, bounds = self.rule if rows is None else self.rule.take(rows), self.rule.bounds
         some: Rows | slice = slice(None) if rows is None else rows
-        latency_s = np.exp(posterior.draws[:, some])
-        met = latency_s <= self.latency_budget_s[some]
+        alone_s = np.exp(posterior.draws[:, some])
+        met = alone_s <= self.latency_budget_s[some]
         met &= self.available[some]
+        latency_s = rule.at_rate(alone_s)
         metric_value = latency_s
         for name, predictions in self.metrics.items():
             if predictions.posterior is None:

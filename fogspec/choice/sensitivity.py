@@ -189,11 +189,11 @@ def _influence(application: Application, predicted: PredictionSet, left_out: Obs
 
 
 def left_out_prediction(predicted: PredictionSet, one: Observation) -> tuple[float, float, float] | None:
-    """Return the latency that other samples predict for this one, and the ends of its interval."""
+    """Return the latency that other samples predict for this one, as it is measured, and the ends of its interval."""
     distribution = predicted.targets["latency"].distribution
     if distribution is None or predicted.space is None:
         return None
-    own = distribution.take(np.array([predicted.space.types.row(one.machine.type_key)]))
+    own = distribution.alone.take(np.array([predicted.space.types.row(one.machine.type_key)]))
     low, high = own.interval(LEVEL)
     return float(own.value[0]), float(low[0]), float(high[0])
 
@@ -202,7 +202,7 @@ def widest_intervals(choice: Choice, count: int = 3) -> list[WideInterval]:
     """Return the machines with the widest intervals among those that might meet the limits, one offer of each type."""
     if choice.latency.distribution is None:
         return []
-    low, high = choice.latency.distribution.interval(LEVEL)
+    low, high = choice.latency.distribution.alone.interval(LEVEL)
     of = choice.latency.type_index
     possible = choice.eligible & (low[of] <= choice.latency_budget_s)
     found: list[WideInterval] = []

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fogspec import __version__
 from fogspec.agent import PROTOCOL
 from fogspec.base import digest
@@ -44,6 +46,7 @@ from fogspec.results.standing import carried_on, carried_warning
 
 FEW = 5  # samples, below which R² is high on noise too
 DOUBTS = 3  # about samples, in a picture
+WAITED = 1.005  # times the latency of requests one after the other, from which it is said
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +257,8 @@ def warnings_for(
     found, row = [] if left is None else [left.warning], choice.chosen
     found += [carried_warning(one, len(results.spec.samples)) for one in carried_on(results, waived)]
     found += [*caveats(models, choice), *_spread_unknown(models, application.spec.constraints.statistic)]
+    if load := application.spec.objective.load:
+        found += _rate_unknown(models, load.rate)
     found += [one for model in models.curves for one in _of_curve(model)]
     found += [one.why for one in models.rejected]
     found += other_servers(results.spec.samples)
@@ -297,11 +302,39 @@ def _spread_unknown(models: Fitted, statistic: Statistic) -> list[Warned]:
 
 def caveats(models: Fitted, choice: Choice) -> list[Warned]:
     """Return the caveats about the choice, which its charts show too."""
+    row = choice.least_infeasible if choice.chosen is None else choice.chosen
+    waits = [] if row is None else _waits(choice, row)
     if models.measured_on_local:
-        return [warned(codes.host_only)]
+        return [warned(codes.host_only), *waits]
     if choice.chosen is not None:
-        return _caveats_of_machine(choice, choice.chosen)
-    return [warned(codes.relaxed_end)] if choice.feasible.any() else []
+        return [*_caveats_of_machine(choice, choice.chosen), *waits]
+    return [warned(codes.relaxed_end)] if choice.feasible.any() else waits
+
+
+def _waits(choice: Choice, row: int) -> list[Warned]:
+    """Return how much longer requests take at the declared rate, where a machine that keeps up lets them wait."""
+    one, latency_s = choice.rule.take(np.array([row])), choice.latency.value[[row]]
+    alone_s, rate = one.alone(latency_s), one.costs.requests_per_s
+    late, work = (latency_s / alone_s)[0] > WAITED, (alone_s * one.costs.busy_ratio)[0] * (rate or 0.0)
+    if rate is None or not late or work > 1:
+        return []
+    latency, alone = float(latency_s[0]), float(alone_s[0])
+    return [warned(codes.waits, machine=str(one.names[0]), requests_per_s=rate, latency_s=latency, alone_s=alone)]
+
+
+def _rate_unknown(models: Fitted, requests_per_s: float) -> list[Warned]:
+    """Return which samples do not say how long requests wait at a rate, and why."""
+    found = []
+    if absent := [one.id for one in models.observations if one.arrivals is None]:
+        found.append(warned(codes.rate_unknown, samples=absent, requests_per_s=requests_per_s))
+    slower = [
+        (one.id, one.arrivals.sent_per_s) for one in models.observations if one.arrivals and one.arrivals.sent_per_s
+    ]
+    if slower:
+        sent_per_s = min(sent for _, sent in slower)
+        named = [name for name, _ in slower]
+        found.append(warned(codes.rate_unknown, samples=named, requests_per_s=requests_per_s, sent_per_s=sent_per_s))
+    return found
 
 
 def _caveats_of_machine(choice: Choice, row: int) -> list[Warned]:

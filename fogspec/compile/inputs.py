@@ -33,6 +33,7 @@ from fogspec.language.rules.policies import policy_paths
 from fogspec.language.schema import NO_LIBRARY, Application
 from fogspec.language.tree import Tree, sent_tree
 from fogspec.plan.schema import Plan
+from fogspec.results.arrivals import arrivals_in
 from fogspec.results.io import aside, result_paths, results_in
 from fogspec.results.recomputed import contradictions
 from fogspec.results.requests import RecordRules
@@ -265,6 +266,10 @@ class _Reader:
             catalog, refused = self.recorded_catalog(layout, pins)
         files = tuple(self.file(path, layout) for path in result_paths(layout.results, layout.files))
         results, damaged = _results(layout, files)
+        load = application.spec.objective.load
+        if results is not None and load is not None:
+            arrivals = arrivals_in(results.spec.samples, layout.results, RecordRules.of(application), load.rate)
+            results = replace(results, arrivals=arrivals)
         timings = base.timings if base is not None else ()
         if audit and base is None and results is not None:
             timings = tuple(contradictions(results, layout.results, RecordRules.of(application)))

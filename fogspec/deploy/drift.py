@@ -21,6 +21,7 @@ from fogspec.catalog.cost import Costs
 from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Expected
 from fogspec.language.schema import Application
+from fogspec.results.arrivals import at_rate
 from fogspec.results.requests import RecordRules, Requests, parse_requests
 from fogspec.results.schema import LatencySummary
 from fogspec.results.statistics import NEEDED, latency_of
@@ -63,11 +64,15 @@ class Observed:
 def observe(
     timings: bytes, application: Application, expected: Expected, machine: Machine, clock_s: float | None = None
 ) -> Observed:
-    """Compare the latest requests with the expectations for this machine, where it is `clock_s` by the clock of the timings."""
+    """Compare the latest requests with the expectations for this machine, where it is `clock_s` by the clock of the timings.
+
+    At the declared rate, if there is one: requests that followed one another did not wait.
+    """
     rules = RecordRules.of(application)
-    requests = parse_requests(io.BytesIO(_latest(timings)), rules, clock_s)
-    known = requests.latencies_s
-    found = latency_of(requests, rules.scenarios)
+    requests, load = parse_requests(io.BytesIO(_latest(timings)), rules, clock_s), application.spec.objective.load
+    if load is not None:  # as the expectations are
+        requests = at_rate(requests, load.rate)
+    known, found = requests.latencies_s, latency_of(requests, rules.scenarios)
     statistic = expected.latency.statistic
     value = None if found is None else getattr(found, statistic)
     spread = _spread_s(requests, statistic, rules.scenarios)

@@ -66,15 +66,17 @@ def chosen_record(application: Application, others: Mapping[str, Any]) -> dict[s
 
 
 def fitted_record(application: Application, others: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the models depend on, by name: the statistic, the metrics, whether they are of this host, and the `others`
-    that are not None: results, machine library and the version of the model.
+    """Return what the models depend on, by name: the statistic, the metrics, the rate, whether they are of this host, and the
+    `others` that are not None: results, machine library and the version of the model.
     """
     spec = application.spec
     metrics = sorted({*spec.constraints.metrics, *([spec.objective.metric] if spec.objective.metric else [])})
     local = spec.infra == [LOCAL] or None
-    return _set(
-        {"spec.constraints.statistic": spec.constraints.statistic, "metrics": metrics or None, LOCAL: local, **others}
-    )
+    fields = {
+        "spec.constraints.statistic": spec.constraints.statistic,
+        "spec.objective.load.rate": spec.objective.load.rate if spec.objective.load else None,
+    }
+    return _set({**fields, "metrics": metrics or None, LOCAL: local, **others})
 
 
 def _set(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -328,8 +328,8 @@ class Objective(Strict):
     )
     load: Load | None = Field(
         None,
-        description="requests per second that share the price of all the time that the machine is up; if absent, only the "
-        "seconds of a request are paid",
+        description="requests per second at which the latency is bounded, and that share the price of all the time that the "
+        "machine is up; if absent, requests come one after the other, and only their seconds are paid",
         examples=[{"rate": "10/s"}, {"rate": "10/s", "session": "20min", "sessions": "1/week"}],
     )
     transfer: Cost = Field(

@@ -13,7 +13,16 @@ from pydantic import AfterValidator, BaseModel, ValidationError, WithJsonSchema,
 
 from fogspec.base.clouds import LOCAL, cloud_of
 from fogspec.base.text import count, line
-from fogspec.base.units import UnitError, dollars, rounded, shown, shown_beside, shown_duration, shown_memory
+from fogspec.base.units import (
+    UnitError,
+    dollars,
+    format_rate,
+    rounded,
+    shown,
+    shown_beside,
+    shown_duration,
+    shown_memory,
+)
 from fogspec.language.fingerprints import change_text
 from fogspec.language.schema import Waiver
 
@@ -102,6 +111,24 @@ def error_unknown(*, samples: list[str], statistic: str) -> str:
     return (
         f"how far the {statistic} of {', '.join(samples)} is from that of more requests is not known: they are too few "
         f"or too much alike: measure more (spec.benchmark.stop)"
+    )
+
+
+def waits(*, machine: str, requests_per_s: float, latency_s: float, alone_s: float) -> str:
+    """Warn of requests that wait for one another at the declared rate."""
+    took, alone = shown_duration(latency_s), shown_duration(alone_s)
+    return f"{machine}: at {format_rate(requests_per_s)}, evenly spaced, requests wait for one another: {took}, not {alone}"
+
+
+def rate_unknown(*, samples: list[str], requests_per_s: float, sent_per_s: float | None = None) -> str:
+    """Warn of samples that do not say how long requests wait at the declared rate."""
+    rate, named = format_rate(requests_per_s), ", ".join(samples)
+    if sent_per_s is None:
+        return f"how long requests wait at {rate} is not known for {named}: their raw timings are not there"
+    sent = f"several at a time, {shown(sent_per_s)} a second"
+    return (
+        f"how long requests wait at {rate} is not known for {named}, where they were sent {sent}: send them as fast, or one "
+        f"after the other (spec.benchmark.workload)"
     )
 
 
@@ -292,8 +319,9 @@ CODES: Mapping[str, Callable[..., str]] = {
     one.__name__: one
     for one in (
         partial, waived, confirmed, host_only, relaxed_end, no_confidence, not_verified, spread_unknown, error_unknown,
-        few_samples, constant_curve, curve_error, sample_rejected, mixed_servers, gpu_idle, swapped, contended, more_memory,
-        cpu_quota, image_unpinned, open_port, unpredicted, nothing_sampled, one_platform, level_skipped, memory_snapped,
+        waits, rate_unknown, few_samples, constant_curve, curve_error, sample_rejected, mixed_servers, gpu_idle, swapped,
+        contended, more_memory, cpu_quota, image_unpinned, open_port,
+        unpredicted, nothing_sampled, one_platform, level_skipped, memory_snapped,
         sampled_once, burstable, not_candidate, selects_more, batch, sampling_ended, left_out, over_limit, machine_failed,
         unlikely,
     )
@@ -305,8 +333,8 @@ CODES: Mapping[str, Callable[..., str]] = {
 DECISIVE = frozenset(
     one.__name__
     for one in (
-        partial, waived, confirmed, host_only, relaxed_end, no_confidence, not_verified, error_unknown, sample_rejected,
-        mixed_servers, gpu_idle, swapped, contended, more_memory, cpu_quota, image_unpinned, open_port,
+        partial, waived, confirmed, host_only, relaxed_end, no_confidence, not_verified, error_unknown, waits, rate_unknown,
+        sample_rejected, mixed_servers, gpu_idle, swapped, contended, more_memory, cpu_quota, image_unpinned, open_port,
     )
 )  # fmt: skip
 

@@ -9,6 +9,7 @@ relaxed method (ADR 0005).
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -26,14 +27,16 @@ from fogspec.numerics import families
 from fogspec.numerics.families import Fit, fit_all
 from fogspec.numerics.observations import DEFAULT_NOISE
 from fogspec.numerics.surrogate import VERSION
+from fogspec.numerics.waiting import steepness
 from fogspec.plan.schema import PlanMetadata
 from fogspec.results.ranges import ERROR, LATENCY_S
 from fogspec.results.resources import at_work, contended
-from fogspec.results.schema import Measured, Results
+from fogspec.results.schema import Arrivals, Measured, Results
 
 # Two servers of one type differ, whatever is measured on each: median coefficient of variation of repeated
 # measurements over Spare Cores' public benchmarks (SpareCores/sc-inspector-data).
 SERVER_ERROR = 0.015
+NONE: Mapping[str, Arrivals] = MappingProxyType({})
 
 
 class PaperFit(Strict):
@@ -83,7 +86,8 @@ class Model(Strict):
 class Observation:
     """A machine that was measured: its values by target, and their relative standard errors, as far as they are known.
 
-    `busy_ratio` is that of `fogspec.catalog.cost.Costs`. Of the time in which a request was open, all of its vCPUs could have
+    `busy_ratio` is that of `fogspec.catalog.cost.Costs`, `arrivals` what is known of its latency at the declared rate: `values`
+    are those of requests as they were measured. Of the time in which a request was open, all of its vCPUs could have
     worked for `at_work` at most: with more of them, only that part becomes shorter.
     """
 
@@ -93,6 +97,7 @@ class Observation:
     errors: Mapping[str, float] = field(default_factory=dict)
     busy_ratio: float = 1.0
     at_work: float = 1.0
+    arrivals: Arrivals | None = None
 
     @property
     def tells(self) -> bool:
@@ -207,7 +212,7 @@ def fit(application: Application, results: Results, library: str | None = None) 
     `library` is the digest of the machine library that predictions are made with.
     """
     statistic = application.spec.constraints.statistic
-    known, unusable = partition(results.spec.samples, statistic)
+    known, unusable = partition(results.spec.samples, statistic, results.arrivals)
     groups: dict[str | None, list[Observation]] = {}
     for one in known:
         groups.setdefault(one.machine.gpu_key, []).append(one)
@@ -237,9 +242,11 @@ def is_proxy(application: Application, known: Sequence[Observation]) -> bool:
     return application.spec.infra != [LOCAL] and any(one.machine.is_local for one in known)
 
 
-def partition(records: Sequence[Measured], statistic: Statistic) -> tuple[list[Observation], list[RejectedSample]]:
-    """Split the records into observations and rejected samples."""
-    entries = [_observation(record, statistic) for record in records]
+def partition(
+    records: Sequence[Measured], statistic: Statistic, arrivals: Mapping[str, Arrivals] = NONE
+) -> tuple[list[Observation], list[RejectedSample]]:
+    """Split the records, of which these `arrivals` are known by id, into observations and rejected samples."""
+    entries = [_observation(record, statistic, arrivals.get(record.id)) for record in records]
     known = [one for one in entries if isinstance(one, Observation)]
     return known, [one for one in entries if isinstance(one, RejectedSample)]
 
@@ -251,7 +258,7 @@ def targets(application: Application) -> list[str]:
     return ["latency", *sorted(metrics)]
 
 
-def _observation(record: Measured, statistic: Statistic) -> Observation | RejectedSample:
+def _observation(record: Measured, statistic: Statistic, arrivals: Arrivals | None) -> Observation | RejectedSample:
     # A run that answered nothing waited for its first request: that request takes longer than it waited.
     waited = record.latency_lower_bound if record.latency is None and record.latency_lower_bound else None
 
@@ -281,20 +288,29 @@ def _observation(record: Measured, statistic: Statistic) -> Observation | Reject
         id=record.id,
         machine=record.machine,
         values=values,
-        errors=_errors(record, statistic),
+        errors=_errors(record, statistic, _error_at_rate(arrivals, busy_s)),
+        arrivals=arrivals,
         busy_ratio=rounded(busy_s / value, 9),
         at_work=rounded(at_work(record, busy_s), 4),
     )
 
 
-def _errors(record: Measured, statistic: Statistic) -> dict[str, float]:
+def _error_at_rate(arrivals: Arrivals | None, busy_s: float) -> float:
+    """Return which error of the latency of requests one after the other makes that at the rate err as its requests say."""
+    if arrivals is None or arrivals.table is None:
+        return 0.0
+    work = busy_s * arrivals.requests_per_s
+    return 0.0 if work >= 1 else min(arrivals.error / steepness(np.array(arrivals.table), work), ERROR.most)
+
+
+def _errors(record: Measured, statistic: Statistic, at_rate: float) -> dict[str, float]:
     """Return the relative standard error of each target as a figure for all machines of the type, where it is known."""
     found = {} if record.metric_errors is None else dict.fromkeys(record.metrics, ERROR.most) | record.metric_errors
     known = record.errors is not None
     # By what others took of its CPUs, a contended sample may be off.
     lost = record.resources.outside or 0.0 if record.resources is not None and contended(record) else 0.0
     if known or lost:
-        own = (record.errors or {}).get(statistic, ERROR.most if known else DEFAULT_NOISE)
+        own = max(at_rate, (record.errors or {}).get(statistic, ERROR.most if known else DEFAULT_NOISE))
         found["latency"] = min(math.hypot(own, lost, SERVER_ERROR), ERROR.most)
     return {name: rounded(error, 5) for name, error in found.items()}
 

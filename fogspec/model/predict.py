@@ -34,6 +34,7 @@ from fogspec.numerics.prediction import Prediction
 from fogspec.numerics.priors import PriorData, prior_for
 from fogspec.numerics.servers import OTHER, SHIFTS
 from fogspec.numerics.surrogate import Posterior, Space, prepare
+from fogspec.numerics.waiting import Waiting
 from fogspec.results.resources import BOUND
 
 Mask = NDArray[np.bool_]
@@ -47,6 +48,8 @@ class Predictions:
     Types are `measured` if a machine of the type was measured, `extrapolated` outside of the sampled range, and `unfit` if a
     machine of the type failed, or one with at least as much memory ran out of it. Without a posterior there are only values.
 
+    Latencies are those at the declared rate, if there is one; the posterior is of requests one after the other.
+
     `distribution` is that of the value on another server of each type (N,), because the machine that is deployed is not the
     one that was measured; of a metric, which does not depend on the server, it is without the shift. Ranges and
     probabilities are read from it alone; the posterior is the sampler's.
@@ -59,6 +62,11 @@ class Predictions:
     type_index: NDArray[np.intp]
     posterior: Posterior | None
     distribution: Prediction | None = None
+
+    @property
+    def alone(self) -> "Predictions":
+        """The same with the distribution of requests one after the other."""
+        return self if self.distribution is None else replace(self, distribution=self.distribution.alone)
 
     @classmethod
     def of_values(cls, value: Floats) -> "Predictions":
@@ -81,13 +89,15 @@ class Predictions:
         type_index: NDArray[np.intp] | None = None,
         *,
         varies_by_server: bool = True,
+        waiting: Waiting | None = None,
     ) -> "Predictions":
-        """Return the predictions of a posterior over N types for n offers; `unfit` is (N,).
+        """Return the predictions of a posterior over N types for n offers; `unfit` is (N,), as is `waiting`.
 
         Without `type_index` (n,) the offers are the types. Metrics of the application do not vary by server.
         """
         at = np.arange(len(posterior.machines)) if type_index is None else type_index
         distribution = posterior.prediction if varies_by_server else posterior.prediction.on_measured_server
+        distribution = replace(distribution, waiting=waiting)
         return cls(
             value=distribution.value[at],
             measured=posterior.measured[at],
@@ -159,12 +169,15 @@ class PredictionSpace:
         unfit[[self.types.row(one.machine.type_key) for one in unusable if one.excludes_machine]] = True
         of = self.types.of[: len(self.offers)]
         found = {name: _conditioned(self.space, self.types, known, unusable, name) for name in targets}
+        ratios = busy_ratios(known, self.types)
+        waiting = _waiting(known, self.types, ratios)
         return PredictionSet(
             self.offers,
             self.types,
-            {name: _predictions(name, one, unfit, of) for name, one in found.items()},
-            busy_ratios(known, self.types, of),
+            {name: _predictions(name, one, unfit, of, waiting) for name, one in found.items()},
+            ratios[of],
             self,
+            None if waiting is None else waiting.take(of),
         )
 
 
@@ -172,7 +185,8 @@ class PredictionSpace:
 class PredictionSet:
     """Predictions of every target for the offers; no `space` where the families' curves predict.
 
-    `busy_ratio` (n,) is that of `fogspec.catalog.cost.Costs`.
+    `busy_ratio` (n,) is that of `fogspec.catalog.cost.Costs`. `waiting` is that of the offers at the declared rate, None where
+    there is none or nothing is known of it.
     """
 
     offers: Catalog
@@ -180,6 +194,7 @@ class PredictionSet:
     targets: Mapping[str, Predictions]
     busy_ratio: Floats
     space: PredictionSpace | None = None
+    waiting: Waiting | None = None
 
 
 def predict(
@@ -195,12 +210,11 @@ def predict(
     """
     if models.measured_on_local or not len(offers):
         types = instance_types(offers)
-        return PredictionSet(
-            offers,
-            types,
-            {name: _by_curves(models, offers, name) for name in targets},
-            busy_ratios(models.observations, types, types.of),
-        )
+        ratios = busy_ratios(models.observations, types)
+        waiting = _waiting(models.observations, types, ratios)
+        waiting = None if waiting is None else waiting.take(types.of)
+        by_curves = {name: _by_curves(models, offers, name, waiting if name == "latency" else None) for name in targets}
+        return PredictionSet(offers, types, by_curves, ratios[types.of], waiting=waiting)
     found = predict_from(
         known=models.observations,
         unusable=models.rejected,
@@ -228,20 +242,46 @@ def predict_from(
     return PredictionSpace.of(offers, machines, catalog, library).predicted(known, unusable, targets)
 
 
-def busy_ratios(known: Sequence[Observation], types: InstanceTypes, of: NDArray[np.intp]) -> Floats:
-    """Return the busy ratio (n,) of offers of these types: as measured on the type, else the geometric mean of all.
+def busy_ratios(known: Sequence[Observation], types: InstanceTypes) -> Floats:
+    """Return the busy ratio (N,) of these types: as measured on the type, else the geometric mean of all.
 
     How requests overlap and fail, and what a percentile is of the mean, is the workload's, and differs little by machine.
     """
-    by_type: dict[TypeKey, list[float]] = {}
+    found, of = _by_type({one.id: [one.busy_ratio] for one in known}, known, types)
+    return np.asarray(found[of, 0])
+
+
+def _waiting(known: Sequence[Observation], types: InstanceTypes, busy_ratio: Floats) -> Waiting | None:
+    """Return how long requests wait at the declared rate on these types: as on the type, else as on all on average."""
+    usable = {one.id: one.arrivals for one in known if one.arrivals is not None and one.arrivals.table is not None}
+    rates = {one.requests_per_s for one in usable.values()}
+    if not rates:
+        return None
+    # The latency at no work is 0, which has no logarithm.
+    tables, of = _by_type({name: one.table[1:] for name, one in usable.items() if one.table}, known, types)
+    return Waiting(np.pad(tables, ((0, 0), (1, 0))), of, 1 / (rates.pop() * busy_ratio))
+
+
+def _by_type(
+    rows: Mapping[str, Sequence[float]], known: Sequence[Observation], types: InstanceTypes
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Return geometric means of rows of observations by their id, first those of all, and the place of each type's (N,).
+
+    Without any, they are 1.
+    """
+    groups: dict[TypeKey | None, list[Sequence[float]]] = {None: list(rows.values()) or [[1.0]]}
     for one in known:
-        by_type.setdefault(one.machine.type_key, []).append(math.log(one.busy_ratio))
-    every = [log for logs in by_type.values() for log in logs]
-    found = np.full(len(types), math.fsum(every) / max(len(every), 1))
-    for key, logs in by_type.items():
-        if key in types:
-            found[types.row(key)] = math.fsum(logs) / len(logs)
-    return quantised(np.exp(found))[of]
+        if one.id in rows and one.machine.type_key in types:
+            groups.setdefault(one.machine.type_key, []).append(rows[one.id])
+    of = np.zeros(len(types), dtype=np.intp)
+    for number, key in enumerate(groups):
+        if key is not None:
+            of[types.row(key)] = number
+    logs = [
+        [math.fsum(map(math.log, column)) / len(group) for column in zip(*group, strict=True)]
+        for group in groups.values()
+    ]
+    return quantised(np.exp(np.array(logs))), of
 
 
 def counts(machine: Machine, offers: Catalog) -> bool:
@@ -324,14 +364,18 @@ def _conditioned(
     )
 
 
-def _predictions(target: str, posterior: Posterior | None, unfit: Mask, type_index: NDArray[np.intp]) -> Predictions:
+def _predictions(
+    target: str, posterior: Posterior | None, unfit: Mask, type_index: NDArray[np.intp], waiting: Waiting | None
+) -> Predictions:
     if posterior is not None:
-        return Predictions.of_posterior(posterior, unfit, type_index, varies_by_server=target == "latency")
+        if target != "latency":
+            return Predictions.of_posterior(posterior, unfit, type_index, varies_by_server=False)
+        return Predictions.of_posterior(posterior, unfit, type_index, waiting=waiting)
     none = Predictions.of_values(np.full(len(type_index), np.nan))
     return replace(none, unfit=unfit[type_index], type_index=type_index)
 
 
-def _by_curves(models: Fitted, offers: Catalog, target: str) -> Predictions:
+def _by_curves(models: Fitted, offers: Catalog, target: str, waiting: Waiting | None) -> Predictions:
     """Return predictions of the families' curves, for shapes of one host."""
     value = np.full(len(offers), np.nan)
     for model in models.curves:
@@ -340,7 +384,7 @@ def _by_curves(models: Fitted, offers: Catalog, target: str) -> Predictions:
             coefficients = list(model.coefficients.values())
             value[rows] = families.predict(model.shape, coefficients, offers.vcpus[rows], offers.memory_gib[rows])
     value[~(np.isfinite(value) & (value > 0))] = np.nan
-    return Predictions.of_values(value)
+    return Predictions.of_values(value if waiting is None else waiting.at_rate(value))
 
 
 def _with_gpu(offers: Catalog, model: Model) -> NDArray[np.intp]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from fogspec.numerics.kernels import Floats, quantised
 from fogspec.numerics.normal import normal_cdf_and_density, normal_quantile
+from fogspec.numerics.waiting import Waiting
 
 MOST_STEPS = 60  # of Newton's method, which takes about five
 PRECISION = 1e-10  # of a quantile, in standard deviations
@@ -23,13 +24,15 @@ LONGEST_LOG = 600.0  # what an exponential can hold: a lower bound alone may lea
 class Prediction:
     """Predicted log values of N machines, each column (N,): mean and standard deviation, and the shift between servers.
 
-    `mu` is of a latency in seconds or of a metric in its own unit. Numbers have nine significant digits.
+    `mu` is of a latency in seconds or of a metric in its own unit. Numbers have nine significant digits. With `waiting`,
+    the columns are of requests one after the other, and value, probability and range are of the latency at its rate.
     """
 
     mu: Floats
     sigma: Floats
     tail: Floats
     spread: Floats
+    waiting: Waiting | None = None
 
     @property
     def on_measured_server(self) -> "Prediction":
@@ -38,13 +41,19 @@ class Prediction:
         return replace(self, tail=none, spread=none)
 
     @property
+    def alone(self) -> "Prediction":
+        """The same of requests one after the other."""
+        return replace(self, waiting=None)
+
+    @property
     def value(self) -> Floats:
         """The median (N,), in seconds or the metric's unit."""
-        return quantised(np.exp(np.clip(self.mu, -LONGEST_LOG, LONGEST_LOG)))
+        return self._at_rate(np.exp(np.clip(self.mu, -LONGEST_LOG, LONGEST_LOG)))
 
     def take(self, rows: np.ndarray) -> "Prediction":
         """Return the prediction of the machines at these indices."""
-        return Prediction(self.mu[rows], self.sigma[rows], self.tail[rows], self.spread[rows])
+        columns = self.mu[rows], self.sigma[rows], self.tail[rows], self.spread[rows]
+        return Prediction(*columns, None if self.waiting is None else self.waiting.take(rows))
 
     def widened(self, factor: Floats | float) -> "Prediction":
         """Return the prediction with `sigma` multiplied by a factor, a number or (N,)."""
@@ -57,6 +66,8 @@ class Prediction:
 
     def probability_below(self, bound: Floats | float) -> Floats:
         """Return the probability (N,) that the value is at most the bound, a number or (N,): 1 for infinity, 0 for <= 0."""
+        if self.waiting is not None:
+            bound = self.waiting.alone(np.broadcast_to(bound, self.mu.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
             z = (np.log(np.maximum(bound, 0.0)) - self.mu) / self.sigma
         return quantised(self._below(z)[0])
@@ -69,7 +80,7 @@ class Prediction:
         if not np.all((np.asarray(p) > 0) & (np.asarray(p) < 1)):
             raise ValueError(f"a probability lies between 0 and 1, got {p}")
         log = self.mu + self.sigma * self._root(np.broadcast_to(p, self.mu.shape))
-        return quantised(np.exp(np.clip(log, -LONGEST_LOG, LONGEST_LOG)))
+        return self._at_rate(np.exp(np.clip(log, -LONGEST_LOG, LONGEST_LOG)))
 
     def interval(self, level: float) -> tuple[Floats, Floats]:
         """Return the ends (N,) of the two-sided range that has the value with this probability; they are computed once."""
@@ -85,6 +96,9 @@ class Prediction:
         """Return how far below a bound (N,) a measured machine must lie, as a logarithm, for another server to hold it."""
         beyond = np.maximum(level - (1 - self.tail), 0.0) / np.where(self.tail > 0, self.tail, 1.0)
         return np.where(beyond > 0.5, self.spread * normal_quantile(np.clip(beyond, 1e-12, 1 - 1e-12)), 0.0)
+
+    def _at_rate(self, values: Floats) -> Floats:
+        return quantised(values) if self.waiting is None else self.waiting.at_rate(quantised(values))
 
     def _below(self, z: Floats) -> tuple[Floats, Floats]:
         """Return the probability (N,) of at most `z` standard deviations above the mean, and the density there."""

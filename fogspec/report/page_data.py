@@ -15,7 +15,8 @@ from fogspec.language.schema import Application
 
 MOST = 400
 COLUMNS = (
-    "mu", "sigma", "tail", "spread", "met", "latency", "value", "cost", "usd_per_s", "busy", "spot", "measured", "order",
+    "mu", "sigma", "tail", "spread", "met", "latency", "value", "cost", "usd_per_s", "busy", "table", "spot", "measured",
+    "order",
 )  # fmt: skip
 
 Rows = NDArray[np.intp]
@@ -34,6 +35,7 @@ def machines_of(choice: Choice) -> tuple[Rows, int]:
 def rule_data(application: Application, choice: Choice, rows: Rows) -> dict[str, Any]:
     """Return the constants of the rule, and of each machine in these rows the columns `COLUMNS` and its fixed quantities.
 
+    `waiting` has the tables of `fogspec.numerics.waiting.Waiting` that `table` is a place in, None where nothing waits.
     `required` is the probability that is required, None where predicted values decide; `sigma` is 0 where no probability is
     known. Infinite values are null.
     """
@@ -54,6 +56,7 @@ def rule_data(application: Application, choice: Choice, rows: Rows) -> dict[str,
         choice.cost_usd_per_request[rows],
         rule.costs.usd_per_s[rows],
         np.broadcast_to(rule.costs.busy_ratio, len(choice.offers))[rows],
+        none if rule.waiting is None else rule.waiting.of[rows],
         choice.offers.spot[rows],
         latency.measured[rows],
         np.argsort(place),
@@ -79,6 +82,7 @@ def rule_data(application: Application, choice: Choice, rows: Rows) -> dict[str,
         },
         "transfer": rule.costs.transfer_usd,
         "requests_per_s": rule.costs.requests_per_s,
+        "waiting": None if rule.waiting is None else rule.waiting.tables.tolist(),
         "interruptions_per_s": rule.costs.interruptions_per_s,
     }
 
@@ -121,10 +125,12 @@ def undominated(choice: Choice, rows: Rows) -> Rows:
     names = choice.offers.instance[rows].tolist()
     order = sorted(range(len(rows)), key=lambda i: (*table[i, [2, 1]].tolist(), names[i], int(rows[i])))
     table, measured, spot = table[order], measured[order], choice.offers.spot[rows][order]
+    waiting = choice.rule.waiting
+    waits = np.zeros(len(order)) if waiting is None else waiting.of[rows][order]
     kept: list[int] = []
     for i in range(len(order)):
         before = np.array(kept, dtype=np.intp)
-        same = (spot[before] == spot[i]) & (measured[before] >= measured[i])
+        same = (spot[before] == spot[i]) & (measured[before] >= measured[i]) & (waits[before] == waits[i])
         if not bool((same & (table[before] <= table[i]).all(axis=1)).any()):
             kept.append(i)
     return np.sort(rows[np.array(order, dtype=np.intp)[kept]])

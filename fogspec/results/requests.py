@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, TypeGuard
+from typing import BinaryIO, NamedTuple, TypeGuard
 
 from fogspec.agent.stopping import NOT_REQUESTS, WarmUp
 from fogspec.base.files import open_untrusted
@@ -56,6 +56,19 @@ class RecordRules:
         )
 
 
+class Span(NamedTuple):
+    """When a request began, None where it is not known, and for how long it was open; `valid` ones are latencies.
+
+    `waited` ones count in percentiles: they are valid, or late.
+    """
+
+    start_s: float | None
+    open_s: float
+    scenario: str = ""
+    valid: bool = True
+    waited: bool = True
+
+
 @dataclass(slots=True, kw_only=True)
 class Requests:
     """Requests after warm-up: latencies in seconds and metrics of the successful ones, and counts of the others.
@@ -72,7 +85,7 @@ class Requests:
     the timings end, whose time so far is among the latencies; `strays` of the unmatched ends have no start, for the reason
     `first_stray`.
     `commands` have the latencies by the command of the spec that timed them; `cold` are requests within the warm-up of one of
-    the `processes`.
+    the `processes`. `spans` are those after it, in the order they came.
     """
 
     latencies_s: list[float] = field(default_factory=list)
@@ -98,6 +111,7 @@ class Requests:
     first_failure: str | None = None
     other_names: list[str] = field(default_factory=list)
     finished: Sequence[Request] = ()
+    spans: list[Span] = field(default_factory=list)
 
     def busy_s(self, mean_s: float) -> float:
         """Return the time in which at least one request was open, for each of one or more latencies of this (weighted) mean."""
@@ -153,9 +167,13 @@ def parse_requests(file: BinaryIO, rules: RecordRules, until_s: float | None = N
     for command in account.commands():
         requests.commands.setdefault(command, [])
     _settle(account, rules, requests)
-    spans = [(one.start_s, _wait_s(one, rules)) for one in warm if not one.ok or _has_weight(one, rules)]
-    spans += [(account.until_s - age_s, age_s) for age_s in requests.balance.under_way_s]
-    requests.open_s = _open_s(spans)
+    kindless = not rules.scenarios
+    requests.spans += [
+        Span(account.until_s - age_s, age_s, valid=kindless, waited=kindless) for age_s in requests.balance.under_way_s
+    ]
+    if all(one.start_s is not None for one in requests.spans):
+        requests.spans.sort(key=lambda one: one.start_s or 0.0)
+    requests.open_s = _open_s([(one.start_s, one.open_s) for one in requests.spans])
     return requests
 
 
@@ -236,19 +254,22 @@ def _add(one: Request, rules: RecordRules, requests: Requests, found: list[Reque
 
 
 def _count(one: Request, rules: RecordRules, requests: Requests, command: str) -> None:
-    late = one.ok and rules.timeout_s is not None and one.latency_s > rules.timeout_s
+    late, weighs = one.ok and rules.timeout_s is not None and one.latency_s > rules.timeout_s, _has_weight(one, rules)
+    valid, wait_s = one.ok and weighs and not late, _wait_s(one, rules)
+    waited = valid or ((late or one.lost) and weighs and wait_s > 0)
+    if weighs or not one.ok:
+        requests.spans.append(Span(one.start_s, wait_s, one.scenario, valid, waited))
+    if waited:
+        requests.waits_s.append((wait_s, one.scenario))
     if late or not one.ok:
         requests.failed += 1
         requests.lost += one.lost
-        if (late or one.lost) and _has_weight(one, rules) and (wait_s := _wait_s(one, rules)):
-            requests.waits_s.append((wait_s, one.scenario))
         reason = f"took longer than {shown_duration(rules.timeout_s or 0.0)}" if late else one.reason
         requests.first_failure = requests.first_failure or reason
-    elif not _has_weight(one, rules):
+    elif not valid:
         requests.unweighted += 1
     else:
         requests.latencies_s.append(one.latency_s)
-        requests.waits_s.append((one.latency_s, one.scenario))
         requests.scenarios.append(one.scenario)
         if command:
             requests.commands.setdefault(command, []).append(one.latency_s)

@@ -1,8 +1,8 @@
 """The results of a benchmark: one file per sample, with its record, measured or failed."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -283,12 +283,30 @@ class ResultsBody(Strict):
         return round(math.fsum([self.before, *self.costs.values()]), 9)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arrivals:
+    """What the raw timings of a sample say of its latency at `requests_per_s`, which is `spec.objective.load.rate`.
+
+    `table` is `fogspec.numerics.waiting.table` of its requests, with the relative standard error `error` at the rate; None
+    where they came several at a time, less often than that: at `sent_per_s`.
+    """
+
+    requests_per_s: float
+    table: tuple[float, ...] | None
+    error: float = 0.0
+    sent_per_s: float | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Results:
-    """The results of an application; `integrity` is the digest over what is measured and its provenance."""
+    """The results of an application; `integrity` is the digest over what is measured and its provenance.
+
+    `arrivals` are those of the samples with raw timings, by id, where the spec has a load.
+    """
 
     spec: ResultsBody
     integrity: str
+    arrivals: Mapping[str, Arrivals] = field(default_factory=dict)
 
 
 def results_of(body: ResultsBody) -> Results:

@@ -24,6 +24,7 @@ from fogspec.language.loader import LoadedSpec, load
 from fogspec.language.lock_io import files_sent
 from fogspec.language.schema import Application
 from fogspec.model import predict
+from fogspec.numerics.waiting import BUSY, Waiting
 from fogspec.report import page_data
 from fogspec.report.facts import machines
 from fogspec.report.html import page
@@ -152,14 +153,23 @@ OTHERS = {
     "scales": ({"objective": {"scale": {"latency": "1s", "cost": "$1/request"}}}, None),
     "only what was measured": ({"benchmark": {"sampler": "adaptive", "budget": "$20"}}, None),
     "spot": ({"hardware": {"spot": "18000/h", "startup": "0s"}}, SPOT),
+    "waiting": ({"objective": PROVISIONED, "constraints": {"confidence": 0.8}}, None),
 }
+
+
+def waiting(_known, types, busy_ratio) -> Waiting:
+    """Machines on which requests wait for one another: not at all, some time, and long."""
+    tables = np.array([BUSY, BUSY * (1 + BUSY**2), BUSY * (1 + 9 * BUSY**4)])
+    return Waiting(tables, np.arange(len(types)) % 3, 1 / (20 * busy_ratio))
 
 
 @pytest.mark.parametrize("other", OTHERS)
 def test_every_rule_of_the_choice_is_in_the_page(browser, checkout, tmp_path, monkeypatch, other):
     monkeypatch.setattr(page_data, "MOST", 1)
     # How long a machine is paid for a request differs from type to type, as if each had been measured.
-    monkeypatch.setattr(predict, "busy_ratios", lambda _known, _types, of: 0.4 + 0.3 * (of % 5))
+    monkeypatch.setattr(predict, "busy_ratios", lambda _known, types: 0.4 + 0.3 * (np.arange(len(types)) % 5))
+    if other == "waiting":
+        monkeypatch.setattr(predict, "_waiting", waiting)
     patch, offers = OTHERS[other]
     one = loaded(checkout, "vslam-recorded")
     document = one.application.model_dump(mode="json", exclude_unset=True)

@@ -9,8 +9,9 @@ from fogspec.catalog.machine import Machine
 from fogspec.compile.manifest import Manifest
 from fogspec.deploy.drift import LATEST, LEAST, Limit, drift, interval_s, needed, observe, unclear_text, violation_text
 from fogspec.language.loader import load, read_document
-from fogspec.language.schema import Application
+from fogspec.language.schema import Application, Load
 from fogspec.results.requests import RecordRules
+from tests.unit.numerics.test_waiting import simulated
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -142,6 +143,25 @@ def test_a_limit_inside_of_the_interval_is_unclear(paper) -> None:
     assert dear.unclear == (Limit.LATENCY, Limit.COST)
     assert "a cost of $" in unclear_text(Limit.COST, dear, cheap)
     assert observe(lines([1.65] * 60), application, expected, MACHINE).unclear == ()
+
+
+def test_at_a_declared_rate_it_is_the_latency_at_that_rate(paper) -> None:
+    """As it was predicted, whatever the rate at which requests come meanwhile: 90 ms each, of which some would wait."""
+    application, expected = paper
+    latency = expected.latency.model_copy(update={"predicted": 0.207, "interval": (0.18, 0.24), "limit": 0.3})
+    expected = expected.model_copy(update={"latency": latency})
+    rows = [
+        {"name": NAME, "start_s": n / 2, "latency_s": 0.37 if n % 5 == 4 else 0.02, "ok": True} for n in range(1000)
+    ]
+    timings = "".join(json.dumps(row) + "\n" for row in rows).encode()
+    assert observe(timings, application, expected, MACHINE).drift == "faster", "each alone"
+    objective = application.spec.objective.model_copy(update={"load": Load(rate=10.0)})
+    application = application.model_copy(update={"spec": application.spec.model_copy(update={"objective": objective})})
+    seen = observe(timings, application, expected, MACHINE)
+    exact = simulated([row["latency_s"] for row in rows], 0.0, 0.1)
+    assert (seen.drift, seen.violated, seen.value_s) == ("none", (), pytest.approx(sum(exact) / len(exact)))
+    tight = expected.model_copy(update={"latency": latency.model_copy(update={"limit": 0.15})})
+    assert observe(timings, application, tight, MACHINE).violated == (Limit.LATENCY,)
 
 
 def account(*starts_s: float, ended: int, latency_s: float = 1.65) -> bytes:
