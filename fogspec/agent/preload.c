@@ -84,7 +84,7 @@ static void took_request(const void *service, const void *header, const void *re
   if (sent || is("FOGSPEC_PRELOAD_ACTION", name, "/_action/get_result")) remember_goal(header, request);
   if (sent || is("FOGSPEC_PRELOAD_SERVICE", name, "")) {
     key_of(key, sent ? request : header, sent ? 16 : KEY);
-    take(sent ? setting("FOGSPEC_PRELOAD_ACTION") : name, key, taken_ns, received_ns);
+    take(sent ? setting("FOGSPEC_PRELOAD_ACTION") : name, NULL, key, taken_ns, received_ns);
   } else if (!strstr(name, "/_action/")) {
     write_other(name);
   }
@@ -145,7 +145,7 @@ static const uint8_t *stamp_of(uint8_t *key, const void *message, const serializ
 static void took(const void *subscription, const void *message, const serialized_t *bytes, int64_t taken_ns, const times_t *times) {
   uint8_t key[KEY];
   const char *name = ((name_function)REAL("rcl_subscription_get_topic_name"))(subscription);
-  if (is("FOGSPEC_PRELOAD_REQUEST", name, "")) take(setting("FOGSPEC_PRELOAD_RESPONSE"), stamp_of(key, message, bytes), taken_ns, times->received_ns);
+  if (is("FOGSPEC_PRELOAD_REQUEST", name, "")) take(setting("FOGSPEC_PRELOAD_RESPONSE"), subscription, stamp_of(key, message, bytes), taken_ns, times->received_ns);
   else if (setting("FOGSPEC_PRELOAD_REQUEST") && !strstr("/clock /parameter_events /rosout", name)) write_other(name);
 }
 

@@ -16,6 +16,7 @@
 #include <unistd.h>
 
 #define PENDING 1024
+#define RECENT 64
 #define KEY 24            // the longest key: an rmw_request_id_t, which is writer_guid[16] and a sequence number
 #define JUMP_NS 20000000  // the two clocks drift apart by less between two requests
 
@@ -23,7 +24,9 @@ typedef struct { bool used; uint8_t key[KEY]; uint64_t order; int64_t arrival_ns
 
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 static request_t pending[PENDING];
-static uint64_t taken_count;
+static uint64_t taken_count, answered_count;
+// The latest stamps that were taken, each with the subscription that did.
+static struct { const void *by; uint8_t key[KEY]; } recent[RECENT];
 static int64_t clock_offset_ns;
 static _Thread_local int64_t departed_ns;
 
@@ -64,6 +67,15 @@ static void write_lost(const char *name, const request_t *one) {
   append(line, snprintf(line, sizeof line,
     "{\"name\":\"%.200s\",\"start_s\":%.9f,\"latency_s\":0,\"ok\":false,\"lost\":true,\"metrics\":{},\"reason\":\"no response\"}\n",
     name, one->arrival_ns / 1e9));
+}
+
+// Which of the requests with one stamp a response answers is not known (fogspec/agent/matching.py).
+static void write_repeated(const char *name, const uint8_t *key, int64_t taken_ns) {
+  char line[448];
+  append(line, snprintf(line, sizeof line,
+    "{\"name\":\"%.200s\",\"start_s\":%.9f,\"latency_s\":0,\"ok\":false,\"lost\":true,\"metrics\":{},\"reason\":"
+    "\"its stamp %d.%09u is that of an earlier request: give each its own, or match by order\"}\n",
+    name, taken_ns / 1e9, *(const int32_t *)key, *(const uint32_t *)(key + 4)));
 }
 
 static void write_unmatched(const char *name) {
@@ -116,11 +128,25 @@ static request_t *find(const uint8_t *key) {
   return found;
 }
 
-static void take(const char *name, const uint8_t *key, int64_t taken_ns, int64_t received_ns) {
+// Return which subscription took a message with this stamp lately, and remember it: NULL for none.
+static const void *taken_by(const void *by, const uint8_t *key) {
+  static unsigned next;
+  for (int i = 0; i < RECENT; i++)
+    if (recent[i].by && memcmp(recent[i].key, key, KEY) == 0) return recent[i].by;
+  recent[next].by = by;
+  memcpy(recent[next].key, key, KEY);
+  next = (next + 1) % RECENT;
+  return NULL;
+}
+
+// `by` is the subscription of a message with a stamp, NULL for others: their keys are unique.
+static void take(const char *name, const void *by, const uint8_t *key, int64_t taken_ns, int64_t received_ns) {
   pthread_mutex_lock(&lock);
   if (taken_count == 0) write_unanswered(name);
+  const void *before = by && key ? taken_by(by, key) : NULL;
+  if (before && before == by && answered_count) write_repeated(name, key, taken_ns);
   // A second subscription of the same node takes the same message.
-  if (!key || !find(key)) {
+  if (!before && (!key || !find(key))) {
     request_t *slot = NULL;
     for (int i = 0; i < PENDING && !slot; i++)
       if (!pending[i].used) slot = &pending[i];
@@ -142,6 +168,7 @@ static void depart(const char *name, const uint8_t *key, const char *failure) {
   if (one) {
     int64_t begin_ns = one->taken_ns > departed_ns ? one->taken_ns : departed_ns;
     one->used = false;
+    answered_count++;
     write_request(name, one, end_ns, end_ns - begin_ns, failure);
   } else {
     write_unmatched(name);

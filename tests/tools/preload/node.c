@@ -1,7 +1,7 @@
 // A node without a middleware: does what standard input says. Built by tests.tools.preload.
 //
 //   take SERVICE SEQUENCE WAITED_MS   send SERVICE SEQUENCE STATUS   hear TOPIC STAMP WAITED_MS   say TOPIC STAMP
-//   hear_raw, say_raw: the same, serialised   goal SERVICE SEQUENCE UUID   fail: from now on nothing works
+//   hear_raw, say_raw: the same, serialised   hear_too: by another subscription   goal SERVICE SEQUENCE UUID   fail: from now on nothing works
 //   sleep MS: by the scripted clock   loop COUNT: so many requests of /plan, then their CPU time in nanoseconds each
 #include <stdint.h>
 #include <stdio.h>
@@ -45,7 +45,7 @@ static void loop(long count) {
 }
 
 int main(void) {
-  char line[256], what[32], name[128];
+  char line[256], what[32], name[128], too[128];
   while (fgets(line, sizeof line, stdin)) {
     long number = 0, more = 0;
     sscanf(line, "%31s", what);
@@ -61,6 +61,7 @@ int main(void) {
     if (!strcmp(what, "goal")) message[0] = (uint8_t)more, received_ns = 0, numbered(number), rcl_take_request(name, head, message);
     if (!strcmp(what, "send")) message[0] = (uint8_t)more, numbered(number), rcl_send_response(name, header, message);
     if (!strcmp(what, "hear")) rcl_take(name, message, NULL, NULL);
+    if (!strcmp(what, "hear_too")) rcl_take(strcpy(too, name), message, NULL, NULL);
     if (!strcmp(what, "say")) rcl_publish(name, message, NULL);
     if (!strcmp(what, "hear_raw")) rcl_take_serialized_message(name, &bytes, NULL, NULL);
     if (!strcmp(what, "say_raw")) rcl_publish_serialized_message(name, &bytes, NULL);

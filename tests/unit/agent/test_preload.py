@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from fogspec.agent import preload
+from fogspec.agent.matching import NOT_UNIQUE
 from tests.tools.preload import build, cost_s, play, played
 
 ACTION = {"FOGSPEC_PRELOAD_ACTION": "/go"}
@@ -124,6 +125,27 @@ def test_topics_by_stamp(node, kind):
     assert (first["stamp"], second["stamp"], first["name"]) == ([5, 0], [6, 0], "/out")
     assert (first["latency_s"], second["latency_s"]) == (about(0.010), about(0))
     assert unmatched["unmatched"] is True
+
+
+def test_of_requests_with_one_stamp_all_but_the_first_fail(node):
+    """What a response answers is not known; as `fogspec.agent.matching` has it beside the node."""
+    commands = "hear /in 0 0\nsleep 250\nsay /out 0\n" + "hear /in 0 0\nhear /in 0 0\nsleep 50\nsay /out 0\n" * 3
+    records, _ = play(node, commands, TOPICS)
+    first, *others = records
+    assert first["latency_s"] == about(0.250)
+    failed = [one for one in others if one.get("ok") is False]
+    assert len(failed) == 6
+    assert {(one["lost"], one["reason"]) for one in failed} == {(True, NOT_UNIQUE.format(0, 0))}
+    assert [one["unmatched"] for one in others if "unmatched" in one] == [True] * 3
+    assert not [one for one in others if one.get("ok")]
+
+
+def test_a_second_subscription_takes_the_same_request(node):
+    commands = "hear /in 5 0\nhear_too /in 5 0\nsleep 20\nsay /out 5\nhear_too /in 6 0\nhear /in 6 0\nsay /out 6\n"
+    records, _ = play(node, commands, TOPICS)
+    assert [(one["ok"], one["latency_s"]) for one in records] == [(True, about(0.020)), (True, about(0))]
+    late = "hear /in 5 0\nsay /out 5\nhear_too /in 5 0\nhear /in 6 0\nsay /out 6\n"
+    assert [one["ok"] for one in play(node, late, TOPICS)[0]] == [True, True], "nor once it is answered"
 
 
 def test_topics_by_order(node):
